@@ -128,7 +128,7 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
         require("client", "httpx", purpose="dsbrdf fit --url")
         engine = entry_point("engines", "url").load()(work.url, jobs)
     bar = _progress_bar()
-    task = bar.add_task("", total=len(files), done="0")
+    task = bar.add_task("", total=len(files), done=0)
     items = fit_files(
         files,
         options,
@@ -137,7 +137,7 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
         scheduler=work.scheduler,
         engine=engine,
         force=work.force,
-        progress=lambda finished: bar.update(task, completed=finished, done=f"{finished:.4g}"),
+        progress=lambda finished: bar.update(task, completed=finished, done=int(finished)),
     )
     with bar, closing(items):
         for item in items:
@@ -243,7 +243,7 @@ def _row(item: FileFit) -> dict[str, Any]:
 def _progress_bar() -> Progress:
     """Return a bar that is seen if stderr is a terminal; it has one task, the number of finished files."""
     return Progress(
-        *(BarColumn(), "{task.fields[done]}/{task.total} files", TimeElapsedColumn(), "left", TimeRemainingColumn()),
+        *(BarColumn(), "{task.fields[done]} of {task.total} files", TimeElapsedColumn(), "left", TimeRemainingColumn()),
         console=Console(file=sys.stderr),
         disable=not sys.stderr.isatty(),
         transient=True,

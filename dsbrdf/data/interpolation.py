@@ -10,6 +10,7 @@ Every node then has one value, so the interpolation has no steps, not even besid
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,11 +19,21 @@ from scipy.ndimage import distance_transform_edt
 from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.geometry import checked_angles
 from dsbrdf.data.grid import GRID_SHAPE
-from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 
 _FLOOR = 1e-6  # Added before the logarithm, for values of 0; far below any reflectance that can be seen [1/sr].
 _POINTS_AT_ONCE = 65536  # Keeps the corners of a block in the processor's cache.
+
+
+class Grid(Protocol):
+    """What is needed of a `dsbrdf.Measurement`."""
+
+    @property
+    def stored(self) -> Array: ...  # noqa: D102
+    @property
+    def scale(self) -> Array: ...  # noqa: D102
+    @property
+    def valid(self) -> Mask: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +44,7 @@ class InterpolatedMeasurement:
     node has values in some channels only, else 1.
     """
 
-    measurement: Measurement
+    measurement: Grid
     source: NDArray[np.int32]  # (C, 90, 90, 180)
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
@@ -92,7 +103,7 @@ def _corners(
         yield weight, (row + a, diff + b, (column + c) % GRID_SHAPE[2])
 
 
-def interpolate(measurement: Measurement) -> InterpolatedMeasurement:
+def interpolate(measurement: Grid) -> InterpolatedMeasurement:
     """Continue a measurement between its nodes: equal to it where it has values, continuous everywhere."""
     if not measurement.valid.any():
         raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")

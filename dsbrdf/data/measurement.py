@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.grid import GRID_SHAPE
+from dsbrdf.data.interpolation import InterpolatedMeasurement, interpolate
 from dsbrdf.data.merl_validation import HEADER, SCALE, SHAPE, checked_values
 from dsbrdf.errors import MeasurementFormatError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,6 +53,39 @@ class Measurement:
         from dsbrdf.output.notebook import measurement_html
 
         return measurement_html(self)
+
+    def plot(self) -> Figure:
+        """Draw the means over phi_diff at two theta_diff; needs matplotlib."""
+        from dsbrdf.output.notebook import plot_measurement
+
+        return plot_measurement(self)
+
+    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
+        """Return values between the nodes, interpolated as for lit spheres; see `dsbrdf.data.interpolation`.
+
+        Parameters
+        ----------
+        theta_half, theta_diff, phi_diff : array_like
+            Angles that broadcast [rad].
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            The BRDF in 1/sr, NaN where no node beside the angles was measured, as below the horizon.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If an angle is not finite, or the measurement has no value at all.
+        """
+        values = self.interpolated.evaluate(theta_half, theta_diff, phi_diff)
+        values[~self.interpolated.is_measured(theta_half, theta_diff, phi_diff)] = np.nan
+        return values
+
+    @cached_property
+    def interpolated(self) -> InterpolatedMeasurement:
+        """The same with a value everywhere, also where nothing was measured."""
+        return interpolate(self)
 
     def known(self, row: int) -> Mask:
         """Where each channel has a value in the theta_half row, shape (3, 90 theta_diff, 180 phi_diff)."""

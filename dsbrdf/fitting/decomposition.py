@@ -39,6 +39,8 @@ from dsbrdf.model.reflectance import ReflectanceModel, check_angle
 from dsbrdf.process_settings import one_blas_thread
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from dsbrdf.fitting.report import FitResult
 
 _LEAST_WEIGHT = 0.01  # of a structure that is kept
@@ -77,6 +79,12 @@ class Component(ReflectanceModel):
         from dsbrdf.output.notebook import component_html
 
         return component_html(self)
+
+    def plot(self) -> Figure:
+        """Draw the height over theta_diff and the directional albedo; needs matplotlib."""
+        from dsbrdf.output.notebook import plot_component
+
+        return plot_component(self)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""

@@ -28,7 +28,6 @@ import numpy as np
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import CENTER_CUTOFF, CHANNELS, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
-from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_samples
 from dsbrdf.errors import InvalidArgumentError
@@ -190,7 +189,7 @@ def sample_metrics(model: DSBRDF, measurement: Measurement, sums: Array, albedo:
 
     Likeness is that of a sphere under three lights, PSNR at most 200 [dB].
     """
-    errors, data = relative_errors(sums), interpolate(measurement)
+    errors, data = relative_errors(sums), measurement.interpolated
     # A table has no lobes narrower than its rows: a coarse rule is enough.
     measured = directional_albedo(data.evaluate, ALBEDO_ANGLES)
     albedo_error = float(np.mean(np.abs(albedo - measured) / np.where(measured > _BLACK, measured, np.inf)))

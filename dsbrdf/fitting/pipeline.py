@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 import warnings
 from collections.abc import Callable
@@ -71,7 +72,7 @@ def fit(
         Called with the share of the work done, 0 to 1, at least once an iteration. What it raises ends the fit and
         reaches the caller.
     **choices
-        Single options by name, such as ``n_lobes=2``, instead of ``options``.
+        Single options by name, such as ``n_lobes=2``, instead of ``options``; the other parameters below.
 
     Raises
     ------
@@ -119,6 +120,12 @@ def fit(
         sentence = convergence_sentence(result.report.knots, in_slices=in_slices)
         warnings.warn(sentence, ConvergenceWarning, stacklevel=3)
     return result
+
+
+_OPTIONS = (inspect.getdoc(FitOptions) or "").partition("Attributes\n----------\n")[2].partition("\n\nRaises")[0]
+fit.__doc__ = (inspect.getdoc(fit) or "").replace(
+    "Raises\n", f"Other Parameters\n----------------\n{_OPTIONS}\n\nRaises\n", 1
+)
 
 
 def _result(

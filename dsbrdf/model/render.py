@@ -14,7 +14,6 @@ import numpy as np
 from scipy import sparse
 
 from dsbrdf.arrays import Array, Evaluate, Indices, Mask
-from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import Reflectance
 from dsbrdf.errors import InvalidArgumentError
@@ -105,7 +104,7 @@ def sphere_normals(size: int) -> tuple[Array, Mask]:
 
 def _evaluator(source: Source) -> Evaluate:
     if isinstance(source, Measurement):
-        return interpolate(source).evaluate
+        return source.interpolated.evaluate
     evaluate = getattr(source, "evaluate", source)
     if not callable(evaluate):
         kind = type(source).__name__

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
     from dsbrdf.data.reduction import Profiles
+    from dsbrdf.data.synthetic import Reflectance
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.model.reflectance import ReflectanceModel
 
@@ -57,11 +58,11 @@ _RESIDUAL_TICKS = (0, 5, 20, 45, 90)  # of theta_half [degrees]
 _PEAK, _FAR = 1.3, np.radians(60.0)  # a curve that is so many times as high at the normal as at its lowest has a peak
 
 
-def profiles_figure(profiles: Profiles, model: DSBRDF) -> Figure:
-    """Row (a) of `overview_figure` alone."""
+def profiles_figure(profiles: Profiles, model: Reflectance, *, curves: str = "fit") -> Figure:
+    """Row (a) of `overview_figure` alone; the curves are called a fit, or otherwise."""
     rows = _nearest_rows(DEFAULT_THETA_DIFF)
     figure, (row,) = figure_of_rows(profiles.name, len(rows), [ROW])
-    _profiles_row(row, profiles, model, rows)
+    _profiles_row(row, profiles, model, rows, curves)
     return figure
 
 
@@ -152,7 +153,9 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     return figure
 
 
-def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int]) -> None:
+def _profiles_row(
+    figure: FigureBase, profiles: Profiles, model: Reflectance, rows: Sequence[int], curves: str = "fit"
+) -> None:
     """Draw all channels, in two panels for each slice, with a legend."""
     pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
@@ -162,7 +165,7 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: S
         for ax in pair:
             for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
                 _draw_points(ax, *points, colour, "s", f"{channel}, measured")
-                _draw_curve(ax, curve, colour, label=f"{channel}, fit")
+                _draw_curve(ax, curve, colour, label=f"{channel}, {curves}")
     _finish_row(figure, [pairs[0][0]], slices=len(rows), columns=min(6, 3 * len(rows)))
 
 
@@ -249,9 +252,7 @@ def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
         ax.set_axis_off()
 
 
-def slice_means(
-    model: ReflectanceModel, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_ANGLES
-) -> Array:
+def slice_means(model: Reflectance, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_ANGLES) -> Array:
     """Return a model's means (n, 3) [1/sr] over the phi_diff that count in profiles, at angles theta_half (n,) [rad].
 
     `row` is the index of theta_diff on the measurement's grid, `horizon_cutoff` that of the profiles [rad]; where no

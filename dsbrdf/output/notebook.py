@@ -18,8 +18,8 @@ from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.figures import overview_figure
-from dsbrdf.output.parameter_figures import parameters_figure
+from dsbrdf.output.figures import overview_figure, profiles_figure
+from dsbrdf.output.parameter_figures import components_figure, parameters_figure
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sample_figures import samples_figure
 from dsbrdf.output.sphere_panels import cut_out, encode_png
@@ -41,6 +41,16 @@ _THUMBNAIL = 96  # pixels
 def plot_model(model: DSBRDF) -> Figure:
     """Draw the height and the directional albedo of the components."""
     return parameters_figure(model)
+
+
+def plot_measurement(measurement: Measurement) -> Figure:
+    """Draw a measurement's means over phi_diff, and what is interpolated between them."""
+    return profiles_figure(profiles(measurement), measurement.interpolated, curves="interpolated")
+
+
+def plot_component(component: Component) -> Figure:
+    """Draw the height and the directional albedo of one component."""
+    return components_figure([component], "")
 
 
 def plot_result(result: FitResult, measured: Measurement | ScatteredSamples | None) -> Figure:

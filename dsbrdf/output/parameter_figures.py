@@ -11,9 +11,12 @@ from dsbrdf.output.figure_parts import CHANNEL_COLOURS, LOBE_COLOURS, ROW, draw_
 from dsbrdf.output.report_text import lobes_in_channel
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from dsbrdf.fitting.decomposition import Component
     from dsbrdf.model.dsbrdf import DSBRDF
 
 _ANGLES = np.radians(np.linspace(0.0, 85.0, 200))
@@ -26,14 +29,15 @@ def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = Fal
     With `model_lobes`, instead the mean height, half width, kappa and elongation of the model's lobes, and the green
     channel's shape where each channel has its own. The title is such as the name of the material.
     """
-    return _lobes_figure(model, title) if model_lobes else _components_figure(model, title)
+    return _lobes_figure(model, title) if model_lobes else components_figure(decompose(model), title)
 
 
-def _components_figure(model: DSBRDF, title: str) -> Figure:
+def components_figure(components: Iterable[Component], title: str) -> Figure:
+    """Height of some components in red, green and blue over theta_diff, and their directional albedo."""
     figure = empty_figure(title, 2, height=ROW)
     heights, albedos = figure.subplots(1, 2)
     degrees, seen = np.degrees(_ANGLES), np.linspace(0.0, 80.0, 17)
-    for number, part in enumerate(decompose(model)):
+    for number, part in enumerate(components):
         style = _STYLES[number % len(_STYLES)]
         reflected = part.directional_albedo(np.radians(seen))
         for ax, angles, values in ((heights, degrees, part.height(_ANGLES)), (albedos, seen, reflected)):

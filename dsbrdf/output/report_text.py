@@ -5,7 +5,6 @@ rest of the library uses radians.
 """
 
 import json
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -44,10 +43,10 @@ _VERDICTS = (
 
 
 def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
-    """Return the metrics that have a value, on lines of at most so many columns that end after one."""
-    known = {name: value for name, value in asdict(metrics).items() if value is not None}
-    together = ", ".join(f"{name}\N{NO-BREAK SPACE}{value:.4g}" for name, value in known.items())
-    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(together, width)]
+    """Return the metrics that have a value, in columns of 30 characters, on lines of at most so many."""
+    known = [f"{name:<22}{value:<8.4g}" for name, value in asdict(metrics).items() if value is not None]
+    each = width // 30
+    return ["".join(known[start : start + each]).rstrip() for start in range(0, len(known), each)]
 
 
 def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:

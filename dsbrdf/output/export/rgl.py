@@ -18,7 +18,6 @@ import numpy as np
 
 from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.data.geometry import half_difference, spherical
-from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.rgl_file import Warp, bilinear, encode_tensors
 from dsbrdf.data.rgl_material import RglMaterial
@@ -40,7 +39,7 @@ def rgl_bsdf(
     A measurement is interpolated; the values of other sources need not be reciprocal. The description is stored in the
     file. A spectral file is for Mitsuba's spectral variants and pbrt-v4, the other for Mitsuba's RGB variants.
     """
-    evaluate = interpolate(source).evaluate if isinstance(source, Measurement) else source.evaluate
+    evaluate = source.interpolated.evaluate if isinstance(source, Measurement) else source.evaluate
     ndf = _ndf(evaluate)
     slices = [_slice(evaluate, ndf, float(theta)) for theta in _THETA_I]
     vndf, luminance, rgb = (np.stack(parts)[None].astype(np.float32) for parts in zip(*slices, strict=True))

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import open_checked
 from dsbrdf.data.merl import encode_merl, map_merl
@@ -96,11 +95,8 @@ def sphere_step(
 def measured_step(
     stored: StoredMeasurement, theta_half: Array, theta_diff: Array, phi_diff: Array, _: OnProgress
 ) -> Array:
-    """Return a measurement's values at points (n,), shape (n, 3), interpolated as on its sphere; NaN without one."""
-    known = interpolate(stored.mapped())
-    values = known.evaluate(theta_half, theta_diff, phi_diff)
-    values[~known.is_measured(theta_half, theta_diff, phi_diff)] = np.nan
-    return values
+    """Return a measurement's values at points (n,), shape (n, 3), as `dsbrdf.Measurement.evaluate`."""
+    return stored.mapped().evaluate(theta_half, theta_diff, phi_diff)
 
 
 def spheres_step(
@@ -134,7 +130,7 @@ def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:
 
     Between nodes linear interpolation of them is that of `interpolate`.
     """
-    known = interpolate(stored.mapped())
+    known = stored.mapped().interpolated
     channels = zip(known.measurement.stored, known.measurement.scale, cycle(known.source), strict=False)
     tables = [np.log(values.ravel()[source] * scale + _DARKEST) for values, scale, source in channels]
     return _npy(np.stack(tables, axis=-1).reshape(*known.measurement.stored.shape[1:], 3).astype("<f2"))

@@ -2,9 +2,11 @@
 
 import json
 import os
+import pty
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +67,7 @@ def test_commands_that_compute_nothing_import_no_numpy() -> None:
     """NumPy and SciPy would take most of the time of such a command; the version needs no extra either."""
     program = """
 import sys
+from contextlib import suppress
 from dsbrdf.cli.main import main
 for words in ["--version"], ["--help"], ["keys", "--help"], ["purge", "--help"]:
     main(words)
@@ -114,8 +117,27 @@ def test_progress_goes_to_a_terminal_only(plastic_file: Path, monkeypatch: pytes
         monkeypatch.setattr(sys.stderr, "isatty", lambda known=is_terminal: known, raising=False)
         assert cli.main(["fit", str(plastic_file), "--json", *QUICK]) == 0
         captured = capsys.readouterr()
-        assert "1/1 files" in captured.err if is_terminal else captured.err == ""
+        assert "1 of 1 files" in captured.err if is_terminal else captured.err == ""
         assert json.loads(captured.out)["status"] == "succeeded"
+
+
+def test_progress_is_gone_when_the_last_result_is_printed(plastic_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "again.binary").hardlink_to(plastic_file)
+    leader, terminal = pty.openpty()
+    command = [sys.executable, "-m", "dsbrdf.cli.main", "fit", str(plastic_file), "again.binary", "--jobs", "1", *QUICK]
+    environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
+    with subprocess.Popen(command, stdout=terminal, stderr=terminal, cwd=tmp_path, env=environment):
+        os.close(terminal)
+        shown = b""
+        with suppress(OSError):  # the terminal is closed with the process
+            while part := os.read(leader, 4096):
+                shown += part
+    os.close(leader)
+    text = shown.decode()
+    assert "0 of 2 files" in text
+    last = max(text.index("again: "), text.index("plastic: "))
+    assert " of 2 files" not in text[last:]
+    assert "\x1b[2K" in text[text.rindex(" of 2 files") : last]  # its line is empty again
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import binary_erosion
 
 from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
@@ -77,6 +78,21 @@ def test_many_points_are_evaluated_as_one_by_one(plastic: Measurement) -> None:
     assert interpolated.evaluate(theta_half[:4, None], theta_diff[:3], 0.0).shape == (4, 3, 3)
     held = interpolated.evaluate([THETA_HALF[89], 0.0], [0.0, THETA_DIFF[89]], 0.3)  # beyond the last row
     np.testing.assert_allclose(interpolated.evaluate([np.pi / 2, 0.0], [0.0, np.pi / 2], 0.3), held, rtol=1e-12)
+
+
+def test_a_measurement_is_evaluated_between_its_nodes_and_nan_where_nothing_was_measured(holed: Measurement) -> None:
+    angles = random_angles(20_000, seed=1)
+    found, everywhere = holed.evaluate(*angles), interpolate(holed).evaluate(*angles)
+    known = np.isfinite(found)
+    assert 0.1 < known.mean() < 0.9
+    np.testing.assert_array_equal(found[known], everywhere[known])
+    row, diff, column = np.argwhere(binary_erosion(~holed.valid))[::5000].T  # those with such nodes around them
+    assert row.size > 10
+    assert np.isnan(holed.evaluate(THETA_HALF[row], THETA_DIFF[diff], PHI_DIFF[column])).all()
+    row, diff, column = np.argwhere(holed.valid)[::5000].T
+    at_nodes = holed.evaluate(THETA_HALF[row], THETA_DIFF[diff], PHI_DIFF[column])
+    np.testing.assert_allclose(at_nodes, holed.values[:, row, diff, column].T, rtol=1e-5)
+    assert holed.evaluate(0.1, 0.2).shape == (3,)
 
 
 def test_angles_that_are_none_are_refused(plastic: Measurement) -> None:

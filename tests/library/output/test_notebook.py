@@ -1,6 +1,6 @@
 import re
 from base64 import b64decode
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import matplotlib.figure
 import numpy as np
@@ -60,8 +60,28 @@ def test_plot_draws_the_fit_or_the_parameters(plastic: Measurement, two_lobe_fit
     assert isinstance(parameters, matplotlib.figure.Figure)
     assert [len(figure.findobj(matplotlib.axes.Axes)) for figure in (parameters, fitted)] == [2, 8]
     assert len(two_lobe_fit.model.plot().findobj(matplotlib.axes.Axes)) == 2
+    parts = dsbrdf.decompose(two_lobe_fit)
+    curves = [len(figure.axes[0].lines) for figure in (two_lobe_fit.model.plot(), parts["diffuse"].plot())]
+    assert curves == [4 * len(parts), 4]  # three channels and a name each
     preview = parameters._repr_png_()  # type: ignore[attr-defined]
     assert int.from_bytes(preview[16:20]) == pytest.approx(80 * parameters.get_size_inches()[0], abs=1)
+
+
+def test_plot_of_a_measurement_draws_its_means_and_what_is_between(plastic: Measurement) -> None:
+    figure = plastic.plot()
+    (axes, *_) = figure.findobj(matplotlib.axes.Axes)
+    labels = axes.get_legend_handles_labels()[1]
+    assert {"red, measured", "red, interpolated"} <= set(labels)
+    lines = {str(line.get_label()): line for line in axes.lines}
+    points, curve = (np.asarray(lines[f"green, {name}"].get_xydata()) for name in ("measured", "interpolated"))
+    at_points = np.interp(points[:, 0], *curve.T)
+    assert np.abs(at_points / points[:, 1] - 1.0).max() < 0.05
+
+
+def test_help_on_fit_lists_the_options() -> None:
+    text = dsbrdf.fit.__doc__ or ""
+    for option in fields(dsbrdf.FitOptions):
+        assert re.search(rf"^(\w+, )*{option.name}[ ,\n]", text, re.MULTILINE)
 
 
 def test_measurements_of_the_same_bytes_and_name_are_equal(plastic: Measurement, metal: Measurement) -> None:
