@@ -1,0 +1,33 @@
+"""How accurate the default fit is on known materials: a search that finds something else is noticed.
+
+The bounds are on both sides. Where a change makes the fits better, also on measured materials (``python -m benchmarks
+materials``), the figures here are those of the new fits.
+"""
+
+import pytest
+
+from dsbrdf.data.grid import nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.fitting.pipeline import fit
+
+
+def coated_paint() -> Measurement:
+    """A narrow highlight, a wide one of another colour, and a ground."""
+    coat = synthetic_measurement(roughness=0.04, diffuse=(0.02, 0.05, 0.2), specular=(0.04, 0.04, 0.04))
+    flakes = synthetic_measurement(roughness=0.3, diffuse=(0.0, 0.0, 0.0), specular=(0.25, 0.2, 0.1))
+    return Measurement.from_values(coat.values + flakes.values, nodes_above_horizon(), "coated paint")
+
+
+@pytest.mark.parametrize(
+    ("name", "excess", "albedo_error", "psnr"),
+    [("metal", 0.109, 0.0008, 59.1), ("matte", 0.188, 0.0025, 39.3), ("coated paint", 0.255, 0.0027, 47.7)],
+)
+def test_the_default_fit_is_as_accurate_as_it_was(
+    name: str, excess: float, albedo_error: float, psnr: float, request: pytest.FixtureRequest
+) -> None:
+    measurement = coated_paint() if name == "coated paint" else request.getfixturevalue(name)
+    metrics = fit(measurement).report.metrics
+    assert metrics.excess == pytest.approx(excess, rel=0.03)
+    assert metrics.albedo_error == pytest.approx(albedo_error, rel=0.2)
+    assert metrics.psnr == pytest.approx(psnr, abs=0.3)
