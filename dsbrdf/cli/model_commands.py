@@ -1,4 +1,4 @@
-"""Commands of models and measurements: what they are, as files for other programs, and drawn."""
+"""Commands that print, export, convert and draw models and measurements."""
 
 import shutil
 from collections.abc import Sequence
@@ -253,8 +253,8 @@ def _converted(
         about = {"non_reciprocity": difference}
         if difference > _LARGEST_DIFFERENCE:
             sentences = (
-                f"values of swapped directions differ by {difference:.0%} in the median, and a MERL table has one "
-                "value for both, their mean: pictures change.",
+                f"with the two directions swapped, values differ by {difference:.0%} in the median. A MERL table has "
+                "one value for both, their mean: pictures will look different.",
             )
         found = found.measurement()
     return encode_merl(found if isinstance(found, Measurement) else found.tabulate()), sentences, about

@@ -122,8 +122,8 @@ def _cells(position: Array, count: int) -> tuple[Indices, Array]:
 def _nearest_valid(valid: Mask) -> NDArray[np.int32]:
     """Flat index of the node whose value each node takes.
 
-    Towards theta_diff = 0 first, where nodes are farther above the horizon; then away from it; then along another
-    (theta_half, phi_diff), the nearest that has a valid node.
+    It is looked for towards theta_diff = 0 first, farther above the horizon; then away from there; then at the nearest
+    other (theta_half, phi_diff) that has a valid node.
     """
     steps = np.arange(GRID_SHAPE[1], dtype=np.int8)[:, np.newaxis]
     diff = np.maximum.accumulate(np.where(valid, steps, np.int8(-1)), axis=1)

@@ -44,7 +44,7 @@ _BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(
 OUTLIER = 6.0
 """Standard deviations from the median at which a sample begins to count less; at twice as many it counts nothing."""
 _NORMAL_QUARTILE = 1.1503  # third quartile of the absolute deviations of a normal distribution, in its sigmas
-_FEW_IN_BIN = 5  # samples, of which an outlier may be as many as the others
+_FEW_IN_BIN = 5  # with fewer samples in a bin, half of them may be outliers: bins beside it help
 
 
 @dataclass(frozen=True, eq=False)

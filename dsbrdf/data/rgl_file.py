@@ -104,7 +104,7 @@ def _cell(position: Array, count: int) -> tuple[Indices, Array]:
 
 
 def _running(values: Array) -> Array:
-    """Running integral along the last axis, linear between nodes one apart, 0 at the first."""
+    """Integral from the first node to each, along the last axis. Nodes are 1 apart, and values linear between them."""
     steps = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]), axis=-1)
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), steps], axis=-1)
 

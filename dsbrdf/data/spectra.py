@@ -57,8 +57,8 @@ def linear_srgb(wavelengths: Array, spectra: Array) -> Array:
 def of_rows(numbers: Array, wavelengths: Array) -> tuple[Array, Array]:
     """Return the table with one row for each pair of directions, and its wavelengths.
 
-    `numbers` (n, 10) are those of `sample_columns` with the value at each row's wavelength. Values that are there twice
-    count with their mean; a wavelength that is not there is NaN in all channels.
+    `numbers` (n, 10) are those of `sample_columns` with the value at each row's wavelength. Where a
+    wavelength occurs twice, the mean is taken; where it is missing, all channels are NaN.
     """
     used = np.isfinite(wavelengths) & np.isfinite(numbers[:, :6]).all(axis=1)
     numbers, wavelengths = numbers[used], wavelengths[used]

@@ -142,7 +142,10 @@ class _Stoppable(Future[T]):
 
 
 def rising(on_progress: OnProgress, step: float = 0.0, seconds: float = 0.0) -> OnProgress:
-    """Pass on only shares above the last one by at least a step, and, but for the very last, so many seconds later."""
+    """Return a function that passes on shares which rise by a step at least, and one at most in so many seconds.
+
+    The share 1, the last, is always passed on.
+    """
     last, then = 0.0, -math.inf
 
     def filtered(share: float) -> None:

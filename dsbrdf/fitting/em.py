@@ -12,8 +12,8 @@ where l = exp(kappa cos(theta)**gamma) - 1 is the paper's lobe, the hemispherica
 its normalisation (eqs. 3 and 5): gamma = 0 is a constant, a Lambertian lobe, gamma -> infinity a mirror.
 
 Because q depends on theta_half only, the sums over the raw samples and over the profile differ by a constant, so that
-the algorithm runs exactly on `Profiles`. All slices, channels and lobes iterate together, each Levenberg-Marquardt step
-is a 2 x 2 system in (log kappa, log gamma) for each problem. The lobe is not that of `dsbrdf.model.lobes`, which is
+the algorithm runs exactly on `Profiles`. All slices, channels and lobes iterate together. Each Levenberg-Marquardt step
+solves a 2 x 2 system in (log kappa, log gamma) for each of them. The lobe is not that of `dsbrdf.model.lobes`, which is
 divided by its height and would cost four more derivatives.
 """
 

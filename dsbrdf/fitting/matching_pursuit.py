@@ -153,7 +153,7 @@ def _first_lobes(data: FitData, like: Structure) -> Mixture:
 def _kinds_wanted(
     structure: Structure, wanted: int | Literal["auto"], wanted_rings: int | Literal["auto"]
 ) -> set[bool]:
-    """Which kinds the next lobe may be: False about the normal, True a ring; none where the mixture is complete."""
+    """Kinds that the next lobe may have: True is a ring, False a lobe about the normal. A full mixture has none."""
     room = (MAX_GROWN_LOBES if wanted == "auto" else wanted) - structure.n_lobes
     missing_rings = room if wanted_rings == "auto" else wanted_rings - structure.n_rings
     kinds = {True} if missing_rings > 0 and structure.n_lobes else set[bool]()
@@ -187,9 +187,9 @@ def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
 
 
 def _starts(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) -> list[Mixture]:
-    """Add the candidate that explains most of the residual, not yet fitted.
+    """Yield mixtures with one more lobe, not yet fitted: the candidate that explains most of the residual.
 
-    Where there are two lobes and more, but not many, what lacks may be near them or far away: the best of each.
+    With a few lobes there are two of them, the best candidate near the mirror direction and the best one far from it.
     """
     problem, k = MixtureProblem(data, mixture.structure), mixture.structure.n_lobes
     stack, candidates = np.stack(list(curves.values())), list(curves)

@@ -108,8 +108,8 @@ class FitReport:
     options, versions : FitOptions, Versions
         Of the fit; the versions are those of the algorithm, this library and what it computes with.
     left_out, measure_next : tuple of LeftOutErrors, tuple of SuggestedPair
-        Of scattered samples only: errors at samples left out, and where to measure next if the error that is expected
-        over all directions is large, the most useful pair first.
+        Of scattered samples only: errors at samples that were left out, and where to measure next, the most useful
+        pair first. The second is empty unless the error expected over all directions is large.
     """
 
     warnings: tuple[str, ...]

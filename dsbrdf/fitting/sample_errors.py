@@ -127,7 +127,7 @@ def _suggested(omega_in: Array, omega_out: Array) -> SuggestedPair:
 
 
 def _drawn(model: DSBRDF) -> tuple[Array, Array, Array, Array]:
-    """Pairs of directions up to 80 degrees from the normal, the values (n, 3) of a model and the light it reflects."""
+    """Random omega_in and omega_out within 80 degrees of the normal, a model's values, and the light it reflects."""
     generator = np.random.default_rng(5)
     cosines = (np.sqrt(generator.uniform(_LAST_COSINE**2, 1.0, _N_DRAWN)) for _ in range(2))
     omega_in, omega_out = (random_directions(generator, cosine) for cosine in cosines)

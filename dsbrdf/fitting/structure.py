@@ -113,7 +113,10 @@ class Structure:
         return sides[0], sides[1]
 
     def limit(self, unknowns: Array) -> Array:
-        """Unknowns within the bounds, no lobe narrower than the data's spacing, no offset below 0 that does nothing."""
+        """Unknowns within the bounds, with no lobe narrower than the data's spacing.
+
+        An offset below 0 ends where a lower one would not change the cusp any more.
+        """
         low, high = self.bounds
         limited = np.maximum(np.minimum(unknowns, high), low)
         if self.n_rings:

@@ -5,10 +5,10 @@
 
 is taken over half vectors, with nodes that crowd towards theta_half = 0 about each normal, where a narrow lobe is.
 
-The material is isotropic: normals at one angle to the view, a ring of the sphere, see the same angles, and from normal
-to normal only the environment turns about the view. So f is evaluated for one normal of each ring, the weighted values
-are spread over a map of directions in polar coordinates about the view, and the radiance of the whole ring is the
-circular correlation of that map with the environment's.
+The material is isotropic. Normals at one angle to the view are a ring of the sphere. They see the material under the
+same angles; only the environment is turned about the view from one to the next. So f is evaluated for one normal of
+each ring, the weighted values are spread over a map of directions in polar coordinates about the view, and the radiance
+of the whole ring is the circular correlation of that map with the environment's.
 """
 
 from collections.abc import Callable

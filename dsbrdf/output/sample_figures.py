@@ -1,4 +1,4 @@
-"""Figures of scattered samples against a fit: near slices of theta_diff, in planes of incidence, and what is left."""
+"""Figures of scattered samples against a fit: near slices of theta_diff, in planes of incidence, and the residual."""
 
 from __future__ import annotations
 

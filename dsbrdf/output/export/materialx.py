@@ -1,9 +1,9 @@
 """A model as a MaterialX file: the OpenPBR surface that looks most like it.
 
 A lit sphere of the surface and one of the model are compared as a screen shows them, under both lightings of
-`dsbrdf.render_sphere`; least squares of the difference finds the inputs, from what the layers of the model say of
-them. OpenPBR has about a dozen numbers, so some difference is left: it is stated in the file, as PSNR of the whole
-sphere, of its highlights (the brightest tenth), of what is seen at more than 60 degrees, and of the rest.
+`dsbrdf.render_sphere`. Least squares of the difference finds the inputs; it starts from the layers of the model.
+OpenPBR has about a dozen numbers, so some difference is left. The file states it, as PSNR of the whole sphere, of its
+highlights (the brightest tenth), of what is seen at more than 60 degrees, and of the rest.
 """
 
 import re

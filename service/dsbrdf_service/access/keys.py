@@ -34,7 +34,7 @@ _SELECT_ACTIVE = (
 
 @dataclass(frozen=True)
 class KeyRow:
-    """A key without its secret; times are seconds since 1970, a limit that is None is the server's default."""
+    """A key without its secret. Times are seconds since 1970; None as a limit is the server's default."""
 
     id: str
     name: str

@@ -81,7 +81,7 @@ class Blobs:
     def place(self, incoming: Incoming) -> None:
         """Move a closed incoming file to its place; durable when this returns.
 
-        What is there already is not looked at: how long this takes does not tell whether another key has the file.
+        It takes equally long if the file is there already: time must not tell whether another key has it.
         """
         target = self.path(incoming.sha256)
         if not target.parent.exists():

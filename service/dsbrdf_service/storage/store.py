@@ -85,7 +85,7 @@ class Store:
     def add_measurement(
         self, caller: Caller, incoming: Incoming, name: str | None = None
     ) -> tuple[MeasurementRow, bool]:
-        """Store a closed file; the flag says whether it is new to the caller. A known one gets the new name, if any.
+        """Store a closed file; return its row, and whether it is new to the caller. A known one takes the name, if any.
 
         Raises ProblemError if the caller would have stored more than it may, or its key has been revoked.
         """

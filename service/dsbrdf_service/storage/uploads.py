@@ -43,7 +43,7 @@ class Uploads:
     async def incoming(self, caller: Caller) -> AsyncIterator[Incoming]:
         """Yield a new file, which is removed afterwards unless it was stored; the upload counts as long as that takes.
 
-        One upload at a time is let in for a caller that has no room left: its file may be one that is stored already.
+        A caller without room may still send one file at a time, because that file may be stored already.
 
         Raises ProblemError if those in progress take all the room that the caller has left.
         """

@@ -67,7 +67,7 @@ class Points:
 
 
 def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
-    """Return the points of a query's names and values, which repeat for several points.
+    """Return the points of a query, from its names and values; a name occurs once for each point.
 
     Raises InvalidArgumentError: with one sentence that says what is wrong and what would be right.
     """
