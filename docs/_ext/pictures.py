@@ -1,12 +1,13 @@
 """Lit spheres for the pages: of synthetic measurements, or of the measurements in a folder, and of their fits.
 
-``python docs/_ext/pictures.py`` writes the one in the README.  With ``DSBRDF_REFERENCE_DATA`` set to a folder of MERL
-files it also writes small pictures of the measured materials in it, for the gallery of those who do not have the data.
+``python docs/_ext/pictures.py``, with ``DSBRDF_REFERENCE_DATA`` set to a folder of MERL files, writes the picture in
+the README, and small ones of the measured materials for the gallery of those who do not have the data.
 """
 
 import json
 import os
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,17 @@ from numpy.typing import NDArray
 
 from benchmarks.paper.materials import Material, Numbers, compute, find_materials, fit_quietly
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import read_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.sphere_panels import compare_spheres, cut_out, encode_png
 from dsbrdf.process_settings import core_count
 
-README_PICTURE = Path(__file__).parents[1] / "_static" / "spheres.png"
+README_PICTURE = Path(__file__).parents[1] / "_static" / "spheres.webp"
+README_MATERIALS = ("rgl_aurora_white", "rgl_satin_purple", "rgl_acrylic_felt_pink")
+_README_COLUMNS = ("measured", "fit", "specular spike", "specular lobe", "diffuse")
+_README_SIZE, _README_GAP, _README_TEXT = 320, 16, 44  # pixels: of a sphere, between two, and of a line of text
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
 MEASURED = Path(__file__).parents[1] / "_static" / "measured"
 SIZE = 224  # pixels; shown at half of that or a little more
@@ -77,10 +82,33 @@ def reference_exhibits(folder: Path, kept: Path) -> tuple[list[Exhibit], list[st
     return exhibits, [f"{failure.file.stem}: {failure.message}" for failure in failures]
 
 
-def readme_picture(measurement: Measurement, result: FitResult) -> bytes:
-    """Return a PNG file: a measurement, its fit and the components of the fit, side by side."""
-    panels = compare_spheres(measurement, result.model, lighting="environment", size=120).seen
-    return encode(*(panel for title, panel in panels.items() if not title.startswith("difference")))
+def readme_picture(folder: Path) -> bytes:
+    """Return a WebP file of materials in a folder, one in a row: measured, the fit, and the components of the fit."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    step, rows = _README_SIZE + _README_GAP, len(README_MATERIALS)
+    width, height = _README_TEXT + step * len(_README_COLUMNS), _README_TEXT + step * rows
+    canvas = FigureCanvasAgg(Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0, facecolor="none"))
+    text = {"color": "0.5", "fontsize": 22, "ha": "center", "va": "center"}  # seen on white and on black
+    for row, name in enumerate(README_MATERIALS):
+        measurement = read_merl(folder / f"{name}.binary")
+        result = fit_quietly(measurement, FitOptions())
+        panels = compare_spheres(measurement, result.model, lighting="environment", size=_README_SIZE).panels
+        below = step * (rows - 1 - row)
+        title = name.removeprefix("rgl_").replace("_", " ")
+        canvas.figure.text(22 / width, (below + step / 2) / height, title, rotation=90, **text)
+        for column, panel in enumerate(_README_COLUMNS):
+            if panel in panels:
+                canvas.figure.figimage(cut_out(panels[panel]), _README_TEXT + step * column, below)
+    for column, panel in enumerate(_README_COLUMNS):
+        place = _README_TEXT + step * (column + 0.5)
+        canvas.figure.text(place / width, 1.0 - _README_TEXT / 2 / height, panel, **text)
+    canvas.draw()
+    file = BytesIO()
+    Image.fromarray(np.asarray(canvas.buffer_rgba())).save(file, "webp", quality=90)
+    return file.getvalue()
 
 
 def encode(*panels: NDArray[np.float64]) -> bytes:
@@ -130,7 +158,6 @@ def write_measured(folder: Path, kept: Path) -> None:
 
 
 if __name__ == "__main__":
-    paint = synthetic_measurement(**SYNTHETIC["paint"], noise=0.02)  # type: ignore[arg-type]
-    README_PICTURE.write_bytes(readme_picture(paint, fit_quietly(paint, FitOptions())))
-    if reference := os.environ.get(REFERENCE_VARIABLE):
-        write_measured(Path(reference), Path(__file__).parents[1] / "_build" / "materials")
+    reference = Path(os.environ[REFERENCE_VARIABLE])
+    README_PICTURE.write_bytes(readme_picture(reference))
+    write_measured(reference, Path(__file__).parents[1] / "_build" / "materials")
