@@ -49,18 +49,17 @@ class TableOptions:
     Attributes
     ----------
     columns : tuple of str
-        What columns mean whose names say it not, or not rightly: "theta_in=AOI" is the column AOI with the angles
-        theta_in. Several may also be one text with commas, or a dict.
+        What a column means whose name does not say it: with "theta_in=AOI", the column AOI has the angles theta_in.
+        Several are separated by commas; in Python they may be a dict.
     missing : tuple of float
-        Numbers that stand for a value that is missing, such as 0 or -999: their rows are left out. May be one number.
+        Numbers that stand for a missing value, such as 0 or -999: their rows are left out.
     scale : float
         What the values are multiplied by to be those of a BRDF in 1/sr: 0.01 / pi for reflectance factors in per cent.
     cosine : {"in", "out"} or None
-        The values are the BRDF times the cosine of theta_in or of theta_out, by which they are divided; None are those
-        of the BRDF.
+        "in" or "out" if the values are the BRDF times the cosine of theta_in or of theta_out: they are divided by it.
     phi : {"mirror"} or None
-        "mirror" has the same phi in the mirror direction for light and viewer, as in ASTM E1392; None has them 180
-        degrees apart. In a table without phi, theta_out = -theta_in is the mirror direction with "mirror".
+        "mirror" if light and viewer have the same phi in the mirror direction, as in ASTM E1392; otherwise they are 180
+        degrees apart. Without a column phi, "mirror" means that theta_out = -theta_in is the mirror direction.
 
     Raises
     ------

@@ -83,7 +83,7 @@ class Visitor:
 
     def close(self) -> None:
         self.page.close()
-        assert self.faults == []
+        assert self.faults == [], self.faults
         assert self.requests
         asked = [
             (method, url) for method, url, _ in self.requests if not url.startswith(("data:", f"blob:{self.site}/"))

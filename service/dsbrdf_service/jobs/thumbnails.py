@@ -36,6 +36,17 @@ class Thumbnails:
         """Draw the thumbnail of a fit that has just succeeded, before somebody asks for it."""
         self._begin(key).add_done_callback(_log_failure)
 
+    async def measured(self, key: FitKey) -> StoredMeasurement | None:
+        """Return the measurement of a fit, unless it is not stored any more or is a table of samples."""
+        try:
+            sha256 = (await run_in_threadpool(self._store.fit, key)).measurement
+            path = await run_in_threadpool(self._store.measurement_file, key.owner, sha256, drawn="grid")
+        except ProblemError as error:
+            if error.kind != "not-found":
+                raise
+            return None
+        return StoredMeasurement(path, sha256)
+
     async def close(self) -> None:
         """Give up what is being drawn."""
         tasks = list(self._drawing.values())
@@ -51,21 +62,10 @@ class Thumbnails:
 
     async def _draw(self, key: FitKey) -> bytes:
         model = (await self._models.get(key)).model
-        picture = await self._computations.run_unasked(key.owner, thumbnail_step, model, await self._measured(key))
+        picture = await self._computations.run_unasked(key.owner, thumbnail_step, model, await self.measured(key))
         with suppress(OSError, sqlite3.Error):  # the disk may be full: then it is drawn again
             await in_write_thread(self._store.keep_thumbnail, key, picture)
         return picture
-
-    async def _measured(self, key: FitKey) -> StoredMeasurement | None:
-        """Return the measurement of a fit, unless it is not stored any more or is a table of samples."""
-        try:
-            sha256 = (await run_in_threadpool(self._store.fit, key)).measurement
-            path = await run_in_threadpool(self._store.measurement_file, key.owner, sha256, drawn="grid")
-        except ProblemError as error:
-            if error.kind != "not-found":
-                raise
-            return None
-        return StoredMeasurement(path, sha256)
 
 
 def _log_failure(task: "asyncio.Task[bytes]") -> None:

@@ -4,6 +4,7 @@
 export const root = new URL("..", import.meta.url);
 const STORED = `key of ${root.href}`;
 const MOST_TRIES = 5;
+const UNREACHABLE = "The service cannot be reached. Check the connection, then try again.";
 
 /** What the service refuses, in its words; of status 0 if there is no answer. */
 export class Problem extends Error {
@@ -15,53 +16,40 @@ export class Problem extends Error {
   }
 }
 
+/** The header that names the key, which is sent in ASCII. @returns {Record<string, string>} */
+export function keyHeader() {
+  const key = sessionStorage.getItem(STORED);
+  return key ? { Authorization: `Bearer ${encodeURI(key)}` } : {};
+}
+
 /**
  * Asks the service, with the key if there is one; asks for a key where one is needed, waits where it is told to.
- * @param {string} path @param {RequestInit} [options] @returns {Promise<Response>}
+ * @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @returns {Promise<Response>}
  */
 export async function request(path, options = {}) {
   for (let tries = 1; ; tries += 1) {
     const key = sessionStorage.getItem(STORED);
-    const answer = await send(path, options, key);
+    const sent = { ...options, headers: { ...options.headers, ...keyHeader() }, credentials: /** @type {const} */ ("omit") };
+    const answer = await fetch(new URL(path, root), sent).catch(() => { throw new Problem(UNREACHABLE); });
+    if (answer.ok) return answer;
     if (answer.status === 401) await signedIn(key);
     else if (answer.status === 429 && tries < MOST_TRIES) await pause(1000 * Number(answer.headers.get("Retry-After") ?? 1));
-    else if (answer.ok) return answer;
-    else throw await problemOf(answer);
+    else throw problemOf(await answer.json().catch(() => null), answer.status);
   }
 }
 
-/** @param {string} path @param {RequestInit} options @param {string | null} key */
-async function send(path, options, key) {
-  const headers = new Headers(options.headers);
-  if (key) headers.set("Authorization", `Bearer ${key}`);
-  try {
-    return await fetch(new URL(path, root), { ...options, headers, credentials: "omit" });
-  } catch (error) {
-    if (options.signal?.aborted) throw error;
-    throw new Problem("The service cannot be reached. Look at the connection, then try again.");
-  }
-}
-
-/** @param {Response} answer */
-async function problemOf(answer) {
-  const said = await answer.json().catch(() => ({}));
-  return new Problem(said.detail ?? `The service answered ${answer.status}.`, said.title ?? "Something is wrong", answer.status);
-}
+/** @param {{detail: string, title: string} | null} said @param {number} status */
+export const problemOf = (said, status) => new Problem(said?.detail ?? `The service answered ${status}.`, said?.title ?? "Something is wrong", status);
 
 /** @param {string} path @returns {Promise<any>} */
 export async function json(path) {
   return (await request(path, { headers: { Accept: "application/json" } })).json();
 }
 
-/** @param {string} path @param {string} method @param {unknown} [content] */
-export function sendJson(path, method, content) {
-  return request(path, { method, headers: { "Content-Type": "application/json", Prefer: "respond-async" }, body: JSON.stringify(content) });
-}
-
-/** The headers that a request of another kind needs. @returns {Record<string, string>} */
-export function keyHeader() {
-  const key = sessionStorage.getItem(STORED);
-  return key ? { Authorization: `Bearer ${key}` } : {};
+/** Sends JSON. @param {string} path @param {string} method @param {unknown} content @returns {Promise<any>} */
+export async function sendJson(path, method, content) {
+  const headers = { "Content-Type": "application/json", Prefer: "respond-async" };
+  return (await request(path, { method, headers, body: JSON.stringify(content) })).json();
 }
 
 /** @type {Promise<any> | null} */
@@ -72,47 +60,38 @@ export function openapi() {
   return described;
 }
 
+/** A sentence without its default, which stands elsewhere, and in the words of the form. @param {string} description */
+export const sentenceOf = (description) => description.replace(/ Default: \S+$/, "").replaceAll("`", "").replaceAll("None", "none");
+
 /** @param {number} milliseconds */
 export const pause = (milliseconds) => new Promise((resolve) => { setTimeout(resolve, milliseconds); });
 
 /** @type {Promise<void> | null} */
 let asking = null;
 /** Waits until there is another key than the one that was refused. @param {string | null} refused */
-function signedIn(refused) {
-  if (sessionStorage.getItem(STORED) !== refused) return Promise.resolve();
-  asking ??= askForKey().finally(() => { asking = null; });
-  return asking;
-}
-
-async function askForKey() {
+async function signedIn(refused) {
+  if (sessionStorage.getItem(STORED) !== refused) return;
   const dialog = find(document, "#sign-in", HTMLDialogElement);
-  const [form, fault, input] = [find(dialog, "form"), find(dialog, ".fault"), find(dialog, "input", HTMLInputElement)];
-  dialog.addEventListener("cancel", (event) => event.preventDefault());
-  dialog.showModal();
-  await new Promise((resolve) => {
-    form.onsubmit = async (event) => {
+  const [form, input] = [find(dialog, "form"), find(dialog, "input", HTMLInputElement)];
+  find(dialog, ".fault").hidden = !refused;
+  asking ??= new Promise((resolve) => {
+    dialog.oncancel = (event) => event.preventDefault();
+    dialog.showModal();
+    form.onsubmit = (event) => {
       event.preventDefault();
-      const key = input.value.trim();
-      const answer = await send("v1/fits?limit=1", {}, key).catch((error) => error);
-      if (answer.ok) {
-        sessionStorage.setItem(STORED, key);
-        return resolve(undefined);
-      }
-      fault.hidden = false;
-      fault.textContent = answer.status === 401 || answer instanceof TypeError
-        ? "This is no valid key. It may have been revoked, or a character is missing."
-        : answer instanceof Error ? answer.message : (await problemOf(answer)).message;
-      return undefined;
+      sessionStorage.setItem(STORED, input.value.trim());
+      input.value = "";
+      asking = null;
+      dialog.close();
+      resolve();
     };
   });
-  Object.assign(input, { value: "" });
-  fault.hidden = true;
-  dialog.close();
+  await asking;
   showSignOut();
 }
 
 function showSignOut() {
-  const button = find(document, "#sign-out", HTMLButtonElement);
+  const button = find(document, "#sign-out");
   button.hidden = !sessionStorage.getItem(STORED);
   button.onclick = () => {
     sessionStorage.removeItem(STORED);
@@ -146,95 +125,131 @@ export function make(name, given = {}, ...content) {
   return made;
 }
 
-/** A copy of a template, with links that hold here. @param {string} id @param {Record<string, string>} [texts] */
-export function template(id, texts = {}) {
+/** A copy of the first element of a template. @param {string} id @param {Record<string, string>} [texts] @param {Record<string, string>} [paths] */
+export function template(id, texts = {}, paths = {}) {
   const copy = /** @type {DocumentFragment} */ (find(document, `template#${id}`, HTMLTemplateElement).content.cloneNode(true));
-  fill(copy, texts);
+  fill(copy, texts, paths);
   return copy;
 }
 
-/** Writes texts to the elements that have their names as `data-text`. @param {ParentNode} part @param {Record<string, string>} texts */
-export function fill(part, texts) {
+/** Writes texts to the elements with their names as `data-text`, and addresses to those as `data-link`. @param {ParentNode} part @param {Record<string, string>} texts @param {Record<string, string>} [paths] */
+export function fill(part, texts, paths = {}) {
   for (const [name, text] of Object.entries(texts)) for (const place of part.querySelectorAll(`[data-text="${name}"]`)) place.textContent = text;
+  for (const [name, path] of Object.entries(paths)) for (const place of part.querySelectorAll(`[data-link="${name}"]`)) place.setAttribute("href", new URL(path, root).href);
 }
 
-/** Gives links their addresses below the service. @param {ParentNode} part @param {Record<string, string>} paths */
-export function link(part, paths) {
-  for (const [name, path] of Object.entries(paths)) {
-    for (const anchor of part.querySelectorAll(`a[data-link="${name}"]`)) anchor.setAttribute("href", new URL(path, root).href);
-  }
+/** What a button or form of a view does. @param {ParentNode} part @param {string} name @param {() => unknown} call */
+export function act(part, name, call) {
+  find(part, `[data-act=${name}]`).onclick = call;
 }
 
-/** Calls once, when an element is about to be seen. @param {Element} element @param {() => void} call */
+/** Says how something went, or what went wrong with it, until it is read. @param {string} text @param {boolean} [wrong] */
+export function say(text, wrong = false) {
+  const said = find(document, "#said");
+  said.className = wrong ? "fault" : "panel";
+  said.hidden = !text;
+  find(said, "span").textContent = text;
+  find(said, "button").onclick = () => say("");
+}
+
+/** Calls once, when an element is about to be seen. @param {Element} element @param {() => unknown} call */
 export function whenSeen(element, call) {
-  const observer = new IntersectionObserver((entries) => {
+  const observer = new IntersectionObserver(async (entries) => {
     if (!entries.some((entry) => entry.isIntersecting)) return;
     observer.disconnect();
-    call();
+    await call();
   });
   observer.observe(element);
 }
 
-/** Fills a folded box when it is opened first, or says why it cannot. @param {HTMLElement} box @param {() => Promise<void>} show */
-export function whenOpened(box, show) {
-  const details = /** @type {HTMLDetailsElement} */ (box.closest("details"));
-  details.addEventListener("toggle", () => {
-    if (details.open && !box.childElementCount) show().catch((error) => { box.textContent = error.message; });
+/** Calls when a folded box is opened, again if that has failed. @param {HTMLElement} part of the box @param {() => Promise<unknown>} show */
+export function whenOpened(part, show) {
+  const details = /** @type {HTMLDetailsElement} */ (part.closest("details"));
+  let shown = false;
+  details.addEventListener("toggle", async () => {
+    if (details.open && !shown) await show();
+    shown ||= details.open;
   });
 }
 
 /** Shows a picture of the service. @param {HTMLImageElement} image @param {string} path */
 export async function showPicture(image, path) {
-  const address = URL.createObjectURL(await (await request(path)).blob());
-  image.src = address;
+  image.src = URL.createObjectURL(await (await request(path)).blob());
   await image.decode().catch(() => undefined);
 }
 
 /** Saves a file of the service under its name. @param {string} path */
 export async function download(path) {
   const answer = await request(path);
-  const given = answer.headers.get("Content-Disposition") ?? "";
-  const name = decodeURIComponent(/filename\*=UTF-8''([^;]+)/.exec(given)?.[1] ?? /filename="([^"]+)"/.exec(given)?.[1] ?? "download");
+  const [, , encoded, plain] = /filename(\*=UTF-8''([^;]+)|="([^"]+)")/.exec(answer.headers.get("Content-Disposition") ?? "") ?? [];
   const address = URL.createObjectURL(await answer.blob());
-  make("a", { href: address, download: name }).click();
+  make("a", { href: address, download: encoded ? decodeURIComponent(encoded) : plain }).click();
   setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }
 
-/** Copies the address with the view, and says so. @param {ParentNode} part */
-export async function share(part) {
+/** Copies the address with the view. */
+export async function share() {
   await pause(250); // the view has been written into the address then
   const copied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
-  fill(part, { done: copied ? "The link is copied; it shows this view." : `The link is the address of this page: ${location.href}` });
+  say(copied ? "The link is copied; it shows this view." : `The link is the address of this page: ${location.href}`);
+}
+
+/** Deletes after a question, and goes to the list. @param {string} path @param {string} question */
+export async function remove(path, question) {
+  if (!confirm(question)) return;
+  await request(path, { method: "DELETE" });
+  location.assign(root);
+}
+
+/** A fit as it goes on, until it has ended. @param {Fit} fit @returns {AsyncGenerator<Fit>} */
+export async function* follow(fit) {
+  for (let now = fit; ;) {
+    yield now;
+    if (now.status !== "accepted" && now.status !== "running") return;
+    await pause(500);
+    now = await json(`v1/fits/${fit.id}?wait=1`).catch((error) => {
+      if (error.status) throw error; // it is gone
+      return now;
+    });
+  }
 }
 
 /** @param {{name: string | null, measurement: string}} fit */
 export const nameOf = (fit) => fit.name ?? `${fit.measurement.slice(0, 12)}…`;
+const STATES = /** @type {Record<string, string>} */ ({ accepted: "waiting", running: "fitting", failed: "failed", cancelled: "cancelled", succeeded: "fitted" });
+/** How a fit is, in a word or two. @param {Fit} fit */
+export function stateOf({ status, progress, likeness, metrics }) {
+  const error = metrics?.relative_rms_left_out; // of a table of samples
+  return likeness ?? (error ? `${(100 * error).toPrecision(2)} % off` : `${STATES[status]}${status === "running" ? `, ${Math.round(100 * progress)} %` : ""}`);
+}
 /** @param {string} created */
 export const dateOf = (created) => `${created.slice(0, 16).replace("T", " ")} UTC`;
+/** @param {string} name */
+export const setTitle = (name) => { document.title = `${name} – dsbrdf`; };
 
-/** Shows what is wrong, in place of a view. @param {unknown} error */
-function showProblem(error) {
-  const { title, message } = error instanceof Problem ? error : { title: "Something is wrong with this page", message: String(error) };
-  const shown = template("problem", { title, detail: message });
-  find(shown, "[data-act=again]").onclick = () => location.reload();
-  find(document, "main").replaceChildren(shown);
-}
-
-/** Shows the view that the address names. */
+/** Shows the view that the address names, or in its place what is wrong. */
 export async function open() {
   const main = find(document, "main");
   const [name, id = ""] = location.pathname.slice(root.pathname.length).split("/");
   const view = { "": "list", fits: "fit", measurements: "measurement", compare: "compare" }[name];
   try {
+    // What these views consist of is fetched at once, not one after the other.
+    if (name) for (const part of ["address", "light", "said", "sphere", "shader", "npy"]) document.head.append(make("link", { rel: "modulepreload", href: new URL(`page/${part}.js`, root) }));
     if (!view) throw new Problem(`There is nothing at ${location.pathname}.`, "There is no such page", 404);
-    const module = await import(`./${view}.js`);
-    await module.show(main, id);
+    await (await import(`./${view}.js`)).show(main, id);
   } catch (error) {
-    showProblem(error);
+    const { title, message } = error instanceof Problem ? error : { title: "Something is wrong with this page", message: String(error) };
+    main.replaceChildren(template("problem", { title, detail: message }));
+    act(main, "again", () => location.reload());
   } finally {
     main.removeAttribute("aria-busy");
   }
 }
 
+addEventListener("unhandledrejection", (event) => {
+  const lost = String(event.reason).includes("dynamically imported module"); // a part of the page could not be fetched
+  if (lost || event.reason instanceof Problem) event.preventDefault();
+  say(lost ? UNREACHABLE : event.reason.message, true);
+});
 showSignOut();
 open();

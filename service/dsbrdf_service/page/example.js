@@ -3,15 +3,13 @@ import { directions } from "./values.js";
 
 const [ALPHA, F0, COLOUR] = [0.15, 0.045, [0.08, 0.16, 0.42]];
 
-/** @param {number} cosine */
-const masking = (cosine) => (2 * cosine) / (cosine + Math.sqrt(ALPHA ** 2 + (1 - ALPHA ** 2) * cosine ** 2));
-
-/** The value of the highlight [1/sr]. @param {number[]} pair */
+/** The value of the highlight [1/sr]. @param {number[]} pair of directions */
 function highlight([a, b, c, d, e, f]) {
   const length = Math.hypot(a + d, b + e, c + f);
   const distribution = ALPHA ** 2 / (Math.PI * (((c + f) / length) ** 2 * (ALPHA ** 2 - 1) + 1) ** 2);
   const reflectance = F0 + (1 - F0) * (1 - Math.min(length / 2, 1)) ** 5;
-  return (distribution * reflectance * masking(c) * masking(f)) / (4 * c * f);
+  const [inward, outward] = [c, f].map((cosine) => cosine + Math.sqrt(ALPHA ** 2 + (1 - ALPHA ** 2) * cosine ** 2)); // its shadows
+  return (distribution * reflectance) / (inward * outward);
 }
 
 /** The table as a file. */
@@ -21,8 +19,8 @@ export function examplePaint() {
     for (let diff = 0; diff <= 75; diff += 7.5) {
       for (let phi = 15; phi < 180; phi += 30) {
         const pair = directions(step ** 2 / 8, diff, phi);
-        if (Math.min(pair[2], pair[5]) < 0.1) continue;
-        rows.push([...pair, ...COLOUR.map((albedo) => albedo / Math.PI + highlight(pair))].map((value) => value.toPrecision(7)).join());
+        const values = COLOUR.map((albedo) => albedo / Math.PI + highlight(pair));
+        if (Math.min(pair[2], pair[5]) >= 0.1) rows.push([...pair, ...values].map((value) => value.toPrecision(7)).join());
       }
     }
   }

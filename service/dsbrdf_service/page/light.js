@@ -1,6 +1,6 @@
 // Turning a sphere: the light, the line between measurement and fit, exposure and zoom, by pointer and keyboard; and what
 // the values are at the point below the pointer.
-import { find, json } from "./app.js";
+import { find, json, say } from "./app.js";
 import { controls, field, lightAt, LIGHTS, look, panorama, running, Sphere, USUAL } from "./sphere.js";
 
 const GRIP = 14; // pixels from the line at which it is taken, and not the light
@@ -29,16 +29,16 @@ export async function startSpheres(spheres, instead) {
   return started.every(Boolean);
 }
 
-/** @param {HTMLInputElement} input @param {string | number} value */
-function set(input, value) {
-  input.value = String(value);
+/** @param {string} name @param {string} value */
+function set(name, value) {
+  field(name).value = value;
   controls().dispatchEvent(new Event("input", { bubbles: true }));
 }
 
 /** @param {number[]} point */
 function aim([x, y]) {
   const shrink = Math.min(1, 0.97 / Math.hypot(x, y));
-  set(field("highlight"), [x * shrink, y * shrink].map((value) => value.toFixed(4)).join());
+  set("highlight", [x * shrink, y * shrink].map((value) => value.toFixed(4)).join());
 }
 
 /** The points of the sphere and of its picture below a pointer. @param {Sphere} sphere @param {PointerEvent} event */
@@ -62,31 +62,33 @@ function listen(sphere) {
   /** @param {PointerEvent} event */
   const follow = (event) => {
     const { onScreen } = pointOf(sphere, event);
-    if (wiping) set(field("wipe"), Math.min(Math.max(onScreen[0], -1), 1).toFixed(2));
+    if (wiping) set("wipe", Math.min(Math.max(onScreen[0], -1), 1).toFixed(2));
     else aim(onScreen);
   };
-  canvas.addEventListener("pointerdown", (event) => {
+  canvas.onpointerdown = (event) => {
     canvas.setPointerCapture(event.pointerId);
     wiping = isAtLine(event);
     follow(event);
-  });
-  canvas.addEventListener("pointermove", (event) => {
+  };
+  canvas.onpointermove = (event) => {
     if (event.buttons) return follow(event);
     canvas.style.cursor = isAtLine(event) ? "ew-resize" : "";
     clearTimeout(asked);
     asked = setTimeout(() => tell(sphere, pointOf(sphere, event).onSphere), 150);
-  });
-  canvas.addEventListener("pointerleave", () => { clearTimeout(asked); sphere.hint.textContent = USUAL; });
-  canvas.addEventListener("keydown", (event) => {
-    const exposure = field("exposure");
-    if (STEPS[event.key]) aim(look().highlight.map((value, i) => value + 0.05 * STEPS[event.key][i]));
-    else if (event.key === "r" || event.key === "R") reset();
-    else if (event.key === "[" || event.key === "]") set(field("wipe"), (look().wipe + (event.key === "[" ? -0.05 : 0.05)).toFixed(2));
-    else if ("+-=".includes(event.key)) set(exposure, Number(exposure.value) + (event.key === "-" ? -0.5 : 0.5));
+    return undefined;
+  };
+  canvas.onpointerleave = () => { clearTimeout(asked); sphere.hint.textContent = USUAL; };
+  canvas.onkeydown = (event) => {
+    const { stops, wipe, highlight } = look();
+    const key = event.key.toLowerCase();
+    if (STEPS[event.key]) aim(highlight.map((value, i) => value + 0.05 * STEPS[event.key][i]));
+    else if (key === "r") reset();
+    else if (key === "[" || key === "]") set("wipe", (wipe + (key === "[" ? -0.05 : 0.05)).toFixed(2));
+    else if ("+-=".includes(key)) set("exposure", String(stops + (key === "-" ? -0.5 : 0.5)));
     else return;
     event.preventDefault();
-  });
-  for (const box of sphere.boxes) box.addEventListener("change", () => sphere.draw());
+  };
+  for (const box of sphere.boxes) box.onchange = () => sphere.draw();
 }
 
 function reset() {
@@ -96,45 +98,44 @@ function reset() {
 
 function control() {
   const form = controls();
-  const [exposure, zoom, wipe, turn] = ["exposure", "zoom", "wipe", "turn"].map(field);
   const chosen = find(form, "#panorama", HTMLInputElement);
   /** @param {HTMLInputElement} input */
   const label = (input) => /** @type {HTMLElement} */ (input.closest("label"));
-  /** @param {HTMLInputElement} input @param {string} text */
-  const write = (input, text) => { find(label(input), "output").textContent = text; };
+  /** @param {string} name @param {string} text */
+  const write = (name, text) => { find(label(field(name)), "output").textContent = text; };
   /** @param {boolean} moving */
   const change = (moving) => {
-    const now = look();
-    write(exposure, `${now.stops > 0 ? "+" : ""}${now.stops} EV`);
-    write(zoom, `${now.zoom.toPrecision(2)}×`);
-    write(turn, `${now.turn}°`);
-    label(wipe).hidden = !running.some((sphere) => sphere.halves());
-    label(turn).hidden = label(chosen).hidden = now.lighting !== "panorama";
+    const { stops, zoom, turn, lighting } = look();
+    write("exposure", `${stops > 0 ? "+" : ""}${stops} EV`);
+    write("zoom", `${zoom.toPrecision(2)}×`);
+    write("turn", `${turn}°`);
+    label(field("wipe")).hidden = !running.some((sphere) => sphere.halves());
+    label(field("turn")).hidden = label(chosen).hidden = lighting !== "panorama";
     for (const sphere of running) {
       sphere.showLine();
       sphere.draw(moving);
     }
   };
-  form.addEventListener("input", () => change(true));
-  form.addEventListener("change", () => change(false));
-  form.addEventListener("submit", (event) => event.preventDefault());
-  chosen.addEventListener("change", async () => {
+  form.oninput = () => change(true);
+  form.onchange = () => change(false);
+  form.onsubmit = (event) => event.preventDefault();
+  chosen.onchange = async () => {
     try {
       panorama.pixels = await (await import("./panorama.js")).readPanorama(/** @type {FileList} */ (chosen.files)[0]);
       panorama.number += 1;
       change(false);
     } catch (error) {
-      for (const sphere of running) sphere.hint.textContent = /** @type {Error} */ (error).message;
+      say(/** @type {Error} */ (error).message, true);
     }
-  });
-  find(form, "#reset-view").addEventListener("click", reset);
+  };
+  find(form, "#reset-view").onclick = reset;
   find(form, "#show").hidden = !running.some(({ subject }) => subject.fit && subject.measured);
   find(form, "#own").hidden = running.length < 2;
   form.hidden = false;
   change(false);
 }
 
-/** Says the angles and values at a point of a sphere, for the light that is dragged, and whose light it is mostly. @param {Sphere} sphere @param {number[]} point */
+/** Says the angles and values at a point of a sphere, for the light that is dragged. @param {Sphere} sphere @param {number[]} point */
 async function tell({ subject, hint }, [x, y]) {
   const light = lightAt(look().highlight);
   const normal = [x, y, Math.sqrt(1 - x * x - y * y)];
@@ -146,22 +147,11 @@ async function tell({ subject, hint }, [x, y]) {
   const aside = [normal[1] * along[2], normal[2] * along[0] - normal[0] * along[2], -normal[1] * along[0]];
   /** @param {number[]} vector */
   const local = (vector) => [along, aside, normal].map((axis) => dot(axis, vector).toFixed(6)).join();
-  const query = `brdf?omega_in=${local(light)}&omega_out=${local([0, 0, 1])}`;
-  const { fit, measured, labels } = subject;
-  const paths = fit ? [`v1/fits/${fit}/${query}`, ...labels.map((label) => `v1/fits/${fit}/components/${label}/${query}`)] : [`v1/measurements/${measured}/${query}`];
-  try {
-    /** @type {number[][]} */
-    const [whole, ...parts] = (await Promise.all(paths.map(json))).map(({ values }) => values[0]);
-    const half = normal.map((_, i) => light[i] + Number(i === 2));
-    /** @param {number} cosine */
-    const degrees = (cosine) => ((Math.acos(Math.min(cosine, 1)) * 180) / Math.PI).toFixed(1);
-    const angles = `θ_half ${degrees(dot(half, normal) / Math.hypot(...half))}°, θ_diff ${degrees(Math.hypot(...half) / 2)}°`;
-    const sums = parts.map((values) => values.reduce((sum, value) => sum + value, 0));
-    const most = sums.indexOf(Math.max(...sums));
-    const share = Math.round((100 * sums[most]) / sums.reduce((sum, value) => sum + value, 0));
-    const mostly = parts.length ? `, ${share} % ${labels[most].replace("_", " ")}` : "";
-    hint.textContent = whole ? `${angles}: ${whole.map((value) => value.toPrecision(3)).join(", ")} 1/sr${mostly}` : `${angles}: not measured`;
-  } catch (error) {
-    hint.textContent = /** @type {Error} */ (error).message;
-  }
+  const { fit, measured } = subject;
+  const { values: [value] } = await json(`v1/${fit ? `fits/${fit}` : `measurements/${measured}`}/brdf?omega_in=${local(light)}&omega_out=${local([0, 0, 1])}`);
+  const half = normal.map((_, i) => light[i] + Number(i === 2));
+  /** @param {number} cosine */
+  const degrees = (cosine) => ((Math.acos(Math.min(cosine, 1)) * 180) / Math.PI).toFixed(1);
+  const angles = `θ_half ${degrees(dot(half, normal) / Math.hypot(...half))}°, θ_diff ${degrees(Math.hypot(...half) / 2)}°`;
+  hint.textContent = `${angles}: ${value ? `${value.map((/** @type {number} */ one) => one.toPrecision(3)).join(", ")} 1/sr` : "not measured"}`;
 }

@@ -1,138 +1,115 @@
 // The list of all fits, and where files are dropped.
-import { fill, find, json, link, nameOf, pause, request, root, showPicture, template, whenOpened, whenSeen } from "./app.js";
+import { act, fill, find, follow, make, nameOf, request, root, showPicture, stateOf, template, whenOpened, whenSeen } from "./app.js";
 
-/** @typedef {import("./types").Fit} Fit */
-const WORDS = /** @type {Record<string, string>} */ ({ accepted: "waiting", failed: "failed", cancelled: "cancelled" });
+const ORDERS = /** @type {Record<string, (a: HTMLElement, b: HTMLElement) => number>} */ ({
+  newest: (a, b) => Number(a.dataset.place) - Number(b.dataset.place),
+  name: (a, b) => String(a.dataset.name).localeCompare(String(b.dataset.name)),
+  likeness: (a, b) => Number(b.dataset.psnr) - Number(a.dataset.psnr),
+});
 
 /** @param {HTMLElement} main */
 export async function show(main) {
-  const query = new URLSearchParams(location.search);
-  if (!query.get("name")) query.delete("name");
-  main.replaceChildren(template("list", { heading: "Your materials" }));
+  const given = new URLSearchParams(location.search);
+  const [name, cursor] = [given.get("name") ?? "", given.get("cursor")];
+  main.replaceChildren(template("list"));
   takeFiles(main);
-  const answer = await request(`v1/fits?${query}`);
+  const answer = await request(`v1/fits?${new URLSearchParams({ ...(name && { name }), ...(cursor && { cursor }) })}`);
   /** @type {Fit[]} */
   const fits = (await answer.json()).items;
-  const name = query.get("name") ?? "";
-  fill(main, { heading: fits.length || name ? "Your materials" : "Fit your first material" });
-  find(main, "#fits").hidden = !fits.length && !name;
-  const example = find(main, "#example");
-  example.hidden = Boolean(fits.length || name);
-  example.onclick = async () => (await import("./upload.js")).submitAll([(await import("./example.js")).examplePaint()]);
-  const cards = fits.map((fit) => card(fit, fits));
+  const isNew = !fits.length && !name;
+  fill(main, { heading: isNew ? "Fit your first material" : "Your materials" });
+  find(main, "#fits").hidden = isNew;
+  find(main, "#example").hidden = !isNew;
+  const cards = fits.map((fit, place) => card(fit, place, fits.filter((other) => other.name === fit.name)));
   find(main, ".cards").append(...cards);
-  const next = new URL(/<([^>]+)>; rel="next"/.exec(answer.headers.get("Link") ?? "")?.[1] ?? "", location.href).searchParams.get("cursor");
-  const older = find(main, "#older", HTMLAnchorElement);
-  older.hidden = !next;
-  older.href = new URL(`?${new URLSearchParams({ ...(name && { name }), cursor: next ?? "" })}`, root).href;
+  const next = /[?&]cursor=(\d+)[^>]*>; rel="next"/.exec(answer.headers.get("Link") ?? "")?.[1];
+  find(main, "#older").hidden = !next;
+  fill(main, {}, { older: `?${new URLSearchParams({ ...(name && { name }), cursor: next ?? "" })}` });
   search(main, cards, name);
-  sort(main, cards);
+  const order = find(main, "#sort", HTMLSelectElement);
+  order.onchange = () => find(main, ".cards").append(...cards.filter((item) => item.isConnected).sort(ORDERS[order.value]));
   compare(main, cards);
 }
 
-/** @param {Fit} fit @param {Fit[]} all */
-function card(fit, all) {
-  const made = template("card", { name: ` ${nameOf(fit)}` });
-  const item = find(made, "li");
-  link(made, { fit: `fits/${fit.id}` });
-  find(item, ".card-name").append(...nameOf(fit).split(/(?<=_)/).flatMap((part) => [part, document.createElement("wbr")]));
-  fill(item, { options: differing(fit, all.filter((other) => other.name === fit.name)) });
-  Object.assign(item.dataset, { name: nameOf(fit), psnr: fit.metrics?.psnr ?? -1 });
-  const box = find(item, "input", HTMLInputElement);
-  box.value = fit.id;
-  find(item, ".delete").onclick = () => remove(item, fit);
+/** @param {Fit} fit @param {number} place @param {Fit[]} same fits of its name */
+function card(fit, place, same) {
+  const differing = Object.entries(fit.options).filter(([name, value]) => same.some((other) => String(other.options[name]) !== String(value)));
+  const options = differing.map(([name, value]) => `${name} = ${value ?? "none"}`).join(", ");
+  const item = find(template("card", { name: ` ${nameOf(fit)}`, options }, { fit: `fits/${fit.id}` }), "li");
+  find(item, ".card-name").append(...nameOf(fit).split(/(?<=_)/).flatMap((part) => [part, make("wbr")]));
+  Object.assign(item.dataset, { name: nameOf(fit), place });
+  find(item, "input", HTMLInputElement).value = fit.id;
+  act(item, "delete", async () => {
+    if (!confirm(`Delete this fit of ${nameOf(fit)}? Its measurement stays.`)) return;
+    await request(`v1/fits/${fit.id}?only=delete`, { method: "DELETE" });
+    item.remove();
+  });
   update(item, fit);
   return item;
 }
 
-/** Shows the state of a fit, and its picture once there is one. @param {HTMLElement} item @param {Fit} fit */
+/** Shows the state of a fit until it has ended, then its picture. @param {HTMLElement} item @param {Fit} fit */
 async function update(item, fit) {
-  const unfinished = fit.status === "accepted" || fit.status === "running";
-  const running = `fitting, ${Math.round(100 * fit.progress)} %`;
-  fill(item, { state: fit.likeness ?? (fit.status === "running" ? running : WORDS[fit.status] ?? "fitted") });
-  item.dataset.psnr = String(fit.metrics?.psnr ?? -1);
-  find(item, ".pick").hidden = fit.status !== "succeeded";
-  find(item, ".delete").hidden = unfinished;
-  const image = find(item, "img", HTMLImageElement);
-  if (fit.status === "succeeded") whenSeen(image, () => { showPicture(image, `v1/fits/${fit.id}/figures/thumbnail.png`).catch(() => undefined); });
-  if (!unfinished) return;
-  await pause(1500);
-  if (item.isConnected) update(item, await json(`v1/fits/${fit.id}?wait=5`).catch(() => fit));
-}
-
-/** The options in which fits of one name differ, in words. @param {Fit} fit @param {Fit[]} same */
-function differing(fit, same) {
-  const names = Object.keys(fit.options).filter((name) => same.some((other) => String(other.options[name]) !== String(fit.options[name])));
-  return names.map((name) => `${name} = ${fit.options[name] ?? "none"}`).join(", ");
-}
-
-/** @param {HTMLElement} item @param {Fit} fit */
-async function remove(item, fit) {
-  if (!confirm(`Delete this fit of ${nameOf(fit)}? Its measurement stays.`)) return;
-  try {
-    await request(`v1/fits/${fit.id}?only=delete`, { method: "DELETE" });
-    item.remove();
-  } catch (error) {
-    const fault = find(document, "#upload-fault"); // of no module that would have to be fetched: there may be no connection
-    fault.hidden = false;
-    fault.textContent = /** @type {Error} */ (error).message;
+  for await (const now of follow(fit)) {
+    const { id, status, metrics } = now;
+    fill(item, { state: stateOf(now) });
+    item.dataset.psnr = String(metrics?.psnr ?? -1);
+    find(item, ".pick").hidden = status !== "succeeded";
+    find(item, "[data-act=delete]").hidden = status === "accepted" || status === "running";
+    const image = find(item, "img", HTMLImageElement);
+    if (status === "succeeded") whenSeen(image, () => showPicture(image, `v1/fits/${id}/figures/thumbnail.png`).catch(() => undefined));
   }
 }
 
 /** @param {HTMLElement} main */
 function takeFiles(main) {
-  const [form, file] = [find(main, "#upload"), find(main, "#file", HTMLInputElement)];
-  /** @param {FileList | undefined} files */
+  const [form, chosen, options] = [find(main, "#upload"), find(main, "#file", HTMLInputElement), find(main, ".options")];
+  /** @param {File[]} files */
   const take = async (files) => {
-    const chosen = [...(files ?? [])];
-    if (chosen.length && !find(main, ".drop-main").hidden) (await import("./upload.js")).submitAll(chosen);
+    if (files.length && !find(main, ".drop-main").hidden) await (await import("./upload.js")).take(main, files);
   };
-  const options = find(main, ".options");
   whenOpened(options, async () => (await import("./options.js")).showForm(options));
-  form.addEventListener("submit", (event) => event.preventDefault());
-  file.addEventListener("change", () => take(file.files ?? undefined));
+  form.onsubmit = (event) => event.preventDefault();
+  chosen.onchange = () => take([...(chosen.files ?? [])]);
+  find(main, "#example").onclick = async () => {
+    const [{ sendAll }, { examplePaint }, { chosen }] = await Promise.all([import("./upload.js"), import("./example.js"), import("./options.js")]);
+    await sendAll(main, [examplePaint()], chosen(options));
+  };
   let depth = 0;
-  addEventListener("dragenter", (event) => { event.preventDefault(); depth += 1; form.classList.add("over"); });
-  addEventListener("dragleave", () => { depth -= 1; if (depth <= 0) form.classList.remove("over"); });
+  /** @param {DragEvent} event @param {number} now how many elements the pointer is in */
+  const over = (event, now) => {
+    event.preventDefault();
+    depth = now;
+    form.classList.toggle("over", depth > 0);
+  };
+  addEventListener("dragenter", (event) => over(event, depth + 1));
+  addEventListener("dragleave", (event) => over(event, depth - 1));
   addEventListener("dragover", (event) => event.preventDefault());
   addEventListener("drop", (event) => {
-    event.preventDefault();
-    depth = 0;
-    form.classList.remove("over");
-    take(event.dataTransfer?.files);
+    over(event, 0);
+    return take([...(event.dataTransfer?.files ?? [])]);
   });
 }
 
-/** Filters the list by name while one types. @param {HTMLElement} main @param {HTMLElement[]} cards @param {string} name */
+/** Filters the list by name while one types; Enter finds the fits of this name. @param {HTMLElement} main @param {HTMLElement[]} cards @param {string} name */
 function search(main, cards, name) {
-  const [field, none] = [find(main, "#search", HTMLInputElement), find(main, "#no-match")];
+  const field = find(main, "#search", HTMLInputElement);
   const filter = () => {
-    const wanted = field.value.trim().toLowerCase();
-    for (const item of cards) item.hidden = !String(item.dataset.name).toLowerCase().includes(wanted);
-    find(main, "#wanted").textContent = field.value.trim();
-    none.hidden = cards.some((item) => !item.hidden);
+    const wanted = field.value.trim();
+    for (const item of cards) item.hidden = !String(item.dataset.name).toLowerCase().includes(wanted.toLowerCase());
+    fill(main, { wanted });
+    find(main, "#no-match").hidden = cards.some((item) => !item.hidden) || !wanted;
   };
   field.value = name;
-  if (name) filter();
-  field.addEventListener("input", filter);
-  find(main, ".search").addEventListener("submit", (event) => {
+  field.oninput = filter;
+  filter();
+  find(main, ".search").onsubmit = (event) => {
     event.preventDefault();
     location.assign(new URL(field.value ? `?${new URLSearchParams({ name: field.value })}` : ".", root));
-  });
+  };
 }
 
-/** @param {HTMLElement} main @param {HTMLElement[]} cards */
-function sort(main, cards) {
-  const orders = /** @type {Record<string, (a: HTMLElement, b: HTMLElement) => number>} */ ({
-    newest: () => 0,
-    name: (a, b) => String(a.dataset.name).localeCompare(String(b.dataset.name)),
-    likeness: (a, b) => Number(b.dataset.psnr) - Number(a.dataset.psnr),
-  });
-  const order = find(main, "#sort", HTMLSelectElement);
-  order.addEventListener("change", () => find(main, ".cards").append(...[...cards].sort(orders[order.value]).filter((item) => item.isConnected)));
-}
-
-/** Lets two fits be ticked for comparison; `?with=` has ticked one. @param {HTMLElement} main @param {HTMLElement[]} cards */
+/** Lets two fits be ticked for comparison; the address may have ticked one. @param {HTMLElement} main @param {HTMLElement[]} cards */
 function compare(main, cards) {
   const boxes = cards.map((item) => find(item, "input", HTMLInputElement));
   const button = find(main, "#compare-button", HTMLButtonElement);
@@ -143,8 +120,8 @@ function compare(main, cards) {
   };
   for (const box of boxes) {
     box.checked = location.hash === `#with=${box.value}`;
-    box.addEventListener("change", change);
+    box.onchange = change;
   }
   change();
-  button.addEventListener("click", () => location.assign(new URL(`compare?${new URLSearchParams(ticked().map((box) => ["fit", box.value]))}`, root)));
+  button.onclick = () => location.assign(new URL(`compare?${new URLSearchParams(ticked().map((box) => ["fit", box.value]))}`, root));
 }

@@ -1,20 +1,26 @@
 // The form of all options that the API has, with a sentence for each, as its document describes them.
-import { make, openapi } from "./app.js";
+import { make, openapi, sentenceOf } from "./app.js";
 
-/** Fills a box with the form. @param {HTMLElement} box */
-export async function showForm(box) {
+/** The query parameters of a path, without the name. @param {any} document @param {string} path @returns {any[]} */
+const parametersOf = (document, path) => document.paths[path].post.parameters.filter((/** @type {any} */ one) => one.in === "query" && one.name !== "name");
+
+/** Fills a box with the form: the options of a table of samples first, then those of the fit; a grid has no table. @param {HTMLElement} box @param {boolean} [onGrid] */
+export async function showForm(box, onGrid = false) {
+  if (box.childElementCount) return;
   const document = await openapi();
-  /** @type {any[]} */
-  const given = document.paths["/v1/fits"].post.parameters;
-  const options = given.filter((one) => one.in === "query" && one.name !== "name");
+  const ofTables = new Set(parametersOf(document, "/v1/tables").map(({ name }) => name));
   const described = document.components.schemas.FitRequest.properties.options.properties;
-  box.replaceChildren(...options.map(({ name, description, schema }) => {
-    const field = fieldOf(name, schema, String(described[name].default ?? "none"));
-    const sentence = make("span", { className: "note", id: `about-${name}` }, description);
-    field.id = `option-${name}`;
-    field.setAttribute("aria-describedby", sentence.id);
-    return make("div", {}, make("label", { htmlFor: field.id }, make("code", {}, name)), field, sentence);
-  }));
+  for (const [title, isTable] of /** @type {[string, boolean][]} */ ([["How a table of samples is read", true], ["How it is fitted", false]])) {
+    if (isTable && onGrid) continue;
+    box.append(make("h3", {}, title));
+    for (const { name, description, schema } of parametersOf(document, "/v1/fits").filter((one) => ofTables.has(one.name) === isTable)) {
+      const field = fieldOf(name, schema, String(described[name].default ?? "none"));
+      const sentence = make("span", { className: "note", id: `about-${name}` }, sentenceOf(description));
+      Object.assign(field, { id: `option-${name}` }).setAttribute("aria-describedby", sentence.id);
+      field.classList.toggle("of-table", isTable);
+      box.append(make("div", {}, make("label", { htmlFor: field.id }, make("code", {}, name)), field, sentence));
+    }
+  }
 }
 
 /** A field for a value; `usual` is what counts where nothing is chosen. @param {string} name @param {any} schema @param {string} usual */
@@ -27,16 +33,15 @@ function fieldOf(name, schema, usual) {
     for (let number = range.minimum; number <= range.maximum; number += 1) words.push(String(number));
   }
   if (words.length && (!range || words.length > 2)) {
-    const choices = words.map((word) => make("option", { selected: word === usual }, word));
-    return make("select", { name, "data-usual": usual }, ...choices);
+    return make("select", { name, "data-usual": usual }, ...words.map((word) => make("option", { selected: word === usual }, word)));
   }
-  const size = range.maximum === undefined ? "" : range.type === "array" ? "such as 0,30,60,80" : `up to ${range.maximum}`;
-  return make("input", { name, value: usual, "data-usual": usual, placeholder: [...words, size].filter(Boolean).join(", or "), autocomplete: "off" });
+  const example = { knots_deg: "such as 0,30,60,80", columns: "such as theta_in=AOI", missing: "such as -999" }[name];
+  return make("input", { name, value: usual, "data-usual": usual, placeholder: example ?? words.join(), autocomplete: "off" });
 }
 
-/** The options that were chosen, as text. @param {HTMLElement} box @returns {[string, string][]} */
-export function chosen(box) {
-  const fields = /** @type {NodeListOf<HTMLInputElement>} */ (box.querySelectorAll("[name]"));
+/** The options that were chosen, as text. @param {HTMLElement} box @param {string} [which] a selector @returns {[string, string][]} */
+export function chosen(box, which = "[name]") {
+  const fields = /** @type {NodeListOf<HTMLInputElement>} */ (box.querySelectorAll(which));
   return [...fields].filter(({ value, dataset }) => value.trim() && value.trim() !== dataset.usual).map(({ name, value }) => [name, value.trim()]);
 }
 

@@ -4,7 +4,6 @@ import { find, make, request } from "./app.js";
 import { fromNpy, toNpy } from "./npy.js";
 import { exposureOf, programOf, radianceOf, setTexture } from "./shader.js";
 
-/** @typedef {import("./types").Subject} Subject */
 /** @typedef {{show: string, lighting: string, stops: number, zoom: number, wipe: number, turn: number, highlight: number[]}} Look */
 
 const SHOWN = ["fit", "measured", "half", "difference"];
@@ -59,24 +58,24 @@ export class Sphere {
     this.cost = 0; // milliseconds of a picture of all pixels
     /** @type {{key: string, exposure: number} | null} */
     this.surroundings = null;
-    this.moving = this.changed = this.tabled = false;
+    this.moving = this.changed = this.tabled = this.seen = false;
     this.pending = this.rest = 0;
     this.onpaint = () => {};
-    this.name();
+    this.canvas.setAttribute("aria-label", `Lit sphere of ${subject.name}. Arrow keys move the light, plus and minus change the exposure, R resets.`);
+    this.offerParts();
   }
 
-  name() {
-    const { subject: { name, fit, labels }, figure } = this;
-    this.canvas.setAttribute("aria-label", `Lit sphere of ${name}. Arrow keys move the light, plus and minus change the exposure, R resets.`);
-    const toggles = find(figure, ".toggles");
-    toggles.hidden = labels.length < 2;
-    const all = labels.map((label) => {
+  offerParts() {
+    const { parts, fit } = this.subject;
+    const toggles = find(this.figure, ".toggles");
+    toggles.hidden = parts.length < 2;
+    if (toggles.hidden) return;
+    for (const { label } of parts) {
       const box = make("input", { type: "checkbox", name: `${fit?.slice(0, 6)}-${label}`, "data-component": label, defaultChecked: true });
       box.setAttribute("form", "controls");
-      return make("label", { className: `c-part-${LABELS.indexOf(label)}` }, box, ` ${label.replace("_", " ")}`);
-    });
-    toggles.append(...(labels.length < 2 ? [] : all));
-    this.boxes = [...toggles.querySelectorAll("input")];
+      this.boxes.push(box);
+      toggles.append(make("label", { className: `c-part-${LABELS.indexOf(label)}` }, box, ` ${label.replace("_", " ")}`));
+    }
   }
 
   async start() { // throws where there is no WebGL 2
@@ -86,16 +85,19 @@ export class Sphere {
     this.gl = gl;
     for (const unit of [0, 1, 2]) setTexture(gl, unit, [1, 1, 1], new Uint16Array(3));
     if (!subject.fit) this.hint.textContent = "Loading the measurement, 9 MB…";
-    await this.fetch(subject.fit ? "glsl" : "measured");
+    const [source, show] = subject.fit ? ["glsl", "fit"] : ["measured", "measured"];
+    if (!this.loaded.has(source)) await this.fetch(source);
     const plain = this.program("glsl");
     if (!subject.fit) this.setTable();
-    const numbers = { ...this.numbers(SAMPLED, 0), wipe: 0, zoom: 1 };
     const light = lightAt(String(field("highlight").defaultValue).split(",").map(Number));
-    const seen = radianceOf(gl, SAMPLED, () => this.shade(plain, { ...look(), lighting: "three", show: subject.fit ? "fit" : "measured", highlight: [0, 0] }, numbers, light));
+    const begun = performance.now();
+    const numbers = { size: SAMPLED, exposure: 0, wipe: 0, zoom: 1 };
+    const seen = radianceOf(gl, SAMPLED, () => this.shade(plain, { ...look(), lighting: "three", show, highlight: [0, 0] }, numbers, light));
     if (seen) this.exposure = exposureOf(seen.filter((_, i) => i % 4 < 3 && seen[i - (i % 4) + 3] === 1));
-    else this.exposure = exposureOf((await this.radiance("three_lights", subject.fit ? "fit" : "measured")).filter((value) => value > 0));
+    else this.exposure = exposureOf((await this.radiance("three_lights", show)).filter((value) => value > 0));
     this.hint.textContent = USUAL;
     this.canvas.hidden = false;
+    this.cost = (performance.now() - begun) * (this.fullSize() / SAMPLED) ** 2;
     new ResizeObserver(() => { this.showLine(); this.draw(); }).observe(this.canvas);
   }
 
@@ -122,14 +124,14 @@ export class Sphere {
     if (name === "measured") {
       found = fromNpy(await (await request(`v1/measurements/${this.subject.measured}/table.npy`)).arrayBuffer());
     } else if (name === "glsl" || name === "parts") {
-      const part = name === "parts" ? `&component=${this.subject.labels[0]}` : "";
+      const part = name === "parts" ? `&component=${this.subject.parts[0].label}` : "";
       found = await (await request(`v1/fits/${this.subject.fit}/export?format=glsl${part}`)).text();
     } else if (around === "environment") {
       found = await this.radiance("environment", rest[0]);
     } else {
-      const { turned, WIDTH, HEIGHT } = await import("./panorama.js");
-      const pixels = turned(/** @type {Float32Array} */ (panorama.pixels), Number(rest[0]));
-      const options = { method: "POST", headers: { "Content-Type": "application/x-npy" }, body: toNpy([HEIGHT, WIDTH, 3], pixels) };
+      const { turned } = await import("./panorama.js");
+      const { shape, values } = turned(/** @type {Float32Array} */ (panorama.pixels), Number(rest[0]));
+      const options = { method: "POST", headers: { "Content-Type": "application/x-npy" }, body: toNpy(shape, values) };
       found = fromNpy(await (await request(this.address(rest[1], ""), options)).arrayBuffer());
     }
     this.loaded.set(name, found);
@@ -144,12 +146,11 @@ export class Sphere {
       this.hint.textContent = name === "measured" ? "Loading the measurement, 9 MB…" : "Loading…";
       this.fetch(name).then(() => {
         if (name === "parts") this.program(name);
-        this.hint.textContent = USUAL;
         this.draw();
       }).catch((error) => {
         this.loaded.delete(name); // the next change asks again
-        this.hint.textContent = error.message;
-      });
+        throw error;
+      }).finally(() => { this.hint.textContent = USUAL; });
     }
     return names.every((name) => this.loaded.get(name));
   }
@@ -196,10 +197,8 @@ export class Sphere {
     handle.style.top = `${offsetTop + clientHeight}px`;
   }
 
-  /** @param {number} size @param {number} exposure */
-  numbers(size, exposure) {
-    const { wipe, zoom } = look();
-    return { size, exposure, wipe, zoom };
+  fullSize() {
+    return Math.min(Math.max(Math.round(this.canvas.clientWidth * devicePixelRatio), 64), 1024);
   }
 
   paint() {
@@ -216,13 +215,14 @@ export class Sphere {
     if (!this.has(this.needed(kind, now.show, around))) return false;
     if (around) this.surround(around, hidden, now.show);
     else if (now.show !== "fit") this.setTable();
-    const full = Math.min(Math.max(Math.round(canvas.clientWidth * devicePixelRatio), 64), 1024);
-    const size = this.moving ? Math.round(Math.max(full * Math.min(1, Math.sqrt(QUICK / this.cost)), 64)) : full;
+    const full = this.fullSize();
+    const size = this.moving || !this.seen ? Math.min(full, Math.max(Math.round(full * Math.sqrt(QUICK / this.cost)), SAMPLED)) : full;
+    this.seen = true;
     if (canvas.width !== size) canvas.width = canvas.height = size;
     /** @param {Sphere} sphere */
     const own = (sphere) => (around ? sphere.surroundings?.exposure ?? Infinity : sphere.exposure);
     const base = field("own").checked ? own(this) : Math.min(...running.map(own));
-    this.shade(this.program(kind), now, this.numbers(size, base * 2 ** now.stops), lightAt(now.highlight));
+    this.shade(this.program(kind), now, { size, exposure: base * 2 ** now.stops, wipe: now.wipe, zoom: now.zoom }, lightAt(now.highlight));
     this.wait(performance.now(), full, size);
     return true;
   }
@@ -265,7 +265,8 @@ export class Sphere {
       if (size === full) canvas.dataset.painted = String(Number(canvas.dataset.painted ?? 0) + 1);
       else canvas.dataset.rough = String(size);
       this.onpaint();
-      return this.changed && this.draw(this.moving);
+      if (this.changed || (size < full && !this.moving)) this.draw(this.moving);
+      return undefined;
     };
     setTimeout(check, 0);
   }

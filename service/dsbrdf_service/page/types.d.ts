@@ -1,27 +1,33 @@
-// The documents of the API, as far as the page reads them.
-export type Document = Record<string, any>;
-export type Rgb = [number, number, number];
-export type Range = [number, number];
+// The documents of the API, as far as the page reads them, and what its modules hand to each other: known everywhere.
+type Rgb = [number, number, number];
+type Interval = [number, number];
 
-export interface Component {
-  label: string; structure: string; light_share: number; albedo: Rgb; color: Rgb;
-  half_width_deg: number | null; alpha: number | null; kappa: number | null; f0: Rgb | null; f90: number | null;
+interface Component {
+  label: string; light_share: number; albedo: Rgb; color: Rgb; remarks?: string[];
+  half_width_deg: number | null; alpha: number | null; kappa: number | null; f0: Rgb | null;
   lobe: { theta_diff_deg: number[]; height: Rgb[] };
-  ranges: { light_share: Range; albedo: Range[]; color: Range[]; half_width_deg: Range | null; alpha: Range | null; f0: Range[] | null };
-  remarks?: string[];
+  ranges: { light_share: Interval; albedo: Interval[]; color: Interval[]; half_width_deg: Interval | null; alpha: Interval | null; f0: Interval[] | null };
 }
 
-export interface Fit {
+interface Fit {
   id: string; name: string | null; status: string; progress: number; measurement: string; likeness: string | null;
   options: Record<string, unknown>; metrics: Record<string, number | null> | null; created: string;
   error: { origin: "input" | "compute" | "system"; message: string } | null;
-  warnings: string[]; components: Component[]; model: Document;
+  warnings: string[]; components: Component[]; model: { amplitude: number[][][]; center: number[][][] };
 }
 
-export interface Measurement { sha256: string; name: string | null; size: number; valid_nodes: number; created: string; fits: string[] }
+interface Measurement { sha256: string; name: string | null; size: number; valid_nodes: number; created: string; fits: string[] }
 
-// What a sphere and the plots show: a fit, its measurement, or both; `measured` is on a grid, `samples` is the
-// address of those of a table.
-export interface Subject { name: string; fit: string | null; measured: string | null; samples: string | null; labels: string[] }
+interface Table {
+  n_rows: number; n_samples: number; columns: { name: string; read_as: string | null; unit: string }[]; ranges: Record<string, Interval>;
+  angles_of_incidence: number[] | null; in_plane_of_incidence: number; warnings: string[]; first: number[][];
+}
 
-export interface Curve { label: string; colour: string; x: number[]; y: (number | null)[]; dash?: string; points?: boolean; part?: boolean }
+// What a sphere and the plots show: a fit, its measurement, or both. `measured` is on a grid; `samples` is the address of those of a table.
+interface Subject { name: string; fit: string | null; measured: string | null; samples: string | null; parts: Component[] }
+
+// Values by channel, then place; null where there is none.
+type Channels = (number | null)[][];
+// Of all that a plot shows along x; measured values may be at places of their own.
+interface Values { x: number[]; fit: Channels | null; parts: Channels[]; measured: Channels | null; at: number[] }
+interface Curve { label: string; colour: string; x: number[]; y: (number | null)[]; dash?: string; points?: boolean; part?: boolean; band?: Interval }

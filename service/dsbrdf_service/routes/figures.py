@@ -1,8 +1,7 @@
 """Pictures of fits and of measurements."""
 
 import hashlib
-from collections.abc import Awaitable, Callable, Hashable
-from functools import partial
+from collections.abc import Callable, Hashable, Sequence
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -11,17 +10,14 @@ from numpy.typing import NDArray
 from starlette.responses import Response
 
 import dsbrdf
-from dsbrdf.data.table_options import AS_WRITTEN
 from dsbrdf.extras import require
 
 from ..access.authentication import CALLER_NAME
-from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
 from ..http.responses import not_modified, tag_of, tagged_reply
 from ..jobs.steps import (
     FIGURES,
-    StoredMeasurement,
     figure_step,
     radiance_step,
     samples_step,
@@ -29,10 +25,11 @@ from ..jobs.steps import (
     spheres_step,
     table_step,
 )
-from ..wire.fit_options import from_wire
-from ..wire.inputs import Figure, FitPicture, FitSphere, Picture, SomeSamples, Sphere
+from ..wire.fit_options import OF_TABLES, from_query, from_wire
+from ..wire.inputs import Figure, FitPicture, FitSphere, Picture, Plain, Sphere
 from ..wire.points import NPY, panorama_from_npy
-from .dependencies import NO_REPETITION, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement
+from .dependencies import NO_REPETITION, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement, no_query
+from .uploads import TABLE_PARAMETERS
 
 _Route = TypeVar("_Route", bound=Callable[..., Any])
 
@@ -45,15 +42,19 @@ _Figure = Annotated[
     str,
     Path(pattern=f"^({'|'.join(FIGURES)})$", description=f"One of {', '.join(FIGURES)}.", examples=["components"]),
 ]
+_Most = Annotated[int, Query(ge=1, le=100_000, description="So many at most."), Plain]
 _ImageFormat = Annotated[str, Path(pattern=f"^({'|'.join(_IMAGES)})$", description="`png` or `svg`.", examples=["svg"])]
 
 
-def _get(path: str, summary: str, *problems: str, formats: tuple[str, ...] = ("png",)) -> Callable[[_Route], _Route]:
+def _get(
+    path: str, summary: str, *problems: str, formats: tuple[str, ...] = ("png",), parameters: Sequence[Any] = ()
+) -> Callable[[_Route], _Route]:
     """Return the decorator of a route that answers with what it draws, in one of these formats."""
     content = {_MEDIA_TYPES[name]: openapi.file(_MEDIA_TYPES[name]) for name in formats}
     responses = openapi.response("What is drawn.", content) | openapi.NOT_MODIFIED
     responses |= openapi.problems("not-found", "measurement-damaged", "invalid-argument", *problems)
-    return router.get(path, response_class=Response, summary=summary, responses=responses)
+    more = {"parameters": [*parameters]}
+    return router.get(path, response_class=Response, summary=summary, responses=responses, openapi_extra=more)
 
 
 def _post_panorama(path: str, summary: str, *problems: str) -> Callable[[_Route], _Route]:
@@ -65,29 +66,24 @@ def _post_panorama(path: str, summary: str, *problems: str) -> Callable[[_Route]
     return router.post(path, response_class=Response, summary=summary, responses=responses, openapi_extra=body)
 
 
-async def _drawing(request: Request, context: TheContext, caller: TheCaller) -> Callable[..., Awaitable[Response]]:
-    return partial(_drawn, request, context.in_process, caller.owner)
+class _Drawing:
+    """Answers a request with what a step draws, unless the client has it."""
+
+    def __init__(self, request: Request, context: TheContext, caller: TheCaller) -> None:
+        self._request, self._context, self._owner = request, context, caller.owner
+
+    async def __call__(self, step: Callable[..., bytes], *arguments: Any, of: Hashable = None) -> Response:
+        """Return what `step` draws: the address, the owner and what it is `of` determine it."""
+        path = self._request.scope["path"]
+        key = self._owner, path, self._request.url.query, of
+        headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
+        if known := not_modified(self._request, headers):
+            return known
+        content = await self._context.in_process(self._request, key, step, *arguments)
+        return Response(content, 200, headers, _MEDIA_TYPES[path.rpartition(".")[2]])
 
 
-async def _drawn(
-    request: Request,
-    in_process: Callable[..., Awaitable[bytes]],
-    owner: str,
-    step: Callable[..., bytes],
-    *arguments: Any,
-    of: Hashable = None,
-) -> Response:
-    """Return what `step` draws, unless the client has it: its address, its owner and what it is `of` determine it."""
-    path = request.scope["path"]
-    key = owner, path, request.url.query, of
-    headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
-    if known := not_modified(request, headers):
-        return known
-    content = await in_process(request, key, step, *arguments)
-    return Response(content, 200, headers, _MEDIA_TYPES[path.rpartition(".")[2]])
-
-
-Draw = Annotated[Callable[..., Awaitable[Response]], Depends(_drawing)]
+Draw = Annotated[_Drawing, Depends()]
 
 
 async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[np.float32], bytes]:
@@ -98,18 +94,7 @@ async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[n
         return pixels, hashlib.sha256(body).digest()
 
 
-async def _measurement_if_any(context: TheContext, fit: TheFit) -> StoredMeasurement | None:
-    """Return the measurement of a fit, unless it is not stored any more or is a table of samples."""
-    try:
-        return await context.stored_measurement(fit.owner, (await context.fit_row(fit)).measurement)
-    except ProblemError as error:
-        if error.kind != "not-found":
-            raise
-        return None
-
-
 _Panorama = Annotated[tuple[NDArray[np.float32], bytes], Depends(_panorama_in)]
-_MeasurementIfAny = Annotated[StoredMeasurement | None, Depends(_measurement_if_any)]
 
 
 @_get("/fits/{fit_id}/figures/sphere.png", "A lit sphere of a fit", "fit-not-finished")
@@ -124,13 +109,13 @@ async def draw_sphere(draw: Draw, fit: TheLoadedFit, wanted: Annotated[FitSphere
 
 @_get("/fits/{fit_id}/figures/spheres.png", "Spheres of a fit side by side", "fit-not-finished")
 async def draw_spheres(
-    draw: Draw, fit: TheLoadedFit, stored: _MeasurementIfAny, wanted: Annotated[Picture, Query()]
+    draw: Draw, context: TheContext, key: TheFit, fit: TheLoadedFit, wanted: Annotated[Picture, Query()]
 ) -> Response:
     """Return one picture of spheres under three lights: measured, fit, their difference times 4, then each component.
 
     All have the exposure of the measurement; where none is stored on a grid, the first is the fit, with its own.
     """
-    parts = list(fit.decomposition)
+    stored, parts = await context.thumbnails.measured(key), list(fit.decomposition)
     return await draw(spheres_step, fit.model, parts, stored, wanted.size, of=stored and stored.sha256)
 
 
@@ -218,20 +203,26 @@ async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
     return await draw(table_step, stored)
 
 
-@_get("/measurements/{sha256}/samples.npy", "Samples of a table", formats=("npy",))
+@_get("/measurements/{sha256}/samples.npy", "Samples of a table", formats=("npy",), parameters=TABLE_PARAMETERS)
 async def get_samples(
-    draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, wanted: Annotated[SomeSamples, Query()]
+    request: Request, draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, most: _Most = 5000
 ) -> Response:
-    """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random."""
+    """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random.
+
+    The options of a table tell how it is read, as for its fit.
+    """
+    await no_query(request, "most", *OF_TABLES)
+    options = from_query((name, text) for name, text in request.query_params.multi_items() if name != "most")
     stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
-    return await draw(samples_step, stored, AS_WRITTEN, wanted.most)
+    return await draw(samples_step, stored, options.of_table(), most)
 
 
 @_get("/fits/{fit_id}/samples.npy", "Samples that were fitted", formats=("npy",))
 async def get_fitted_samples(
-    draw: Draw, context: TheContext, key: TheFit, wanted: Annotated[SomeSamples, Query()]
+    request: Request, draw: Draw, context: TheContext, key: TheFit, most: _Most = 5000
 ) -> Response:
     """Return the same of the table of a fit, read with the options of the fit: values are those of the BRDF in 1/sr."""
+    await no_query(request, "most")
     row = await context.fit_row(key)
     stored = await context.stored_measurement(key.owner, row.measurement, kind="samples")
-    return await draw(samples_step, stored, from_wire(row.options), wanted.most)
+    return await draw(samples_step, stored, from_wire(row.options), most)

@@ -222,12 +222,6 @@ class Figure(_Input):
     dark: Annotated[bool, Field(description="For a dark background.")] = False
 
 
-class SomeSamples(_Input):
-    """How many samples of a table."""
-
-    most: Annotated[int, Field(ge=1, le=100_000, description="So many at most."), Plain] = 5000
-
-
 class NewName(_Input):
     """Another name of a fit, or none."""
 

@@ -2,6 +2,7 @@
 
 import re
 from itertools import product
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -51,21 +52,55 @@ def test_newcomer_tries_an_example(visit: Visit, guarded: Guarded) -> None:
 def test_samples_are_shown_beside_the_fit_and_before_it(visit: Visit, table_fit: dict[str, Any]) -> None:
     page = visit(f"/fits/{table_fit['id']}", webgl=False).page
     page.locator("#plots").scroll_into_view_if_needed()
-    expect(page.locator("#profiles-panel")).to_contain_text("Points are samples within 3°, full lines are the fit")
-    expect(page.locator("#plot .point")).to_have_count(3)
+    expect(page.locator("#profiles")).to_contain_text("Points are samples within 3°, full lines are the fit")
+    expect(page.locator("#profiles .plot .point")).to_have_count(3)
     page.get_by_label("theta_in in degrees").fill("30")
-    red = page.locator("#polar-plot .point").first
+    red = page.locator("#plane .plot .point").first
     expect(red).to_have_attribute("d", re.compile("M.*M"))
     page.get_by_label("theta_in in degrees").fill("85")
-    expect(page.locator("#polar-panel")).to_contain_text(re.compile("There is none here; most are at (0|30|60)°"))
+    expect(page.locator("#plane")).to_contain_text(re.compile("There is none here; most are at (0|30|60)°"))
     page.locator("#figures-title").click()
     expect(page.locator("#figures img").nth(1)).not_to_have_js_property("naturalWidth", 0)
-    expect(page.locator("#figures")).not_to_contain_text("It is being drawn")
     page.goto(f"/measurements/{table_fit['measurement']}")
     expect(page.locator("#its-fits a")).to_have_count(1)
-    page.locator("#plots").scroll_into_view_if_needed()
-    expect(page.locator("#plot .point")).to_have_count(3)
-    expect(page.locator("#plot .curve")).to_have_count(0)
+    expect(page.locator(".columns")).to_contain_text("theta_out")
+    page.locator("#profiles").scroll_into_view_if_needed()
+    expect(page.locator("#profiles .plot .point")).to_have_count(3)
+    expect(page.locator("#profiles .plot .curve")).to_have_count(0)
+    page.get_by_text("Options").click()
+    page.get_by_label("scale", exact=True).fill("10")
+    page.get_by_label("scale", exact=True).blur()
+    height = 10 * (0.1 + 1.0)
+    expect(page.locator(".samples tr").filter(has_text="Largest")).to_contain_text(f"{height:g}")
+
+
+def test_table_is_understood_before_it_is_sent(visit: Visit, guarded: Guarded, tmp_path: Path) -> None:
+    header = guarded.new_key("laboratory")
+    visitor = visit("/", key=header["Authorization"].removeprefix("Bearer "), webgl=False)
+    page = visitor.page
+    table = tmp_path / "tile.csv"
+    angles = product((0, 30, 60), range(-80, 81, 5))
+    rows = [f"{light},{seen},{100 * (0.1 + np.exp(-(((seen - light) / 15) ** 2)))}" for light, seen in angles]
+    table.write_text("\n".join(["AOI,AOR,reflectance", *rows]))
+    page.locator("#file").set_input_files(table)
+    shown = page.locator("#table")
+    expect(shown.get_by_role("alert")).to_contain_text("The table lacks columns for the values")
+    button = page.get_by_role("button", name="Fit this table")
+    expect(button).to_be_disabled()
+    for name, value in (("columns", "value=reflectance"), ("scale", "0.01")):
+        page.get_by_label(name, exact=True).fill(value)
+        page.get_by_label(name, exact=True).blur()
+    expect(shown.locator(".columns tr").last).to_have_text("reflectancevaluenone")
+    expect(shown.locator(".samples tr").filter(has_text="Largest")).to_contain_text("1.1")
+    expect(shown).to_contain_text("99 rows, 99 samples. The light comes at 0°, 30°, 60°. 100 % of the samples lie in")
+    assert guarded.server.http.get("/v1/measurements", headers=header).json()["items"] == []
+    page.get_by_label("n_lobes", exact=True).select_option("1")
+    expect(button).to_be_enabled()
+    button.click()
+    page.wait_for_url("**/fits/*")
+    expect(page.locator(".components")).to_contain_text("light")
+    page.get_by_text("Options of the fit").click()
+    expect(page.locator("#options div").filter(has_text="columns")).to_contain_text("value=reflectance")
 
 
 def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site, table_fit: dict[str, Any]) -> None:
