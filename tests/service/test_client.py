@@ -53,7 +53,7 @@ def test_client_sends_other_files_as_the_library_reads_them(client: Client, tmp_
     model = mixture(2, seed=7)
     bsdf, table = tmp_path / "chalk.bsdf", tmp_path / "felt.csv"
     dsbrdf.export(model, bsdf)
-    samples = scattered_samples(model, 300)
+    samples = scattered_samples(model, 60)
     columns = np.hstack([samples.omega_in, samples.omega_out, samples.values])
     names = [f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz"]
     np.savetxt(table, columns, "%.17g", ",", header=",".join([*names, "red", "green", "blue"]), comments="")

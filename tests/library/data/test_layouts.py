@@ -80,7 +80,6 @@ def vectors(angles: Array) -> tuple[Array, Array]:
 VALUES = truth(*vectors(ANGLES))[:, :1]
 COS_IN, COS_OUT = (np.cos(np.radians(ANGLES[:, [at]])) for at in (0, 2))
 IN_PLANE = truth(*vectors(np.insert(PLANE, [1, 2], [180.0, 0.0], axis=1)))[:, :1]
-ALL = np.hstack([ANGLES, VALUES])
 SPOILED = np.arange(400)[:, None] % 13 == 0
 FLAT = VALUES * np.ones(5)
 SPECTRAL = (*NAMES[:4], *(f"{band} nm" for band in range(450, 651, 50)))
@@ -100,11 +99,8 @@ TRUTHS: dict[str, tuple[bytes, dict[str, Any], str]] = {
     "as it is": (made(VALUES), {}, ""),
     "phi below zero": (table(NAMES, np.hstack([ANGLES - [0.0, 360.0, 0.0, 360.0], VALUES])), {}, ""),
     "per cent": (made(100.0 * VALUES), {"scale": 0.01}, ""),
-    "per cent reflectance factor": (made(100.0 * np.pi * VALUES), {"scale": 0.01 / np.pi}, ""),
     "times the cosine of the light": (made(COS_IN * VALUES), {"cosine": "in"}, ""),
     "times the cosine of the viewer, per cent": (made(100.0 * COS_OUT * VALUES), {"cosine": "out", "scale": 0.01}, ""),
-    "0 is missing": (made(np.where(SPOILED, 0.0, VALUES)), {"missing": 0}, ""),
-    "9999 is missing": (made(np.where(SPOILED, 9999.0, VALUES)), {"missing": 9999}, ""),
     "-999 and 1e30 are missing": (
         made(np.where(SPOILED, np.where(VALUES > 0.1, 1e30, -999.0), VALUES)),
         {"missing": (-999, 1e30)},
@@ -113,14 +109,7 @@ TRUTHS: dict[str, tuple[bytes, dict[str, Any], str]] = {
     "mirror at the same phi": (table(NAMES, np.hstack([MIRRORED, VALUES])), {"phi": "mirror"}, ""),
     "in plane": (in_plane(PLANE, IN_PLANE), {}, ""),
     "in plane, sign turned": (in_plane(PLANE * [1, -1], IN_PLANE), {"phi": "mirror"}, ""),
-    "other names": (
-        made(VALUES, names=("a", "b", "c", "d", "e")),
-        {"columns": dict(zip(NAMES, "abcde", strict=True))},
-        "",
-    ),
     "flat spectra": (made(FLAT, names=SPECTRAL), {}, ""),
-    "0 is missing, not said": (made(np.where(SPOILED, 0.0, VALUES)), {}, "set missing to 0."),
-    "9999 is missing, not said": (made(np.where(SPOILED, 9999.0, VALUES)), {}, "set missing to 9999."),
     "-999 is missing, not said": (made(np.where(SPOILED, -999.0, VALUES)), {}, "set missing to -999."),
     "0 is missing in one of five bands, not said": (
         made(np.where(SPOILED * [0, 1, 0, 0, 0], 0.0, FLAT), names=SPECTRAL),

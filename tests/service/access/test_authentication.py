@@ -178,22 +178,3 @@ def test_invalid_key_is_refused_on_loopback_too(server: Server) -> None:
     assert server.http.get("/v1/fits", headers=header | {"Host": "any.example"}).status_code == 200
     for wrong in ("", "Bearer", "Bearer x", header["Authorization"] + "x"):
         assert_problem(server.http.get("/v1/fits", headers={"Authorization": wrong}), 401, "unauthorized")
-
-
-def test_key_in_a_cookie_counts_for_nothing(guarded: Guarded) -> None:
-    for name in ("key", "dsbrdf_key", "Authorization"):
-        for value in (key_of(guarded), f"Bearer {key_of(guarded)}"):
-            cookie = {"Cookie": f"{name}={value}"}
-            assert_problem(guarded.server.http.get("/v1/fits", headers=cookie), 401, "unauthorized")
-            answer = guarded.server.http.get("/v1/fits", headers=guarded.bob | cookie)
-            assert answer.content == guarded.server.http.get("/v1/fits", headers=guarded.bob).content
-            assert "set-cookie" not in answer.headers
-
-
-def test_addresses_of_forms_and_private_answers_are_not_there(guarded: Guarded) -> None:
-    fit = "0" * 32
-    gone = ["/sign-in", "/sign-out", *(f"/fits/{fit}/{part}" for part in ("view", "measured.bin", "profiles/0"))]
-    for path in gone:
-        for method in ("GET", "POST"):
-            answer = guarded.server.http.request(method, path, headers=guarded.alice)
-            assert_problem(answer, 404, "not-found")
