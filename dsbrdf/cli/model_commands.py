@@ -2,14 +2,13 @@
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
-from dsbrdf.arrays import Array
 from dsbrdf.cli.arguments import print_error, print_json, print_written
 from dsbrdf.cli.commands import Whole
 from dsbrdf.cli.parameters import (
@@ -21,7 +20,6 @@ from dsbrdf.cli.parameters import (
     ModelFile,
     OutputFile,
     Points,
-    RequiredFiles,
     SourceFile,
     named_in_errors,
     named_part,
@@ -39,7 +37,6 @@ from dsbrdf.data.sample_tables import is_table, read_samples
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import InvalidArgumentError, one_of
-from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
@@ -58,10 +55,9 @@ from dsbrdf.output.notebook import plot_fit
 from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
 from dsbrdf.output.sample_figures import samples_figure
-from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, compare_spheres, encode_png, side_by_side
+from dsbrdf.output.sphere_panels import compare_spheres, encode_png, side_by_side
 
 Channel = Annotated[str, Parameter(choices=CHANNELS)]
-LayersFile = Annotated[Path | None, Parameter(alias="-o", metavar="FILE")]
 _FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())
 Format = Annotated[
     str | None,
@@ -130,19 +126,9 @@ def show(model: ModelFile, /, *, lobes: bool = False, channel: Channel = "red", 
         print(*result_text(model, FitResult(stored, report), lobes=lobes, channel=channel), sep="\n")
 
 
-def print_components(model: ModelFile, /, *, output: LayersFile = None, json: Json = False) -> None:
-    """Print the components of a model and their layers.
-
-    Parameters
-    ----------
-    output
-        Save the layers of all components, a small model that looks much like the material: .json, or as dsbrdf export.
-    """
+def print_components(model: ModelFile, /, *, json: Json = False) -> None:
+    """Print the components of a model and their layers."""
     stored, _ = read_model(model)
-    if output is not None:
-        write_atomically(output, [export_model(decompose(stored).layers, format_of(output), title=output.stem)])
-        if not json:
-            print_written(output, "the layers of all components")
     if json:
         print_json({"items": component_documents(stored)})
     else:
@@ -300,66 +286,36 @@ class Look:
 _USUAL = Look()
 
 
-def render(*sources: RequiredFiles, output: OutputFile, look: Look = _USUAL, json: Json = False) -> None:
+def render(source: Path, /, *, output: OutputFile, look: Look = _USUAL, json: Json = False) -> None:
     """Draw a lit sphere of a model or a measurement.
 
     Parameters
     ----------
-    sources
-        A .json model, or a .binary or .bsdf measurement; a second one, a model, is compared with the first:
-        the picture then shows both, their difference and the components of the model.
+    source
+        A .json model, or a .binary or .bsdf measurement.
     output
         The file to write, a .png.
     """
     _check_png(output)
-    if len(sources) > 2:
-        raise InvalidArgumentError(f"one or two sources can be drawn, not {len(sources)}")
-    image, about = _sphere(sources[0], look) if len(sources) == 1 else _comparison(sources[0], sources[1], look)
-    write_atomically(output, [encode_png(image)])
-    if json:
-        print_json({"output": str(output), "lighting": look.lighting} | about)
-        return
-    print(f"{output}: {look.lighting}, radiance times {about['exposure']:.4g}, clipped at 1, sRGB curve")
-    if "panels" in about:
-        print(f"from left to right: {', '.join(about['panels'])}")
-        psnr = "infinite" if about["psnr"] is None else f"{about['psnr']:.1f} dB"
-        print(f"likeness of the first two under this light: PSNR {psnr}, SSIM {about['ssim']:.4f}")
-
-
-def _check_png(output: Path) -> None:
-    if output.suffix.lower() != ".png":
-        raise InvalidArgumentError(f"{output}: the picture's file must end in .png")
-
-
-def _sphere(path: Path, look: Look) -> tuple[Array, dict[str, Any]]:
-    """Picture of one source, or of one of its components, and what to report."""
-    light, whole = look.light(), read_source(path)
+    light, whole = look.light(), read_source(source)
     if look.component is not None and isinstance(whole, Measurement):
-        raise InvalidArgumentError(f"{path}: a measurement has no components; fit it first")
-    part = whole if isinstance(whole, Measurement) else named_part(path, whole, look.component)
+        raise InvalidArgumentError(f"{source}: a measurement has no components; fit it first")
+    part = whole if isinstance(whole, Measurement) else named_part(source, whole, look.component)
     image = render_sphere(part, lighting=light, size=look.size)
     factor = look.exposure
     if factor is None:
         of_whole = image if part is whole else render_sphere(whole, lighting=light, size=look.size)
         factor = exposure(of_whole, sphere_normals(look.size)[1])
-    return displayed(image, factor), {"exposure": factor}
+    write_atomically(output, [encode_png(displayed(image, factor))])
+    if json:
+        print_json({"output": str(output), "lighting": look.lighting, "exposure": factor})
+    else:
+        print(f"{output}: {look.lighting}, radiance times {factor:.4g}, clipped at 1, sRGB curve")
 
 
-def _comparison(first: Path, second: Path, look: Look) -> tuple[Array, dict[str, Any]]:
-    """Panels of two sources, and what to report."""
-    if look.component is not None:
-        raise InvalidArgumentError("a comparison shows all components: leave --component out")
-    light, measured, fit = look.light(), read_source(first), read_source(second)
-    if not isinstance(fit, DSBRDF):
-        raise InvalidArgumentError(f"{second}: the second source must be a model, the fit of the first")
-    found = compare_spheres(measured, fit, lighting=light, size=look.size, factor=look.exposure)
-    if isinstance(measured, DSBRDF):
-        names = (first.stem, second.stem) if first.stem != second.stem else (str(first), str(second))
-        titles = dict(zip(("measured", "fit"), names, strict=True))
-        found = replace(found, panels={titles.get(title, title): panel for title, panel in found.panels.items()})
-    psnr = found.psnr if np.isfinite(found.psnr) else None
-    about = {"exposure": found.exposure, "panels": list(found.panels), "psnr": psnr, "ssim": found.ssim}
-    return side_by_side(found.panels), about
+def _check_png(output: Path) -> None:
+    if output.suffix.lower() != ".png":
+        raise InvalidArgumentError(f"{output}: the picture's file must end in .png")
 
 
 def plot(
@@ -405,17 +361,27 @@ def plot(
     print_written(output, what, image_format, json=json)
 
 
-def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | None = None, json: Json = False) -> None:
+def compare(
+    first: SourceFile,
+    second: SourceFile,
+    /,
+    *,
+    output: OutputFile | None = None,
+    look: Look = _USUAL,
+    json: Json = False,
+) -> None:
     """Compare two models or measurements, or a table of samples with a model.
 
     Parameters
     ----------
     output
-        Write a picture, a .png file: both spheres with the exposure of the first, and their difference; or the samples,
-        the fit and the residual.
+        Write a picture, a .png file: both spheres with the exposure of the first, their difference and the components
+        of a fit; or the samples, the fit and the residual.
     """
     if output is not None:
         _check_png(output)
+    if look.component is not None:
+        raise InvalidArgumentError("a comparison shows all components: leave --component out")
     paths = (first, second)
     reports = [read_model(path)[1] for path in paths if path.suffix.lower() not in MEASUREMENTS]
     options = next((report.options for report in reports if report is not None), FitOptions())
@@ -430,11 +396,15 @@ def compare(first: SourceFile, second: SourceFile, /, *, output: OutputFile | No
         picture = None if output is None else encode_figure(samples_figure(samples, model))
         shown = "samples, fit and residual"
     else:
-        found = compare_spheres(*sources, with_components=False)
+        # Components are those of a fit beside what was measured, not those of one of two models.
+        parts = isinstance(sources[0], Measurement) and output is not None
+        found = compare_spheres(
+            *sources, with_components=parts, lighting=look.light(), size=look.size, factor=look.exposure
+        )
         likeness = {"psnr": found.psnr if np.isfinite(found.psnr) else None, "ssim": found.ssim}
         sentence = f"likeness of their lit spheres {found.light}: PSNR {found.psnr:.1f} dB, SSIM {found.ssim:.4f}"
         picture = None if output is None else encode_png(side_by_side(found.panels))
-        shown = f"both spheres, and their difference times {DIFFERENCE_GAIN:g}"
+        shown = f"{', '.join(found.panels)}; radiance times {found.exposure:.4g}"
     if output is not None and picture is not None:
         write_atomically(output, [picture])
     if json:

@@ -101,14 +101,9 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
         np.testing.assert_allclose(rows, np.transpose(shown), rtol=1e-3)
 
 
-def test_decompose_saves_the_layers(model_file: Path, tmp_path: Path) -> None:
-    saved, exported = tmp_path / "layers.json", tmp_path / "exported.json"
-    run("decompose", model_file, "-o", saved)
-    run("export", model_file, "--component", "layers", "-o", exported)
-    assert saved.read_text() == exported.read_text()
-    assert layers_from_json(saved.read_text()) == decompose(load(model_file)).layers
-    run("decompose", model_file, "-o", tmp_path / "layers.glsl")
-    assert "vec3 dsbrdf(" in (tmp_path / "layers.glsl").read_text()
+def test_layers_are_exported(model_file: Path, tmp_path: Path) -> None:
+    run("export", model_file, "--component", "layers", "-o", tmp_path / "layers.json")
+    assert layers_from_json((tmp_path / "layers.json").read_text()) == decompose(load(model_file)).layers
 
 
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:
@@ -261,12 +256,12 @@ def test_measurement_and_fit_are_compared_under_a_panorama(
     openexr = pytest.importorskip("OpenEXR")
     panorama, output = tmp_path / "even.exr", tmp_path / "both.png"
     openexr.File({}, {"RGB": np.ones((4, 8, 3), np.float32)}).write(str(panorama))
-    command = ["render", str(plastic_file), str(model_file), "-o", str(output), "--lighting", str(panorama)]
+    command = ["compare", str(plastic_file), str(model_file), "-o", str(output), "--lighting", str(panorama)]
     words = printed(*command, "--size", "24")
     labels = decompose(two_lobe_fit).labels
-    assert f"measured, fit, difference x 4, {', '.join(labels).replace('_', ' ')}\n" in words
+    assert f"measured, fit, difference x 4, {', '.join(labels).replace('_', ' ')}; radiance times" in words
     about = document(*command, "--size", "24", "--json")
-    assert f"PSNR {about['psnr']:.1f} dB" in words
+    assert f"in a panorama: PSNR {about['likeness']['psnr']:.1f} dB" in words
     assert pixels_of(output).shape == (24, (3 + len(labels)) * 24, 3)
 
 
@@ -302,8 +297,9 @@ def test_compare_a_measurement_with_its_fit(
     assert error == [f"{two_lobe_fit.report.metrics.relative_rms:.4g}"]
     pixels = pixels_of(picture)
     names, spheres = pixels[:-256], pixels[-256:]
-    assert spheres.shape == (256, 3 * 256, 3)
-    assert all(part.max() > 0.5 for part in np.split(names, 3, axis=1))  # each sphere has its name above it
+    count = 3 + len(decompose(two_lobe_fit).labels)
+    assert spheres.shape == (256, count * 256, 3)
+    assert all(part.max() > 0.5 for part in np.split(names, count, axis=1))  # each sphere has its name above it
     sphere = render_sphere(read_merl(plastic_file), size=256)
     expected = displayed(sphere, exposure(sphere, sphere_normals(256)[1]))
     assert np.abs(spheres[:, :256] - expected).max() < 0.003
