@@ -5,7 +5,7 @@ bin; ``theta_half`` is spaced quadratically, so that most rows are in the highli
 degrees: the other half follows from reciprocity.
 """
 
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -32,11 +32,15 @@ QUARTER = PHI_DIFF.size // 2 + 1
 """Nodes of phi_diff from 0 to 90 degrees: a model is the same at phi_diff and pi - phi_diff."""
 
 
-@cache
-def nodes_above_horizon() -> Mask:
-    """Return which nodes (90, 90, 180) have both directions strictly above the horizon; read-only, and cached."""
+@lru_cache(maxsize=4)
+def nodes_above_horizon(cutoff: float = np.pi / 2) -> Mask:
+    """Return which nodes (90, 90, 180) have both directions above the horizon, and within the cutoff of the normal.
+
+    Read-only, and cached; see `dsbrdf.data.geometry.above_horizon`.
+    """
     above = np.empty(GRID_SHAPE, dtype=np.bool_)
     for row, theta_half in enumerate(THETA_HALF):  # row by row, because the whole grid at once needs 50 MB
-        above[row] = above_horizon(theta_half, THETA_DIFF[:, np.newaxis], PHI_DIFF)
+        above[row, :, :QUARTER] = above_horizon(theta_half, THETA_DIFF[:, np.newaxis], PHI_DIFF[:QUARTER], cutoff)
+    above[:, :, QUARTER:] = above[:, :, QUARTER - 2 : 0 : -1]
     above.flags.writeable = False
     return above

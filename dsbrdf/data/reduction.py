@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.geometry import above_horizon, incident_cosines
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import incident_cosines
+from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 
@@ -143,7 +143,7 @@ def profiles(
 def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
     """Samples of the theta_half row ``i`` that count, shape (3, 90 theta_diff, 180 phi_diff)."""
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
-    return measurement.known(i) & above_horizon(THETA_HALF[i], THETA_DIFF[:, None], PHI_DIFF, cutoff)
+    return measurement.known(i) & nodes_above_horizon(cutoff)[i]
 
 
 def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust: bool) -> None:

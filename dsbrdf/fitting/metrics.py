@@ -44,6 +44,7 @@ ALBEDO_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
 _NO_FLOOR = 1e-12  # below this the data do not depend on phi_diff at all, and excess would divide by rounding errors
 _BLACK = 1e-9  # an albedo below this is the rounding of a channel of zeros
 _SPHERE_SIZE = 64
+_GROUPS = 9  # of columns
 _FOLD = np.minimum(np.arange(PHI_DIFF.size), PHI_DIFF.size - np.arange(PHI_DIFF.size))
 
 
@@ -123,33 +124,33 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
     Raises InvalidArgumentError if there is nothing but zeros to compare with.
     """
     sums = np.zeros((6, 3, THETA_DIFF.size))
-    columns = np.flatnonzero(OUTSIDE_CENTER)
-    grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF, PHI_DIFF[:QUARTER])
-    for i, values in zip(columns.tolist(), grid, strict=True):
-        used = used_samples(measurement, i, horizon_cutoff)
-        rows = np.flatnonzero(used.any(axis=(0, 2)))
-        if not rows.size:
-            continue
-        cosine, _ = incident_cosines(THETA_HALF[i], THETA_DIFF[rows, None], PHI_DIFF)
-        samples = measurement.stored[:, i, rows] * measurement.scale[:, None, None]
-        sums[:, :, rows] += _column_sums(samples, values[:, rows][:, :, _FOLD], used[:, rows], cosine)
+    for columns in np.array_split(np.flatnonzero(OUTSIDE_CENTER), _GROUPS):
+        masks = [used_samples(measurement, i, horizon_cutoff) for i in columns.tolist()]
+        # From some theta_diff on, no sample is used.
+        rows = slice(0, 1 + int(np.flatnonzero(np.any(masks, axis=(0, 1, 3))).max(initial=-1)))
+        grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF[rows], PHI_DIFF[:QUARTER])
+        for i, used, values in zip(columns.tolist(), masks, grid, strict=True):
+            cosine, _ = incident_cosines(THETA_HALF[i], THETA_DIFF[rows, None], PHI_DIFF)
+            for channel, scale in enumerate(measurement.scale.tolist()):
+                samples, fit = measurement.stored[channel, i, rows] * scale, values[channel].take(_FOLD, axis=1)
+                sums[:, channel, rows] += _column_sums(samples, fit, used[channel, rows], cosine)
     if not sums[0].any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
     return sums
 
 
 def _column_sums(samples: Array, fit: Array, used: Mask, cosine: Array) -> Array:
-    """The sums of one theta_half for samples (3, R, 180), shape (6, 3, R)."""
-    count = used.sum(axis=2)
-    samples = samples * used
-    mean = np.sum(samples, axis=2) / np.maximum(count, 1)
-    # phi_diff and 180 - phi_diff, 0 its own partner, hold one value of a symmetric material.
-    partner = (PHI_DIFF.size - np.arange(PHI_DIFF.size)) % PHI_DIFF.size
-    half_step = np.where(used & used[:, :, partner], 0.5 * (samples - samples[:, :, partner]), 0.0)
-    fit = fit * used
-    parts = samples, samples - fit, (samples - mean[:, :, None]) * used, half_step
-    squares = [np.einsum("crp,crp->cr", part, part) for part in parts]
-    log_error = np.sum(np.abs(np.log((1.0 + samples * cosine) / (1.0 + fit * cosine))), axis=2)
+    """The sums of one theta_half and channel for samples (R, 180), shape (6, R)."""
+    count = used.sum(axis=1)
+    samples, fit = samples * used, fit * used
+    mean = np.sum(samples, axis=1) / np.maximum(count, 1)
+    # phi_diff and 180 - phi_diff, 0 its own partner, hold one value of a symmetric material; each is half a step off.
+    one, partner = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
+    step = (samples[:, one] - samples[:, partner]) * (np.sqrt(0.5) * (used[:, one] & used[:, partner]))
+    parts = samples, samples - fit, (samples - mean[:, None]) * used, step
+    squares = [np.einsum("rp,rp->r", part, part) for part in parts]
+    ratio = (1.0 + samples * cosine) / (1.0 + fit * cosine)
+    log_error = np.sum(np.abs(np.log(ratio, out=ratio), out=ratio), axis=1)
     return np.stack([*squares, log_error, count])
 
 
