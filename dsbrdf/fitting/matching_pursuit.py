@@ -88,15 +88,14 @@ def grow(
 
     Numbers of lobes are as in `FitOptions`. Returns it with the lobes that were tried; `on_try` is called before each.
     """
-    curves = {candidate: _curve(fitted, candidate, empty.family) for candidate in _candidates()}
+    dictionary = _Dictionary.at(fitted, empty.family)
     mixture, steps, only_noise = Mixture(empty, np.zeros(0)), list[GrowthStep](), False
     best, error, signal, failures = mixture, held_out.signal, held_out.signal, 0
     while not only_noise and failures <= _PATIENCE and (kinds := _kinds_wanted(mixture.structure, n_lobes, ring_lobes)):
         on_try()
-        allowed = {candidate: curve for candidate, curve in curves.items() if candidate.is_ring in kinds}
         must = n_lobes != "auto" or (ring_lobes != "auto" and mixture.structure.n_rings < ring_lobes) or not steps
         least = 0.0 if must else PAYS * error + NEGLIGIBLE * signal
-        mixture = _with_next_lobe(fitted, held_out, mixture, allowed, error - least)
+        mixture = _with_next_lobe(fitted, held_out, mixture, dictionary, kinds, error - least)
         if n_lobes == ring_lobes == "auto":
             mixture, only_noise = _prefer_plain(fitted, mixture)
         new_error, structure = _error(held_out, mixture), mixture.structure
@@ -111,15 +110,15 @@ def grow(
 
 
 def _with_next_lobe(
-    fitted: FitData, held_out: FitData, mixture: Mixture, curves: dict["_Candidate", Array], goal: float
+    fitted: FitData, held_out: FitData, mixture: Mixture, dictionary: "_Dictionary", kinds: set[bool], goal: float
 ) -> Mixture:
     """Add a lobe and fit all; in the place of a single lobe, the first lobes unless two others are better."""
-    starts = _starts(fitted, mixture, curves)
+    starts = _starts(fitted, mixture, dictionary, kinds)
     found, start = min(((_fit(fitted, start), start) for start in starts), key=lambda pair: _error(fitted, pair[0]))
     if _error(held_out, found) > goal:
         found = min((found, _minimize(fitted, start, _ITERATIONS)), key=partial(_error, held_out))
     few_columns = fitted.theta_half.shape[-1] < _FEWEST_COLUMNS
-    if mixture.structure.rings != (False,) or few_columns or all(candidate.is_ring for candidate in curves):
+    if mixture.structure.rings != (False,) or few_columns or False not in kinds:
         return found
     readable = _fit(fitted, _first_lobes(fitted, mixture.structure))
     return found if _error(fitted, found) < _BETTER * _error(fitted, readable) else readable
@@ -170,41 +169,45 @@ def _candidates() -> list[_Candidate]:
     return [_Candidate(w * _DEGREE, c * _DEGREE, e) for e in _ELONGATIONS for w, c in shapes]
 
 
-def _curve(data: FitData, candidate: _Candidate, family: str) -> Array:
-    """Values of a candidate, shape (R, N * P)."""
-    along, across = data.squared_tangents
-    ratio = np.exp(candidate.elongation * log_cosine(data.theta_diff)[:, None, None])
-    center = np.array(candidate.center) if candidate.is_ring else None
-    kappa = np.array(_START_KAPPA)
-    values = lobe_values(
-        along / ratio + across * ratio,
-        kappa,
-        gamma_of_half_width(np.array(candidate.width), kappa, family),
-        center,
-        family,
-    )
-    return values[:, 0]
+@dataclass(frozen=True, eq=False)
+class _Dictionary:
+    """All candidates, their values (R, n, N * P) and the squares of these."""
+
+    candidates: list[_Candidate]
+    curves: Array
+    squares: Array
+
+    @classmethod
+    def at(cls, data: FitData, family: str) -> "_Dictionary":
+        candidates = _candidates()
+        along, across = data.squared_tangents
+        curves = np.empty((len(along), len(candidates), along.shape[2]))
+        kappa = np.array(_START_KAPPA)
+        for n, one in enumerate(candidates):
+            ratio = np.exp(one.elongation * log_cosine(data.theta_diff)[:, None])
+            center = np.array(one.center) if one.is_ring else None
+            gamma = gamma_of_half_width(np.array(one.width), kappa, family)
+            curves[:, n] = lobe_values(along[:, 0] / ratio + across[:, 0] * ratio, kappa, gamma, center, family)
+        return cls(candidates, curves, curves**2)
 
 
-def _starts(data: FitData, mixture: Mixture, curves: dict[_Candidate, Array]) -> list[Mixture]:
-    """Yield mixtures with one more lobe, not yet fitted: the candidate that explains most of the residual.
+def _starts(data: FitData, mixture: Mixture, dictionary: _Dictionary, kinds: set[bool]) -> list[Mixture]:
+    """Return mixtures with one more lobe, not yet fitted: the candidate that explains most of the residual.
 
     With a few lobes there are two of them, the best candidate near the mirror direction and the best one far from it.
     """
-    problem, k = MixtureProblem(data, mixture.structure), mixture.structure.n_lobes
-    stack, candidates = np.stack(list(curves.values())), list(curves)
-    others = problem.curves(mixture.unknowns).transpose(1, 0, 2) if k else stack[:0]
-    residual = data.mean - problem.values(mixture.unknowns) if k else data.mean
-    gain, amplitude = _project(data, residual, stack, others)
-    far = np.array([abs(candidate.center) + candidate.width > _FAR for candidate in candidates])
+    k, candidates = mixture.structure.n_lobes, dictionary.candidates
+    gain, amplitude = _project(data, mixture, dictionary)
+    allowed = np.array([one.is_ring in kinds for one in candidates])
+    far = np.array([abs(one.center) + one.width > _FAR for one in candidates])
     starts = []
-    for group in (~far, far) if _FIRST_TWO <= k < _LAST_TWO else (np.full(far.shape, True),):
+    for group in (allowed & ~far, allowed & far) if _FIRST_TWO <= k < _LAST_TWO else (allowed,):
         if group.any():
             gains = np.where(group, gain, -1.0)
             # Where several do equally well, as on a single column, the widest assumes least.
             equal = np.flatnonzero(gains >= (1.0 - 1e-9) * gains.max()).tolist()
             best = max(equal, key=lambda i: candidates[i].width)
-            starts.append(_append(data, mixture, candidates[best], amplitude[:, :, best]))
+            starts.append(_append(data, mixture, candidates[best], amplitude[best]))
     return starts
 
 
@@ -263,28 +266,33 @@ def _correlation(data: FitData, mixture: Mixture) -> float:
     return float(np.sum(first * second)) / size if size > 0.0 else 0.0
 
 
-def _project(data: FitData, residual: Array, curves: Array, others: Array) -> tuple[Array, Array]:
-    """What each curve (n, R, N * P) would explain of the residual, beside the other lobes (K, R, N * P): the gain (n,).
+def _project(data: FitData, mixture: Mixture, dictionary: _Dictionary) -> tuple[Array, Array]:
+    """What each candidate would explain of the residual, beside the lobes of the mixture: the gain (n,).
 
-    There the amplitudes of the others answer to it, row by row; beside it the amplitude (3, R, n), where they stay.
+    There the amplitudes of these answer to it, row by row; beside it the amplitude (n, 3, R), where they stay.
     """
-    n_rows, n_curves = data.theta_diff.size, len(curves)
-    rows = np.concatenate([others, curves]).transpose(1, 0, 2)
-    gain, amplitude = np.zeros(n_curves), np.zeros((3, n_rows, n_curves))
+    (mean, root), k = data.rows, mixture.structure.n_lobes
+    weight, others, residual = root**2, np.zeros((len(mean), 0, mean.shape[2])), mean
+    if k:
+        problem = MixtureProblem(data, mixture.structure)
+        others = problem.curves(mixture.unknowns)
+        residual = mean - problem.values(mixture.unknowns).transpose(1, 0, 2, 3).reshape(mean.shape)
+    sizes = dictionary.squares @ weight.transpose(0, 2, 1)
+    alongs = dictionary.curves @ (weight * residual).transpose(0, 2, 1)
+    amplitude, gain = np.maximum(alongs, 0.0) / np.where(sizes > 0.0, sizes, np.inf), np.zeros(sizes.shape[1])
     for channel in range(3):
-        root = np.sqrt(data.weight[channel].reshape(n_rows, 1, -1))
-        target = residual[channel].reshape(n_rows, 1, -1) * root
-        known, new = np.split(rows * root, [len(others)], axis=1)
-        known = known / (np.linalg.norm(known, axis=2, keepdims=True) + _TINY)
-        size, along = np.sum(new**2, axis=2), np.sum(new * target, axis=2)
-        amplitude[channel] = np.maximum(along, 0.0) / np.where(size > 0.0, size, np.inf)
-        square = known @ known.transpose(0, 2, 1) + _RIDGE * np.eye(len(others))
-        shared = known @ new.transpose(0, 2, 1)
-        answer = np.linalg.solve(square, np.concatenate([shared, known @ target.transpose(0, 2, 1)], axis=2))
-        along = along - np.sum(shared * answer[..., -1:], axis=1)
-        left = np.maximum(size - np.sum(shared * answer[..., :-1], axis=1), _RIDGE**2 * size + _TINY)
+        known = others * root[:, channel, None]
+        norm = np.linalg.norm(known, axis=2, keepdims=True) + _TINY
+        known /= norm
+        target = known @ (root * residual)[:, channel, :, None]
+        known_new = (known * root[:, channel, None]) @ dictionary.curves.transpose(0, 2, 1)
+        square = known @ known.transpose(0, 2, 1) + _RIDGE * np.eye(k)
+        answer = np.linalg.solve(square, np.concatenate([known_new, target], axis=2))
+        size = sizes[..., channel]
+        along = alongs[..., channel] - np.sum(known_new * answer[..., -1:], axis=1)
+        left = np.maximum(size - np.sum(known_new * answer[..., :-1], axis=1), _RIDGE**2 * size + _TINY)
         gain += np.sum(np.maximum(along, 0.0) ** 2 / left, axis=0)
-    return gain, amplitude
+    return gain, amplitude.transpose(1, 2, 0)
 
 
 def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: Array) -> Mixture:
