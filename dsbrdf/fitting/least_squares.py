@@ -35,6 +35,7 @@ from dsbrdf.model.splines import roughness
 
 SMOOTHING = (1e-7, 3e-6, 1e-6)
 """Pull on second differences of log amplitudes, shapes and elongations, as a share of the squared signal."""
+_SAMPLES_AT_ONCE = 2400
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-2, 1e8
 _LIMIT_PASSES = 5
@@ -98,6 +99,34 @@ class FitData:
         squared, shape = np.tan(self.theta_half)[..., None] ** 2, (len(self.theta_diff), 1, -1)
         return (squared * self.cos2_phi).reshape(shape), (squared * (1.0 - self.cos2_phi)).reshape(shape)
 
+    @cached_property
+    def slices(self) -> list[slice]:
+        """The rows, so few at a time that what is found of them stays in a processor's cache."""
+        size = max(1, _SAMPLES_AT_ONCE // self.cos2_phi[0].size)
+        return [slice(start, start + size) for start in range(0, len(self.theta_diff), size)]
+
+    @cached_property
+    def blocks(self) -> list["Block"]:
+        """The rows of each slice, without samples that count in none of them."""
+        counts = self.rows[1].any(axis=1)
+        order, most, blocks = np.argsort(~counts, axis=1, kind="stable"), counts.sum(axis=1), []
+        for rows in self.slices:
+            chosen = order[rows, None, : most[rows].max()]
+            arrays = (np.take_along_axis(array[rows], chosen, axis=2) for array in (*self.rows, *self.squared_tangents))
+            blocks.append(Block(rows, *arrays))
+        return blocks
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Neighbouring rows, and at least those of their samples that have a weight."""
+
+    rows: slice  # which of all rows
+    mean: Array  # (r, 3, n)
+    root: Array  # square root of the weight, (r, 3, n)
+    along: Array  # tan(theta_half)**2 cos(phi_diff)**2, (r, 1, n)
+    across: Array  # tan(theta_half)**2 sin(phi_diff)**2, (r, 1, n)
+
 
 @dataclass(frozen=True, eq=False)
 class Prior:
@@ -128,45 +157,56 @@ class MixtureProblem:
 
     def values(self, unknowns: Array) -> Array:
         """Values of the mixture, shape (3, R, N, P) [1/sr]."""
-        amplitude, curves, _ = self._lobes(unknowns)
-        return (amplitude @ curves).transpose(1, 0, 2).reshape(self.data.mean.shape[:1] + self.data.cos2_phi.shape)
+        parameters = self.structure.row_parameters(self.bases, unknowns)
+        values = np.empty((len(parameters[0]), 3, self.data.cos2_phi[0].size))
+        along, across = self.data.squared_tangents
+        for rows in self.data.slices:
+            np.matmul(
+                parameters[0][rows], self._lobes(parameters, rows, along[rows], across[rows])[0], out=values[rows]
+            )
+        return values.transpose(1, 0, 2).reshape(3, *self.data.cos2_phi.shape)
 
     def curves(self, unknowns: Array) -> Array:
         """Values of the lobes at height 1, shape (R, K, N * P)."""
-        return self._lobes(unknowns)[1]
+        parameters = self.structure.row_parameters(self.bases, unknowns)
+        return self._lobes(parameters, slice(None), *self.data.squared_tangents)[0]
 
     def evaluate(self, unknowns: Array) -> "Evaluation":
         """Cost, and what its derivatives are put together from."""
-        mean, root = self.data.rows
-        amplitude, curves, kinds = self._lobes(unknowns)
-        residual = amplitude @ curves
-        residual -= mean
-        residual *= root
+        parameters = self.structure.row_parameters(self.bases, unknowns)
         off = unknowns if self._prior is None else unknowns - self._prior.target
-        pull = self._pull(off)
-        cost = float(np.vdot(residual, residual) + off @ pull)
-        return Evaluation(unknowns, cost, amplitude, curves, kinds, residual, pull)
+        pull, parts = self._pull(off), []
+        cost = float(off @ pull)
+        for block in self.data.blocks:
+            curves, kinds = self._lobes(parameters, block.rows, block.along, block.across)
+            residual = parameters[0][block.rows] @ curves
+            residual -= block.mean
+            residual *= block.root
+            cost += float(np.vdot(residual, residual))
+            parts.append((block, curves, kinds, residual))
+        return Evaluation(unknowns, cost, parameters[0], parts, pull)
 
     def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
         """Lower triangle of the Gauss-Newton matrix (U, U), and half the gradient (U,) of the cost."""
-        k, n_rows, count = self.structure.n_lobes, len(at.residual), self._lobe_of.size
-        columns = [(slice(0, k), at.curves), *(column for kind in at.kinds for column in self._slopes(kind))]
-        weighted = np.empty((n_rows, count, at.residual.shape[2]))
+        k, n_rows, count = self.structure.n_lobes, len(at.amplitude), self._lobe_of.size
         products, slopes = np.empty((n_rows, 3, count, count)), np.empty((n_rows, 3, count, 1))
-        for channel in range(3):
-            root = self.data.rows[1][:, channel, None]
-            for place, values in columns:
-                np.multiply(values, root, out=weighted[:, place])
-            np.matmul(weighted, weighted.transpose(0, 2, 1), out=products[:, channel])
-            np.matmul(weighted, at.residual[:, channel, :, None], out=slopes[:, channel])
+        for block, curves, kinds, residual in at.parts:
+            columns = [(slice(0, k), curves), *(column for kind in kinds for column in self._slopes(block, kind))]
+            weighted = np.empty((len(curves), count, curves.shape[2]))
+            for channel in range(3):
+                root = block.root[:, channel, None]
+                for place, values in columns:
+                    np.multiply(values, root, out=weighted[:, place])
+                np.matmul(weighted, weighted.transpose(0, 2, 1), out=products[block.rows, channel])
+                np.matmul(weighted, residual[:, channel, :, None], out=slopes[block.rows, channel])
         scale = at.amplitude[:, :, self._lobe_of]
         products *= scale[..., None]
         products *= scale[..., None, :]
         matrix, gradient = self._assemble(products, slopes[..., 0] * scale)
         self.structure.chain(at.unknowns, matrix, gradient)
         for part, pull in zip(self.structure.parts, self._pulls, strict=True):
-            block = matrix[part, part].reshape(len(pull), -1, len(pull), (part.stop - part.start) // len(pull))
-            np.einsum("dpep->dep", block)[...] += pull[:, :, None]
+            square = matrix[part, part].reshape(len(pull), -1, len(pull), (part.stop - part.start) // len(pull))
+            np.einsum("dpep->dep", square)[...] += pull[:, :, None]
         if self._prior is not None:
             matrix += self.data.signal * self._prior.matrix
         return matrix, gradient + at.pull
@@ -201,12 +241,13 @@ class MixtureProblem:
         pull = np.concatenate([(matrix @ part).ravel() for matrix, part in parts])
         return pull if self._prior is None else pull + self.data.signal * (self._prior.matrix @ off)
 
-    def _lobes(self, unknowns: Array) -> tuple[Array, Array, list["_Kind"]]:
-        """Amplitude (R, 3, K), lobes of height 1 (R, K, N * P), and what those of each kind are made of."""
-        amplitude, shape, elongation = self.structure.row_parameters(self.bases, unknowns)
+    def _lobes(
+        self, parameters: tuple[Array, Array, Array], rows: slice, along: Array, across: Array
+    ) -> tuple[Array, list["_Kind"]]:
+        """Lobes of height 1 (r, K, n) in some rows, and what those of each kind are made of."""
+        shape, elongation = parameters[1][rows], parameters[2][rows]
         k, centered = self.structure.n_lobes, self.structure.n_lobes - self.structure.n_rings
-        along, across = self.data.squared_tangents
-        ratio = np.exp(elongation[..., None] * self._log_cos)
+        ratio = np.exp(elongation[..., None] * self._log_cos[rows])
         kappa, gamma = np.exp(shape[:, :k, None]), np.exp(shape[:, k : 2 * k, None])
         curves, kinds = [], []
         for part, center in ((slice(0, centered), None), (slice(centered, k), shape[:, 2 * k :, None])):
@@ -215,14 +256,14 @@ class MixtureProblem:
                 values, slopes = lobe_curves(near + far, kappa[:, part], gamma[:, part], center, self.structure.family)
                 curves.append(values)
                 kinds.append(_Kind(part, slopes, near, far))
-        return amplitude, curves[0] if len(curves) == 1 else np.concatenate(curves, axis=1), kinds
+        return curves[0] if len(curves) == 1 else np.concatenate(curves, axis=1), kinds
 
-    def _slopes(self, kind: "_Kind") -> list[tuple[slice, Array]]:
+    def _slopes(self, block: Block, kind: "_Kind") -> list[tuple[slice, Array]]:
         """Derivatives of lobes in the parameters that channels share, and which of all columns they are."""
         k, found = self.structure.n_lobes, kind.slopes()
         start, stop, end = kind.part.start, kind.part.stop, 3 * k + self.structure.n_rings
         by_elongation = kind.far - kind.near
-        by_elongation *= self._log_cos
+        by_elongation *= self._log_cos[block.rows]
         by_elongation *= found.by_squared_tangent
         columns = [
             (slice(k + start, k + stop), found.by_log_kappa),
@@ -249,9 +290,7 @@ class Evaluation:
     unknowns: Array  # (U,)
     cost: float  # weighted squared error plus the pull towards smooth parameters
     amplitude: Array  # (R, 3, K)
-    curves: Array  # lobes of height 1 (R, K, N * P)
-    kinds: list[_Kind]
-    residual: Array  # mixture less data, times the square root of the weight, (R, 3, N * P)
+    parts: list[tuple[Block, Array, list[_Kind], Array]]  # of each block lobes (r, K, n), weighted residual (r, 3, n)
     pull: Array  # half the gradient of the pull (U,)
 
 
