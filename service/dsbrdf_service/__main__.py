@@ -181,7 +181,7 @@ def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
     for fault in error.errors():
         name = str(fault["loc"][0])
         written = f"--{name.replace('_', '-')}" if name in given else f"DSBRDF_{name.upper()}"
-        faults.append({**fault, "loc": (written,), "msg": f"{fault['msg']}, not {str(fault['input'])[:60]!r}"})
+        faults.append({**fault, "loc": (written,)})
     return validation_sentence(faults)
 
 

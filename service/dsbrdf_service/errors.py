@@ -16,7 +16,7 @@ _PLAIN_WORDS = {  # for what pydantic says
     r"^Invalid JSON: ": "The body is not JSON: ",
     "greater than or equal to": "at least",
     "less than or equal to": "at most",
-    r"a valid array\b": "a list",
+    r"a valid (array|list)\b": "a list",
     r"a valid boolean\b": "true or false",
     r"a valid integer\b": "a whole number",
     r"a valid string\b": "a text",
@@ -101,11 +101,13 @@ def plain_words(message: str) -> str:
 
 
 def validation_sentence(errors: Sequence[Mapping[str, Any]]) -> str:
-    """Return pydantic's list of errors as one sentence."""
+    """Return pydantic's list of errors as one sentence, with what was given instead."""
     parts = []
     for error in errors[:3]:
         place = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "path"))
         message = plain_words(error["msg"])
+        if isinstance(error["input"], str | int | float) and message.startswith("must "):
+            message += f", not {repr(error['input'])[:60]}"
         if message.startswith(("must ", "is ")):
             parts.append(f"{place or 'The body'} {message}")
         else:

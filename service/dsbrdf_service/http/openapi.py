@@ -13,8 +13,8 @@ from dsbrdf import DSBRDF
 from dsbrdf.output.serialize import model_to_dict
 
 from ..wire.fit_options import DEFAULTS
-from ..wire.inputs import AnglesRequest, DirectionsRequest, FitRequest, NewName, SidesRequest
-from ..wire.points import JSON
+from ..wire.inputs import FitRequest, NewName
+from ..wire.points import FORMS, JSON
 from ..wire.schemas import MeasurementDetails, Problem, Progress
 from . import problems as table
 from .request_log import HEALTH
@@ -25,8 +25,7 @@ Responses = dict[int | str, dict[str, Any]]
 
 _REFERENCE = "#/components/schemas/{model}"
 # FastAPI does not find these itself.
-POINTS: tuple[type[BaseModel], ...] = (AnglesRequest, SidesRequest, DirectionsRequest)
-_REFERENCED: tuple[type[BaseModel], ...] = (Problem, FitRequest, NewName, *POINTS, MeasurementDetails, Progress)
+_REFERENCED: tuple[type[BaseModel], ...] = (Problem, FitRequest, NewName, *FORMS, MeasurementDetails, Progress)
 _KEY = {
     "type": "http",
     "scheme": "bearer",

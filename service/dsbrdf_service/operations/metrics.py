@@ -18,7 +18,7 @@ from prometheus_client.registry import Collector
 from ..storage.database import Database
 from ..storage.schema import Status
 
-Stage = Literal["upload", "waiting", "fitting", "evaluating"]
+Stage = Literal["upload", "waiting", "fitting"]
 
 NO_ROUTE = "unknown"
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))

@@ -3,7 +3,6 @@
 from functools import partial
 from io import BytesIO
 from typing import Annotated, Any
-from urllib.parse import parse_qsl
 
 import numpy as np
 from fastapi import APIRouter, Path, Request
@@ -14,34 +13,17 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 
-from ..access.authentication import CALLER_NAME
+from ..access.authentication import CALLER, CALLER_NAME
+from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
 from ..http.responses import prefers, tagged_reply
-from ..jobs.results import LoadedFit
 from ..jobs.steps import StoredMeasurement, measured_step
-from ..operations.metrics import Metrics
 from ..storage.schema import FitKey
-from ..wire.points import (
-    ANGLES,
-    DIRECTIONS,
-    JSON,
-    NPY,
-    PHI_DIFF,
-    SIDES,
-    TURNS,
-    Array,
-    Points,
-    batch_step,
-    check_count,
-    from_json,
-    from_npy,
-    from_query,
-)
+from ..wire.points import FORMS, JSON, NPY, Points, batch_step, from_json, from_npy, from_query
 from ..wire.schemas import ComponentList, MeasuredValues, Values
 from .dependencies import (
     NO_QUERY,
@@ -50,9 +32,7 @@ from .dependencies import (
     TheFit,
     TheLoadedFit,
     TheMeasurement,
-    caller_of,
     context_of,
-    fit_key,
     no_query,
 )
 
@@ -70,10 +50,8 @@ class _DirectRoute(APIRoute):
 
     async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         request, parameters = Request(scope, receive, send), scope["path_params"]
-        context, caller = await context_of(request), await caller_of(request)
-        fit = await fit_key(caller, parameters["fit_id"])
-        labels = {"label": parameters["label"]} if "label" in parameters else {}
-        response: Response = await self.endpoint(request, context, fit, **labels)
+        context, fit = await context_of(request), FitKey(scope[CALLER].owner, parameters.pop("fit_id"))
+        response: Response = await self.endpoint(request, context, fit, **parameters)
         await response(scope, receive, send)
 
 
@@ -88,35 +66,35 @@ Label = Annotated[
 _MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
 _BLOCK = 4096  # points that are evaluated at a time
 _MAX_BODY = 16_000_000  # bytes: a hundred thousand pairs of directions as JSON, with all digits
+_MAX_POINTS = 100_000
 _MUCH_JSON = 1 << 20  # bytes that are read in some 50 ms, in which no other thread runs
 
 
-def _point_parameter(name: str, description: str, items: dict[str, Any], **example: Any) -> dict[str, Any]:
-    schema = {"type": "array", "items": items}
-    return {"name": name, "in": "query", "explode": True, "description": description, "schema": schema, **example}
+def _query_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return a member of a document of points as a parameter of a query, which repeats for several points."""
+    several = schema.get("anyOf", [schema])[0]
+    is_vector = several["items"]["type"] == "array"
+    described = {
+        "description": schema.get("description", "Angles in degrees") + (", as x,y,z" * is_vector),
+        "schema": {"type": "array", "items": _VECTOR if is_vector else several["items"]},
+    }
+    example = {"example": schema["examples"][0]} if "examples" in schema else {}
+    return {"name": name, "in": "query", "explode": True, **described, **example}
 
 
-_ANGLE = {"type": "number", "minimum": 0, "maximum": 90}
 _VECTOR = {"type": "string", "pattern": r"^[^,]+,[^,]+,[^,]+$"}
-_IN_DEGREES = "Angles in degrees; repeat for several points."
-_TO_NORMAL = "Angles to the normal in degrees, instead of half and difference angles; repeat for several points."
-_ABOUT_NORMAL = f"{_IN_DEGREES} Where they are left out, 0 of omega_in and 180, the other side, of omega_out."
-_UNIT_VECTORS = "Unit vectors x,y,z; repeat for several points. Values are 0 where one is below the horizon (z < 0)."
 _QUERY = {
     "parameters": [
-        _point_parameter(ANGLES[0], _IN_DEGREES, _ANGLE, example=[10]),
-        _point_parameter(ANGLES[1], _IN_DEGREES, _ANGLE, example=[30]),
-        _point_parameter(PHI_DIFF, f"{_IN_DEGREES} 90 where it is left out.", {"type": "number"}, example=[90]),
-        *(_point_parameter(name, _TO_NORMAL, _ANGLE) for name in SIDES),
-        *(_point_parameter(name, _ABOUT_NORMAL, {"type": "number"}) for name in TURNS),
-        *(_point_parameter(name, _UNIT_VECTORS, _VECTOR) for name in DIRECTIONS),
+        _query_parameter(name, schema)
+        for form in FORMS
+        for name, schema in form.model_json_schema()["properties"].items()
     ]
 }
 _BATCH = openapi.body(
     "Points, in degrees or as unit vectors.",
     {
         JSON: {
-            "schema": {"oneOf": [openapi.reference(kind) for kind in openapi.POINTS]},
+            "schema": {"oneOf": [openapi.reference(form) for form in FORMS]},
             "examples": openapi.EXAMPLE_POINTS,
         },
         NPY: openapi.file(NPY),
@@ -134,13 +112,13 @@ _post = partial(router.post, response_model=Values, responses=_POST_RESPONSES, o
 @_get("/brdf", summary="Values at some points")
 async def get_values(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the fit's values; parameters repeat for several points."""
-    return await _values_of_query(request, context, fit, None)
+    return await _values(request, context, fit, None)
 
 
 @_get("/components/{label}/brdf", summary="A component's values at some points")
 async def get_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
     """Return one component's values; those of all components add up to the fit's. One without light is not found."""
-    return await _values_of_query(request, context, fit, label)
+    return await _values(request, context, fit, label)
 
 
 @_post("/brdf", summary="Values at many points")
@@ -151,13 +129,13 @@ async def post_values(request: Request, context: TheContext, fit: TheFit) -> Res
     or (n, 6) or (n, 2, 3) directions. The answer is (n, 3) float64, 0 where a direction is below the horizon.
     A request has at most 100,000 points.
     """
-    return await _values_of_batch(request, context, fit, None)
+    return await _values(request, context, fit, None)
 
 
 @_post("/components/{label}/brdf", summary="A component's values at many points")
 async def post_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
     """Return one component's values at a batch of points, as for the whole fit."""
-    return await _values_of_batch(request, context, fit, label)
+    return await _values(request, context, fit, label)
 
 
 @measured.get(
@@ -168,8 +146,7 @@ async def get_measured_values(request: Request, context: TheContext, stored: The
 
     A value is null where no node beside it was measured, as below the horizon.
     """
-    points = from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
-    return await _measured_reply(request, context, stored, points, JSON)
+    return await _measured_values(request, context, stored)
 
 
 @measured.post(
@@ -181,9 +158,7 @@ async def get_measured_values(request: Request, context: TheContext, stored: The
 )
 async def post_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
     """Return the measurement's own values at a batch of points, as for a fit; NaN in .npy stands for null."""
-    await no_query(request)
-    media_type = NPY if prefers(request, NPY, JSON) else JSON
-    return await _measured_reply(request, context, stored, await _batch(request, context), media_type)
+    return await _measured_values(request, context, stored)
 
 
 @components.get(
@@ -201,64 +176,50 @@ async def get_components(request: Request, fit: TheLoadedFit) -> Response:
     return tagged_reply(request, ComponentList.model_validate({"items": fit.components}))
 
 
-async def _values_of_query(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
-    loaded = await _loaded(context, fit, label)
-    points = from_query(parse_qsl(request.scope["query_string"].decode("latin-1"), keep_blank_values=True))
-    return await _reply(request, context, loaded.part(label), points, JSON)
+async def _values(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
+    """Return the values of a fit or of a component: a few at once, more in a turn.
+
+    What is wrong with the fit goes before what is wrong with the points.
+    """
+    loaded = await context.models.get(fit)
+    points, media_type = await _points(request, context)
+    model = loaded.part(label)
+    if len(points) <= _MAX_INLINE and media_type == JSON:
+        return Response(to_json({"values": points.values(model).tolist()}), media_type=JSON)
+    compute = partial(_content, model, points, media_type)
+    return Response(await context.computations.run(request, object(), compute), media_type=media_type)
 
 
-async def _values_of_batch(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
-    await no_query(request)
-    media_type = NPY if prefers(request, NPY, JSON) else JSON
-    loaded = await _loaded(context, fit, label)
-    points = await _batch(request, context)
-    return await _reply(request, context, loaded.part(label), points, media_type)
-
-
-async def _measured_reply(
-    request: Request, context: Context, stored: StoredMeasurement, points: Points, media_type: str
-) -> Response:
+async def _measured_values(request: Request, context: Context, stored: StoredMeasurement) -> Response:
     """Return a measurement's values, which a process of its own interpolates."""
+    points, media_type = await _points(request, context)
     angles = points.theta_half, points.theta_diff, points.phi_diff
-    head = {"Content-Type": media_type}
     values = await context.in_process(request, object(), measured_step, stored, *angles)
     if media_type == NPY:
-        return Response(_npy_head(len(points)) + values.tobytes(), 200, head)
+        return Response(_npy_head(len(points)) + values.tobytes(), media_type=NPY)
     triples = [None if np.isnan(triple[0]) else triple for triple in values.tolist()]
-    return Response(await run_in_threadpool(to_json, {"values": triples}), 200, head)
+    return Response(await run_in_threadpool(to_json, {"values": triples}), media_type=JSON)
 
 
-async def _loaded(context: Context, fit: FitKey, label: str | None) -> LoadedFit:
-    """Return a fit; raise what is wrong with it or with the label, which goes before what is wrong with the points."""
-    loaded = await context.models.get(fit)
-    if label is not None and label not in LABELS:
-        raise InvalidArgumentError(f"The component must be one of {', '.join(LABELS)}, not {label[:40]!r}.")
-    return loaded
+async def _points(request: Request, context: Context) -> tuple[Points, str]:
+    """Return the points of a query or a body, and the media type of the answer.
 
-
-async def _reply(
-    request: Request, context: Context, model: ReflectanceModel, points: Points, media_type: str
-) -> Response:
-    """Return the values of a model: a few at once, more in a turn."""
-    compute = partial(_content, model, points, media_type, context.metrics)
-    if len(points) <= _MAX_INLINE:
-        return Response(compute(), 200, media_type=media_type)
-    content = await context.computations.run(request, object(), compute)
-    return Response(content, 200, media_type=media_type)
-
-
-async def _batch(request: Request, context: Context) -> Points:
-    """Return the points in the body; many of them are read in a turn, and much JSON in a process of its own."""
+    Many points are read in a turn, and much JSON in a process of its own.
+    """
+    if request.method == "GET":
+        return from_query(request.scope["query_string"]), JSON
+    await no_query(request)
     media_type = media_type_of(request, JSON, NPY)
     async with context.bodies.received(request, _MAX_BODY, request.scope[CALLER_NAME]) as body:
-        if media_type == NPY:
-            return await context.computations.run(request, object(), partial(from_npy, body))
-        if len(body) <= _MUCH_JSON:
-            points = await context.computations.run(request, object(), partial(from_json, body))
-        else:
+        if len(body) > _MUCH_JSON and media_type == JSON:
             points = await context.computations.run_in_process(request, object(), batch_step, body)
-    check_count(len(points))
-    return points
+        else:
+            read = from_npy if media_type == NPY else from_json
+            points = await context.computations.run(request, object(), partial(read, body))
+    if len(points) > _MAX_POINTS:
+        detail = f"{len(points)} points are more than the {_MAX_POINTS} that one request may have."
+        raise ProblemError("too-large", detail)
+    return points, NPY if prefers(request, NPY, JSON) else JSON
 
 
 def _npy_head(n_points: int) -> bytes:
@@ -267,18 +228,13 @@ def _npy_head(n_points: int) -> bytes:
     return header.getvalue()
 
 
-def _json_triples(values: Array) -> bytes:
-    """Return triples as JSON; pydantic's encoder takes a ninth of the time of Python's, and all other threads wait."""
-    if not np.isfinite(values).all():
-        raise ValueError("JSON has no infinity, and no value of a model may be infinite")
-    return to_json(values.tolist())[1:-1]
+def _content(model: ReflectanceModel, points: Points, media_type: str) -> bytes:
+    """Return a model's values as .npy or JSON, computed in blocks so that other threads have their turn.
 
-
-def _content(model: ReflectanceModel, points: Points, media_type: str, metrics: Metrics) -> bytes:
-    """Return a model's values as .npy or JSON, computed in blocks so that other threads have their turn."""
-    with metrics.timing("evaluating"):
-        blocks = [slice(start, start + _BLOCK) for start in range(0, len(points), _BLOCK)]
-        values = (points.part(block).values(model) for block in blocks)
-        if media_type == NPY:
-            return b"".join((_npy_head(len(points)), *(block.tobytes() for block in values)))
-        return b'{"values":[%b]}' % b",".join(map(_json_triples, values))
+    pydantic's encoder takes a ninth of the time of Python's, and all other threads wait for it.
+    """
+    blocks = [slice(start, start + _BLOCK) for start in range(0, len(points), _BLOCK)]
+    values = (points.part(block).values(model) for block in blocks)
+    if media_type == NPY:
+        return b"".join((_npy_head(len(points)), *(block.tobytes() for block in values)))
+    return b'{"values":[%b]}' % b",".join(to_json(block.tolist())[1:-1] for block in values)

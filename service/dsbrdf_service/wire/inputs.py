@@ -29,26 +29,39 @@ from dsbrdf.output.export import FORMATS, LAYERS, PARTS
 from ..errors import validation_sentence
 from .fit_options import DEFAULTS
 from .names import MAX_LENGTH
-from .numbers import check_plain
 
+_Given = TypeVar("_Given")
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"
-Plain = BeforeValidator(check_plain)
-"""Stands after the limits of a number in a query or a path, and refuses what only Python reads as one: 1_000."""
-Number = Annotated[float, Field(allow_inf_nan=False)]
 Label = Literal[*LABELS]  # type: ignore[valid-type]
 _Component = Annotated[Label | None, Field(description="One component instead of the whole fit.")]
-Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
-_NUMBER: dict[str, Any] = {"type": "number"}
-Angles = Annotated[
-    list[Number],
-    BeforeValidator(lambda given: [given] if isinstance(given, int | float) else given),
-    WithJsonSchema({"anyOf": [{"type": "array", "items": _NUMBER}, _NUMBER]}),
+
+
+def _check_plain(text: _Given) -> _Given:
+    """Return what is given; raise ValueError if it is a text that only Python takes for a number."""
+    if isinstance(text, str) and ("_" in text or not text.isascii()):
+        raise ValueError(f"{text[:40]!r} is no number")
+    return text
+
+
+def _or_one(schema: dict[str, Any]) -> None:
+    """Add to the schema of a list that one of its items may stand for it."""
+    schema["anyOf"] = [{"type": schema.pop("type"), "items": schema["items"]}, schema.pop("items")]
+
+
+Plain = BeforeValidator(_check_plain)
+"""Stands after the limits of a number in a query or a path, and refuses what only Python reads as one: 1_000."""
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+_Angle = Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)]
+_Angles = Annotated[list[_Angle], Field(json_schema_extra=_or_one)]
+_Turns = Annotated[list[_Number], Field(json_schema_extra=_or_one)]
+_Vectors = Annotated[
+    list[Annotated[list[_Number], Field(min_length=3, max_length=3)]],
+    Field(description="Unit vectors; values are 0 where one is below the horizon (z < 0)."),
 ]
-"""Angles of all points, or one that counts for all."""
 
 
-class _Input(BaseModel):
+class Input(BaseModel):
     """A document that clients send: what it does not know is an error, not ignored."""
 
     model_config = ConfigDict(extra="forbid")
@@ -56,12 +69,9 @@ class _Input(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _refuse_unknown_members(cls, given: Any) -> Any:
-        unknown = [] if not isinstance(given, dict) else [name for name in given if name not in cls.model_fields]
-        if unknown:
-            known = ", ".join(cls.model_fields)
-            raise PydanticCustomError(
-                "unknown", "Unknown {name}; known are {known}", {"name": repr(str(unknown[0])[:60]), "known": known}
-            )
+        if isinstance(given, dict) and (unknown := given.keys() - cls.model_fields.keys()):
+            told = {"name": repr(str(min(unknown))[:60]), "known": ", ".join(cls.model_fields)}
+            raise PydanticCustomError("unknown", "Unknown {name}; known are {known}", told)
         return given
 
 
@@ -89,53 +99,53 @@ Options = Annotated[dict[str, Any], WithJsonSchema(OPTIONS_SCHEMA)]
 _Document = TypeVar("_Document", bound=BaseModel)
 
 
-def parse_document(kind: type[_Document], body: bytes, *, strict: bool = False) -> _Document:
+def parse_document(kind: type[_Document], body: bytes) -> _Document:
     """Return the document of a JSON body.
 
     Raises InvalidArgumentError if the body is not such a document.
     """
     try:
-        return kind.model_validate_json(body, strict=strict)
+        return kind.model_validate_json(body)
     except ValidationError as error:
         raise InvalidArgumentError(validation_sentence(error.errors())) from None
 
 
-class FitRequest(_Input):
+class FitRequest(Input):
     """A fit of a stored measurement."""
 
     measurement: Annotated[str, Field(pattern=SHA256, description="The measurement's sha256.")]
     options: Options = {}
 
 
-class AnglesRequest(_Input):
-    """Points by half and difference angles; a number counts for all points."""
+class AnglesRequest(Input):
+    """Points by half and difference angles in degrees; one angle counts for all points."""
 
-    theta_half_deg: Angles
-    theta_diff_deg: Angles
+    theta_half_deg: Annotated[_Angles, Field(examples=[[10]])]
+    theta_diff_deg: Annotated[_Angles, Field(examples=[[30]])]
     phi_diff_deg: Annotated[
-        Angles | None, Field(description="90 where it is left out: both directions at one angle to the normal.")
-    ] = None
+        _Turns, Field(description="90 where it is left out: both directions at one angle to the normal.")
+    ] = [90.0]
 
 
-class SidesRequest(_Input):
-    """Points by the angles of both directions to the normal, and about it; a number counts for all points."""
+class SidesRequest(Input):
+    """Points by the angles of both directions to the normal, and about it, in degrees; one counts for all points."""
 
-    theta_in_deg: Angles
-    theta_out_deg: Angles
-    phi_in_deg: Angles = [0.0]
-    phi_out_deg: Annotated[Angles, Field(description="180, the side of the mirror direction, where left out.")] = [
+    theta_in_deg: _Angles
+    theta_out_deg: _Angles
+    phi_in_deg: _Turns = [0.0]
+    phi_out_deg: Annotated[_Turns, Field(description="180, the side of the mirror direction, where left out.")] = [
         180.0
     ]
 
 
-class DirectionsRequest(_Input):
+class DirectionsRequest(Input):
     """Points by pairs of unit vectors; the surface's normal is (0, 0, 1)."""
 
-    omega_in: list[Vector]
-    omega_out: list[Vector]
+    omega_in: _Vectors
+    omega_out: _Vectors
 
 
-class Page(_Input):
+class Page(Input):
     """Which part of a list."""
 
     limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer."), Plain] = 50
@@ -150,7 +160,7 @@ class Page(_Input):
         return None if self.cursor is None else int(self.cursor)
 
 
-class Waiting(_Input):
+class Waiting(Input):
     """How long to wait for a fit."""
 
     wait: Annotated[
@@ -160,7 +170,7 @@ class Waiting(_Input):
     ] = 0.0
 
 
-class Removal(_Input):
+class Removal(Input):
     """What a DELETE of a fit is to do."""
 
     only: Annotated[
@@ -169,7 +179,7 @@ class Removal(_Input):
     ] = None
 
 
-class Export(_Input):
+class Export(Input):
     """What to export."""
 
     format: Annotated[
@@ -189,7 +199,7 @@ class Export(_Input):
     sampling: Annotated[bool, Field(description="Add functions to `glsl` that draw directions.")] = False
 
 
-class Picture(_Input):
+class Picture(Input):
     """How large to draw."""
 
     size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side."), Plain] = 128
@@ -216,13 +226,13 @@ class FitSphere(Sphere):
     component: _Component = None
 
 
-class Figure(_Input):
+class Figure(Input):
     """How to draw a figure."""
 
     dark: Annotated[bool, Field(description="For a dark background.")] = False
 
 
-class NewName(_Input):
+class NewName(Input):
     """Another name of a fit, or none."""
 
     name: Annotated[str | None, Field(max_length=MAX_LENGTH, description="null takes the name away.")]

@@ -1,37 +1,34 @@
-"""Points at which a model is evaluated: half and difference angles, or pairs of directions, as text or arrays."""
+"""Points at which values are wanted: angles or directions, in a query, as JSON or as an array.
+
+What they become are half and difference angles.
+"""
 
 import math
-import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
+from urllib.parse import parse_qsl
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
+from pydantic import ValidationError
+from pydantic_core import from_json as parsed
 
 from dsbrdf import InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference, spherical
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.model.reflectance import ReflectanceModel
 
-from ..errors import ProblemError
-from .inputs import AnglesRequest, DirectionsRequest, SidesRequest, parse_document
-from .numbers import number_of
+from ..errors import validation_sentence
+from .inputs import AnglesRequest, DirectionsRequest, Input, SidesRequest
 
 Array = NDArray[np.float64]
 
-ANGLES = ("theta_half_deg", "theta_diff_deg")
-PHI_DIFF = "phi_diff_deg"
-SIDES = ("theta_in_deg", "theta_out_deg")
-TURNS = ("phi_in_deg", "phi_out_deg")
-DIRECTIONS = ("omega_in", "omega_out")
 JSON = "application/json"
 NPY = "application/x-npy"
-_FORMS: dict[tuple[str, str], tuple[str, ...]] = {ANGLES: (PHI_DIFF,), SIDES: TURNS, DIRECTIONS: ()}
-"""Pairs of names by which points are given, and what may be left out beside them."""
-_KNOWN = tuple(name for pair, others in _FORMS.items() for name in (*pair, *others))
+_DIRECTIONS = tuple(DirectionsRequest.model_fields)
 _LONGEST_NPY_HEADER = 1024
 _NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
 _POINTS = (
@@ -39,11 +36,6 @@ _POINTS = (
 )
 _PANORAMA = "(rows, 2 rows, 3), linear RGB of 360 by 180 degrees"
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
-_CHOICE = f"give {', or '.join(' and '.join(pair) for pair in _FORMS)}, once for each point"
-_STARTS_WITH_DIRECTIONS = re.compile(rb'\s*\{\s*"omega_')
-_STARTS_WITH_SIDES = re.compile(rb'\s*\{\s*"(theta|phi)_(in|out)_')
-MAX_POINTS = 100_000
-"""Points of one request."""
 
 
 @dataclass(frozen=True)
@@ -66,71 +58,35 @@ class Points:
         return Points(self.theta_half[block], self.theta_diff[block], self.phi_diff[block])
 
 
-def from_query(parameters: Iterable[tuple[str, str]]) -> Points:
-    """Return the points of a query, from its names and values; a name occurs once for each point.
+_CHOICE = "give theta_half_deg and theta_diff_deg, or theta_in_deg and theta_out_deg, or omega_in and omega_out"
+
+
+def from_query(query: bytes) -> Points:
+    """Return the points of a query; a name occurs once for each point.
 
     Raises InvalidArgumentError: with one sentence that says what is wrong and what would be right.
     """
-    given: dict[str, list[str]] = {}
-    for name, text in parameters:
-        if name not in _KNOWN:
-            raise InvalidArgumentError(f"Unknown query parameter {name[:60]!r}; known are {', '.join(_KNOWN)}.")
-        given.setdefault(name, []).append(text)
-    pair = _pair(given)
-    if pair == DIRECTIONS:
-        first, second = ([_vector(name, text) for text in given[name]] for name in pair)
-        return from_directions(first, second)
-    columns = {name: [_angle(name, text) for text in texts] for name, texts in given.items()}
-    return from_angles(**columns) if pair == ANGLES else from_sides(**columns)
-
-
-def from_angles(
-    theta_half_deg: Sequence[float] | Array,
-    theta_diff_deg: Sequence[float] | Array,
-    phi_diff_deg: Sequence[float] | Array | None = None,
-) -> Points:
-    """Return the points of sequences of angles in degrees, equally long or of one; phi_diff is 90 where left out."""
-    columns = [_radians(ANGLES[0], theta_half_deg), _radians(ANGLES[1], theta_diff_deg)]
-    if phi_diff_deg is None:
-        theta_half, theta_diff = _broadcast(ANGLES, columns)
-        return Points(theta_half, theta_diff, np.full(len(theta_half), np.pi / 2))
-    return Points(*_broadcast((*ANGLES, PHI_DIFF), [*columns, _turn(PHI_DIFF, phi_diff_deg)]))
-
-
-def from_sides(
-    theta_in_deg: Sequence[float] | Array,
-    theta_out_deg: Sequence[float] | Array,
-    phi_in_deg: Sequence[float] | Array = (0.0,),
-    phi_out_deg: Sequence[float] | Array = (180.0,),
-) -> Points:
-    """Return the points of both directions' angles in degrees, equally long or of one; phi 0 and 180 are opposite."""
-    thetas = [_radians(name, given) for name, given in zip(SIDES, (theta_in_deg, theta_out_deg), strict=True)]
-    phis = [_turn(name, given) for name, given in zip(TURNS, (phi_in_deg, phi_out_deg), strict=True)]
-    theta_in, theta_out, phi_in, phi_out = _broadcast((*SIDES, *TURNS), [*thetas, *phis])
-    return from_directions(spherical(theta_in, phi_in), spherical(theta_out, phi_out))
-
-
-def from_directions(
-    omega_in: Sequence[Sequence[float]] | Array, omega_out: Sequence[Sequence[float]] | Array
-) -> Points:
-    """Return the points of two sequences of unit vectors, equally long or of one, on either side of the horizon."""
-    given = [np.asarray(vectors, dtype=float).reshape(-1, 3) for vectors in (omega_in, omega_out)]
-    pairs = zip(DIRECTIONS, _broadcast(DIRECTIONS, given), strict=True)
-    first, second = (check_directions(name, vectors, below_horizon=True) for name, vectors in pairs)
-    below = np.minimum(first[:, 2], second[:, 2]) < 0.0
-    return Points(*np.where(below, np.reshape(_BELOW_HORIZON, (3, 1)), half_difference(first, second)))
+    given: dict[str, list[Any]] = {}
+    for name, text in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
+        if "_" in text:  # only Python reads 1_0 as a number
+            raise InvalidArgumentError(f"{name[:40]} must be a number, not {text[:40]!r}.")
+        given.setdefault(name, []).append(text.split(",") if name in _DIRECTIONS else text)
+    return _points(given, strict=False)
 
 
 def from_json(body: bytes) -> Points:
     """Return the points of a JSON document: an `AnglesRequest`, a `SidesRequest` or a `DirectionsRequest`.
 
-    Raises InvalidArgumentError if it is none of them; the message is about the one that it begins as.
+    Raises InvalidArgumentError if it is none of them.
     """
-    if _STARTS_WITH_SIDES.match(body):
-        return from_sides(**dict(parse_document(SidesRequest, body, strict=True)))
-    if _STARTS_WITH_DIRECTIONS.match(body):
-        return from_directions(**dict(parse_document(DirectionsRequest, body, strict=True)))
-    return from_angles(**dict(parse_document(AnglesRequest, body, strict=True)))
+    try:
+        given = parsed(body)
+    except ValueError as error:
+        raise InvalidArgumentError(f"The body is not JSON: {error}.") from None
+    if not isinstance(given, dict):
+        raise InvalidArgumentError(f"The body must be an object; {_CHOICE}.")
+    several = {name: [value] if isinstance(value, int | float) else value for name, value in given.items()}
+    return _points(several, strict=True)
 
 
 def batch_step(body: bytes, _: OnProgress) -> Points:
@@ -141,22 +97,22 @@ def batch_step(body: bytes, _: OnProgress) -> Points:
 def from_npy(data: bytes) -> Points:
     """Return the points of a .npy array: (n, 2) or (n, 3) angles in degrees, or (n, 6) or (n, 2, 3) directions.
 
-    Raises InvalidArgumentError if the bytes are not such an array, ProblemError if there are too many points.
+    Raises InvalidArgumentError if the bytes are not such an array.
     """
-    array = read_npy(data, lambda shape: shape[1:] in _NPY_SHAPES, _POINTS)
-    check_count(len(array))
-    array = array.astype(np.float64)
-    if array.shape[1:] in ((2,), (3,)):
-        return from_angles(*array.T)
-    pairs = array.reshape(-1, 2, 3)
-    return from_directions(pairs[:, 0], pairs[:, 1])
-
-
-def check_count(n_points: int) -> None:
-    """Raise ProblemError if one request may not have so many points."""
-    if n_points > MAX_POINTS:
-        detail = f"{n_points} points are more than the {MAX_POINTS} that one request may have."
-        raise ProblemError("too-large", detail)
+    array = read_npy(data, lambda shape: shape[1:] in _NPY_SHAPES, _POINTS).astype(np.float64)
+    if array.shape[1:] not in ((2,), (3,)):
+        return _of_directions(omega_in=array.reshape(-1, 2, 3)[:, 0], omega_out=array.reshape(-1, 2, 3)[:, 1])
+    thetas, phi_diff = array[:, :2], array[:, 2:]
+    outside = thetas[~((thetas >= 0.0) & (thetas <= 90.0))]
+    if outside.size:
+        raise InvalidArgumentError(
+            f"theta_half and theta_diff must be from 0 to 90 degrees, not {float(outside[0])!r}."
+        )
+    if not np.isfinite(phi_diff).all():
+        raise InvalidArgumentError("phi_diff must be a finite number of degrees.")
+    return _of_angles(
+        theta_half=thetas[:, 0], theta_diff=thetas[:, 1], phi_diff=phi_diff[:, 0] if phi_diff.shape[1] else [90.0]
+    )
 
 
 def panorama_from_npy(data: bytes) -> NDArray[Any]:
@@ -185,52 +141,53 @@ def read_npy(data: bytes, allowed: Callable[[tuple[int, ...]], bool], wanted: st
     return flat.reshape(shape, order="F" if fortran_order else "C")
 
 
-def _pair(given: dict[str, list[str]]) -> tuple[str, str]:
-    """Return the two names that are given, which have to belong together."""
-    for pair, others in _FORMS.items():
-        if set(given) - set(others) == set(pair):
-            return pair
-    fault = f"has {' and '.join(given)}" if given else "names no point"
-    raise InvalidArgumentError(f"The query {fault}; {_CHOICE}.")
+def _points(given: Mapping[str, Any], *, strict: bool) -> Points:
+    """Return the points of the form whose name is given first; numbers may be texts unless it is `strict`."""
+    form = _FORM_OF.get(next(iter(given), ""))
+    if form is None:
+        raise InvalidArgumentError(f"No point is named{f' by {next(iter(given))[:60]!r}' if given else ''}; {_CHOICE}.")
+    try:
+        return _READ[form](**dict(form.model_validate(given, strict=strict)))
+    except ValidationError as error:
+        raise InvalidArgumentError(validation_sentence(error.errors())) from None
 
 
-def _broadcast(names: Sequence[str], columns: Sequence[Array]) -> Sequence[Array]:
+def _of_angles(**degrees: Any) -> Points:
+    return Points(*map(np.radians, _broadcast(degrees)))
+
+
+def _of_sides(**degrees: Any) -> Points:
+    theta_in, theta_out, phi_in, phi_out = map(np.radians, _broadcast(degrees))
+    return _of_directions(omega_in=spherical(theta_in, phi_in), omega_out=spherical(theta_out, phi_out))
+
+
+def _of_directions(**omega: Any) -> Points:
+    """Return the points of unit vectors, which may be below the horizon."""
+    given = {name: np.asarray(vectors, dtype=float).reshape(-1, 3) for name, vectors in omega.items()}
+    named = zip(given, _broadcast(given), strict=True)
+    first, second = (check_directions(name, vectors, below_horizon=True) for name, vectors in named)
+    below = np.minimum(first[:, 2], second[:, 2]) < 0.0
+    return Points(*np.where(below, np.reshape(_BELOW_HORIZON, (3, 1)), half_difference(first, second)))
+
+
+def _broadcast(columns: Mapping[str, Any]) -> Sequence[Any]:
     """Return columns of one length; a column of one value counts for all points."""
-    counts = [len(column) for column in columns]
-    if min(counts) == max(counts):
-        return columns
-    if not set(counts) <= {1, max(counts)}:
-        parts = [f"{count} values of {name}" for name, count in zip(names, counts, strict=True) if count != 1]
+    counts = set(map(len, columns.values()))
+    if len(counts) == 1:
+        return list(columns.values())
+    several = counts - {1}
+    if len(several) > 1:
+        parts = [f"{len(column)} values of {name}" for name, column in columns.items() if len(column) != 1]
         raise InvalidArgumentError(f"There are {' and '.join(parts)}; give as many of each, or one for all.")
-    return [np.broadcast_to(column, (max(counts), *column.shape[1:])) for column in columns]
+    arrays = [np.asarray(column, dtype=float) for column in columns.values()]
+    return [np.broadcast_to(array, (*several, *array.shape[1:])) for array in arrays]
 
 
-def _radians(name: str, degrees: Sequence[float] | Array) -> Array:
-    angle = np.asarray(degrees, dtype=float)
-    inside = (angle >= 0.0) & (angle <= 90.0)
-    if not inside.all():
-        worst = angle[~inside][0]
-        raise InvalidArgumentError(f"{name} must be a number of degrees from 0 to 90, not {float(worst)!r}.")
-    return np.radians(angle)
-
-
-def _turn(name: str, degrees: Sequence[float] | Array) -> Array:
-    angle = np.radians(np.asarray(degrees, dtype=float))
-    if not np.isfinite(angle).all():
-        raise InvalidArgumentError(f"{name} must be a finite number of degrees.")
-    return angle
-
-
-def _angle(name: str, text: str) -> float:
-    try:
-        return number_of(text)
-    except ValueError:
-        raise InvalidArgumentError(f"{name} must be a number of degrees, not {text[:40]!r}.") from None
-
-
-def _vector(name: str, text: str) -> list[float]:
-    try:
-        x, y, z = (number_of(part) for part in text.split(","))
-    except ValueError:
-        raise InvalidArgumentError(f"{name} must be three numbers x,y,z, not {text[:60]!r}.") from None
-    return [x, y, z]
+_READ: dict[type[Input], Callable[..., Points]] = {
+    AnglesRequest: _of_angles,
+    SidesRequest: _of_sides,
+    DirectionsRequest: _of_directions,
+}
+FORMS = tuple(_READ)
+"""Documents of points."""
+_FORM_OF = {name: form for form in FORMS for name in form.model_fields}

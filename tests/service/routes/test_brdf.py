@@ -97,7 +97,7 @@ def test_angles_of_both_directions_equal_the_library(server: Server, url: str, m
     close(server.http.get(url, params={"theta_in_deg": 35, "theta_out_deg": 35}), mirror)
     close(server.http.post(url, json={"theta_out_deg": 35, "theta_in_deg": [35]}), mirror)
     problem = server.http.get(url, params={"theta_in_deg": 35, "theta_diff_deg": 35}).json()
-    assert "theta_in_deg and theta_out_deg" in problem["detail"]
+    assert "'theta_diff_deg'; known are theta_in_deg, theta_out_deg" in problem["detail"]
 
 
 def test_value_below_the_horizon_is_0_and_fails_no_batch(server: Server, url: str) -> None:
@@ -208,24 +208,27 @@ def test_batch_has_a_hundred_thousand_points_however_many_bytes_they_take(
     ("query", "words"),
     [
         ("", ["theta_half_deg", "omega_in"]),
-        ("theta_half_deg=1", ["has theta_half_deg;", "theta_diff_deg"]),
-        ("theta_half_deg=1&theta_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["theta_diff_deg and omega_in"]),
-        ("theta_half_deg=1&omega_out=0,0,1", ["has theta_half_deg and omega_out;"]),
+        ("theta_half_deg=1", ["theta_diff_deg is missing"]),
+        (
+            "theta_half_deg=1&theta_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1",
+            ["'omega_in'", "theta_half_deg, theta_diff_deg"],
+        ),
+        ("theta_half_deg=1&omega_out=0,0,1", ["'omega_out'", "theta_half_deg, theta_diff_deg"]),
         (
             "&".join(["theta_half_deg=1"] * 2 + ["theta_diff_deg=1"] * 3),
             ["2 values of theta_half_deg", "3 values of theta_diff_deg", "one for all"],
         ),
         ("theta_half=1&theta_diff=1", ["'theta_half'", "theta_half_deg"]),
         ("theta_half_deg=x&theta_diff_deg=1", ["theta_half_deg", "'x'"]),
-        ("theta_half_deg=-0.1&theta_diff_deg=1", ["theta_half_deg", "0 to 90", "-0.1"]),
+        ("theta_half_deg=-0.1&theta_diff_deg=1", ["theta_half_deg", "at least 0", "-0.1"]),
         ("theta_half_deg=1&theta_diff_deg=90.1", ["theta_diff_deg", "90.1"]),
-        ("theta_half_deg=90.00000000000001&theta_diff_deg=1", ["0 to 90", "90.00000000000001"]),
+        ("theta_half_deg=90.00000000000001&theta_diff_deg=1", ["at most 90", "90.00000000000001"]),
         ("theta_half_deg=nan&theta_diff_deg=1", ["theta_half_deg", "nan"]),
-        ("omega_in=0,0,1&omega_out=0,1", ["omega_out", "x,y,z"]),
-        ("omega_in=a,b,c&omega_out=0,0,1", ["omega_in", "a,b,c"]),
+        ("omega_in=0,0,1&omega_out=0,1", ["omega_out", "at least 3 items"]),
+        ("omega_in=a,b,c&omega_out=0,0,1", ["omega_in.0.0", "'a'"]),
         ("omega_in=0,0,1.1&omega_out=0,0,1", ["omega_in", "unit"]),
-        ("phi_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["has phi_diff_deg and omega_in"]),
-        ("phi_diff_deg=1&theta_half_deg=1", ["has phi_diff_deg and theta_half_deg;"]),
+        ("phi_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["'omega_in'", "theta_half_deg, theta_diff_deg"]),
+        ("phi_diff_deg=1&theta_half_deg=1", ["theta_diff_deg is missing"]),
         (
             "&".join(["theta_half_deg=1"] * 3 + ["theta_diff_deg=1", "phi_diff_deg=1", "phi_diff_deg=2"]),
             ["2 values of phi_diff_deg"],
@@ -233,7 +236,7 @@ def test_batch_has_a_hundred_thousand_points_however_many_bytes_they_take(
         ("theta_half_deg=1_0&theta_diff_deg=1", ["theta_half_deg", "'1_0'"]),
         ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=nan", ["phi_diff_deg", "finite"]),
         ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=x", ["phi_diff_deg", "'x'"]),
-        ("omega_in=nan,0,1&omega_out=0,0,1", ["omega_in", "NaN"]),
+        ("omega_in=nan,0,1&omega_out=0,0,1", ["omega_in", "'nan'"]),
     ],
 )
 def test_invalid_points_are_named(server: Server, fitted: str, query: str, words: Sequence[str]) -> None:
