@@ -5,15 +5,14 @@ import json
 import logging
 import os
 import re
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Any
 from urllib.parse import urlencode
 
 from pydantic import BaseModel
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
-from starlette.types import Message, Receive, Scope, Send
+from starlette.responses import Response, StreamingResponse
 
 from ..storage.schema import FitRow, MeasurementRow
 from ..wire.inputs import Page
@@ -21,6 +20,7 @@ from ..wire.points import JSON
 
 logger = logging.getLogger(__name__)
 
+_PIECE = 1 << 18  # bytes of a file that are read at a time
 _WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)
 _ASYNC = re.compile(r"(?:^|,)\s*respond-async\s*(?:[,;]|$)", re.IGNORECASE)
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
@@ -67,59 +67,29 @@ def not_modified(request: Request, headers: Mapping[str, str]) -> Response | Non
     return Response(None, 304, dict(headers)) if is_current else None
 
 
-class _WholeFile(FileResponse):
-    """An open file, which is sent to its end even if it is deleted meanwhile; nobody gets a part of it."""
+def file_reply(
+    descriptor: int, keeps: object, headers: Mapping[str, str], sha256: str | None = None
+) -> StreamingResponse:
+    """Return an open file, which is sent to its end even if it is deleted meanwhile; nobody gets a part of it.
 
-    def __init__(self, descriptor: int, headers: Mapping[str, str]) -> None:
-        super().__init__(f"/dev/fd/{descriptor}", headers=headers, stat_result=os.fstat(descriptor))
-        for name in {"etag", "last-modified", "accept-ranges"} - {name.lower() for name in headers}:
-            del self.headers[name]
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        headers = [header for header in scope["headers"] if header[0] != b"range"]
-        await super().__call__({**scope, "headers": headers}, receive, send)
-
-
-class OpenFileResponse(_WholeFile):
-    """A file that is opened before anything is sent.
-
-    If it has not the digest `sha256`, its last piece is kept back, which breaks the connection: the client learns that
-    it has not got what the ETag says. Raises FileNotFoundError if the file has been deleted already.
+    `keeps` is what closes it when nobody has it any more. If it has not the digest `sha256`, its last piece is kept
+    back, which breaks the connection: the client learns that it has not got what the ETag says.
     """
-
-    def __init__(self, path: Path, headers: Mapping[str, str], sha256: str) -> None:
-        self._sha256 = sha256
-        self._file = path.open("rb")
-        super().__init__(self._file.fileno(), headers)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the file."""
-        digest = hashlib.sha256()
-        held: Message | None = None
-
-        async def hold_back(message: Message) -> None:
-            nonlocal held
-            if held is not None:
-                await send(held)
-            held = message
-            digest.update(message.get("body", b""))
-
-        with self._file:
-            await super().__call__(scope, receive, hold_back)
-        if held is None or held.get("more_body", True):  # the client has gone
-            return
-        if digest.hexdigest() == self._sha256:
-            await send(held)
-        else:
-            logger.error("the file of the measurement %s has changed while it was sent", self._sha256)
+    length = {"Content-Length": str(os.fstat(descriptor).st_size)}
+    return StreamingResponse(_pieces(descriptor, keeps, sha256), headers=length | dict(headers))
 
 
-class MadeFileResponse(_WholeFile):
-    """A file without a name, which has been made for the requests that are answered with it; it `keeps` it open."""
-
-    def __init__(self, descriptor: int, keeps: object, headers: Mapping[str, str]) -> None:
-        super().__init__(descriptor, headers)
-        self._keeps = keeps
+async def _pieces(descriptor: int, keeps: object, sha256: str | None) -> AsyncIterator[bytes]:  # noqa: ARG001
+    digest, held, start = hashlib.sha256(), b"", 0
+    while piece := await run_in_threadpool(os.pread, descriptor, _PIECE, start):
+        if held:
+            yield held
+        held, start = piece, start + len(piece)
+        digest.update(piece)
+    if sha256 in (None, digest.hexdigest()):
+        yield held
+    else:
+        logger.error("the file of the measurement %s has changed while it was sent", sha256)
 
 
 def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Measurements: upload once, fit often."""
 
 import hashlib
+import os
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
@@ -17,7 +18,7 @@ from ..http.openapi import BINARY
 from ..http.request_body import media_type_of
 from ..http.request_log import IS_HEAD
 from ..http.responses import (
-    OpenFileResponse,
+    file_reply,
     json_reply,
     next_page,
     not_modified,
@@ -25,6 +26,7 @@ from ..http.responses import (
     prefix_of,
     tagged_reply,
 )
+from ..jobs.computations import MadeFile
 from ..jobs.steps import understood_step
 from ..storage.database import in_write_thread
 from ..wire.fit_options import OF_TABLES, from_query
@@ -146,7 +148,8 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     try:
         suffix = ".binary" if row.on_grid else await run_in_threadpool(table_suffix, path)
         headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
-        return await run_in_threadpool(OpenFileResponse, path, headers | {"Content-Type": BINARY}, sha256)
+        file = MadeFile(os.open(path, os.O_RDONLY))
+        return file_reply(file.descriptor, file, headers | {"Content-Type": BINARY}, sha256)
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
 
