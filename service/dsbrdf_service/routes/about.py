@@ -38,7 +38,7 @@ async def get_live() -> Response:
 async def get_ready(context: TheContext) -> Response:
     """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
 
-    The answer is at most a second old, and each part has 3 s to give its own.
+    The answer is at most a second old, and comes within 3 s.
     """
     fault = await context.readiness.fault()
     if fault is not None:
