@@ -133,7 +133,7 @@ class Evaluator:
 
     def _sum(self, rows: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Sum of the lobes, shape (n, 3)."""
-        amplitude, kappa, gamma, center, elongation = (rows[part] for part in self._parts)
+        amplitude, kappa, gamma, center, elongation = map(rows.__getitem__, self._parts)
         k, n_shapes = self._n_lobes, self._n_shapes
         if self._round:
             stretched = np.broadcast_to(squared, (k, squared.size))

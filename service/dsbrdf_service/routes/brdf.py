@@ -32,7 +32,6 @@ from .dependencies import (
     TheFit,
     TheLoadedFit,
     TheMeasurement,
-    context_of,
     no_query,
 )
 
@@ -50,8 +49,8 @@ class _DirectRoute(APIRoute):
 
     async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         request, parameters = Request(scope, receive, send), scope["path_params"]
-        context, fit = await context_of(request), FitKey(scope[CALLER].owner, parameters.pop("fit_id"))
-        response: Response = await self.endpoint(request, context, fit, **parameters)
+        fit = FitKey(scope[CALLER].owner, parameters.pop("fit_id"))
+        response: Response = await self.endpoint(request, scope["app"].state.context, fit, **parameters)
         await response(scope, receive, send)
 
 

@@ -153,11 +153,11 @@ def _points(given: Mapping[str, Any], *, strict: bool) -> Points:
 
 
 def _of_angles(**degrees: Any) -> Points:
-    return Points(*map(np.radians, _broadcast(degrees)))
+    return Points(*np.radians(_broadcast(degrees)))
 
 
 def _of_sides(**degrees: Any) -> Points:
-    theta_in, theta_out, phi_in, phi_out = map(np.radians, _broadcast(degrees))
+    theta_in, theta_out, phi_in, phi_out = np.radians(_broadcast(degrees))
     return _of_directions(omega_in=spherical(theta_in, phi_in), omega_out=spherical(theta_out, phi_out))
 
 
