@@ -147,7 +147,7 @@ def _points(given: Mapping[str, Any], *, strict: bool) -> Points:
     if form is None:
         raise InvalidArgumentError(f"No point is named{f' by {next(iter(given))[:60]!r}' if given else ''}; {_CHOICE}.")
     try:
-        return _READ[form](**dict(form.model_validate(given, strict=strict)))
+        return _READ[form](**vars(form.model_validate(given, strict=strict)))
     except ValidationError as error:
         raise InvalidArgumentError(validation_sentence(error.errors())) from None
 
