@@ -42,25 +42,20 @@ async def receive_body(request: Request, limit: int, hold: Callable[[int], None]
 
     Raises ProblemError if it is longer, or its encoding is unknown or damaged.
     """
-    too_large = ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
     encoding, content = encoding_of(request), bytearray()
 
     def keep(data: bytes) -> None:
         if len(content) + len(data) > limit:
-            raise too_large
+            raise _too_large(limit)
         if hold is not None:
             hold(len(data))
         content.extend(data)
 
-    feed, finish = decoder(encoding, keep)
+    feed, finish = decoder(encoding, keep, limit)
     declared = request.headers.get("content-length", "")
-    if declared.isdecimal() and int(declared) > most_encoded(limit):
-        raise too_large
-    n_encoded = 0
+    if declared.isdecimal() and int(declared) > _most_encoded(limit):
+        raise _too_large(limit)
     async for piece in request.stream():
-        n_encoded += len(piece)
-        if n_encoded > most_encoded(limit):  # what decodes to nothing could go on
-            raise too_large
         if encoding:  # few bytes can decode to many
             await run_in_threadpool(feed, piece)
         else:
@@ -100,33 +95,43 @@ class Bodies:
             self._held += Counter()  # without those that have none
 
 
-def most_encoded(limit: int) -> int:
+def _most_encoded(limit: int) -> int:
     """Return the most bytes that `limit` bytes may have when they are encoded; compressors add less."""
     return limit + limit // 64 + 1024
 
 
-def decoder(content_encoding: str, sink: Sink) -> tuple[Sink, Callable[[], None]]:
+def _too_large(limit: int) -> ProblemError:
+    return ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
+
+
+def decoder(content_encoding: str, sink: Sink, limit: int) -> tuple[Sink, Callable[[], None]]:
     """Return what takes a body with this ``Content-Encoding`` in pieces, and what takes its end.
 
-    Raises ProblemError if it is not one that the service decodes.
+    Raises ProblemError if it is not one that the service decodes. What it returns does so if the body is damaged, or
+    longer than `limit` bytes can be when they are encoded; the `sink` looks at those that are decoded.
     """
     if not content_encoding:
         return sink, lambda: None
     if content_encoding not in ("gzip", "x-gzip"):
         detail = f"The content encoding {content_encoding[:40]!r} is not supported; send the body as it is, or as gzip."
         raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": "gzip"})
-    member = _GzipDecoder(sink)
+    member = _GzipDecoder(sink, limit)
     return member.feed, member.finish
 
 
 class _GzipDecoder:
     """Decodes one gzip member (RFC 1952)."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: Sink, limit: int) -> None:
         self._sink = sink
+        self._limit = limit
+        self._n_encoded = 0
         self._member = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
 
     def feed(self, data: bytes) -> None:
+        self._n_encoded += len(data)
+        if self._n_encoded > _most_encoded(self._limit):  # what decodes to nothing could go on
+            raise _too_large(self._limit)
         while data:
             if self._member.eof:
                 raise _damaged("it goes on after its end")

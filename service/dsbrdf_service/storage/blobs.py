@@ -42,10 +42,6 @@ class Incoming:
         self._digest.update(data)
         self.size += len(data)
 
-    def read(self, start: int, size: int) -> bytes:
-        """Return at most `size` bytes of what has been written."""
-        return os.pread(self._file.fileno(), size, start)
-
     def close(self) -> None:
         """Make the content durable."""
         os.fsync(self._file.fileno())

@@ -16,10 +16,8 @@ from .blobs import Blobs, Incoming
 from .database import Database
 from .schema import IS_UNFINISHED, Caller
 
-_CHECKED_AT_ONCE = 8  # uploads that are checked while they arrive
-_threads = CapacityLimiter(4)  # few for all uploads, because each keeps the memory of its last piece
-in_thread = partial(to_thread.run_sync, limiter=_threads)
-"""Calls what belongs to an upload."""
+in_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
+"""Calls what belongs to an upload, in few threads for all: each keeps the memory of its last piece."""
 _STORED = (
     "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
     " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
@@ -33,11 +31,6 @@ class Uploads:
         self._database = database
         self._blobs = blobs
         self._in_progress: Counter[str] = Counter()  # changed by the event loop alone
-
-    @property
-    def few(self) -> bool:
-        """Whether there is memory to check them all while they arrive."""
-        return self._in_progress.total() <= _CHECKED_AT_ONCE
 
     @asynccontextmanager
     async def incoming(self, caller: Caller) -> AsyncIterator[Incoming]:
@@ -67,11 +60,6 @@ class Uploads:
         if in_progress >= max(1, (caller.stored_bytes - stored) // FILE_SIZE):
             uploads = f"{in_progress} upload{'s' if in_progress > 1 else ''} in progress"
             raise _full(caller.stored_bytes, stored, f" and {uploads}, which take the rest")
-
-
-def threads_are_busy() -> bool:
-    """Return whether all of these threads have work."""
-    return not _threads.available_tokens
 
 
 def check_key(db: sqlite3.Connection, caller: Caller) -> None:

@@ -33,7 +33,7 @@ def decoded(body: bytes, step: int) -> bytes | str:
         parts.append(data)
 
     try:
-        feed, finish = decoder("gzip", sink)
+        feed, finish = decoder("gzip", sink, 100 * LIMIT)
         for start in range(0, len(body), step):
             feed(body[start : start + step])
         finish()
