@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import textwrap
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, Literal, TypeVar
 
 from dsbrdf.errors import InvalidArgumentError
+
+Options = TypeVar("Options")
 
 
 @dataclass(frozen=True)
@@ -39,27 +43,33 @@ class Bounds:
         return schema | several | {"items": schema["items"] | bounds}
 
 
+def option(default: Any, doc: str) -> Any:
+    """Return a field of a class of options; its sentence goes to the docstring, the command line and over HTTP."""
+    return field(default=default, metadata={"doc": doc})
+
+
+def sentences_of(options: type) -> dict[str, str]:
+    """Return what each option of a class means."""
+    return {declared.name: declared.metadata["doc"] for declared in fields(options)}
+
+
+def documented(options: type[Options]) -> type[Options]:
+    """Add the sentences of a class's own options to its docstring."""
+    lines = [*inspect.cleandoc(options.__doc__ or "").splitlines(), "", "Attributes", "----------"]
+    sentences = sentences_of(options)
+    for name in options.__annotations__:
+        lines += [name, *textwrap.wrap(sentences[name], 112, initial_indent="    ", subsequent_indent="    ")]
+    options.__doc__ = "\n".join(lines)
+    return options
+
+
 _SCALES = Bounds(1e-12, 1e12)
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
     """How a table of scattered samples is read; checked when made.
-
-    Attributes
-    ----------
-    columns : tuple of str
-        What a column means whose name does not say it: with "theta_in=AOI", the column AOI has the angles theta_in.
-        Several are separated by commas; in Python they may be a dict.
-    missing : tuple of float
-        Numbers that stand for a missing value, such as 0 or -999: their rows are left out.
-    scale : float
-        What the values are multiplied by to be those of a BRDF in 1/sr: 0.01 / pi for reflectance factors in per cent.
-    cosine : {"in", "out"} or None
-        "in" or "out" if the values are the BRDF times the cosine of theta_in or of theta_out: they are divided by it.
-    phi : {"mirror"} or None
-        "mirror" if light and viewer have the same phi in the mirror direction, as in ASTM E1392; otherwise they are 180
-        degrees apart. Without a column phi, "mirror" means that theta_out = -theta_in is the mirror direction.
 
     Raises
     ------
@@ -67,11 +77,28 @@ class TableOptions:
         If a choice is unknown or out of range.
     """
 
-    columns: tuple[str, ...] | str = ()
-    missing: tuple[float, ...] | float = ()
-    scale: Annotated[float, _SCALES] = 1.0
-    cosine: Literal["in", "out"] | None = None
-    phi: Literal["mirror"] | None = None
+    columns: tuple[str, ...] | str = option(
+        (),
+        'What a column means whose name does not say it: with "theta_in=AOI", the column AOI has the angles theta_in. '
+        "Several are separated by commas; in Python they may be a dict.",
+    )
+    missing: tuple[float, ...] | float = option(
+        (), "Numbers that stand for a missing value, such as 0 or -999: their rows are left out."
+    )
+    scale: Annotated[float, _SCALES] = option(
+        1.0,
+        "What the values are multiplied by to be those of a BRDF in 1/sr: 0.01 / pi for reflectance factors in "
+        "per cent.",
+    )
+    cosine: Literal["in", "out"] | None = option(
+        None,
+        '"in" or "out" if the values are the BRDF times the cosine of theta_in or of theta_out: they are divided by it.',
+    )
+    phi: Literal["mirror"] | None = option(
+        None,
+        '"mirror" if light and viewer have the same phi in the mirror direction, as in ASTM E1392; otherwise they are '
+        '180 degrees apart. Without a column phi, "mirror" means that theta_out = -theta_in is the mirror direction.',
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", _columns(self.columns))
@@ -89,7 +116,7 @@ class TableOptions:
 
     def of_table(self) -> TableOptions:
         """Return these options alone, without what a class that has more of them adds."""
-        return TableOptions(**{field.name: getattr(self, field.name) for field in fields(TableOptions)})
+        return TableOptions(**{declared.name: getattr(self, declared.name) for declared in fields(TableOptions)})
 
     def named_columns(self) -> dict[str, str]:
         """Return the name of the column with each meaning that `columns` gives."""
@@ -97,10 +124,10 @@ class TableOptions:
 
     def refuse_on_grid(self) -> None:
         """Raise InvalidArgumentError if one of them is chosen: a measurement on a grid has none."""
-        for field in fields(TableOptions):
-            if getattr(self, field.name) != field.default:
+        for declared in fields(TableOptions):
+            if getattr(self, declared.name) != declared.default:
                 raise InvalidArgumentError(
-                    f"{field.name} is for scattered samples; leave it out for a measurement on a grid"
+                    f"{declared.name} is for scattered samples; leave it out for a measurement on a grid"
                 )
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 import numpy as np
 
 from dsbrdf.data.grid import THETA_DIFF
-from dsbrdf.data.table_options import Bounds, TableOptions
+from dsbrdf.data.table_options import Bounds, TableOptions, documented, option
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.lobe_families import Family
 
@@ -50,45 +50,11 @@ def _suggesting(options: type[Options]) -> type[Options]:
     return options
 
 
+@documented
 @_suggesting
 @dataclass(frozen=True)
 class FitOptions(TableOptions):
     """What can be chosen about a fit; checked when made.
-
-    Attributes
-    ----------
-    n_lobes : int or "auto"
-        Number of all lobes, 1 to 8; "auto" adds them while they lower the error on samples held out; with the method
-        "paper" it is the smallest of 1 to 5 that Williams' test does not find worse than 5.
-    method : {"global", "paper"}
-        "global" fits all rows of theta_diff at once; "paper" is Algorithm 1 of Nishino 2009 slice by slice.
-    ring_lobes : int or "auto"
-        How many of the lobes have a center of their own, 0 to 7, fewer than all; "auto" takes what explains most. The
-        method "paper" has none.
-    lobe : {"hemi_epd", "student"}
-        Family of the lobes, see `dsbrdf.model.lobes`; the method "paper" has the hemi-EPD only.
-    knots_deg : tuple of int or None
-        Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, increasing;
-        None takes 8 that lie closer towards grazing angles, or 3 with the variation "parametric".
-    variation : {"full", "parametric"}
-        How lobes change with theta_diff. "full" has splines with several knots, with the method "paper" values at every
-        slice; "parametric" has 5 coefficients of each channel's amplitude and one shape for all theta_diff: a third of
-        the numbers for about a third more error.
-    horizon_cutoff_deg : float or None
-        Samples with a direction further than this from the normal [degrees] are left out of the metrics and of the
-        method "paper"; "global" trusts them less, down to nothing at the horizon. None takes all.
-    mask : float or None
-        Keep theta_half <= 90 degrees - mask * theta_diff (Nishino 2009, section 6); None is the method's own: 0 (no
-        mask) for "global", 1 for "paper".
-    weighting : {"balanced", "plain", "cosine", "log"} or None
-        Weights of the samples, see `dsbrdf.fitting.weighting`; None is the method's own: "balanced" for "global",
-        "plain" for "paper", which has no "balanced".
-    robust : bool
-        Down-weight outliers: among the samples over phi_diff, and in the residuals over theta_half.
-    em_iterations : int
-        Bound on the iterations of Algorithm 1.
-    columns, missing, scale, cosine, phi
-        Of a table of scattered samples, see `TableOptions`.
 
     Raises
     ------
@@ -96,17 +62,52 @@ class FitOptions(TableOptions):
         If a choice is unknown or out of range.
     """
 
-    n_lobes: Annotated[int, Bounds(1, MAX_LOBES)] | Literal["auto"] = "auto"
-    method: Literal["global", "paper"] = "global"
-    ring_lobes: Annotated[int, Bounds(0, MAX_RING_LOBES)] | Literal["auto"] = "auto"
-    lobe: Family = "hemi_epd"
-    knots_deg: Annotated[tuple[int, ...], Bounds(0, THETA_DIFF.size - 1)] | None = None
-    variation: Literal["full", "parametric"] = "full"
-    horizon_cutoff_deg: Annotated[float, Bounds(0, 90, above=True)] | None = 80.0
-    mask: Annotated[float, Bounds(0, 10)] | None = None
-    weighting: Weighting | None = None
-    robust: bool = False
-    em_iterations: Annotated[int, Bounds(1, 10_000)] = 100
+    n_lobes: Annotated[int, Bounds(1, MAX_LOBES)] | Literal["auto"] = option(
+        "auto",
+        'Number of all lobes, 1 to 8; "auto" adds them while they lower the error on samples held out; with the '
+        'method "paper" it is the smallest of 1 to 5 that Williams\' test does not find worse than 5.',
+    )
+    method: Literal["global", "paper"] = option(
+        "global", '"global" fits all rows of theta_diff at once; "paper" is Algorithm 1 of Nishino 2009 slice by slice.'
+    )
+    ring_lobes: Annotated[int, Bounds(0, MAX_RING_LOBES)] | Literal["auto"] = option(
+        "auto",
+        'How many of the lobes have a center of their own, 0 to 7, fewer than all; "auto" takes what explains '
+        'most. The method "paper" has none.',
+    )
+    lobe: Family = option(
+        "hemi_epd", 'Family of the lobes, see `dsbrdf.model.lobes`; the method "paper" has the hemi-EPD only.'
+    )
+    knots_deg: Annotated[tuple[int, ...], Bounds(0, THETA_DIFF.size - 1)] | None = option(
+        None,
+        'Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, '
+        'increasing; None takes 8 that lie closer towards grazing angles, or 3 with the variation "parametric".',
+    )
+    variation: Literal["full", "parametric"] = option(
+        "full",
+        'How lobes change with theta_diff. "full" has splines with several knots, with the method "paper" values '
+        'at every slice; "parametric" has 5 coefficients of each channel\'s amplitude and one shape for all '
+        "theta_diff: a third of the numbers for about a third more error.",
+    )
+    horizon_cutoff_deg: Annotated[float, Bounds(0, 90, above=True)] | None = option(
+        80.0,
+        "Samples with a direction further than this from the normal [degrees] are left out of the metrics and of "
+        'the method "paper"; "global" trusts them less, down to nothing at the horizon. None takes all.',
+    )
+    mask: Annotated[float, Bounds(0, 10)] | None = option(
+        None,
+        "Keep theta_half <= 90 degrees - mask * theta_diff (Nishino 2009, section 6); None is the method's own: 0 "
+        '(no mask) for "global", 1 for "paper".',
+    )
+    weighting: Weighting | None = option(
+        None,
+        'Weights of the samples, see `dsbrdf.fitting.weighting`; None is the method\'s own: "balanced" for '
+        '"global", "plain" for "paper", which has no "balanced".',
+    )
+    robust: bool = option(
+        False, "Down-weight outliers: among the samples over phi_diff, and in the residuals over theta_half."
+    )
+    em_iterations: Annotated[int, Bounds(1, 10_000)] = option(100, "Bound on the iterations of Algorithm 1.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -3,8 +3,6 @@
 Angles in degrees (``_deg``), RGB order.
 """
 
-import inspect
-import re
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
@@ -19,7 +17,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from dsbrdf.data.table_options import TableOptions
+from dsbrdf.data.table_options import sentences_of
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.options import FitOptions
@@ -80,15 +78,12 @@ def _options_schema() -> dict[str, Any]:
     declared = TypeAdapter(FitOptions).json_schema()["properties"]
     column = {"type": "string", "pattern": r"^[^=]*[^=\s][^=]*=.*\S", "examples": ["theta_in=AOI"]}
     declared["columns"] = {"title": "", "type": "array", "items": column}
-    # getdoc indents alike in all versions of Python, as __doc__ does not.
-    stated = "\n".join(inspect.getdoc(documented) or "" for documented in (FitOptions, TableOptions))
-    sentences = dict(re.findall(r"^(\w+) : .*\n((?: {4}.*\n)+)", stated, re.MULTILINE))
+    sentences = sentences_of(FitOptions)
     properties = {}
     for name, default in DEFAULTS.items():
         schema = declared[name]
         del schema["title"]
-        description = " ".join(sentences[name].split())
-        properties[name] = {**schema, "default": default, "description": description}
+        properties[name] = {**schema, "default": default, "description": sentences[name]}
     description = "Options of a fit; what is not given is the default."
     head = {"type": "object", "title": "FitOptions", "description": description, "additionalProperties": False}
     return {**head, "properties": properties}

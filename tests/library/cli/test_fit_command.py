@@ -2,13 +2,12 @@
 
 import csv
 import errno
-import inspect
 import json
 import os
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
 from dsbrdf.data.sample_names import VECTORS
-from dsbrdf.data.table_options import TableOptions
+from dsbrdf.data.table_options import TableOptions, sentences_of
 from dsbrdf.engines import batch, local
 from dsbrdf.engines.batch import FileFit
 from dsbrdf.fitting.report import FitResult
@@ -47,19 +46,12 @@ def options_of(*words: str) -> dsbrdf.FitOptions:
     return options
 
 
-def descriptions() -> dict[str, str]:
-    """What the docstring of the options says of each field."""
-    text = "\n".join(inspect.getdoc(documented) or "" for documented in (dsbrdf.FitOptions, TableOptions))
-    entries = re.findall(r"^(\w+) : .*\n((?:    .+(?:\n|$))+)", text, flags=re.MULTILINE)
-    assert {name for name, _ in entries} == {field.name for field in fields(dsbrdf.FitOptions)}
-    return {name: " ".join(text.split()) for name, text in entries}
-
-
 def test_every_option_has_a_flag_with_help() -> None:
     text = " ".join(printed("fit", "--help").split())
-    for name, description in descriptions().items():
+    for name, told in sentences_of(dsbrdf.FitOptions).items():
         assert f" --{name.replace('_', '-')} " in text
-        assert " ".join(description.split()[:4]) in text
+        assert " ".join(told.split()[:4]) in text
+        assert name in (dsbrdf.FitOptions.__doc__ or "") + (TableOptions.__doc__ or "")
     assert "[rad]" not in text
     assert "[default: 80]" in text
 
