@@ -34,7 +34,7 @@ from .errors import DataFolderError, validation_sentence
 from .http.limits import Connection
 from .operations import logging as logs
 from .routes.dependencies import Context
-from .settings import Settings, unknown_settings
+from .settings import Settings
 from .storage.database import own_folder
 from .storage.store import Store
 
@@ -85,8 +85,6 @@ def _serve(given: Mapping[str, Any]) -> int:
         print_error(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.")
         return 1
     logs.configure(settings)
-    for unknown in unknown_settings():
-        logger.warning("%s", unknown)
     return_freed_memory()
     _raise_descriptor_limit()
     return _run(settings, store)

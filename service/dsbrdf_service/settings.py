@@ -1,8 +1,6 @@
 """Everything that an operator may set, from the environment (prefix ``DSBRDF_``) or the command line."""
 
 import ipaddress
-import os
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
 
@@ -14,8 +12,6 @@ from dsbrdf.process_settings import core_count
 from . import DEFAULT_DATA_DIR
 
 PREFIX = "DSBRDF_"
-# Of the client and the tests.
-_OTHER_VARIABLES = frozenset(("DSBRDF_KEY", "DSBRDF_REFERENCE_DATA", "DSBRDF_SCHEMA_SEED", "DSBRDF_SOAK"))
 
 
 class Settings(BaseSettings):
@@ -87,15 +83,3 @@ class Settings(BaseSettings):
             return ipaddress.ip_address(self.host).is_loopback
         except ValueError:
             return False
-
-
-def unknown_settings() -> list[str]:
-    """Return a sentence for each variable of the environment that looks like a setting and is none."""
-    known = {PREFIX + name.upper() for name in Settings.model_fields}
-    sentences = []
-    for name in sorted(os.environ):
-        if name.upper().startswith(PREFIX) and name.upper() not in known | _OTHER_VARIABLES:
-            similar = get_close_matches(name.upper(), known, 1)
-            meant = f"; did you mean {similar[0]}?" if similar else "."
-            sentences.append(f"The environment variable {name[:80]} is no setting and has no effect{meant}")
-    return sentences

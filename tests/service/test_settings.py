@@ -1,6 +1,5 @@
 """Settings: each is described, and a wrong one is refused in one sentence that names it."""
 
-import json
 import os
 import pty
 import re
@@ -13,9 +12,8 @@ import httpx
 import pytest
 
 from dsbrdf_service.__main__ import main
-from dsbrdf_service.settings import Settings, unknown_settings
+from dsbrdf_service.settings import Settings
 from tests.support.commands import start_in_vain
-from tests.support.server import Server
 
 
 def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
@@ -82,17 +80,6 @@ def test_invalid_setting_is_named_in_one_sentence(
     assert repr(value) in said
     assert said.count("\n") == 1
     assert not (tmp_path / "data").exists()
-
-
-def test_unknown_environment_variable_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DSBRDF_WORKER", "2")
-    monkeypatch.setenv("DSBRDF_KEY", "of-the-client")
-    assert unknown_settings() == [
-        "The environment variable DSBRDF_WORKER is no setting and has no effect; did you mean DSBRDF_WORKERS?"
-    ]
-    with Server.running(tmp_path / "data") as server:
-        (told,) = [line for line in server.log.read_text().splitlines() if "DSBRDF_" in line]
-        assert json.loads(told)["level"] == "warning"
 
 
 def test_empty_environment_variable_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ out of every line. A line stays one line and short, whatever a client sends.
 """
 
 import logging
-import math
 import os
 import re
 import sys
@@ -30,8 +29,6 @@ _LONGEST = 500  # characters of one value in a line
 _LONGEST_TRACEBACK = 20_000
 _encode = JSONEncoder(default=str).encode
 _bound: ContextVar[Mapping[str, str]] = ContextVar("bound", default=MappingProxyType({}))
-_OUT_OF_DESCRIPTORS = "socket.accept() out of system resource"
-_SECONDS_BETWEEN = 10.0
 _MOST_WAITING = 2000  # lines
 _LONGEST_FLUSH = 1.0  # seconds
 
@@ -46,7 +43,6 @@ def configure(settings: Settings) -> None:
     text = settings.log_format == "text" or (settings.log_format == "auto" and sys.stderr.isatty())
     handler = LogWriter(sys.stderr.fileno())
     handler.setFormatter(LineFormatter(text=text))
-    handler.addFilter(Repetitions())
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
     logging.captureWarnings(capture=True)
 
@@ -118,23 +114,6 @@ class LineFormatter(logging.Formatter):
         if exception:
             line["exception"] = _cut(exception, _LONGEST_TRACEBACK)
         return _mask(_in_words(line) if self._text else _encode(line))
-
-
-class Repetitions:
-    """Filter that limits the event loop's message about missing descriptors, of which it sends thousands a second."""
-
-    def __init__(self) -> None:
-        self._told = -math.inf
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether the record is written."""
-        if record.name != "asyncio" or not record.msg.startswith(_OUT_OF_DESCRIPTORS):
-            return True
-        now = time.monotonic()
-        if now - self._told < _SECONDS_BETWEEN:
-            return False
-        self._told = now
-        return True
 
 
 def _mask(text: str) -> str:

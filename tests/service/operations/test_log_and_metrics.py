@@ -21,7 +21,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from dsbrdf.engines.engine import Fault, FitLimits
 from dsbrdf.engines.local import WorkerProcesses
-from dsbrdf_service.operations.logging import LineFormatter, LogWriter, Repetitions, bind
+from dsbrdf_service.operations.logging import LineFormatter, LogWriter, bind
 from dsbrdf_service.storage.database import FILE_NAME
 from tests.support.processes import free_port, wait_until
 from tests.support.server import ENDLESS, QUICK, Server, assert_problem
@@ -158,19 +158,6 @@ def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: 
     assert (with_reason["level"], request["level"]) == ("error", "error")
     assert "ValidationError" in with_reason["exception"]
     assert sum("Traceback" in line for line in server.log.read_text().splitlines()) == 1
-
-
-def test_lack_of_descriptors_is_told_every_ten_seconds_and_anything_else_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    times = iter((100.0, 109.0, 111.0))
-    monkeypatch.setattr("dsbrdf_service.operations.logging.time", SimpleNamespace(monotonic=lambda: next(times)))
-    records = [
-        logging.makeLogRecord({"name": "asyncio", "msg": text})
-        for text in ("socket.accept() out of system resource\nsocket: ...", "another")
-    ]
-    passes = Repetitions().filter
-    assert [[passes(record) for record in records] for _ in range(3)] == [[True, True], [False, True], [True, True]]
 
 
 def test_output_of_fit_processes_is_in_the_log() -> None:
