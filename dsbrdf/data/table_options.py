@@ -147,7 +147,10 @@ def _parts(pair: str) -> tuple[str, str]:
 
 
 def _is_number(value: Any) -> bool:
-    return not isinstance(value, bool | str) and hasattr(value, "__float__") and math.isfinite(value)
+    try:
+        return not isinstance(value, bool | str) and math.isfinite(value)
+    except (TypeError, OverflowError):  # such as 10**400
+        return False
 
 
 AS_WRITTEN = TableOptions()

@@ -89,15 +89,13 @@ def _list(*, data_dir: DataDir = None, json: Json = False) -> None:
     with closing(Database(data_folder(data_dir), exclusive=False)) as database:
         rows = [asdict(row) for row in all_keys(database)]
     for row in rows:
-        row |= {name: row[name] and datetime.fromtimestamp(row[name], UTC) for name in _TIMES}
+        row |= {name: row[name] and datetime.fromtimestamp(row[name], UTC).isoformat() for name in _TIMES}
     if json:
-        print_json(
-            {"items": [{**row, **{name: row[name] and row[name].isoformat() for name in _TIMES}} for row in rows]}
-        )
+        print_json({"items": rows})
         return
     print(f"{'id':<14}{'created':<18}{'revoked':<18}{'requests/s':>12}{'MB':>10}{'fits':>10}  name")
     for row in rows:
         limits = (row[name] for name in ("requests_per_second", "stored_mb", "queued_fits"))
         rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)
-        days = "".join(f"{row[name]:%Y-%m-%d %H:%M}  " if row[name] else f"{'-':<18}" for name in _TIMES)
+        days = "".join(f"{(row[name] or '-')[:16].replace('T', ' '):<18}" for name in _TIMES)
         print(f"{row['id']:<14}{days}{rate:>12}{stored:>10}{fits:>10}  {row['name']}")

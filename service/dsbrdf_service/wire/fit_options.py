@@ -4,8 +4,8 @@ The Python client uses this module too: it needs neither FastAPI nor pydantic.
 """
 
 import json
-import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import fields, replace
 from typing import Any
 
@@ -19,8 +19,6 @@ from dsbrdf.fitting.options import FitOptions
 OF_TABLES = tuple(field.name for field in fields(TableOptions))
 """Names of the options of a table, which are the last ones."""
 _NAMES = [*(field.name for field in fields(FitOptions) if field.name not in OF_TABLES), *OF_TABLES]
-_WORDS = {"none": None, "null": None, "true": True, "false": False}
-_NUMBER = re.compile(r"-?(0|[1-9][0-9]{0,17})(\.[0-9]{1,30})?(e[+-]?[0-9]{1,4})?")
 
 
 def to_wire(options: FitOptions) -> dict[str, Any]:
@@ -83,10 +81,9 @@ def canonical(options: FitOptions) -> dict[str, Any]:
 
 def _from_text(text: str) -> Any:
     """Return the JSON value that a text stands for; the text itself if it stands for none."""
-    word = text.strip().lower()
-    if word in _WORDS:
-        return _WORDS[word]
-    return json.loads(word) if _NUMBER.fullmatch(word) else text
+    with suppress(ValueError, RecursionError):
+        return json.loads("null" if text.lower() == "none" else text.lower())
+    return text
 
 
 def _whole(value: Any) -> Any:
