@@ -1,10 +1,9 @@
 """Fits: submit, look up, follow, export, cancel and delete."""
 
 import asyncio
-from collections.abc import AsyncIterable, AsyncIterator, Coroutine
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
@@ -241,21 +240,14 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
     """
     if not seconds:
         return await context.fit_row(fit)
-    async with _task_of(departure(request)) as gone:
+    gone = asyncio.create_task(departure(request))
+    try:
         row = await context.jobs.wait(fit, seconds, gone)
+    finally:
+        gone.cancel()
     if not context.keys.allows(caller):
         raise InvalidKeyError
     return row
-
-
-@asynccontextmanager
-async def _task_of(event: Coroutine[Any, Any, None]) -> AsyncIterator["asyncio.Task[None]"]:
-    """Wait for an event in a task, which is cancelled at the end of the block."""
-    task = asyncio.create_task(event)
-    try:
-        yield task
-    finally:
-        task.cancel()
 
 
 async def _document(context: Context, row: FitRow) -> schemas.FitDocument:

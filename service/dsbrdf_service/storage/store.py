@@ -52,7 +52,6 @@ _ADD_MEASUREMENT = (
     f" SET name = coalesce(excluded.name, name) RETURNING {columns(MeasurementRow)}"
 )
 _NAME_FIT = f"UPDATE fits SET name = ? {_WHERE_FIT} RETURNING {columns(FitRow)}"  # noqa: S608
-_RENAME_FIT = f"UPDATE fits SET name = coalesce(?, name) {_WHERE_FIT} RETURNING {columns(FitRow)}"  # noqa: S608
 
 
 def fit_identity(sha256: str, options: Mapping[str, Any]) -> str:
@@ -177,7 +176,7 @@ class Store:
             check_key(db, caller)
             known = _first(db.execute(select, key).fetchall())
             if known is not None and not known.repeatable:
-                (row,) = db.execute(_RENAME_FIT, (name, *key)).fetchall()
+                (row,) = db.execute(_NAME_FIT, (name or known.name, *key)).fetchall()
                 return FitRow.from_values(row), False
             query = f"SELECT name FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
             stored = db.execute(query, (caller.owner, sha256)).fetchone()
