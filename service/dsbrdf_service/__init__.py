@@ -1,7 +1,7 @@
 """The HTTP service: takes measurements, returns fitted DSBRDF models, their values and their components.
 
-Wings, each calling only those to its left: errors, settings, storage, operations, wire, client, http,
-access, jobs, routes, app, commands, __main__.
+Wings, each calling only those to its left: errors, settings, storage, operations, wire, client,
+access, http, jobs, routes, app, commands, __main__.
 """
 
 DEFAULT_DATA_DIR = "dsbrdf-data"

@@ -25,6 +25,7 @@ from .access.keys import Keys
 from .http import openapi, problems
 from .http.request_body import Bodies
 from .http.request_log import RequestLogMiddleware
+from .http.static_files import is_open
 from .jobs.computations import Computations
 from .jobs.jobs import Jobs
 from .jobs.results import ModelCache
@@ -66,7 +67,7 @@ class _Application(FastAPI):
 
     def build_middleware_stack(self) -> ASGIApp:
         state = self.state
-        access = Access(state.settings, state.keys, state.metrics.requests_in_progress)
+        access = Access(state.settings, state.keys, state.metrics.requests_in_progress, is_open)
         return RequestLogMiddleware(super().build_middleware_stack(), access, state.settings, state.metrics)
 
 

@@ -8,20 +8,18 @@ been made to resolve to this machine.
 import math
 import re
 from collections import Counter
+from collections.abc import Callable
 
 from prometheus_client import Gauge
 from starlette.types import Scope
 
 from ..errors import InvalidKeyError, ProblemError
-from ..http.request_log import HEALTH
-from ..http.static_files import PAGE_PATHS, STATIC_FILES
 from ..settings import Settings
 from ..storage.schema import Caller
 from .keys import ActiveKey, Keys
 
-# They show nothing that belongs to a key.
-OPEN_PATHS = frozenset(("/openapi.json", *STATIC_FILES))
-
+HEALTH = ("/health/live", "/health/ready")
+"""Paths that are answered to everyone, even when the service is overloaded."""
 CALLER = "dsbrdf.caller"  # members of the ASGI scope: whose rows a request sees,
 CALLER_NAME = "dsbrdf.caller_name"  # and whom it counts for, a key or an address
 _LOCAL = Caller()
@@ -30,10 +28,14 @@ _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5
 
 
 class Access:
-    """Lets requests in with their callers, or refuses them; one caller can take half of all places."""
+    """Lets requests in with their callers, or refuses them; one caller can take half of all places.
 
-    def __init__(self, settings: Settings, keys: Keys, in_progress: Gauge) -> None:
+    What `is_open` says of a path is whether it shows nothing that belongs to a key.
+    """
+
+    def __init__(self, settings: Settings, keys: Keys, in_progress: Gauge, is_open: Callable[[str], bool]) -> None:
         self._keys = keys
+        self._is_open = is_open
         self._needs_key = settings.require_keys or not (settings.loopback or settings.insecure)
         self._local_only = settings.loopback and not settings.insecure
         self._free = self._places = settings.limit_concurrency
@@ -53,7 +55,7 @@ class Access:
             detail = f"{self._places} requests are in progress, the most allowed; ask again later."
             raise ProblemError("overloaded", detail)
         caller = str((scope.get("client") or ("",))[0])
-        if not (path in OPEN_PATHS or PAGE_PATHS.fullmatch(path)):
+        if not self._is_open(path):
             scope[CALLER] = _LOCAL
             if b"authorization" in headers:
                 scope[CALLER] = self._key(scope).caller

@@ -12,12 +12,12 @@ import dsbrdf
 from dsbrdf import DSBRDF
 from dsbrdf.output.serialize import model_to_dict
 
+from ..access.authentication import HEALTH
 from ..wire.fit_options import DEFAULTS
 from ..wire.inputs import FitRequest, NewName
 from ..wire.points import FORMS, JSON
 from ..wire.schemas import MeasurementDetails, Problem, Progress
 from . import problems as table
-from .request_log import HEALTH
 
 BINARY = "application/octet-stream"
 _TAGS = ("fits", "components", "values", "export", "figures", "measurements", "health")
@@ -139,7 +139,6 @@ _EXAMPLES: dict[str, dict[str, Any]] = {
     "MeasuredValues": {"values": [[0.42, 0.21, 0.11], None]},
     "NewName": {"name": "brushed nickel"},
     "Health": {"status": "live", "version": dsbrdf.__version__},
-    "Readiness": {"status": "ready", "version": dsbrdf.__version__},
 }
 EXAMPLE_EVENTS = (
     f'event: running\ndata: {{"id":"{EXAMPLE_FIT}","status":"running","progress":0.42,"error":null}}\n\n'

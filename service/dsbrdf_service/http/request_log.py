@@ -8,11 +8,11 @@ import logging
 import re
 import secrets
 from time import perf_counter
-from typing import Protocol
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from ..access.authentication import Access
 from ..errors import ProblemError
 from ..operations.logging import bind
 from ..operations.metrics import NO_ROUTE, Metrics
@@ -21,8 +21,6 @@ from .limits import BodyTimeout, check_head
 from .problems import problem_of, problem_response
 
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
-HEALTH = ("/health/live", "/health/ready")
-"""Paths that are answered to everyone, even when the service is overloaded."""
 IS_HEAD = "dsbrdf.is_head"
 """Member of the ASGI scope of a HEAD, which routes see as a GET."""
 # Nothing in a response may run, be framed, be read by a page of another site, or be shown to someone who has not asked
@@ -42,20 +40,10 @@ _STRICT = b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-ac
 logger = logging.getLogger(__name__)
 
 
-class Admission(Protocol):
-    """Who decides which requests are let in."""
-
-    def admit(self, scope: Scope, headers: dict[bytes, bytes]) -> str | None:
-        """Count a request and return whom it counts for; raise ProblemError if it is not let in."""
-
-    def release(self, caller: str | None) -> None:
-        """Take note that a request has been answered that was let in."""
-
-
 class RequestLogMiddleware:
     """Pure ASGI middleware, around everything else of the application."""
 
-    def __init__(self, app: ASGIApp, access: Admission, settings: Settings, metrics: Metrics) -> None:
+    def __init__(self, app: ASGIApp, access: Access, settings: Settings, metrics: Metrics) -> None:
         self._app = app
         self._access = access
         self._body_limits = settings.idle_timeout, settings.least_upload_rate

@@ -21,8 +21,8 @@ POLICY = (
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 """What a page may load: its own scripts and styles, the answers of the service, and pictures that scripts make."""
-PAGE_PATHS = re.compile(r"/|/compare|/(fits|measurements)/[0-9A-Za-z_-]{1,100}")
-"""Addresses of the one page, which says itself what is wrong with an address."""
+# Addresses of the one page, which says itself what is wrong with an address.
+_PAGE_PATHS = re.compile(r"/|/compare|/(fits|measurements)/[0-9A-Za-z_-]{1,100}")
 _GZIP = re.compile(r"(?:^|,)\s*gzip\s*(?:,|$|;(?!\s*q\s*=\s*0(?:\.0*)?\s*(?:,|$)))")
 _TYPES = {"js": "text/javascript", "css": "text/css", "html": "text/html; charset=utf-8"}
 
@@ -67,3 +67,8 @@ STATIC_FILES["/docs"] = _read(_OURS / "docs.html")
 def page_at(path: str) -> StaticFile:
     """Return the page for one of its addresses: from one that is a level deeper, its files are a level higher."""
     return _PAGE_BELOW if path.count("/") > 1 else _PAGE
+
+
+def is_open(path: str) -> bool:
+    """Return whether a path is that of a file, or of the OpenAPI document."""
+    return path in STATIC_FILES or path == "/openapi.json" or _PAGE_PATHS.fullmatch(path) is not None

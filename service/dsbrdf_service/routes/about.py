@@ -10,7 +10,7 @@ import dsbrdf
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.responses import json_reply
-from ..wire.schemas import Health, Readiness
+from ..wire.schemas import Health
 from .dependencies import NO_QUERY, TheCaller, TheContext
 
 router = APIRouter(tags=["health"])
@@ -31,7 +31,7 @@ async def get_live() -> Response:
 @router.get(
     "/health/ready",
     dependencies=NO_QUERY,
-    response_model=Readiness,
+    response_model=Health,
     summary="Can it take work?",
     responses=openapi.problems("not-ready", behind_a_key=False),
 )
@@ -43,7 +43,7 @@ async def get_ready(context: TheContext) -> Response:
     fault = await context.readiness.fault()
     if fault is not None:
         raise ProblemError("not-ready", fault)
-    return json_reply(Readiness(status="ready", version=dsbrdf.__version__))
+    return json_reply(Health(status="ready", version=dsbrdf.__version__))
 
 
 @router.get(

@@ -229,10 +229,6 @@ class Health(BaseModel):
     version: str
 
 
-class Readiness(Health):
-    """The state of a service that can take work."""
-
-
 def from_row(kind: type[_Document], row: FitRow | MeasurementRow, **more: Any) -> _Document:
     """Return a row's document; `more` is what the row does not have."""
     return kind.model_validate({**asdict(row), **more})
