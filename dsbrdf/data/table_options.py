@@ -92,7 +92,8 @@ class TableOptions:
     )
     cosine: Literal["in", "out"] | None = option(
         None,
-        '"in" or "out" if the values are the BRDF times the cosine of theta_in or of theta_out: they are divided by it.',
+        '"in" or "out" if the values are the BRDF times the cosine of theta_in or of theta_out: they are divided by '
+        "it.",
     )
     phi: Literal["mirror"] | None = option(
         None,

@@ -54,7 +54,7 @@ def _suggesting(options: type[Options]) -> type[Options]:
 @_suggesting
 @dataclass(frozen=True)
 class FitOptions(TableOptions):
-    """What can be chosen about a fit; checked when made.
+    """What can be chosen about a fit; checked when made. `TableOptions` has what is chosen about a table of samples.
 
     Raises
     ------
