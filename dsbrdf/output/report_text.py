@@ -43,10 +43,12 @@ _VERDICTS = (
 
 
 def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
-    """Return the metrics that have a value, in columns of 30 characters, on lines of at most so many."""
-    known = [f"{name:<22}{value:<8.4g}" for name, value in asdict(metrics).items() if value is not None]
-    each = width // 30
-    return ["".join(known[start : start + each]).rstrip() for start in range(0, len(known), each)]
+    """Return the metrics that have a value, in equal columns on lines of at most so many characters."""
+    known = {name: value for name, value in asdict(metrics).items() if value is not None}
+    wide = max(map(len, known), default=0)
+    cells = [f"{name:<{wide}} {value:<11.4g}" for name, value in known.items()]  # with two blanks between columns
+    each = max((width + 2) // (wide + 12), 1)
+    return ["".join(cells[start : start + each]).rstrip() for start in range(0, len(cells), each)]
 
 
 def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
