@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dsbrdf.data.geometry import spherical
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.rgl_file import Warp, encode_tensors, parse_tensors
 from dsbrdf.data.rgl_material import parse_rgl, read_rgl
@@ -62,6 +63,21 @@ def test_measurement_is_what_the_file_was_made_of() -> None:
     i, j, k = i[chosen], j[chosen], k[chosen]
     expected = MODEL.evaluate(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF[k])
     assert np.median(np.abs(measurement.values[:, i, j, k].T / expected - 1.0)) < 0.01
+
+
+def test_non_reciprocity_is_the_median_difference_of_pairs_up_to_75_degrees_a_quarter_of_them_mirrored() -> None:
+    fields = parse_tensors(OF_MODEL)
+    brighter = 1.0 + 1.5 * fields["theta_i"] ** 2  # in one order of the directions
+    rgb = (fields["rgb"] * brighter[:, None, None, None]).astype(np.float32)
+    material, random = parse_rgl(encode_tensors({**fields, "rgb": rgb})), np.random.default_rng(1)
+    theta = np.arccos(random.uniform(np.cos(np.radians(75.0)), 1.0, (2, 20_000)))
+    first, second = spherical(theta, random.uniform(0.0, 2.0 * np.pi, theta.shape))
+    near = first[::4] * [-1.0, -1.0, 1.0] + random.normal(0.0, 0.05, first[::4].shape)
+    second[::4] = near / np.linalg.norm(near, axis=1)[:, None]
+    one, other = (material.evaluate_directions(*pair).mean(axis=1) for pair in ((first, second), (second, first)))
+    expected = np.median(np.abs(one - other) / (0.5 * (one + other)))
+    assert material.non_reciprocity() == pytest.approx(expected, rel=0.04)
+    assert parse_rgl(OF_MODEL).non_reciprocity() < 0.01
 
 
 def test_below_the_horizon_there_is_nothing() -> None:
