@@ -55,7 +55,7 @@ def stage(request: pytest.FixtureRequest) -> Stage:
 
 @pytest.fixture(scope="module")
 def samples_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    samples, path = scattered_samples(mixture(1, 0), 400), tmp_path_factory.mktemp("samples") / "samples.csv"
+    samples, path = scattered_samples(mixture(1, 0), 60), tmp_path_factory.mktemp("samples") / "samples.csv"
     head = ",".join(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz")
     table = np.hstack([samples.omega_in, samples.omega_out, samples.values])
     np.savetxt(path, table, delimiter=",", header=f"{head},red,green,blue", comments="")
