@@ -1,9 +1,7 @@
 """Files for other programs, and the surface of MaterialX: it is what the library's own shaders compute."""
 
-import csv
 import importlib.util
 from dataclasses import asdict, replace
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +10,6 @@ import pytest
 import dsbrdf
 from dsbrdf.arrays import Evaluate
 from dsbrdf.data.geometry import half_difference
-from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.merl import parse_merl
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
@@ -27,7 +24,6 @@ from dsbrdf.output.serialize import layers_from_json
 from tests.support.known_models import pairs_of_directions, single_lobe
 from tests.support.materialx_shader import generated_function, materialx_document, surface_of
 from tests.support.mixtures import mixture
-from tests.support.random_models import papers_model
 from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
 pytestmark = pytest.mark.slow
@@ -140,19 +136,6 @@ def test_the_suffix_tells_the_format(suffix: str, tmp_path: Path) -> None:
     assert path.read_bytes() == export_model(MODEL, name)
 
 
-@pytest.mark.parametrize("model", [mixture(3, 0), papers_model()], ids=["mixture", "paper"])
-def test_rows_of_the_table_are_the_parameters(model: dsbrdf.DSBRDF) -> None:
-    rows = list(csv.DictReader(StringIO(export_model(model, "csv").decode())))
-    assert len(rows) == model.n_lobes * 3 * 19
-    for row in rows[::7]:
-        lobe, channel = int(row["lobe"]), CHANNELS.index(row["channel"])
-        found = model.parameters_at([np.radians(float(row["theta_diff_deg"]))])
-        for name in ("amplitude", "kappa", "gamma"):
-            of_channel = min(channel, found[name].shape[1] - 1)
-            assert float(row[name]) == pytest.approx(found[name][0, of_channel, lobe], rel=1e-7)
-        assert float(row["elongation"]) == pytest.approx(found["elongation"][0, lobe], abs=1e-7)
-
-
 def test_a_result_is_exported_with_its_report_and_a_component_as_one(report: FitReport, tmp_path: Path) -> None:
     result = FitResult(MODEL, report)
     result.export(tmp_path / "paint.json")
@@ -163,16 +146,9 @@ def test_a_result_is_exported_with_its_report_and_a_component_as_one(report: Fit
     assert "This is a component" in (tmp_path / "lobe.glsl").read_text()
 
 
-def test_layers_are_stored_without_loss_and_a_table_has_their_parameters(tmp_path: Path) -> None:
+def test_layers_are_stored_without_loss(tmp_path: Path) -> None:
     dsbrdf.export(LAYERS, tmp_path / "layers.json")
     assert layers_from_json((tmp_path / "layers.json").read_text()) == LAYERS
-    rows = list(csv.DictReader(StringIO(export_model(LAYERS, "csv").decode())))
-    assert len(rows) == LAYERS.n_numbers
-    table = {(row["layer"], row["kind"], row["parameter"]): float(row["value"]) for row in rows}
-    assert table["1", "specular", "f0_green"] == 0.1
-    assert table["0", "specular", "alpha"] == 0.08
-    assert table["2", "diffuse", "albedo_blue"] == 0.05
-    assert table["2", "diffuse", "exponents_6"] == 0.0
 
 
 def test_layers_are_values_in_the_formats_that_hold_values() -> None:
