@@ -140,7 +140,7 @@ class Evaluator:
         else:
             stretched = squared * _stretch(elongation, theta_diff, phi_diff)
         amplitude, total = amplitude.reshape(3, k, -1), np.zeros((3, squared.size))
-        kappa, gamma, center = (part.reshape(n_shapes, k, -1) for part in (kappa, gamma, center))
+        kappa, gamma, center = [part.reshape(n_shapes, k, -1) for part in (kappa, gamma, center)]
         for lobes in self._runs if squared.size <= _FEW else self._single_lobes:
             ring = center[:, lobes] if self._is_ring[lobes.start] else None
             values = lobe_values(stretched[lobes], kappa[:, lobes], gamma[:, lobes], ring, self._family)

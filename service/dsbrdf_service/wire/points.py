@@ -5,9 +5,8 @@ What they become are half and difference angles.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import parse_qsl
 
 import numpy as np
@@ -19,7 +18,6 @@ from pydantic_core import from_json as parsed
 from dsbrdf import InvalidArgumentError
 from dsbrdf.data.geometry import check_directions, half_difference, spherical
 from dsbrdf.engines.engine import OnProgress
-from dsbrdf.model.reflectance import ReflectanceModel
 
 from ..errors import validation_sentence
 from .inputs import AnglesRequest, DirectionsRequest, Input, SidesRequest
@@ -38,24 +36,12 @@ _PANORAMA = "(rows, 2 rows, 3), linear RGB of 360 by 180 degrees"
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
 
 
-@dataclass(frozen=True)
-class Points:
+class Points(NamedTuple):
     """Half and difference angles, shape (n,) each [rad]."""
 
     theta_half: Array
     theta_diff: Array
     phi_diff: Array
-
-    def __len__(self) -> int:
-        return len(self.theta_half)
-
-    def values(self, model: ReflectanceModel) -> Array:
-        """Return the model's values, shape (n, 3) [1/sr]; 0 where a direction is below the horizon."""
-        return model.evaluate(self.theta_half, self.theta_diff, self.phi_diff)
-
-    def part(self, block: slice) -> "Points":
-        """Return some of the points."""
-        return Points(self.theta_half[block], self.theta_diff[block], self.phi_diff[block])
 
 
 _CHOICE = "give theta_half_deg and theta_diff_deg, or theta_in_deg and theta_out_deg, or omega_in and omega_out"
