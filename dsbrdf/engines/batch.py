@@ -2,8 +2,8 @@
 
 import os
 import time
-from collections.abc import Generator, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Callable, Generator, Iterable, Sequence
+from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -61,10 +61,10 @@ def fit_files(
     """Yield the fit of each file, in order: a single one made here, several at once in processes of their own.
 
     Every model is written completely or not at all, as soon as its fit is done, to ``NAME.json`` in the `folder`, if
-    there is one. Closing the iterator ends the processes. At most so many `jobs` run at once, by default one for each
-    processor core. With the address of a Dask `scheduler` its workers compute the fits; any other `engine` is closed
-    here. Without `force` a fit in the folder is kept if it is newer than its measurement and was made with the same
-    options by the same version of the algorithm.
+    there is one. The processes are started and heard while the caller waits for the next fit; closing the iterator ends
+    them. At most so many `jobs` run at once, by default one for each processor core. With the address of a Dask
+    `scheduler` its workers compute the fits; any other `engine` is closed here. Without `force` a fit in the folder is
+    kept if it is newer than its measurement and was made with the same options by the same version of the algorithm.
     `progress` is called with the number of finished files, fractions included.
 
     Raises InvalidArgumentError if two files would be written to the same output or `jobs` is less than 1, OSError if an
@@ -82,22 +82,30 @@ def fit_files(
             on_progress(1.0)
         yield found
         return
-    if engine is None:
-        count = core_count() if jobs is None else jobs
-        engine = LocalEngine(count) if scheduler is None else DaskEngine(scheduler, count)
+    count = core_count() if jobs is None else jobs
+    go_on: Callable[[float], None] = time.sleep
+    if scheduler is not None:
+        engine = DaskEngine(scheduler, count)
+    elif engine is None:
+        engine = here = LocalEngine(count, in_thread=False)
+        go_on = here.serve
     with closing(engine):
-        yield from _fit_at_once(engine, files, outputs, known, options, on_progress)
+        yield from _fit_at_once(engine, go_on, files, outputs, known, options, on_progress)
 
 
 def _fit_at_once(
     engine: Engine,
+    go_on: Callable[[float], None],
     files: Sequence[Path],
     outputs: Sequence[Path | None],
     known: Iterable[FileFit | None],
     options: FitOptions,
     on_progress: OnProgress,
 ) -> Generator[FileFit, None, None]:
-    """Yield the fits of files in order, after submitting all that are not `known`."""
+    """Yield the fits of files in order, after submitting all that are not `known`.
+
+    `go_on` is called between two looks at them, with the seconds until the next.
+    """
     done: dict[int, FileFit] = {}
     shares = [0.0] * len(files)
     numbers: dict[Future[Outcome], int] = {}
@@ -108,15 +116,16 @@ def _fit_at_once(
         if not numbers:
             _wait_until_ready(engine)
         numbers[engine.submit(FitTask(file.stem, file, options), partial(shares.__setitem__, number))] = number
-    unfinished, yielded = set(numbers), 0
+    yielded = 0
     while yielded < len(files):
         on_progress(len(done) + sum(share for at, share in enumerate(shares) if at not in done))
         while yielded in done:
             yield done[yielded]
             yielded += 1
-        ended, unfinished = wait(unfinished, _PROGRESS_INTERVAL, FIRST_COMPLETED)
-        for future in ended:
-            number = numbers[future]
+        if numbers:
+            go_on(_PROGRESS_INTERVAL)
+        for future in [future for future in numbers if future.done()]:
+            number = numbers.pop(future)
             done[number] = _file_fit(files[number], outputs[number], future.result())
 
 

@@ -5,23 +5,20 @@ output files. That of this machine and that of a Dask cluster give the same resu
 does not affect the others, and no process outlives its engine.
 """
 
-import contextvars
 import errno
 import logging
 import math
-import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol
 
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.fitting.options import FitOptions
 
 logger = logging.getLogger(__name__)
-T = TypeVar("T")
 
 OnProgress = Callable[[float], None]
 """Called with the finished share of a fit, 0 to 1."""
@@ -73,7 +70,6 @@ class Fault:
 Outcome = FitDocument | Fault
 MEMORY_LIMIT = Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
 DISK_FULL = Fault("system", "DiskFull", "There is no space left on the disk.")
-STOPPED = Fault("system", "Stopped", "The fit was stopped because its result is not wanted.")
 
 
 class Engine(Protocol):
@@ -90,55 +86,6 @@ class Engine(Protocol):
 
     def close(self) -> None:
         """Stop all fits, and return when their processes have ended."""
-
-
-class Threads:
-    """At most `count` calls at once, each in a thread of its own; their futures can be cancelled while they run."""
-
-    def __init__(self, count: int) -> None:
-        self._threads = ThreadPoolExecutor(count, "dsbrdf-fit")
-        self._unfinished: set[_Stoppable[Any]] = set()
-
-    def submit(self, call: Callable[..., T], *arguments: Any) -> "Future[T]":
-        """Call ``call(stopped, *arguments)`` in a thread; ``stopped`` is an event that says that it should return."""
-        future: _Stoppable[T] = _Stoppable()
-        self._unfinished.add(future)
-        future.add_done_callback(self._unfinished.discard)
-        context = contextvars.copy_context()  # carries the fields that the caller has bound for its log lines
-        self._threads.submit(context.run, future.run, call, *arguments)
-        return future
-
-    def close(self) -> None:
-        """Cancel all calls, and return when they have ended."""
-        for future in self._unfinished.copy():
-            future.cancel()
-        self._threads.shutdown()
-
-
-class _Stoppable(Future[T]):
-    """A future that tells its call to stop when it is cancelled, and is done when the call has returned."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._stopped = threading.Event()
-
-    def cancel(self) -> bool:
-        self._stopped.set()
-        return super().cancel()
-
-    def run(self, call: Callable[..., T], *arguments: Any) -> None:
-        """Make the call; what one that was stopped has returned is dropped."""
-        if not self.set_running_or_notify_cancel():
-            return
-        try:
-            result = call(self._stopped, *arguments)
-        except BaseException as error:
-            self.set_exception(error)
-        else:
-            if self._stopped.is_set():
-                self.set_exception(CancelledError())
-            else:
-                self.set_result(result)
 
 
 def rising(on_progress: OnProgress, step: float = 0.0, seconds: float = 0.0) -> OnProgress:

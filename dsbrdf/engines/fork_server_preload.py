@@ -2,14 +2,24 @@
 
 import atexit
 import os
-import shutil
+from contextlib import suppress
+from multiprocessing import forkserver
+from pathlib import Path
+
+from dsbrdf.process_settings import ONE_BLAS_THREAD
+
+os.environ.update(ONE_BLAS_THREAD)  # which NumPy reads when it is imported
 
 import dsbrdf.engines.local  # noqa: F401 (what workers run)
 from dsbrdf.data.grid import nodes_above_horizon
-from dsbrdf.engines.worker_process import SERVER_FOLDER
 
 nodes_above_horizon()  # the result is cached, and the workers share its memory
 
-if SERVER_FOLDER in os.environ:
-    # The process that started the server removes the folder too, but cannot do so after a kill -9.
-    atexit.register(shutil.rmtree, os.environ.pop(SERVER_FOLDER), ignore_errors=True)
+
+@atexit.register
+def _remove_socket() -> None:
+    """Remove the server's socket and its folder: the process that made them cannot do so after a kill -9."""
+    with suppress(OSError):
+        socket = Path(forkserver._forkserver._forkserver_address)  # type: ignore[attr-defined]
+        socket.unlink()
+        socket.parent.rmdir()

@@ -10,11 +10,10 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import httpx
@@ -24,7 +23,7 @@ from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.sample_tables import is_table
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
-from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outcome, Threads
+from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outcome
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.output.serialize import result_from_json
 
@@ -238,10 +237,11 @@ class ClientEngine:
     """
 
     def __init__(self, url: str, count: int) -> None:
-        self._url, self._client, self._threads = url, Client(url), Threads(count)
+        self._url, self._client, self._closed = url, Client(url), False
+        self._threads = ThreadPoolExecutor(count)
 
     def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
-        """Ask for a fit; when it is cancelled, do not wait for it any more.
+        """Ask for a fit.
 
         The future raises ConnectionError if the service cannot be reached, or fails for another reason than the
         measurement or the options. It raises InvalidArgumentError if the service wants a key.
@@ -253,12 +253,13 @@ class ClientEngine:
 
     def close(self) -> None:
         """Give up what is asked for, and close the connections."""
-        self._threads.close()
+        self._closed = True
+        self._threads.shutdown(cancel_futures=True)
         self._client.close()
 
-    def _fit(self, stopped: Event, task: FitTask, on_progress: OnProgress) -> Outcome:
+    def _fit(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         def progress(share: float) -> None:
-            if stopped.is_set():
+            if self._closed:
                 raise CancelledError
             on_progress(share)
 

@@ -5,8 +5,11 @@ import json
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
+from contextvars import copy_context
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +18,9 @@ from fastapi import FastAPI
 from starlette.types import Message
 
 import dsbrdf
-from dsbrdf.engines import local
-from dsbrdf.engines.engine import FitLimits, OnProgress, run_step
+from dsbrdf.engines import processes
+from dsbrdf.engines.engine import OnProgress, run_step
+from dsbrdf.engines.processes import Processes
 from dsbrdf.output.serialize import to_json
 from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.app import create_app
@@ -142,18 +146,21 @@ class Application:
         return Exchange(asyncio.create_task(self.app(scope, receive, send)), gone, messages)
 
 
-def _run_in_thread(
-    step: Callable[..., Any], arguments: tuple[Any, ...], limits: FitLimits, on_progress: OnProgress, _: object
-) -> Any:
-    """Call a step as `run_in_process` does, but in this thread; one that is not wanted any more runs on."""
-    return run_step(step, *arguments, on_progress)
+def _call_in_thread(
+    _: Processes, step: Callable[..., Any], *arguments: Any, on_progress: OnProgress = lambda _: None
+) -> "Future[Any]":
+    """Call a step as `Processes.call` does, but in a thread; one that is not wanted any more runs on."""
+    threads = ThreadPoolExecutor(1)
+    call = threads.submit(partial(copy_context().run, run_step, step, *arguments, on_progress))
+    threads.shutdown(wait=False)
+    return call
 
 
 @asynccontextmanager
 async def application(folder: Path, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> AsyncIterator[Application]:
     """Run the application during the block, without other processes: steps are called in threads."""
-    monkeypatch.setattr(local, "start_fork_server", lambda: None)
-    monkeypatch.setattr(local, "run_in_process", _run_in_thread)
+    monkeypatch.setattr(processes, "start_fork_server", lambda: None)
+    monkeypatch.setattr(processes.Processes, "call", _call_in_thread)
     store = Store(folder)
     app = create_app(Settings(data_dir=folder, workers=1, require_keys=True, **settings), store)
     async with app.router.lifespan_context(app):

@@ -3,6 +3,8 @@
 import os
 import resource
 import signal
+import socket
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -11,9 +13,31 @@ from dsbrdf.engines.engine import FitTask, OnProgress, Outcome
 from dsbrdf.engines.local import compute
 
 
-def die(_: OnProgress) -> None:
-    """End as a process that is killed."""
-    os.kill(os.getpid(), signal.SIGKILL)
+def die(number: signal.Signals, _: OnProgress) -> None:
+    """End as a process that gets a signal."""
+    os.kill(os.getpid(), number)
+
+
+def exit_with(code: int, _: OnProgress) -> None:
+    """End at once, without an outcome."""
+    os._exit(code)
+
+
+def stop_itself(on_progress: OnProgress) -> None:
+    """Stop in the middle of sending the outcome."""
+    on_progress(0.5)
+    send = socket.socket.sendall
+
+    def send_half(pipe: socket.socket, data: bytes) -> None:
+        send(pipe, data[: len(data) // 2])
+        os.kill(os.getpid(), signal.SIGSTOP)
+
+    vars(sys.modules["socket"])["socket"].sendall = send_half
+
+
+def address_space(_: OnProgress) -> int:
+    """Return the limit of the address space [bytes]."""
+    return resource.getrlimit(resource.RLIMIT_AS)[0]
 
 
 def do_nothing(_: OnProgress) -> None:
@@ -23,7 +47,7 @@ def do_nothing(_: OnProgress) -> None:
 def compute_unless_named_one(task: FitTask, on_progress: OnProgress) -> Outcome:
     """Fit; the process that is to fit the file ``one`` is killed, as the kernel does when memory is short."""
     if task.fit_id == "one":
-        die(on_progress)
+        die(signal.SIGKILL, on_progress)
     return compute(task, on_progress)
 
 

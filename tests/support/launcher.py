@@ -182,7 +182,7 @@ def _become(program: str, request: dict[str, Any]) -> NoReturn:
     if program == "dask":
         import_module("dask.config").refresh()  # it takes settings from the environment
     if not request["fits"]:
-        vars(import_module("dsbrdf.engines.local"))["start_fork_server"] = lambda: None
+        vars(import_module("dsbrdf.engines.processes"))["start_fork_server"] = lambda: None
     else:
         _prepare_fork_server()
     sys.argv = [program, *request["arguments"]]

@@ -132,14 +132,22 @@ def test_unfinished_request_gets_503_at_shutdown(own_server: Callable[..., Serve
     assert "Finished server process" in server.log.read_text()
 
 
+def pipes(pid: int) -> int:
+    """Return how many ends of pipes a process has."""
+    return sum(
+        str(link.readlink()).startswith("pipe:") for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()
+    )
+
+
 def test_hanging_fork_server_does_not_block_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(workers="1", shutdown_seconds="1")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     (fork_server,) = (pid for pid in server.helpers() if b"forkserver" in command(pid))
     os.kill(fork_server, signal.SIGSTOP)
+    before = pipes(server.process.pid)
     try:
         fit = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
-        wait_until(lambda: server.status(fit) == "running")
+        wait_until(lambda: pipes(server.process.pid) > before)  # it waits for the server, to which it has sent the fit
         server.process.send_signal(signal.SIGTERM)
         assert server.process.wait(timeout=60) == 1
     finally:

@@ -22,7 +22,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
 from dsbrdf.engines.engine import DISK_FULL, Fault, FitLimits
-from dsbrdf.engines.local import WorkerProcesses
+from dsbrdf.engines.processes import Processes
 from dsbrdf.errors import InvalidArgumentError
 
 from ..access.authentication import CALLER_NAME
@@ -82,7 +82,7 @@ class Computations:
 
     def __init__(self, limits: FitLimits) -> None:
         self._turns = {place: FairTurns() for place in get_args(Place)}
-        self._processes = WorkerProcesses(len(self._turns), limits)
+        self._processes = Processes(len(self._turns), limits)
         self._in_progress: dict[Hashable, _Computation] = {}
 
     async def run(self, request: Request, key: Hashable, compute: Callable[[], T], place: Place = "short") -> T:

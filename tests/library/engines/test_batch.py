@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -18,7 +19,7 @@ from dsbrdf.engines import batch, local
 from dsbrdf.engines.batch import FileFit, fit_files
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.serialize import load
-from dsbrdf.process_settings import ONE_BLAS_THREAD, core_count
+from dsbrdf.process_settings import core_count
 from tests.support import endless_fit
 from tests.support.crashing_tasks import compute_unless_named_one
 from tests.support.dask_cluster import DaskCluster, forked
@@ -103,23 +104,31 @@ def test_results_come_in_order_and_are_written(files: list[Path], tmp_path: Path
     assert active_children() == []
 
 
+class Seen(Exception):  # noqa: N818
+    """The end of a batch, when enough has been seen of it."""
+
+
 def test_fit_processes_have_one_thread_and_end_with_the_iterator_and_the_environment_stays(
     files: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    with closing(fit_files([Path("none.binary"), *files[:2]], endless_fit.OPTIONS, jobs=2)) as items:
-        assert next(items).error == "No such file or directory"
-        wait_until(lambda: len(forked(os.getpid())) == 2, PATIENCE)
-        workers = forked(os.getpid())
-        wait_until(lambda: all(map(works, workers)), PATIENCE)
-        for worker in workers:
-            entries = Path(f"/proc/{worker}/environ").read_bytes().decode().split("\0")
-            assert {f"{name}={value}" for name, value in ONE_BLAS_THREAD.items()} <= {*entries}
+    workers, before = set[int](), threading.active_count()
+
+    def look(_: float) -> None:
+        workers.update(forked(os.getpid()))
+        assert threading.active_count() == before
         # In each the fit, and the watch over the parent.
-        wait_until(lambda: [len([*Path(f"/proc/{pid}/task").iterdir()]) for pid in workers] == [2, 2], PATIENCE)
-        assert os.environ["OMP_NUM_THREADS"] == "7"
-        assert "MKL_NUM_THREADS" not in os.environ
+        threads = [len([*Path(f"/proc/{pid}/task").iterdir()]) for pid in workers if works(pid)]
+        if threads == [2, 2]:
+            raise Seen
+
+    with closing(fit_files([Path("none.binary"), *files[:2]], endless_fit.OPTIONS, jobs=2, progress=look)) as items:
+        assert next(items).error == "No such file or directory"
+        with pytest.raises(Seen):
+            next(items)
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in os.environ
     assert active_children() == []
     assert not any(map(alive, workers))
 

@@ -227,10 +227,11 @@ async def test_turn_of_a_cancelled_waiter_goes_to_the_next() -> None:
 
 
 def test_process_of_an_export_ends_when_its_client_leaves(server: Server, fitted: str) -> None:
-    before = server.workers()
+    server.http.get(f"/v1/fits/{fitted}/figures/thumbnail.png")  # which is drawn after each fit
+    wait_until(lambda: not server.workers())
     request = f"GET /v1/fits/{fitted}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
     with closing(server.connection(request)):
-        wait_until(lambda: bool(server.workers() - before), 20.0)
-        (worker,) = server.workers() - before
+        wait_until(lambda: bool(server.workers()))
+        (worker,) = server.workers()
         os.kill(worker, signal.SIGSTOP)  # by itself it does not end any more
-    wait_until(lambda: worker not in server.workers(), 20.0)
+    wait_until(lambda: worker not in server.workers(), 20.0)  # before its time is up

@@ -5,7 +5,7 @@ import errno
 import sqlite3
 import threading
 from collections.abc import AsyncIterator, Callable
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import pytest
 
 import dsbrdf
-from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Outcome, Threads
+from dsbrdf.engines.engine import NOT_STARTED, Fault, FitTask, Outcome
 from dsbrdf.engines.local import document_of
 from dsbrdf_service.errors import FitNotFoundError
 from dsbrdf_service.jobs import jobs as jobs_module
@@ -33,6 +33,30 @@ _FIT = dsbrdf.fit(glossy_plastic(), method="paper", n_lobes=1, em_iterations=3)
 RESULT = document_of(_FIT)
 
 
+class StoppableFit(Future[Outcome]):
+    """A fit that can be cancelled while it runs, as those of engines."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stopped = threading.Event()
+
+    def cancel(self) -> bool:
+        self.stopped.set()
+        return super().cancel()
+
+    def settle(self, run: Callable[[threading.Event, int], Outcome], number: int) -> None:
+        if self.set_running_or_notify_cancel():
+            try:
+                outcome = run(self.stopped, number)
+            except Exception as error:
+                self.set_exception(error)
+            else:
+                if self.stopped.is_set():
+                    self.set_exception(CancelledError())
+                else:
+                    self.set_result(outcome)
+
+
 class Engine:
     """Computes when it is told to, and every time something else, so that one can tell who has computed."""
 
@@ -40,14 +64,16 @@ class Engine:
         self.go_on = threading.Event()
         self.outcomes: list[Outcome | Exception] = []
         self.begun: list[str] = []
-        self.threads = Threads(2)
+        self.threads = ThreadPoolExecutor(2)
 
     def check(self) -> None:
         pass
 
     def submit(self, task: FitTask, on_progress: Callable[[float], None]) -> "Future[Outcome]":
         self.begun.append(task.fit_id)
-        return self.threads.submit(self.run, len(self.begun))
+        fit = StoppableFit()
+        self.threads.submit(fit.settle, self.run, len(self.begun))
+        return fit
 
     def run(self, stopped: threading.Event, number: int) -> Outcome:
         while not (self.go_on.wait(0.01) or stopped.is_set()):
@@ -124,7 +150,8 @@ async def place(tmp_path: Path) -> AsyncIterator[Race]:
         yield race
     finally:
         await race.jobs.close()
-        race.engine.threads.close()
+        race.engine.go_on.set()
+        race.engine.threads.shutdown()
         race.store.close()
 
 

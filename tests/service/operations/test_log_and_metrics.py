@@ -20,7 +20,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from dsbrdf.engines.engine import Fault, FitLimits
-from dsbrdf.engines.local import WorkerProcesses
+from dsbrdf.engines.processes import Processes
 from dsbrdf_service.operations.logging import LineFormatter, LogWriter, bind
 from dsbrdf_service.storage.database import FILE_NAME
 from tests.support.processes import free_port, wait_until
@@ -161,7 +161,7 @@ def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: 
 
 
 def test_output_of_fit_processes_is_in_the_log() -> None:
-    stream, processes = io.StringIO(), WorkerProcesses(1, FitLimits())
+    stream, processes = io.StringIO(), Processes(1, FitLimits())
     handler, of_processes = logging.StreamHandler(stream), logging.getLogger("dsbrdf.engines.engine")
     handler.setFormatter(LineFormatter(text=False))
     of_processes.addHandler(handler)

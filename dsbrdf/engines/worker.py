@@ -1,0 +1,86 @@
+"""What a worker process does: set its limits, call a step, send what comes of it.
+
+It uses one BLAS thread, see `dsbrdf.process_settings`, and ends when the process that started it ends, however that
+happens.
+"""
+
+import logging
+import mmap
+import os
+import signal
+import socket
+from collections.abc import Callable
+from multiprocessing.reduction import ForkingPickler
+from typing import Any
+
+from dsbrdf.engines.engine import FitLimits, rising, run_step
+from dsbrdf.process_settings import end_with_parent, keep_freed_memory, reserve_blas_memory
+
+try:
+    import resource
+except ImportError:  # pragma: no cover (no such limits outside POSIX)
+    resource = None  # type: ignore[assignment]
+
+HEAD = 8
+"""Bytes before each message that are its length."""
+OUT_OF_MEMORY = 75
+"""Exit code of a process that could not send its outcome."""
+
+_MIN_PROGRESS_STEP = 0.01  # smaller steps of progress are not sent
+_LEAST_MEMORY = 4 << 20  # bytes without which a step is not begun
+
+
+def run_in_worker(pipe: socket.socket, limits: FitLimits, step: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    """Run a step; send its progress, log records and, last, the outcome, each as a pair of its kind and itself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal reaches all processes; the parent handles it
+
+    def send(kind: str, content: object) -> None:
+        message = ForkingPickler.dumps((kind, content))
+        pipe.sendall(len(message).to_bytes(HEAD))
+        pipe.sendall(message)
+
+    try:
+        _prepare(limits)
+        logging.basicConfig(handlers=[_LogToParent(send)], level=logging.INFO, force=True)
+        send("outcome", run_step(step, *arguments, rising(lambda share: send("progress", share), _MIN_PROGRESS_STEP)))
+    except (MemoryError, RuntimeError) as error:  # there is not even enough to begin, or to send the outcome
+        limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+        if isinstance(error, MemoryError) or limited:  # else a thread is refused for another reason
+            os._exit(OUT_OF_MEMORY)
+        raise
+
+
+def _prepare(limits: FitLimits) -> None:
+    """Set the limits, that of memory unless a narrower one was set from outside; MemoryError if hardly any is left.
+
+    What goes wrong without memory need not be an exception, as the stack cannot grow either.
+    """
+    end_with_parent()
+    if limits.niceness and hasattr(os, "nice"):
+        os.nice(limits.niceness)
+    if resource is not None:
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        reserve_blas_memory()
+        most, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if limits.memory_mb is not None and (most == resource.RLIM_INFINITY or limits.memory_mb << 20 < most):
+            resource.setrlimit(resource.RLIMIT_AS, (limits.memory_mb << 20, limits.memory_mb << 20))
+        try:
+            mmap.mmap(-1, _LEAST_MEMORY).close()
+        except OSError:
+            raise MemoryError from None
+    keep_freed_memory()
+
+
+class _LogToParent(logging.Handler):
+    """Sends log records to the parent process, whose logging is configured."""
+
+    def __init__(self, send: Callable[[str, object], None]) -> None:
+        super().__init__()
+        self._send = send
+
+    def emit(self, record: logging.LogRecord) -> None:
+        record.msg, record.args = record.getMessage(), None
+        if record.exc_info:
+            record.exc_text = logging.Formatter().formatException(record.exc_info)
+            record.exc_info = None  # a traceback cannot be pickled
+        self._send("log", record)

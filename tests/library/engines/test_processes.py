@@ -1,0 +1,122 @@
+"""What a process of a computation is given, and what is said of its end."""
+
+import os
+import platform
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dsbrdf.engines.engine import MEMORY_LIMIT, Fault, FitLimits, OnProgress
+from dsbrdf.engines.processes import Processes
+from tests.support.crashing_tasks import (
+    address_space,
+    die,
+    do_nothing,
+    exit_with,
+    fill_and_free,
+    nice_value,
+    stop_itself,
+)
+from tests.support.dask_cluster import forked
+from tests.support.processes import alive, children, wait_until
+
+pytestmark = pytest.mark.slow
+PATIENCE = 300.0
+
+
+@pytest.fixture
+def processes() -> Iterator[Processes]:
+    with closing(Processes(2, FitLimits())) as started:
+        yield started
+
+
+def run_alone(step: Callable[[OnProgress], Any], **limits: Any) -> Any:
+    with closing(Processes(1, FitLimits(**limits))) as processes:
+        return processes.call(step).result(PATIENCE)
+
+
+def test_end_of_a_process_is_told_while_others_start(processes: Processes) -> None:
+    for _ in range(10):
+        lost, others = processes.call(die, signal.SIGKILL), [processes.call(do_nothing) for _ in range(4)]
+        told = Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
+        assert lost.result(PATIENCE) == told
+        assert [other.result(PATIENCE) for other in others] == [None] * 4
+
+
+def test_what_a_process_does_to_itself_is_a_crash(processes: Processes) -> None:
+    crash, end = processes.call(die, signal.SIGSEGV), processes.call(exit_with, 3)
+    assert crash.result(PATIENCE) == Fault("compute", "ProcessCrashed", "The fit's process crashed (SIGSEGV).")
+    assert end.result(PATIENCE) == Fault("compute", "ProcessCrashed", "The fit's process crashed (exit code 3).")
+
+
+def test_process_that_stops_while_it_sends_holds_up_no_other() -> None:
+    with closing(Processes(2, FitLimits(seconds=3.0))) as processes:
+        stopped = processes.call(stop_itself)
+        while not stopped.done():
+            assert processes.call(do_nothing).result(PATIENCE) is None
+        fault = stopped.result()
+    assert (fault.origin, fault.type) == ("compute", "TimeLimit")
+
+
+def test_call_whose_progress_nobody_can_take_fails_alone_and_its_process_ends(processes: Processes) -> None:
+    def refuse(_: float) -> None:
+        raise ValueError("not wanted")
+
+    with pytest.raises(ValueError, match="not wanted"):
+        processes.call(stop_itself, on_progress=refuse).result(PATIENCE)
+    assert not forked(os.getpid())
+    assert processes.call(do_nothing).result(PATIENCE) is None
+
+
+def test_arguments_that_cannot_be_sent_are_an_error_of_their_call(processes: Processes) -> None:
+    with pytest.raises((TypeError, AttributeError), match="pickle"):
+        processes.call(print, lambda: None).result(PATIENCE)
+    assert processes.call(do_nothing).result(PATIENCE) is None
+
+
+def test_process_whose_server_is_lost_is_ended_and_another_server_is_started(processes: Processes) -> None:
+    stopped = processes.call(stop_itself)
+    wait_until(lambda: len(forked(os.getpid())) == 1)
+    (victim,) = forked(os.getpid())
+    (server,) = (pid for pid in children(os.getpid()) if victim in children(pid))
+    os.kill(server, signal.SIGKILL)
+    wait_until(lambda: not alive(server))
+    assert processes.call(do_nothing).result(PATIENCE) is None
+    stopped.cancel()
+    wait_until(stopped.done)
+    wait_until(lambda: not alive(victim))
+
+
+@pytest.mark.skipif(not hasattr(os, "nice"), reason="the system has no nice values")
+def test_a_process_gives_way_as_its_limits_say() -> None:
+    assert run_alone(nice_value, niceness=3) == os.nice(0) + 3
+
+
+@pytest.mark.parametrize(("outside", "asked"), [(2048, 4096), (4096, 2048)])
+def test_narrower_one_of_two_memory_limits_holds(outside: int, asked: int) -> None:
+    """One is set from outside: on the server, from which processes inherit it; it may be a soft one."""
+    with closing(Processes(1, FitLimits(memory_mb=asked))) as processes:
+        processes.check()
+        processes.call(do_nothing).result(PATIENCE)
+        servers = [pid for pid in children(os.getpid()) if b"forkserver" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        before = resource.prlimit(servers[0], resource.RLIMIT_AS)
+        resource.prlimit(servers[0], resource.RLIMIT_AS, (outside << 20, before[1]))
+        try:
+            assert processes.call(address_space).result(PATIENCE) == 2048 << 20
+        finally:
+            resource.prlimit(servers[0], resource.RLIMIT_AS, before)
+
+
+def test_process_without_memory_to_begin_is_at_its_limit() -> None:
+    assert run_alone(do_nothing, memory_mb=1) == MEMORY_LIMIT
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have a way of their own with memory")
+def test_freed_memory_is_reused() -> None:
+    pages = run_alone(fill_and_free)
+    assert 0 < pages < 10_000  # given back each time, it would be 51,200
