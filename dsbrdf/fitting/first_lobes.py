@@ -30,10 +30,11 @@ _NEUTRAL, _TAIL, _DIFFUSE_TAIL, _DIFFUSE_WIDTH, _ROUND = 1e-4, 2e-4, 1e-3, 1e-4,
 _GGX_KAPPA, _USUAL_DIFFUSE_KAPPA = 2.0, 1.1
 _USUAL_REACH = float(np.log(reach_of_width(np.radians(70.0), _FAMILY)))
 _STARTS = ((0.6, 65.0), (2.0, 65.0), (8.0, 65.0))  # half widths [degrees]
-_START_ELONGATION = 0.5
+START_ELONGATION = 0.5
+"""Of a lobe that is not round, at the start of a fit."""
 FAINTEST_START = 0.02
 """Of a typical amplitude, the least at the start: the derivatives of a fainter lobe are too small to change it."""
-_TOLERANCE, _ITERATIONS = 1e-3, 60
+_MOST_ITERATIONS = 60
 
 
 def fit_first_lobes(data: FitData) -> Mixture:
@@ -50,7 +51,7 @@ def _fit(data: FitData, widths: tuple[float, ...]) -> tuple[float, Mixture]:
     """Cost and lobes, found from half widths [degrees]."""
     structure = first_structure()
     problem = MixtureProblem(data, structure, prior=_prior(structure))
-    solution = minimize(problem, _start(problem, widths), tolerance=_TOLERANCE, iterations=_ITERATIONS)
+    solution = minimize(problem, _start(problem, widths), iterations=_MOST_ITERATIONS)
     return solution.cost, Mixture(structure, solution.unknowns)
 
 
@@ -78,7 +79,7 @@ def _start(problem: MixtureProblem, widths: tuple[float, ...]) -> Array:
     amplitude, shape, elongation = structure.split(unknowns)
     shape[:, :k], shape[:, k - 1] = np.log(_GGX_KAPPA), np.log(_USUAL_DIFFUSE_KAPPA)
     shape[:, k:] = np.log(reach_of_width(np.radians(widths), _FAMILY))
-    elongation[:, : k - 1] = _START_ELONGATION
+    elongation[:, : k - 1] = START_ELONGATION
     curves = problem.curves(unknowns)
     heights = np.zeros((n_rows, 3, k))
     for row, channel in np.ndindex(n_rows, 3):

@@ -22,7 +22,7 @@ from dsbrdf.fitting.matching_pursuit import GrowthStep, grow
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
 from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
-from dsbrdf.fitting.weighting import bin_weights
+from dsbrdf.fitting.weighting import DARK, TINY, bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width, width_of_reach
 
@@ -37,7 +37,6 @@ KNOTS = {
 }
 """Knots of amplitudes, shapes and elongations [rad] for each variation; a single one is a constant."""
 _SEARCH_KNOTS = KNOTS | {"full": (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])}
-TOLERANCE = 1e-3
 MAX_ITERATIONS = 300
 _ROUNDS, _ROBUST_ROUNDS = 2, 3
 _EXPECTED_TRIES = 16
@@ -52,9 +51,8 @@ USED_COLUMNS = np.unique(np.concatenate([FIT_COLUMNS, _SEARCH_COLUMNS, _HELD_OUT
 """Rows and columns of a table that the fit looks at."""
 _SEARCH_BINS = (0, 3, 5, 8)  # of phi_diff; joined ones would be so wide that elongated lobes change within them
 _NEIGHBOURS = 5  # columns
-_DARK = 0.02  # of the mean of a row: residuals of values below are relative to it
 _SMALLEST_OUTLIER = 1e-2  # relative residual that is none, however well a mixture fits
-_FEW = 8  # rows or columns that are not thinned further
+_FEWEST_LINES = 8  # rows or columns that are not thinned further
 _FEWEST_SAMPLES = 3
 _MANY_SAMPLES = 20_000  # scattered samples that need no more smoothing than a table
 _FEWEST_IN_COLUMN = 5  # bins with data for each knot: with fewer, a column resolves no narrow lobe
@@ -108,7 +106,7 @@ def refine_at_samples(data: FitData, mixture: Mixture, growth: tuple[GrowthStep,
     pull = max(1.0, _MANY_SAMPLES / np.count_nonzero(data.weight[0]))
     amplitude, shape, elongation = (pull * smoothing for smoothing in SMOOTHING)
     problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
-    solution = minimize(problem, mixture.unknowns, tolerance=TOLERANCE, iterations=MAX_ITERATIONS)
+    solution = minimize(problem, mixture.unknowns, iterations=MAX_ITERATIONS)
     seen = np.isin(THETA_DIFF, data.theta_diff)
     return _found(structure, solution, np.broadcast_to(seen, (3, seen.size)), growth)
 
@@ -204,7 +202,7 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
     for axis, wanted in ((1, rows), (0, columns)):
         present = np.flatnonzero(measured.any(axis=axis))
         nearest = np.unique(present[np.abs(wanted[:, None] - present).argmin(axis=1)])
-        chosen.append(nearest if nearest.size >= min(_FEW, present.size) else present)
+        chosen.append(nearest if nearest.size >= min(_FEWEST_LINES, present.size) else present)
     return FitData.select(data.folded, weight, chosen[0], chosen[1])
 
 
@@ -223,7 +221,6 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
         solution = minimize(
             problem,
             unknowns,
-            tolerance=TOLERANCE,
             iterations=MAX_ITERATIONS - iterations,
             on_iteration=lambda i, done=done: progress(done + i / MAX_ITERATIONS / rounds),  # type: ignore[misc]
         )
@@ -239,8 +236,8 @@ def _trust(values: Array, data: FitData) -> Array:
     """
     seen = data.weight > 0.0
     level = np.sum(data.weight * values, axis=(2, 3), keepdims=True)
-    level /= np.sum(data.weight, axis=(2, 3), keepdims=True) + 1e-300
-    relative = np.where(seen, (data.mean - values) / (values + _DARK * level + 1e-12), 0.0)
+    level /= np.sum(data.weight, axis=(2, 3), keepdims=True) + TINY
+    relative = np.where(seen, (data.mean - values) / (values + DARK * level + 1e-12), 0.0)
     alone = np.abs(relative - median_filter(relative, (1, 1, _NEIGHBOURS, 1), mode="nearest"))
     usual = np.zeros(level.shape)
     for channel, row in np.argwhere(seen.any(axis=(2, 3))):

@@ -35,6 +35,8 @@ from dsbrdf.model.splines import roughness
 
 SMOOTHING = (1e-7, 3e-6, 1e-6)
 """Pull on second differences of log amplitudes, shapes and elongations, as a share of the squared signal."""
+TOLERANCE = 1e-3
+"""An iteration stalls that lowers the cost by a smaller share."""
 _SAMPLES_AT_ONCE = 2400
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-2, 1e8
@@ -308,8 +310,8 @@ def minimize(
     problem: MixtureProblem,
     start: Array,
     *,
-    tolerance: float,
     iterations: int,
+    tolerance: float = TOLERANCE,
     fixed: Mask | None = None,
     on_iteration: Callable[[int], None] | None = None,
 ) -> Solution:

@@ -43,7 +43,7 @@ _CONTROL = np.linspace(-9.0, 9.0, 91)
 _CONTROL_WEIGHT = np.exp(-0.5 * _CONTROL**2) * (0.2 / math.sqrt(2.0 * math.pi))
 _LEGENDRE_NODES, _LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(80)
 _NEGLIGIBLE = 1e-18  # probability cut off at either end of the distribution of s
-_FAR = 18.0  # 1 - H, averaged over the control, is below 1e-30 there
+_CERTAIN = 18.0  # 1 - H, averaged over the control, is below 1e-30 there
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def _exceedance(t: float, n_doses: int, degrees_of_freedom: float) -> float:
     first = math.sqrt(float(gammaincinv(half, _NEGLIGIBLE)) / half)
     last = math.sqrt(float(gammainccinv(half, _NEGLIGIBLE)) / half)
     if t > 0:  # with few degrees of freedom and a large t only small s count
-        last = min(last, max(_FAR / (math.sqrt(2.0) * t), 2.0 * first))
+        last = min(last, max(_CERTAIN / (math.sqrt(2.0) * t), 2.0 * first))
     s = first + 0.5 * (last - first) * (1.0 + _LEGENDRE_NODES)
     log_density = (
         (degrees_of_freedom - 1.0) * np.log(s) - half * s**2 + half * math.log(half) - float(gammaln(half))

@@ -18,9 +18,10 @@ from typing import Literal
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.fitting.first_lobes import FAINTEST_START, fit_first_lobes
-from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
+from dsbrdf.fitting.first_lobes import FAINTEST_START, START_ELONGATION, fit_first_lobes
+from dsbrdf.fitting.least_squares import TOLERANCE, FitData, MixtureProblem, minimize
 from dsbrdf.fitting.structure import Mixture, Structure, change_knots
+from dsbrdf.fitting.weighting import TINY
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, width_of_reach
 from dsbrdf.model.splines import smooth_control_values
 
@@ -40,14 +41,13 @@ _RING_CENTERS = (1.0, 2.0, 4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0)
 _CUSP_WIDTHS = (0.7, 1.5, 3.0, 6.0, 9.0)
 _CUSP_CENTER = -1.5  # half widths
 _ELONGATIONS = (0.0, 1.0)
-_START_ELONGATION = 0.5  # of the candidate's
 _START_KAPPA = 1.0
 _FEWEST_COLUMNS = 8  # with data, that tell a highlight from what is about it
 _BETTER = 0.9  # of the squared error with the first lobes
 _FIRST_TWO, _LAST_TWO = 2, 5  # numbers of lobes between which a near and a far one are tried
 _FAR = 20.0 * _DEGREE
-_RIDGE, _TINY = 1e-3, 1e-300
-_FIXED_ITERATIONS, _ITERATIONS, _TOLERANCE = 8, 9, 1e-3
+_RIDGE = 1e-3
+_FIXED_ITERATIONS, _ITERATIONS = 8, 9
 _MOST_PLAIN_LOBES = 3  # that are tried in the place of rings
 _LARGEST_RESIDUAL = 0.3  # in units of the root mean square: few samples must not decide what noise is
 _NEARLY_NOISE = 0.9  # correlation below which a mixture is fitted on before it is judged
@@ -215,7 +215,7 @@ def _minimize(
     data: FitData,
     start: Mixture,
     iterations: int,
-    tolerance: float = _TOLERANCE,
+    tolerance: float = TOLERANCE,
     fixed: Mask | None = None,
 ) -> Mixture:
     problem = MixtureProblem(data, start.structure)
@@ -282,7 +282,7 @@ def _project(data: FitData, mixture: Mixture, dictionary: _Dictionary) -> tuple[
     amplitude, gain = np.maximum(alongs, 0.0) / np.where(sizes > 0.0, sizes, np.inf), np.zeros(sizes.shape[1])
     for channel in range(3):
         known = others * root[:, channel, None]
-        norm = np.linalg.norm(known, axis=2, keepdims=True) + _TINY
+        norm = np.linalg.norm(known, axis=2, keepdims=True) + TINY
         known /= norm
         target = known @ (root * residual)[:, channel, :, None]
         known_new = (known * root[:, channel, None]) @ dictionary.curves.transpose(0, 2, 1)
@@ -290,7 +290,7 @@ def _project(data: FitData, mixture: Mixture, dictionary: _Dictionary) -> tuple[
         answer = np.linalg.solve(square, np.concatenate([known_new, target], axis=2))
         size = sizes[..., channel]
         along = alongs[..., channel] - np.sum(known_new * answer[..., -1:], axis=1)
-        left = np.maximum(size - np.sum(known_new * answer[..., :-1], axis=1), _RIDGE**2 * size + _TINY)
+        left = np.maximum(size - np.sum(known_new * answer[..., :-1], axis=1), _RIDGE**2 * size + TINY)
         gain += np.sum(np.maximum(along, 0.0) ** 2 / left, axis=0)
     return gain, amplitude.transpose(1, 2, 0)
 
@@ -311,7 +311,7 @@ def _append(data: FitData, mixture: Mixture, candidate: _Candidate, amplitude: A
     kappas = np.insert(shapes[:, :n], place, np.log(_START_KAPPA), axis=1)
     reaches = np.insert(shapes[:, n : 2 * n], place, np.log(reach), axis=1)
     centers = np.full((len(shapes), int(candidate.is_ring)), candidate.center)
-    elongations = np.insert(elongations, place, _START_ELONGATION * candidate.elongation, axis=1)
+    elongations = np.insert(elongations, place, START_ELONGATION * candidate.elongation, axis=1)
     parts = (heights, np.hstack([kappas, reaches, shapes[:, 2 * n :], centers]), elongations)
     return Mixture(structure, np.concatenate([part.ravel() for part in parts]))
 

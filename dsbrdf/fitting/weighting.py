@@ -24,10 +24,12 @@ from dsbrdf.data.reduction import FoldedProfiles
 
 SEEN_POWER = 1.2
 """Errors count relative to f to this power."""
-_DARK = 0.02  # of the mean that a lit material shows: errors of values below count alike
+DARK = 0.02
+"""Of a typical value: errors of darker ones count as those of this one."""
 _SMALLEST_FLOOR = 1e-4  # of the squared signal: a material without phi_diff has no floor to measure by
 _TRUST_POWER = 8
-_TINY = 1e-300
+TINY = 1e-300
+"""Keeps a sum of weights from being 0."""
 _SMALLEST_SHARE = 1e-3  # of a node at theta_half = 0, whose solid angle is nearly none
 
 
@@ -43,7 +45,7 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
     plain = folded.weight * trust(lowest, horizon_cutoff) * center_share(THETA_HALF)[:, None]
     center = THETA_HALF < CENTER_CUTOFF
     signal = np.sum(plain * folded.mean**2, axis=(0, 1, 3))
-    plain[:, :, center] *= min(float(signal[~center].sum() / max(signal[center].sum(), _TINY)), 1.0)
+    plain[:, :, center] *= min(float(signal[~center].sum() / max(signal[center].sum(), TINY)), 1.0)
     if weighting == "plain":
         return plain
     cosines = np.maximum(level**2 - swing**2 * folded.cos2_phi, 0.0)
@@ -81,7 +83,7 @@ def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
 
 def seen_weight(lit: Array, mean: Array, typical: float, power: float = SEEN_POWER) -> Array:
     """Weights of errors as a screen shows them, of those of radiance, the mean over phi_diff and a typical value."""
-    return np.asarray(lit / (mean + _DARK * typical + 1e-12) ** power)
+    return np.asarray(lit / (mean + DARK * typical + 1e-12) ** power)
 
 
 def center_share(theta_half: Array) -> Array:

@@ -16,7 +16,7 @@ from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.model.lobes import lobe_values, log_cosine
 from dsbrdf.model.splines import pieces_of
 
-_FEW = 512  # points that are quicker looked up than sorted
+_MOST_LOOKED_UP = 512  # points that are quicker looked up than sorted
 _BLOCK = 65536  # points sorted at a time
 _LARGEST_TANGENT = 1e15  # of theta_half = pi/2
 
@@ -62,7 +62,7 @@ class Evaluator:
             return np.zeros((theta_half.size, 3))
         tangent = np.minimum(np.tan(theta_half), _LARGEST_TANGENT)
         squared = np.square(tangent, out=tangent)
-        if theta_half.size <= _FEW:
+        if theta_half.size <= _MOST_LOOKED_UP:
             return self._sum(self._looked_up(theta_diff), squared, theta_diff, phi_diff)
         result = np.empty((theta_half.size, 3))
         for start in range(0, theta_half.size, _BLOCK):
@@ -141,7 +141,7 @@ class Evaluator:
             stretched = squared * _stretch(elongation, theta_diff, phi_diff)
         amplitude, total = amplitude.reshape(3, k, -1), np.zeros((3, squared.size))
         kappa, gamma, center = [part.reshape(n_shapes, k, -1) for part in (kappa, gamma, center)]
-        for lobes in self._runs if squared.size <= _FEW else self._single_lobes:
+        for lobes in self._runs if squared.size <= _MOST_LOOKED_UP else self._single_lobes:
             ring = center[:, lobes] if self._is_ring[lobes.start] else None
             values = lobe_values(stretched[lobes], kappa[:, lobes], gamma[:, lobes], ring, self._family)
             total += (amplitude[:, lobes] * values).sum(axis=1)
