@@ -64,11 +64,13 @@ STATIC_FILES["/docs"] = _read(_OURS / "docs.html")
 """What else is sent, by path."""
 
 
-def page_at(path: str) -> StaticFile:
-    """Return the page for one of its addresses: from one that is a level deeper, its files are a level higher."""
-    return _PAGE_BELOW if path.count("/") > 1 else _PAGE
+def file_at(path: str) -> StaticFile | None:
+    """Return what is sent for a path; from an address of the page that is a level deeper, files are a level higher."""
+    if _PAGE_PATHS.fullmatch(path):
+        return _PAGE_BELOW if path.count("/") > 1 else _PAGE
+    return STATIC_FILES.get(path)
 
 
 def is_open(path: str) -> bool:
     """Return whether a path is that of a file, or of the OpenAPI document."""
-    return path in STATIC_FILES or path == "/openapi.json" or _PAGE_PATHS.fullmatch(path) is not None
+    return path == "/openapi.json" or file_at(path) is not None

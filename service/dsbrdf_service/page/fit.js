@@ -30,9 +30,7 @@ export async function show(main, id) {
   const stored = await json(`v1/measurements/${fit.measurement}`).catch((error) => (error.status === 404 ? null : Promise.reject(error)));
   showResult(main, fit, stored);
   const subject = subjectOf(fit, stored);
-  const sphere = new Sphere(figure, subject);
-  const source = await shader;
-  if (source) sphere.loaded.set("glsl", source);
+  const sphere = new Sphere(figure, subject, shader);
   keepInAddress();
   await startSpheres([sphere], async () => { await drawn; picture.hidden = false; });
   followPlots(find(main, "#plots"), [subject]); // not before: what is below has its place now

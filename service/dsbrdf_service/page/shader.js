@@ -1,13 +1,15 @@
 // WebGL 2 programs that light a sphere: by a GLSL function of the fit, by the table of the measurement, or by pictures of
 // what is seen in an environment.
 
+import { pause } from "./app.js";
+
 /** @typedef {{program: WebGLProgram, at: (name: string) => WebGLUniformLocation | null}} Program */
 
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 const HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\n";
 // The view is along -z, x to the right and y up; the normal of a pixel is the z axis of the function's frame. With the
-// exposure 0 the colour is the radiance itself.
+// exposure 0 three spheres beside each other have the radiance of a channel each: its logarithm, in 24 bits.
 const MAIN = `
 uniform float size, exposure, wipe, zoom;
 uniform int count, show;
@@ -44,11 +46,15 @@ vec3 seen(vec2 at, bool real) {
   return mix(curved, 12.92 * linear, vec3(lessThanEqual(linear, vec3(0.0031308))));
 }
 void main() {
-  vec2 on_screen = gl_FragCoord.xy * 2.0 / size - 1.0;
+  float channel = floor(gl_FragCoord.x / size);
+  vec2 on_screen = gl_FragCoord.xy * 2.0 / size - vec2(1.0 + 2.0 * channel, 1.0);
   vec2 at = highlight + (on_screen - highlight) / zoom;
   if (dot(at, at) >= 1.0) { colour = vec4(0.0); return; }
   bool left = on_screen.x < wipe;
-  if (show == 3) colour = vec4(4.0 * abs(seen(at, true) - seen(at, false)), 1.0);
+  if (exposure == 0.0) {
+    float level = floor(16777215.0 * (log2(max(seen(at, show == 1)[int(channel)], 1e-9)) / 64.0 + 0.5));
+    colour = vec4(mod(floor(level / vec3(65536.0, 256.0, 1.0)), 256.0) / 255.0, 1.0);
+  } else if (show == 3) colour = vec4(4.0 * abs(seen(at, true) - seen(at, false)), 1.0);
   else if (show == 2 && abs(on_screen.x - wipe) < 2.0 / size) colour = vec4(1.0);
   else colour = vec4(seen(at, show == 1 || (show == 2 && left)), 1.0);
 }`;
@@ -63,15 +69,17 @@ function compile(gl, kind, source) {
 
 /**
  * A program from the functions of a material, and the call of the one that has its values for the directions a and b.
- * @param {WebGL2RenderingContext} gl @param {string} functions @param {string} call @returns {Program}
+ * @param {WebGL2RenderingContext} gl @param {string} functions @param {string} call @returns {Promise<Program>}
  */
-export function programOf(gl, functions, call) {
+export async function programOf(gl, functions, call) {
   const material = `${functions}\nuniform vec3 shown;\nvec3 material(vec3 a, vec3 b) { return ${call}; }`;
   const program = /** @type {WebGLProgram} */ (gl.createProgram());
   gl.attachShader(program, compile(gl, gl.VERTEX_SHADER, VERTEX));
   const fragment = compile(gl, gl.FRAGMENT_SHADER, HEAD + material + MAIN);
   gl.attachShader(program, fragment);
   gl.linkProgram(program);
+  const parallel = gl.getExtension("KHR_parallel_shader_compile"); // without it, the page stands still while it compiles
+  while (parallel && !gl.getProgramParameter(program, parallel.COMPLETION_STATUS_KHR)) await pause(5);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
     throw new Error(`The shader does not compile here: ${gl.getShaderInfoLog(fragment) || gl.getProgramInfoLog(program)}`);
   }
@@ -97,24 +105,10 @@ export function setTexture(gl, unit, [width, height, depth], values) {
   gl.texParameteri(target, gl.TEXTURE_WRAP_S, unit === 0 ? gl.REPEAT : gl.CLAMP_TO_EDGE); // phi_diff is periodic
 }
 
-/**
- * The radiance that `draw` writes into a picture of its own, four numbers a pixel; null where none can hold it.
- * @param {WebGL2RenderingContext} gl @param {number} size @param {() => void} draw
- */
-export function radianceOf(gl, size, draw) {
-  if (!gl.getExtension("EXT_color_buffer_float")) return null;
-  const [frame, buffer] = [gl.createFramebuffer(), gl.createRenderbuffer()];
-  gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
-  gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
-  gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA32F, size, size);
-  gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, buffer);
-  draw();
-  const pixels = new Float32Array(4 * size * size);
-  gl.readPixels(0, 0, size, size, gl.RGBA, gl.FLOAT, pixels);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-  gl.deleteFramebuffer(frame);
-  gl.deleteRenderbuffer(buffer);
-  return pixels;
+/** The radiance that the shader has written with the exposure 0. @param {Uint8Array} pixels */
+export function radianceIn(pixels) {
+  const levels = Array.from({ length: pixels.length / 4 }, (_, i) => pixels.subarray(4 * i, 4 * i + 4)).filter((pixel) => pixel[3]);
+  return levels.map(([high, middle, low]) => 2 ** (64 * ((65536 * high + 256 * middle + low) / 16777215 - 0.5)));
 }
 
 /** The factor that takes the 99th percentile of what is seen to 1. @param {ArrayLike<number>} values */

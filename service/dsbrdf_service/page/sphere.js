@@ -2,14 +2,14 @@
 // show what the form of controls says.
 import { find, make, request } from "./app.js";
 import { fromNpy, toNpy } from "./npy.js";
-import { exposureOf, programOf, radianceOf, setTexture } from "./shader.js";
+import { exposureOf, programOf, radianceIn, setTexture } from "./shader.js";
 
 /** @typedef {{show: string, lighting: string, stops: number, zoom: number, wipe: number, turn: number, highlight: number[]}} Look */
 
 const SHOWN = ["fit", "measured", "half", "difference"];
 export const LABELS = ["specular_spike", "specular_lobe", "diffuse"]; // in the order of the weights in GLSL
 const SIDE = 256; // pixels of a picture under environment light
-const SAMPLED = 128; // pixels along a side of the picture whose brightness gives the exposure
+const SAMPLED = 128; // pixels along a side of the pictures whose brightness gives the exposure
 const QUICK = 50; // milliseconds that a picture may take while something is moved
 export const USUAL = "Drag to move the light; with the keyboard, arrows, + and −, and R to reset.";
 // Key light from the upper left, fill light from the right, rim light from behind: as `lighting=three_lights`.
@@ -42,16 +42,15 @@ export function lightAt([a, b]) {
 }
 
 export class Sphere {
-  /** @param {HTMLElement} figure @param {Subject} subject */
-  constructor(figure, subject) {
+  /** @param {HTMLElement} figure @param {Subject} subject @param {Promise<string | undefined>} [source] GLSL of the fit that is on its way */
+  constructor(figure, subject, source) {
     this.figure = figure;
     this.subject = subject;
+    this.source = source;
     this.canvas = find(figure, "canvas", HTMLCanvasElement);
     this.hint = find(figure, ".hint");
     /** What was asked for, by name: null on its way. @type {Map<string, any>} */
     this.loaded = new Map();
-    /** @type {Map<string, import("./shader.js").Program>} */
-    this.programs = new Map();
     /** One for each component that can be hidden. @type {HTMLInputElement[]} */
     this.boxes = [];
     this.exposure = 1;
@@ -86,15 +85,18 @@ export class Sphere {
     for (const unit of [0, 1, 2]) setTexture(gl, unit, [1, 1, 1], new Uint16Array(3));
     if (!subject.fit) this.hint.textContent = "Loading the measurement, 9 MB…";
     const [source, show] = subject.fit ? ["glsl", "fit"] : ["measured", "measured"];
-    if (!this.loaded.has(source)) await this.fetch(source);
-    const plain = this.program("glsl");
-    if (!subject.fit) this.setTable();
+    await this.fetch(source);
+    if (!subject.fit) {
+      this.loaded.set("glsl", await programOf(gl, "", "vec3(0.0)"));
+      this.setTable();
+    }
     const light = lightAt(String(field("highlight").defaultValue).split(",").map(Number));
     const begun = performance.now();
-    const numbers = { size: SAMPLED, exposure: 0, wipe: 0, zoom: 1 };
-    const seen = radianceOf(gl, SAMPLED, () => this.shade(plain, { ...look(), lighting: "three", show, highlight: [0, 0] }, numbers, light));
-    if (seen) this.exposure = exposureOf(seen.filter((_, i) => i % 4 < 3 && seen[i - (i % 4) + 3] === 1));
-    else this.exposure = exposureOf((await this.radiance("three_lights", show)).filter((value) => value > 0));
+    Object.assign(this.canvas, { width: 3 * SAMPLED, height: SAMPLED });
+    this.shade("glsl", { ...look(), lighting: "three", show, highlight: [0, 0] }, { size: SAMPLED, exposure: 0, wipe: 0, zoom: 1 }, light);
+    const pixels = new Uint8Array(12 * SAMPLED * SAMPLED);
+    gl.readPixels(0, 0, 3 * SAMPLED, SAMPLED, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    this.exposure = exposureOf(radianceIn(pixels));
     this.hint.textContent = USUAL;
     this.canvas.hidden = false;
     this.cost = (performance.now() - begun) * (this.fullSize() / SAMPLED) ** 2;
@@ -113,7 +115,7 @@ export class Sphere {
     return fromNpy(await (await request(this.address(source, `&lighting=${lighting}`))).arrayBuffer());
   }
 
-  // A GLSL function of the whole fit, "glsl", or one that weighs its components, "parts"; the table of the measurement,
+  // A program of the whole fit, "glsl", or one that weighs its components, "parts"; the table of the measurement,
   // "measured"; or what is seen in the environment, "environment/fit", of the measurement or of a component; in a
   // panorama the name begins with its number and its turn.
   /** @param {string} name */
@@ -125,7 +127,9 @@ export class Sphere {
       found = fromNpy(await (await request(`v1/measurements/${this.subject.measured}/table.npy`)).arrayBuffer());
     } else if (name === "glsl" || name === "parts") {
       const part = name === "parts" ? `&component=${this.subject.parts[0].label}` : "";
-      found = await (await request(`v1/fits/${this.subject.fit}/export?format=glsl${part}`)).text();
+      const known = name === "glsl" ? await this.source : undefined;
+      const source = known ?? await (await request(`v1/fits/${this.subject.fit}/export?format=glsl${part}`)).text();
+      found = await programOf(/** @type {WebGL2RenderingContext} */ (this.gl), source, part ? "dsbrdf_shown(a, b, shown)" : "dsbrdf(a, b)");
     } else if (around === "environment") {
       found = await this.radiance("environment", rest[0]);
     } else {
@@ -144,26 +148,12 @@ export class Sphere {
     for (const name of this.loaded.keys()) if (name.startsWith("panorama") && !names.includes(name)) this.loaded.delete(name);
     for (const name of missing) {
       this.hint.textContent = name === "measured" ? "Loading the measurement, 9 MB…" : "Loading…";
-      this.fetch(name).then(() => {
-        if (name === "parts") this.program(name);
-        this.draw();
-      }).catch((error) => {
+      this.fetch(name).then(() => this.draw()).catch((error) => {
         this.loaded.delete(name); // the next change asks again
         throw error;
       }).finally(() => { this.hint.textContent = USUAL; });
     }
     return names.every((name) => this.loaded.get(name));
-  }
-
-  /** @param {string} kind */
-  program(kind) {
-    let known = this.programs.get(kind);
-    if (!known) {
-      const call = kind === "parts" ? "dsbrdf_shown(a, b, shown)" : this.subject.fit ? "dsbrdf(a, b)" : "vec3(0.0)";
-      known = programOf(/** @type {WebGL2RenderingContext} */ (this.gl), this.loaded.get(kind) ?? "", call);
-      this.programs.set(kind, known);
-    }
-    return known;
   }
 
   setTable() {
@@ -222,7 +212,7 @@ export class Sphere {
     /** @param {Sphere} sphere */
     const own = (sphere) => (around ? sphere.surroundings?.exposure ?? Infinity : sphere.exposure);
     const base = field("own").checked ? own(this) : Math.min(...running.map(own));
-    this.shade(this.program(kind), now, { size, exposure: base * 2 ** now.stops, wipe: now.wipe, zoom: now.zoom }, lightAt(now.highlight));
+    this.shade(kind, now, { size, exposure: base * 2 ** now.stops, wipe: now.wipe, zoom: now.zoom }, lightAt(now.highlight));
     this.wait(performance.now(), full, size);
     return true;
   }
@@ -231,12 +221,14 @@ export class Sphere {
     return this.boxes.filter((box) => !box.checked).map((box) => String(box.dataset.component));
   }
 
-  /** @param {import("./shader.js").Program} program @param {Look} now @param {Record<string, number>} numbers @param {number[]} light */
-  shade({ program, at }, now, numbers, light) {
+  /** @param {string} kind of program @param {Look} now @param {Record<string, number>} numbers @param {number[]} light */
+  shade(kind, now, numbers, light) {
+    /** @type {import("./shader.js").Program} */
+    const { program, at } = this.loaded.get(kind);
     const gl = /** @type {WebGL2RenderingContext} */ (this.gl);
     const lights = now.lighting === "one" ? LIGHTS.slice(0, 1) : LIGHTS;
     const hidden = this.hidden();
-    gl.viewport(0, 0, numbers.size, numbers.size);
+    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
     gl.useProgram(program);
     for (const [name, value] of Object.entries(numbers)) gl.uniform1f(at(name), value);
     gl.uniform1i(at("count"), lights.length);

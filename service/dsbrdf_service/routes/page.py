@@ -9,7 +9,7 @@ from fastapi import APIRouter, HTTPException, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from ..http.static_files import STATIC_FILES, StaticFile, page_at
+from ..http.static_files import StaticFile, file_at
 from ..wire.points import JSON
 
 router = APIRouter(include_in_schema=False)
@@ -19,17 +19,12 @@ router = APIRouter(include_in_schema=False)
 @router.get("/compare")
 @router.get("/fits/{name}")
 @router.get("/measurements/{name}")
-async def get_page(request: Request) -> Response:
-    """Return the page, which asks ``/v1`` for what its address names."""
-    return page_at(request.scope["path"]).reply(request)
-
-
 @router.get("/docs")
 @router.get("/docs/{name}")
 @router.get("/page/{name}")
 async def get_file(request: Request) -> Response:
-    """Return a script or a style sheet, or the page that shows the OpenAPI document."""
-    file = STATIC_FILES.get(request.scope["path"])
+    """Return the page, which asks ``/v1`` for what its address names; or what is static beside it."""
+    file = file_at(request.scope["path"])
     if file is None:
         raise HTTPException(404)
     return await run_in_threadpool(file.reply, request)

@@ -84,6 +84,35 @@ def test_fit_and_measurement_are_shown_as_the_library_renders_them(
     assert not np.array_equal(repaint(page, lambda: page.locator("[name=wipe]").fill("0.5")), half)
 
 
+def test_line_between_the_halves_is_moved_by_mouse_and_keys(visit: Visit, site: Site) -> None:
+    page = painted(visit, site)
+    light = page.locator("[name=highlight]").input_value()
+    repaint(page, page.get_by_label("half and half").check)
+    page.locator(SPHERE).scroll_into_view_if_needed()
+    canvas, stage = (page.locator(place).bounding_box() for place in (SPHERE, ".stage"))
+    assert canvas is not None
+    assert stage is not None
+    middle = canvas["y"] + canvas["height"] / 2
+    page.mouse.move(canvas["x"] + canvas["width"] / 2, middle)
+    page.mouse.down()
+    page.mouse.move(canvas["x"] + 0.7 * canvas["width"], middle)
+    page.mouse.up()
+    wipe = page.locator("[name=wipe]")
+    dragged = float(wipe.input_value())
+    assert dragged == pytest.approx(0.4, abs=0.02)
+    page.locator(SPHERE).focus()
+    page.keyboard.press("[")
+    moved = float(wipe.input_value())
+    assert moved == pytest.approx(dragged - 0.05)
+    expect(page).to_have_url(re.compile(f"wipe={moved:g}"))
+    assert page.locator("[name=highlight]").input_value() == light
+    handle = page.locator(".handle").bounding_box()
+    assert handle is not None
+    assert handle["x"] + handle["width"] / 2 == pytest.approx(canvas["x"] + (1 + moved) / 2 * canvas["width"], abs=3)
+    assert handle["y"] >= canvas["y"] + canvas["height"]
+    assert handle["y"] + handle["height"] <= stage["y"] + stage["height"]
+
+
 def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) -> None:
     page = painted(visit, site)
     page.locator("[data-component]").first.uncheck()
