@@ -17,6 +17,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
 from dsbrdf.fitting.global_method import fit_global, refine_at_samples
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
@@ -122,7 +123,10 @@ def fit(
     return result
 
 
-_OPTIONS = (inspect.getdoc(FitOptions) or "").partition("Attributes\n----------\n")[2].partition("\n\nRaises")[0]
+_OPTIONS = "\n".join(
+    (inspect.getdoc(options) or "").partition("Attributes\n----------\n")[2].partition("\n\n")[0]
+    for options in (FitOptions, TableOptions)
+)
 fit.__doc__ = (inspect.getdoc(fit) or "").replace(
     "Raises\n", f"Other Parameters\n----------------\n{_OPTIONS}\n\nRaises\n", 1
 )
