@@ -32,7 +32,7 @@ def table(file: Path, /, *, json: Json = False, options: AboutTable = NO_TABLE_F
 
 
 def _text(about: dict[str, Any]) -> Iterator[str]:
-    width = max(len(column["name"]) for column in about["columns"]) + 2
+    width = max(len("column"), *(len(column["name"]) for column in about["columns"])) + 2
     yield f"{'column':<{width}}{'read as':<13}unit"
     for column in about["columns"]:
         yield f"{column['name']:<{width}}{column['read_as'] or 'not read':<13}{column['unit']}".rstrip()

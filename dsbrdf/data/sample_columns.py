@@ -88,7 +88,8 @@ def sample_columns(table: TextTable, options: TableOptions) -> SampleColumns:
         if units[name] not in (*_NO_UNIT, *_PER_STERADIAN, *(["nm"] if bands else [])) and options.scale == 1.0:
             raise MeasurementFormatError(
                 f"The column {name!r} is in {units[name]!r}; the values of a BRDF are in 1/sr: if they are "
-                "those times a factor, give its inverse as the option scale."
+                "those times a factor, give its inverse as the option scale, which is 0.01 for per cent and 0.003183, "
+                "1/(100 pi), for reflectance factors in per cent."
             )
     for side in from_horizon:
         quarter = np.pi / 2.0 if units[f"theta_{side}"] in RADIANS else 90.0

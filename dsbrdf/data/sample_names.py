@@ -21,8 +21,11 @@ _ANGLES = {
     "elevation": ("elevation", "altitude", "elevation_angle"),
 }
 _OTHERS = {
-    "theta_in": ("aoi", "angle_of_incidence", "sza", "incidence"),
-    "theta_out": ("aor", "aos", "angle_of_reflection", "angle_of_scatter", "vza", "theta", "zenith", "zenith_angle"),
+    "theta_in": ("aoi", "angle_of_incidence", "sza", "incidence", "einfallswinkel"),
+    "theta_out": (
+        *("aor", "aos", "angle_of_reflection", "angle_of_scatter", "vza", "theta", "zenith", "zenith_angle"),
+        *("ausfallswinkel", "beobachtungswinkel"),
+    ),
     "phi_in": ("saa",),
     "phi_out": ("vaa", "phi", "azimuth", "azimuth_angle", "relative_azimuth", "raa"),
     "elevation_out": ("elevation", "elevation_angle"),

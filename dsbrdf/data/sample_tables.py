@@ -29,6 +29,8 @@ TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".astm", SPREADSHEET)
 _LARGEST_FILE = 1 << 30  # [bytes]
 _TABLE_TOLERANCE = 0.02
 _ROUNDED = 1e-3  # tables have few digits: a smaller deviation from unit length is not worth a word
+_SAME_DIRECTION = 1e-5  # of the components of unit vectors
+_CONTRADICTION, _DARK = 1.25, 0.05  # factor between values of one pair of directions; of the median, which is added
 _LARGEST_NOISE = 0.01  # of negative values: each as a share of the largest value, their sum as a share of all
 
 
@@ -111,6 +113,7 @@ def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WR
     values = numbers[used, 6:9]
     is_grey = bool(np.all(values == values[:, :1]))
     values = np.broadcast_to(_without_noise(values[:, :1] if is_grey else values, notes), values.shape)
+    notes += _contradictions(np.hstack([first[used], second[used]]), values.mean(axis=1))
     samples = ScatteredSamples.from_arrays(first[used], second[used], values, numbers[used, 9], name, tuple(notes))
     return ReadTable(found.columns, len(table.rows), samples.changed(options.of_table()))
 
@@ -145,6 +148,28 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
     counts = "it counts" if count == 1 else "they count"
     notes.append(f"{several} negative, down to {-lowest / largest:.2%} of the largest; {counts} as 0.")
     return np.maximum(values, 0.0)
+
+
+def _contradictions(pairs: Array, values: Array) -> list[str]:
+    """Tell of pairs of directions (n, 6) that have several values (n,) far apart."""
+    if values.size == 0:
+        return []
+    digits = np.rint(pairs / _SAME_DIRECTION).astype(np.int64)
+    key = digits @ np.random.default_rng(0).integers(1 << 62, size=6)  # equal pairs have equal keys, in linear time
+    order = np.lexsort((values, key))
+    starts = np.flatnonzero(np.diff(key[order], prepend=key[order][:1] - 1))
+    lowest, highest = values[order][starts], values[order][np.append(starts[1:], values.size) - 1]
+    apart = highest > _CONTRADICTION * (lowest + _DARK * np.median(values))
+    count = int(np.count_nonzero(apart))
+    if count == 0:
+        return []
+    worst = starts[apart][int(np.argmax((highest - lowest)[apart]))]
+    theta_in, theta_out = np.degrees(np.arccos(np.clip(pairs[order][worst][[2, 5]], 0.0, 1.0)))
+    several = "1 pair of directions has" if count == 1 else f"{count} pairs of directions have"
+    return [
+        f"{several} values that differ by more than {_CONTRADICTION - 1.0:.0%}, such as theta_in = {theta_in:.4g} and "
+        f"theta_out = {theta_out:.4g} degrees: all of them count, so that the fit is between them."
+    ]
 
 
 def _left_out(rows: Mask, fault: str) -> list[str]:

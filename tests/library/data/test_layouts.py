@@ -138,3 +138,13 @@ def test_a_table_of_a_known_truth_is_right_or_told(content: bytes, choices: dict
     else:
         check_true(samples)
         assert not any("set " in sentence for sentence in said), said
+
+
+def test_values_of_one_pair_of_directions_that_are_far_apart_are_told() -> None:
+    rows = np.hstack([ANGLES, VALUES])
+    again = rows[10:40] * [1.0, 1.0, 1.0, 1.0, 1.02]
+    assert len(parse_samples(table(NAMES, np.vstack([rows, again]))).notes) == 1  # of one channel
+    again[[3, 7], 4:] *= 1.5
+    again[3] -= [0.0, 360.0, 0.0, 360.0, 0.0]
+    note = parse_samples(table(NAMES, np.vstack([rows, again]))).notes[-1]
+    assert note.startswith("2 pairs of directions have values that differ by more than 25%, such as theta_in = ")
