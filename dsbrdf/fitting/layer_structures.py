@@ -10,7 +10,7 @@ simplest structure says, unless its values speak against it.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -177,6 +177,19 @@ class LayerStructure:
                 layer.kind.from_unknowns(unknowns[part]) for layer, part in zip(self.layers, self.slices, strict=True)
             )
         )
+
+    def no_narrower(self, half_width: float) -> "LayerStructure":
+        """Return the structure with a bound on the half widths of GGX's highlights [rad]."""
+        least = np.log(np.tan(half_width) / np.sqrt(np.sqrt(2.0) - 1.0))
+        layers = tuple(
+            replace(
+                layer, lower=np.where(np.arange(layer.lower.size) == 6, np.maximum(layer.lower, least), layer.lower)
+            )
+            if layer.kind is SpecularLayer
+            else layer
+            for layer in self.layers
+        )
+        return replace(self, layers=layers)
 
     @property
     def is_diffuse(self) -> tuple[bool, ...]:

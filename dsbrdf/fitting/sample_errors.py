@@ -1,14 +1,15 @@
 """How far a fit of scattered samples is from the material: at samples that no fit saw, and expected at all directions.
 
 At a sample left out, the fit is taken to be what it is there, times the ratio of the prediction without the sample and
-the prediction with it. Over all directions the expected error is that of a prediction with its uncertainty, at pairs of
-which half are where the model reflects and half are anywhere. A few bright ones decide it, so that pairs are drawn in
-proportion to what they count.
+the prediction with it. Over all directions the expected error is the median of those that the model would have if the
+material were one of the layers that are as probable, times the factor that samples leave open. It is an integral over
+pairs of directions, half of them where the material reflects and half of them anywhere.
 
 The directions to measure next are those that lower the expected squared error most, one after another.
 """
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from dsbrdf.fitting.report import LeftOutErrors, SuggestedPair
 from dsbrdf.fitting.sample_prediction import (
     SamplePrediction,
     dark_level,
-    expected_squared_error,
     left_out_predictions,
 )
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -29,7 +29,8 @@ BANDS = np.radians([0.0, 30.0, 60.0, 75.0, 90.0])
 MIRROR = np.radians(10.0)
 """Samples are near the mirror direction where theta_half is below this [rad]."""
 N_SUGGESTED = 20
-_N_DRAWN, _N_PAIRS, _N_CANDIDATES = 24_000, 1000, 700
+_N_DRAWN, _N_CANDIDATES = 24_000, 700
+_LARGEST_VARIANCE = 1.0  # of a logarithm
 _LAST_COSINE = float(np.cos(np.radians(80.0)))
 _LEAST_STEP = 4.0  # in one of the three angles, between pairs that are named [degrees]
 _UNCONFIRMED, _MOST_OF_ERROR = np.log(3.0), 0.5  # of a logarithm; of the squared errors of samples left out
@@ -46,7 +47,7 @@ def left_out_values(samples: ScatteredSamples, prediction: SamplePrediction, mod
     """Values (n, 3) of a fit without each of the samples of the prediction [1/sr]."""
     angles = half_difference(samples.omega_in, samples.omega_out)
     dark = prediction.layers.dark
-    ratio = (left_out_predictions(samples, prediction) + dark) / (prediction.evaluate_unmasked(*angles) + dark)
+    ratio = (left_out_predictions(samples, prediction) + dark) / (prediction.likely(*angles) + dark)
     return model.evaluate_unmasked(*angles) * ratio
 
 
@@ -87,11 +88,33 @@ def left_out_errors(
 
 def expected_error(prediction: SamplePrediction, model: DSBRDF) -> float:
     """Expected relative_rms over all directions."""
-    omega_in, omega_out, values, light = _drawn(model)
-    counted = np.sum(values**2, axis=1) * (light / light.sum() + 1.0 / light.size)
-    bright = np.random.default_rng(6).choice(counted.size, _N_PAIRS, p=counted / counted.sum())
-    angles = half_difference(omega_in[bright], omega_out[bright])
-    return float(np.sqrt(np.mean(expected_squared_error(prediction.spread(*angles)))))
+    angles, weight, cosine = _nodes()
+    layers = prediction.layers
+    values = model.evaluate_unmasked(*angles) + layers.dark
+    unknown = prediction.unknown_share(*angles)
+    variance = np.minimum(unknown * (prediction.variance + layers.misfit(*angles) ** 2), _LARGEST_VARIANCE)
+    drawn = layers.drawn_logs(*angles) - np.log(layers.evaluate_unmasked(*angles) + layers.dark)
+    squares = []
+    for true in values * np.exp(np.sqrt(unknown)[:, np.newaxis] * drawn):
+        light = weight * cosine * true.mean(axis=1)
+        counted = light / light.sum() + weight / weight.sum()
+        square = np.sum(true**2, axis=1)
+        error = np.sum((values - true) ** 2, axis=1) + square * np.expm1(variance)
+        squares.append(np.sum(counted * error) / np.sum(counted * square))
+    return float(np.sqrt(np.median(squares)))
+
+
+@cache
+def _nodes() -> tuple[tuple[Array, Array, Array], Array, Array]:
+    """Angles of pairs up to 80 degrees from the normal, what each counts among all, and the cosine of theta_in."""
+    edges = np.concatenate([[0.0], np.geomspace(5e-4, np.pi / 2.0, 32)]), np.linspace(0.0, np.pi / 2.25, 21)
+    middle_half, middle_diff = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)
+    measure = np.diff(-np.cos(edges[0]))[:, np.newaxis, np.newaxis] * np.diff(np.sin(edges[1]) ** 2)[:, np.newaxis]
+    half, diff, phi = np.meshgrid(middle_half, middle_diff, (np.arange(4) + 0.5) * np.pi / 8.0, indexing="ij")
+    level, swing = np.cos(half) * np.cos(diff), np.sin(half) * np.sin(diff) * np.cos(phi)
+    seen = level - np.abs(swing) >= _LAST_COSINE
+    weight = measure * (level**2 - swing**2)
+    return (half[seen], diff[seen], phi[seen]), weight[seen], (level - swing)[seen]
 
 
 def pairs_to_measure(prediction: SamplePrediction, model: DSBRDF) -> tuple[SuggestedPair, ...]:

@@ -31,8 +31,10 @@ from dsbrdf.model.layers import LayeredModel
 
 _DARK = 0.02  # of the median of the channels' mean: errors of values below count alike
 _MOST, _MOST_OF_SEARCH = 800, 500  # samples; of more, so many taken at random
+# Half widths of the narrowest highlights: that instruments see, if no sample is in them; and of all. What is narrower
+# than a quarter of theta_half of the nearest sample is seen by its tails alone, which tell nothing of its peak.
+_APERTURE, _NARROWEST = np.radians(0.3), 1e-4
 _NEGLIGIBLE = 1e-3  # weight of a structure
-_AGREED = 0.5  # variance of the logarithms of structures, below which their mean is taken
 _DRAWS, _DOUBT = 32, 0.5  # layers drawn; power of their weights with which: evidence is surer than it should be
 _ENERGY_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0, 85.0])
 _OFFSET = np.radians(1.5)
@@ -40,8 +42,8 @@ _REACH = np.array([0.4, np.radians(15.0), 0.4])  # of the kernel in x and y, tim
 _SCALES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0)
 _NOISE = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)  # variance, in units of that of the factor
 _COMMON = 0.75
+_MISFIT = 0.33  # of the logarithm, of highlights at grazing incidence, between samples of measured materials
 _LARGEST_LOG = 2.5  # of a factor at a sample
-_LARGEST_SPREAD = 1.0
 _BLOCK = 256  # points at once, so that their kernel stays in the cache
 _FOLDS = 5
 _NORMAL_QUARTILE, _LEAST_OUTLIER = 1.15, 1e-2
@@ -68,11 +70,7 @@ def thinned(samples: ScatteredSamples, most: int = _MOST) -> ScatteredSamples:
 
 @dataclass(frozen=True, eq=False)
 class SampleLayers:
-    """Structures of layers fitted to samples.
-
-    Their values are the weighted geometric mean, and less where they disagree: a highlight between the samples that
-    only some of them have is rather not there.
-    """
+    """Structures of layers fitted to samples, whose values are the weighted geometric mean."""
 
     found: tuple[FittedStructure, ...]
     weights: Array  # (S,)
@@ -81,7 +79,9 @@ class SampleLayers:
     @classmethod
     def fit(cls, samples: ScatteredSamples, structures: Sequence[LayerStructure] = STRUCTURES) -> "SampleLayers":
         """Fit structures; those that hardly count are dropped."""
-        found = fit_structures(layer_samples(samples), structures)
+        nearest = float(half_difference(samples.omega_in, samples.omega_out)[0].min())
+        narrowest = max(min(nearest, _APERTURE), nearest / 4.0, _NARROWEST)
+        found = fit_structures(layer_samples(samples), [one.no_narrower(narrowest) for one in structures])
         weights = structure_weights(found)
         kept = np.flatnonzero(weights > _NEGLIGIBLE)
         return cls(tuple(found[at] for at in kept), weights[kept] / weights[kept].sum(), dark_level(samples))
@@ -98,16 +98,39 @@ class SampleLayers:
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values (n, 3) at angles (n,) [1/sr]."""
-        logs = self._logs([fitted.model for fitted in self.found], Points.at(theta_half, theta_diff, phi_diff))
-        mean = np.tensordot(self.weights, logs, axes=1)
-        apart = np.tensordot(self.weights, (logs - mean) ** 2, axes=1)
-        lower = mean - 0.5 * apart**3 / (apart**2 + _AGREED**2)
-        return np.maximum(np.exp(np.maximum(lower, logs.min(axis=0))) - self.dark, 0.0)
+        mean = self._mean_log(Points.at(theta_half, theta_diff, phi_diff))
+        return np.maximum(np.exp(mean) - self.dark, 0.0)
+
+    def caution(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """By how much the logarithm of the values should be less where no sample is (n, 3).
+
+        If the logarithm of the true value is normal with a mean m and a deviation s, exp(m - 1.5 s**2) has the least
+        expected relative error: a highlight that no sample saw is rather too faint than a needle that nobody measured.
+        Where s is below 1, less of it: there the mean is what layers know of a highlight from its tails.
+        """
+        points = Points.at(theta_half, theta_diff, phi_diff)
+        drawn = self._logs(self._drawn, points)
+        variance = drawn.var(axis=0)
+        below = np.maximum(self._mean_log(points) - drawn.min(axis=0), 0.0)
+        return np.minimum(1.5 * variance**2 / (variance + 1.0), below)
 
     def spread(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Standard deviation of the logarithm of the values, over layers that are as probable (n,)."""
-        logs = self._logs(self._drawn, Points.at(theta_half, theta_diff, phi_diff))
-        return np.asarray(np.sqrt(np.mean(np.var(logs, axis=0), axis=1)))
+        return np.asarray(np.sqrt(np.mean(np.var(self.drawn_logs(theta_half, theta_diff, phi_diff), axis=0), axis=1)))
+
+    def drawn_logs(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Logarithms of the values, with what is dark added to them, of layers that are as probable (draws, n, 3)."""
+        return self._logs(self._drawn, Points.at(theta_half, theta_diff, phi_diff))
+
+    def misfit(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Standard deviation of the logarithm of true values from those of any layers (n,)."""
+        points = Points.at(theta_half, theta_diff, phi_diff)
+        share = np.zeros(theta_half.shape)
+        for weight, fitted in zip(self.weights, self.found, strict=True):
+            values = fitted.model.layer_values(points).mean(axis=1)
+            is_specular = np.logical_not(fitted.structure.is_diffuse)
+            share += weight * values[is_specular].sum(axis=0) / (values.sum(axis=0) + self.dark)
+        return _MISFIT * share * points.rise[0]
 
     @cached_property
     def _drawn(self) -> list[LayeredModel]:
@@ -116,6 +139,10 @@ class SampleLayers:
         counts = generator.multinomial(_DRAWS, weights / weights.sum()).tolist()
         pairs = zip(self.found, counts, strict=True)
         return [model for fitted, count in pairs for model in fitted.draw(generator, count)]
+
+    def _mean_log(self, points: Points) -> Array:
+        logs = self._logs([fitted.model for fitted in self.found], points)
+        return np.tensordot(self.weights, logs, axes=1)
 
     def _logs(self, models: Sequence[LayeredModel], points: Points) -> Array:
         return np.log(np.array([model.layer_values(points).sum(axis=0).T for model in models]) + self.dark)
@@ -183,6 +210,11 @@ class SamplePrediction:
 
     def unbounded(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values (n, 3) at angles (n,), whatever energy allows [1/sr]."""
+        angles = theta_half, theta_diff, phi_diff
+        return self.likely(*angles) * np.exp(-self.unknown_share(*angles)[:, np.newaxis] * self.layers.caution(*angles))
+
+    def likely(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values (n, 3) at angles (n,) without any caution: layers times the factor [1/sr]."""
         layers, dark = self.layers.evaluate_unmasked(theta_half, theta_diff, phi_diff), self.layers.dark
         logs = np.concatenate([near @ self._coefficients for near in self._near(theta_half, theta_diff, phi_diff)])
         return np.maximum((layers + dark) * np.exp(logs) - dark, 0.0)
@@ -219,12 +251,6 @@ class SamplePrediction:
             yield _kernel(places[start : start + _BLOCK], self.places) * self.root_weight
 
 
-def expected_squared_error(spread: Array) -> Array:
-    """Of a value over the prediction, whose logarithms differ by a normal deviate with a standard deviation."""
-    variance = np.minimum(spread, _LARGEST_SPREAD) ** 2
-    return np.asarray(np.exp(2.0 * variance) - 2.0 * np.exp(0.5 * variance) + 1.0)
-
-
 def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
     """Leave out samples that are far from what is predicted from all of them, twice."""
     kept = samples
@@ -246,7 +272,7 @@ def left_out_predictions(samples: ScatteredSamples, prediction: SamplePrediction
         rest, out = samples.take(fold != number), samples.take(fold == number)
         angles = half_difference(out.omega_in, out.omega_out)
         is_lit = rest.values.any()
-        values[fold == number] = SamplePrediction.fit(rest, prediction).unbounded(*angles) if is_lit else 0.0
+        values[fold == number] = SamplePrediction.fit(rest, prediction).likely(*angles) if is_lit else 0.0
     return values
 
 
