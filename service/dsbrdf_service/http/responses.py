@@ -5,14 +5,15 @@ import json
 import logging
 import os
 import re
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 from urllib.parse import urlencode
 
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
 
 from ..storage.schema import FitRow, MeasurementRow
 from ..wire.inputs import Page
@@ -67,29 +68,31 @@ def not_modified(request: Request, headers: Mapping[str, str]) -> Response | Non
     return Response(None, 304, dict(headers)) if is_current else None
 
 
-def file_reply(
-    descriptor: int, keeps: object, headers: Mapping[str, str], sha256: str | None = None
-) -> StreamingResponse:
-    """Return an open file, which is sent to its end even if it is deleted meanwhile; nobody gets a part of it.
+class OpenFileResponse(Response):
+    """An open file, which is sent to its end even if it is deleted meanwhile; nobody gets a part of it.
 
     `keeps` is what closes it when nobody has it any more. If it has not the digest `sha256`, its last piece is kept
     back, which breaks the connection: the client learns that it has not got what the ETag says.
     """
-    length = {"Content-Length": str(os.fstat(descriptor).st_size)}
-    return StreamingResponse(_pieces(descriptor, keeps, sha256), headers=length | dict(headers))
 
+    def __init__(self, descriptor: int, keeps: object, headers: Mapping[str, str], sha256: str | None = None) -> None:
+        self._descriptor, self._keeps, self._sha256 = descriptor, keeps, sha256
+        self._size = os.fstat(descriptor).st_size
+        super().__init__(headers={**headers, "Content-Length": str(self._size)})
 
-async def _pieces(descriptor: int, keeps: object, sha256: str | None) -> AsyncIterator[bytes]:  # noqa: ARG001
-    digest, held, start = hashlib.sha256(), b"", 0
-    while piece := await run_in_threadpool(os.pread, descriptor, _PIECE, start):
-        if held:
-            yield held
-        held, start = piece, start + len(piece)
-        digest.update(piece)
-    if sha256 in (None, digest.hexdigest()):
-        yield held
-    else:
-        logger.error("the file of the measurement %s has changed while it was sent", sha256)
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:  # noqa: ARG002 (ASGI's signature)
+        """Send the file."""
+        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+        digest, n_sent, is_last = hashlib.sha256(), 0, False
+        while not is_last:
+            piece = await run_in_threadpool(os.pread, self._descriptor, _PIECE, n_sent)
+            digest.update(piece)
+            n_sent += len(piece)
+            is_last = n_sent >= self._size or not piece
+            if is_last and self._sha256 not in (None, digest.hexdigest()):
+                logger.error("the file of the measurement %s has changed while it was sent", self._sha256)
+                return
+            await send({"type": "http.response.body", "body": piece, "more_body": not is_last})
 
 
 def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:

@@ -18,7 +18,7 @@ from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
 from ..http.openapi import BINARY
 from ..http.request_body import media_type_of, receive_body
-from ..http.responses import file_reply, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
+from ..http.responses import OpenFileResponse, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
 from ..jobs.computations import departure
 from ..jobs.steps import export_step
 from ..storage.database import in_write_thread
@@ -198,7 +198,7 @@ async def export_fit(
             folder=context.store.blobs.temporary,
             place=place,
         )
-        return file_reply(made.descriptor, made, headers)
+        return OpenFileResponse(made.descriptor, made, headers)
     report = loaded.report if wanted.component is None else None
     export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
     return Response(await context.computations.run(request, key, export), 200, headers)

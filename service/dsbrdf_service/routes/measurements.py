@@ -18,7 +18,7 @@ from ..http.openapi import BINARY
 from ..http.request_body import media_type_of
 from ..http.request_log import IS_HEAD
 from ..http.responses import (
-    file_reply,
+    OpenFileResponse,
     json_reply,
     next_page,
     not_modified,
@@ -149,7 +149,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
         suffix = ".binary" if row.on_grid else await run_in_threadpool(table_suffix, path)
         headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
         file = MadeFile(os.open(path, os.O_RDONLY))
-        return file_reply(file.descriptor, file, headers | {"Content-Type": BINARY}, sha256)
+        return OpenFileResponse(file.descriptor, file, headers | {"Content-Type": BINARY}, sha256)
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
 
