@@ -138,7 +138,7 @@ class _Call(Future[Any]):
 
     def __init__(self) -> None:
         super().__init__()
-        self.stop: Callable[[], object]
+        self.stop: Callable[[], object] = lambda: None
         self.is_stopped = False
 
     def cancel(self) -> bool:
