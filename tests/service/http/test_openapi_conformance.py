@@ -83,7 +83,7 @@ checks.positive_data_acceptance.expected-statuses = ["2xx", "404", "422"]
 
 [[operations]]
 include-operation-id = [
-  "submit_fit", "upload_measurement", "post_values", "post_component_values", "post_measured_values"
+  "submit_fit", "upload_measurement", "describe_table", "post_values", "post_component_values", "post_measured_values"
 ]
 checks.positive_data_acceptance.expected-statuses = ["2xx", "400", "404", "422"]
 
