@@ -131,8 +131,8 @@ def test_progress_rises_until_cancelling_ends_the_process_and_closing_all_others
 ) -> None:
     shares: list[float] = []
     with started(stage.engine()) as engine:
-        fit = engine.submit(FitTask("one", plastic_file, SLOW), shares.append)
-        waiting = engine.submit(FitTask("two", plastic_file, SLOW), shares.append)
+        fit = engine.submit(FitTask("one", plastic_file, ENDLESS), shares.append)
+        waiting = engine.submit(FitTask("two", plastic_file, ENDLESS), shares.append)
         wait_until(lambda: len(shares) > 3, PATIENCE)
         assert shares == sorted(set(shares))
         assert 0.0 < shares[0] < 0.5

@@ -58,7 +58,7 @@ def test_samples_are_shown_beside_the_fit_and_before_it(visit: Visit, table_fit:
     red = page.locator("#plane .plot .point").first
     expect(red).to_have_attribute("d", re.compile("M.*M"))
     page.get_by_label("theta_in in degrees").fill("85")
-    expect(page.locator("#plane")).to_contain_text(re.compile("There is none here; most are at (0|30|60)°"))
+    expect(page.locator("#plane")).to_contain_text(re.compile("There are no samples here; most are at (0|30|60)°"))
     page.locator("#figures-title").click()
     expect(page.locator("#figures img").nth(1)).not_to_have_js_property("naturalWidth", 0)
     page.goto(f"/measurements/{table_fit['measurement']}")
