@@ -15,7 +15,7 @@ import httpx
 
 from tests.support import endless_fit
 from tests.support.launcher import ForkedProcess, launcher
-from tests.support.processes import alive, children, wait_until
+from tests.support.processes import alive, children, niceness, wait_until
 
 # Options of fits that take no time, about a second, and minutes: a test that wants to find a fit unfinished should
 # not have to hurry.
@@ -132,8 +132,12 @@ class Server:
         return found
 
     def workers(self) -> set[int]:
-        """Process ids of the fits that are being computed."""
+        """Process ids of what is being computed: fits, and what requests or the page's list ask for."""
         return {pid for helper in self.helpers() for pid in children(helper)}
+
+    def fitting(self) -> set[int]:
+        """Process ids of the fits that are being computed; all other computations give way to them."""
+        return {pid for pid in self.workers() if niceness(pid) == niceness(self.process.pid)}
 
     def submit(self, measurement: str, prefer: str = "wait=60", **options: Any) -> httpx.Response:
         """Ask for a fit; the method is by default the one that takes a fraction of a second."""
