@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ def show(browser: Browser, site: str, path: str, view: str, awaited: str, runs: 
     for _ in range(runs):
         context = new_context(browser, site, None, device_scale_factor=1, viewport={"width": 1280, "height": 2400})
         page, received = context.new_page(), list[Request]()
-        page.on("requestfinished", received.append)
+        page.on("requestfinished", partial(list[Request].append, received))
         begin = time.perf_counter()
         page.goto(path)
         page.wait_for_function(awaited)
