@@ -44,17 +44,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         fit = server.http.post("/v1/fits", content=content, headers={"Content-Type": "application/octet-stream"}).json()
         show(browser, site, f"/fits/{fit['id']}", "a fit, to its first sphere", _FIRST_SPHERE, runs)
         for number in range(1, 10):
-            server.submit(fit["measurement"], **QUICK, mask_slope=1.0 + number / 100)
-        show(browser, site, "/", "ten fits, the very first time", _LIST, 1)
-        show(browser, site, "/", "ten fits, in a new profile", _LIST, runs)
+            server.submit(fit["measurement"], **QUICK, mask=1.0 - number / 100)
+        show(browser, site, "/", "ten fits, the very first time", _LIST, 1, height=2400)
+        show(browser, site, "/", "ten fits, in a new profile", _LIST, runs, height=2400)
     return 0
 
 
-def show(browser: Browser, site: str, path: str, view: str, awaited: str, runs: int) -> None:
+def show(browser: Browser, site: str, path: str, view: str, awaited: str, runs: int, height: int = 720) -> None:
     """Open a view in new profiles, and print what it took."""
     seconds, weights = [], []
     for _ in range(runs):
-        context = new_context(browser, site, None, device_scale_factor=1, viewport={"width": 1280, "height": 2400})
+        context = new_context(browser, site, None, device_scale_factor=1, viewport={"width": 1280, "height": height})
         page, received = context.new_page(), list[Request]()
         page.on("requestfinished", partial(list[Request].append, received))
         begin = time.perf_counter()
