@@ -139,6 +139,11 @@ class Server:
         """Process ids of the fits that are being computed; all other computations give way to them."""
         return {pid for pid in self.workers() if niceness(pid) == niceness(self.process.pid)}
 
+    def the_fit(self) -> int:
+        """Process id of the one fit that is being computed, once every other computation has begun to give way."""
+        wait_until(lambda: len(self.fitting()) == 1)
+        return self.fitting().pop()
+
     def submit(self, measurement: str, prefer: str = "wait=60", **options: Any) -> httpx.Response:
         """Ask for a fit; the method is by default the one that takes a fraction of a second."""
         document = {"measurement": measurement, "options": {"method": "paper", **options}}
@@ -149,7 +154,7 @@ class Server:
         return status
 
     def until_running(self, fit_id: str) -> None:
-        wait_until(lambda: self.status(fit_id) != "accepted" and bool(self.workers()))
+        wait_until(lambda: self.status(fit_id) != "accepted" and bool(self.fitting()))
         assert self.status(fit_id) == "running"
 
 
