@@ -16,8 +16,8 @@ NOISE = 0.02
 """Relative standard deviation of every sample."""
 HALF_WIDTHS = np.radians([1.5, 8.0, 50.0])
 """Of the hemi-EPD lobes at normal incidence [rad]; a seed changes each by up to a fifth."""
-HEIGHTS = np.array([30.0, 3.0, 0.3])
-"""At normal incidence [1/sr]; a seed changes each by up to a factor of 2, and gives it a colour."""
+HEIGHTS = np.array([30.0, 3.0, 0.3]) / np.pi
+"""At normal incidence [1/sr]; a seed changes each by up to a factor of 2, and gives it a colour; no light is gained."""
 KNOTS = np.radians([0.0, 45.0, 89.0])
 CHECKED_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
 """theta_diff at which parameters are compared [rad]."""

@@ -68,8 +68,8 @@ def test_sigterm_answers_waiting_requests_and_stops(own_server: Callable[..., Se
         polls = [threads.submit(server.http.get, f"/v1/fits/{fit}?wait=60") for fit in fits]
         post = threads.submit(server.http.post, "/v1/fits", json=document, headers={"Prefer": "wait=60"})
         following.wait()
-        wait_until(lambda: server.http.get("/v1/fits").text.count('"id"') == 4)
-        time.sleep(0.3)  # the polls have nothing to show that they are waiting
+        waiting = f"\ndsbrdf_requests_in_progress {len([*streams, *polls, post]) + 1.0}\n"  # and the one that asks
+        wait_until(lambda: waiting in server.http.get("/metrics").text)
         server.process.send_signal(signal.SIGTERM)
         code = server.process.wait(timeout=40)  # which open requests are given here: none of them had to be cut off
         answers = [poll.result() for poll in polls]

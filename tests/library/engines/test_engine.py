@@ -66,7 +66,7 @@ def samples_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("plastic", FitOptions(2, "paper", em_iterations=5, weighting="log", robust=True, horizon_cutoff_deg=69)),
         ("plastic", FitOptions(n_lobes=1, ring_lobes=0, weighting="cosine")),
-        ("samples", FitOptions(n_lobes=1)),
+        ("samples", FitOptions(n_lobes=1, ring_lobes=0)),
     ],
     ids=["paper, log and robust", "global", "scattered samples"],
 )
@@ -133,7 +133,7 @@ def test_progress_rises_until_cancelling_ends_the_process_and_closing_all_others
     with started(stage.engine()) as engine:
         fit = engine.submit(FitTask("one", plastic_file, ENDLESS), shares.append)
         waiting = engine.submit(FitTask("two", plastic_file, ENDLESS), shares.append)
-        wait_until(lambda: len(shares) > 3, PATIENCE)
+        wait_until(lambda: len(shares) > 1, PATIENCE)
         assert shares == sorted(set(shares))
         assert 0.0 < shares[0] < 0.5
         victims = stage.fitting()

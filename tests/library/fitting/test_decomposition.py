@@ -17,6 +17,7 @@ from dsbrdf.model.layers import SpecularLayer
 from dsbrdf.model.lobe_families import FAMILIES
 from tests.support.known_models import single_lobe
 from tests.support.random_models import random_model
+from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow
 
@@ -59,13 +60,13 @@ def test_components_sum_to_the_model(n_lobes: int, family: str) -> None:
     random = np.random.default_rng(n_lobes)
     theta_half = np.concatenate([random.uniform(0.0, np.pi / 2, 500), np.radians([0.0, 0.5, 1.0])])
     theta_diff, phi_diff = random.uniform(0.0, np.pi / 2, 503), random.uniform(0.0, 3.2, 503)
-    for seed in range(3):
+    for seed in range(repeats(1, 3)):
         model = replace(random_model(seed, n_lobes, family), delta=random.uniform(0.0, 5.0, (3, 4)))
-        whole = model.evaluate(theta_half, theta_diff, phi_diff)
-        parts = [component.evaluate(theta_half, theta_diff, phi_diff) for component in decompose(model)]
+        whole, components = model.evaluate(theta_half, theta_diff, phi_diff), list(decompose(model))
+        parts = [component.evaluate(theta_half, theta_diff, phi_diff) for component in components]
         np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12, atol=1e-300)
         assert min(part.min() for part in parts) >= 0.0
-        albedo = np.sum([component.albedo for component in decompose(model)], axis=0)
+        albedo = np.sum([component.albedo for component in components], axis=0)
         np.testing.assert_allclose(albedo, model.albedo(0.0), rtol=1e-9)
 
 

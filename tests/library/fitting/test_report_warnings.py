@@ -22,7 +22,6 @@ from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow
 
-EXAMPLE = Path(__file__).parents[3] / "docs" / "_static" / "satin-purple.csv"
 CONVERGED = KnotReport.from_arrays(np.zeros(1), True, True, 5, False)
 MODERATE = DirectionalAlbedo((0.0, 1.0), ((0.3, 0.3, 0.3), (0.5, 1.0, 0.5)))
 
@@ -108,11 +107,6 @@ def test_errors_far_above_the_floor_are_named(
     metrics = Metrics(relative_rms=error, symmetric_floor=floor, albedo_error=albedo_error)
     for sentence, beginning in zip(accuracy_warnings(metrics), beginnings, strict=True):
         assert sentence.startswith(beginning)
-
-
-def test_a_fit_of_a_few_samples_of_a_highlight_says_what_it_is_worth() -> None:
-    warnings = fit(EXAMPLE).report.warnings
-    assert any("between the samples the error is more like the larger one" in sentence for sentence in warnings)
 
 
 @pytest.fixture(scope="module")

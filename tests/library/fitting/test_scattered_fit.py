@@ -49,8 +49,8 @@ def test_a_table_is_predicted_at_the_middle_of_the_nodes_of_each_bin() -> None:
 
 
 def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta_diff() -> None:
-    samples, options = scattered_samples(TRUTH, 3000), FitOptions()
-    prediction = SamplePrediction.fit(samples.take(np.arange(3000) < 300))
+    samples, options = scattered_samples(TRUTH, 1000), FitOptions()
+    prediction = SamplePrediction.fit(samples.take(np.arange(1000) < 300))
     data = sample_rows(samples, predicted_profiles(samples, prediction, options), options, prediction, TRUTH)
     theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
     placed = 0.0
@@ -72,7 +72,7 @@ def scaled(samples: ScatteredSamples, factor: Any, notes: tuple[str, ...] = ()) 
 
 
 def test_cosines_are_divided_out_notes_are_warnings_and_progress_rises() -> None:
-    samples, shares = scattered_samples(TRUTH, 100), list[float]()
+    samples, shares = scattered_samples(TRUTH, 60), list[float]()
     expected = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0)
     multiplied = scaled(samples, samples.omega_out[:, 2:], notes=("Grey.",))
     found = dsbrdf.fit(multiplied, n_lobes=1, ring_lobes=0, cosine="out", progress=shares.append)
@@ -146,7 +146,7 @@ def median_error(model: dsbrdf.DSBRDF, truth: dsbrdf.DSBRDF) -> float:
 
 
 def test_fifty_samples_or_one_plane_are_a_material(truth: dsbrdf.DSBRDF) -> None:
-    few = dsbrdf.fit(scattered_samples(truth, 50))
+    few = dsbrdf.fit(scattered_samples(truth, 50), n_lobes=2, ring_lobes=0)
     assert median_error(few.model, truth) < 0.1
     assert few.model.albedo(np.radians([0.0, 30.0, 60.0, 75.0, 85.0])).max() <= 1.0
     assert any("50 samples are few: the model is that of layers" in text for text in few.report.warnings)
@@ -157,7 +157,7 @@ def test_fifty_samples_or_one_plane_are_a_material(truth: dsbrdf.DSBRDF) -> None
 
 
 def test_errors_at_samples_left_out_are_those_of_new_samples(truth: dsbrdf.DSBRDF) -> None:
-    result = dsbrdf.fit(noisy(scattered_samples(truth, 300)))
+    result = dsbrdf.fit(noisy(scattered_samples(truth, 300)), n_lobes=2, ring_lobes=0)
     new = noisy(scattered_samples(truth, 4000, seed=5), seed=2)
     true = scattered_metrics(result.model, new, FitOptions().horizon_cutoff).relative_rms
     metrics = result.report.metrics
@@ -182,7 +182,7 @@ def test_errors_expected_over_all_directions_are_those_of_new_samples_on_average
 
 def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF) -> None:
     """Of light at 0 to 30 degrees nothing is known at 70; no two of the pairs are the same."""
-    samples = scattered_samples(truth, 600)
+    samples = scattered_samples(truth, 300)
     steep = samples.take(np.maximum(samples.omega_in[:, 2], samples.omega_out[:, 2]) > np.cos(np.radians(30.0)))
     report = dsbrdf.fit(steep, n_lobes=2, ring_lobes=0).report
     assert (report.metrics.relative_rms_expected or 0.0) > 0.1
@@ -197,18 +197,18 @@ def noisy(samples: ScatteredSamples, seed: int = 1) -> ScatteredSamples:
 
 
 def test_outliers_of_a_robust_fit_do_not_count(truth: dsbrdf.DSBRDF) -> None:
-    samples = noisy(scattered_samples(truth, 200))
-    spoiled = scaled(samples, np.where(np.arange(200) % 20 == 3, 8.0, 1.0)[:, None])
+    samples = noisy(scattered_samples(truth, 100))
+    spoiled = scaled(samples, np.where(np.arange(100) % 20 == 3, 8.0, 1.0)[:, None])
     robust, plain = (dsbrdf.fit(spoiled, n_lobes=2, ring_lobes=0, robust=robust).model for robust in (True, False))
     assert median_error(robust, truth) < 0.05 < median_error(plain, truth)
 
 
 def test_the_fit_follows_the_level_of_the_samples(truth: dsbrdf.DSBRDF) -> None:
-    samples, levels = scattered_samples(truth, 100), (1e-3, 1.0, 1e3)
-    found = [dsbrdf.fit(scaled(samples, level), n_lobes=2, ring_lobes=0) for level in levels]
-    for level, one in zip(levels, found, strict=True):
-        np.testing.assert_allclose(one.model.evaluate(0.1, 0.4) / level, found[1].model.evaluate(0.1, 0.4), rtol=0.1)
-        assert any("not a BRDF in 1/sr; multiply" in text for text in one.report.warnings) is (level > 1.0)
+    samples = scattered_samples(truth, 60)
+    dark, bright = (dsbrdf.fit(scaled(samples, level), n_lobes=2, ring_lobes=0) for level in (1e-3, 1e3))
+    np.testing.assert_allclose(bright.model.evaluate(0.1, 0.4), 1e6 * dark.model.evaluate(0.1, 0.4), rtol=0.1)
+    said = [any("not a BRDF in 1/sr; multiply" in text for text in one.report.warnings) for one in (dark, bright)]
+    assert said == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -217,19 +217,18 @@ def test_the_fit_follows_the_level_of_the_samples(truth: dsbrdf.DSBRDF) -> None:
         (1.0, None, ()),
         (1500.0, None, ("1/1500 (scale 0.0006667; are they the integers of a MERL file?)",)),
         (100.0, None, ("1/100 (scale 0.01; are they per cent?)",)),
-        (
-            100.0 * np.pi,
-            None,
-            ("multiply the values by 1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)",),
-        ),
         (np.pi, None, ("multiply the values by 1/pi (scale 0.3183; are they reflectance factors?)",)),
         (1.0, "in", ('if so, set cosine to "in"',)),
         (1.0, "out", ('if so, set cosine to "out"',)),
-        (100.0 * np.pi, "in", ("multiply the values by 1/(100 pi)", 'and set cosine to "in"')),
+        (
+            100.0 * np.pi,
+            "in",
+            ("1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)", "cosine of theta_in"),
+        ),
     ],
 )
 def test_units_far_off_are_named(factor: float, side: str | None, words: tuple[str, ...], truth: dsbrdf.DSBRDF) -> None:
-    samples = scattered_samples(truth, 500)
+    samples = scattered_samples(truth, 200)
     samples = scaled(samples, factor if side is None else factor * getattr(samples, f"omega_{side}")[:, 2:])
     said = sample_units(samples).sentences
     assert len(said) == bool(words)
@@ -290,7 +289,7 @@ def test_errors_that_matter_are_named(truth: dsbrdf.DSBRDF) -> None:
 
 @pytest.mark.parametrize("value", [1e8, 1e-8])
 def test_samples_at_the_limits_are_fitted(value: float, truth: dsbrdf.DSBRDF) -> None:
-    omega_in, omega_out = scattered_directions(truth, 400, 0)
-    samples = ScatteredSamples.from_arrays(omega_in, omega_out, np.full((400, 3), value))
+    omega_in, omega_out = scattered_directions(truth, 60, 0)
+    samples = ScatteredSamples.from_arrays(omega_in, omega_out, np.full((60, 3), value))
     found = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0).evaluate(0.5, 0.3)
     np.testing.assert_allclose(found, value, rtol=0.1)

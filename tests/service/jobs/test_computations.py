@@ -23,7 +23,7 @@ from dsbrdf_service.routes import brdf, figures, fits, uploads
 from dsbrdf_service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
-from tests.support.server import Server
+from tests.support.server import QUICK, Server
 from tests.support.stores import add
 
 pytestmark = pytest.mark.anyio
@@ -223,13 +223,15 @@ async def test_turn_of_a_cancelled_waiter_goes_to_the_next() -> None:
         waits.cancel()  # while it waits
     granted.cancel()  # it has been given the turn, and has not run since
     await asyncio.wait([waits, granted])
-    await asyncio.wait_for(take(), 1.0)
+    await asyncio.wait_for(take(), 60.0)
 
 
-def test_process_of_an_export_ends_when_its_client_leaves(server: Server, fitted: str) -> None:
-    server.http.get(f"/v1/fits/{fitted}/figures/thumbnail.png")  # which is drawn after each fit
+def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
+    server.http.get(f"/v1/fits/{fit}/figures/thumbnail.png")  # which is drawn after each fit
     wait_until(lambda: not server.workers())
-    request = f"GET /v1/fits/{fitted}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+    request = f"GET /v1/fits/{fit}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
     with closing(server.connection(request)):
         wait_until(lambda: bool(server.workers()))
         (worker,) = server.workers()

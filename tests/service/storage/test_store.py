@@ -170,13 +170,13 @@ def test_uploads_in_progress_count_towards_the_quota_but_one_may_exceed_it(
 
 
 def test_uploads_share_few_threads() -> None:
-    async def meet(number: int) -> None:
-        together = threading.Barrier(number, timeout=0.3)
+    async def meet(number: int, patience: float) -> None:
+        together = threading.Barrier(number, timeout=patience)
         await asyncio.gather(*(in_thread(together.wait) for _ in range(number)))
 
-    asyncio.run(meet(4))
+    asyncio.run(meet(4, 60.0))
     with pytest.raises(threading.BrokenBarrierError):
-        asyncio.run(meet(5))
+        asyncio.run(meet(5, 0.3))
 
 
 def test_cancelled_fits_and_results_count_as_stored_bytes(store: Store) -> None:
