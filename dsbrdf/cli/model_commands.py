@@ -46,6 +46,7 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap, read_environment
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_normals
+from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.export import FORMATS, export_model, format_of
 from dsbrdf.output.export.examples import example as example_of
 from dsbrdf.output.export.glsl import NAME
@@ -53,7 +54,7 @@ from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.figure_parts import IMAGE_FORMATS, encode_figure
 from dsbrdf.output.notebook import plot_fit
 from dsbrdf.output.parameter_figures import parameters_figure
-from dsbrdf.output.report_text import component_documents, lobes_phrase, model_text, result_document, result_text
+from dsbrdf.output.report_text import lobes_phrase, model_text, result_document, result_text
 from dsbrdf.output.sample_figures import samples_figure
 from dsbrdf.output.sphere_panels import compare_spheres, encode_png, side_by_side
 

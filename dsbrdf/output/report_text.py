@@ -15,16 +15,14 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.fitting.decomposition import Component, decompose
 from dsbrdf.fitting.metrics import Metrics, RelativeErrors
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.layers import LayeredModel
 from dsbrdf.model.lobes import half_width
+from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.serialize import to_json
 
-LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
-"""theta_diff of the heights of components in JSON [degrees]."""
 SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
 """theta_diff of the parameters that are printed, some of `LOBE_THETA_DIFF` [degrees]."""
 _SHOWN_PARAMETERS = (
@@ -234,32 +232,6 @@ def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
     }
     stored: dict[str, Any] = json.loads(to_json(model, report))
     return about | stored
-
-
-def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
-    """Return the components of a model, from narrow to wide, as they are written to JSON."""
-    return [component_document(component) for component in decompose(model)]
-
-
-def component_document(component: Component) -> dict[str, Any]:
-    """Return one component as JSON content: light, physical parameters with ranges, heights at `LOBE_THETA_DIFF`."""
-    ranges = asdict(component.ranges)
-    widths = ranges.pop("half_width")
-    height = component.height(np.radians(LOBE_THETA_DIFF))
-    return {
-        "label": component.label,
-        "structure": component.structure,
-        "light_share": component.light_share,
-        "albedo": component.albedo.tolist(),
-        "color": component.color.tolist(),
-        "half_width_deg": None if component.half_width is None else float(np.degrees(component.half_width)),
-        "alpha": component.alpha,
-        "kappa": component.kappa,
-        "f0": None if component.f0 is None else component.f0.tolist(),
-        "f90": component.f90,
-        "lobe": {"theta_diff_deg": list(LOBE_THETA_DIFF), "height": height.tolist()},
-        "ranges": ranges | {"half_width_deg": None if widths is None else np.degrees(widths).tolist()},
-    }
 
 
 def parameters_csv(model: DSBRDF) -> str:

@@ -28,6 +28,7 @@ from dsbrdf.fitting.layer_shares import LABELS, WeightedLayers
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
 from dsbrdf.model.layers import LayeredModel
+from dsbrdf.output.component_documents import component_document
 
 FORMAT, LAYERS_FORMAT = "dsbrdf", "dsbrdf-layers"
 VERSION = 2
@@ -118,8 +119,8 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
 
     It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. With components, so that
     they need not be found again, it has ``"components": {"labels": [...], "structures": [...], "ranges": [...]}``,
-    which `fit_from_json` reads. Raises InvalidArgumentError if the report has a value that JSON cannot store,
-    such as NaN.
+    which `fit_from_json` reads, and ``"shown": [...]``, what `component_document` says of each. Raises
+    InvalidArgumentError if the report has a value that JSON cannot store, such as NaN.
     """
     document = {
         "format": FORMAT,
@@ -133,6 +134,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
             "structures": [asdict(structure) for structure in components.structures],
             "ranges": [asdict(ranges) for ranges in components.ranges],
         }
+        document["shown"] = [component_document(component) for component in components]
     return _dump(document)
 
 

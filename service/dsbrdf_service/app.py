@@ -86,7 +86,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         keys.open(store.database)
         readiness = Readiness(store, engine, settings)
         computations = Computations(FitLimits(_COMPUTATION_SECONDS, settings.fit_memory_mb, _NICENESS))
-        thumbnails = Thumbnails(store, models, computations)
+        thumbnails = Thumbnails(store, computations)
         jobs = Jobs(store, engine, settings, metrics, thumbnails.draw_soon)
         parts = settings, store, jobs, models, thumbnails, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)

@@ -1,13 +1,11 @@
-"""Finished fits that are kept in memory with their components: a request for values reads and fits nothing."""
+"""Models of finished fits that are kept in memory with their components: a request for values reads nothing."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 
 from dsbrdf import DSBRDF, Component, Decomposition, FitReport
-from dsbrdf.output.report_text import component_document
 from dsbrdf.output.serialize import fit_from_json
 
 from ..errors import ProblemError
@@ -17,11 +15,10 @@ from ..storage.store import Store
 
 @dataclass(frozen=True)
 class LoadedFit:
-    """A fit's model with its components, its report, and what documents say of the components."""
+    """A fit's model with its components, and its report."""
 
     decomposition: Decomposition
     report: FitReport | None
-    components: list[dict[str, Any]]
 
     @property
     def model(self) -> DSBRDF:
@@ -45,7 +42,7 @@ class ModelCache:
     def __init__(self, store: Store, size: int) -> None:
         self._store = store
         self._size = size
-        self._models: OrderedDict[FitKey, tuple[int, LoadedFit]] = OrderedDict()  # each with the stamp of its result
+        self._models: OrderedDict[tuple[FitKey, int | None], LoadedFit] = OrderedDict()  # by what tells its result
 
     async def get(self, key: FitKey) -> LoadedFit:
         """Return the model of a fit; raise ProblemError if there is no such fit, or it has no result.
@@ -53,32 +50,12 @@ class ModelCache:
         The store is asked each time: another process may have deleted the fit, or computed it once more.
         """
         stamp = self._store.result_stamp(key)
-        if (kept := self._kept(key, stamp)) is not None:
-            return kept
-        loaded = await run_in_threadpool(self._load, key)
-        if stamp is None:  # its fit has ended meanwhile
-            return loaded
-        if (kept := self._kept(key, stamp)) is not None:  # it has come together with this request
-            return kept
-        self._models[key] = stamp, loaded
-        while len(self._models) > self._size:
-            self._models.popitem(last=False)
+        if (key, stamp) in self._models:
+            self._models.move_to_end((key, stamp))
+            return self._models[key, stamp]
+        loaded = LoadedFit(*await run_in_threadpool(lambda: fit_from_json(self._store.result(key))))
+        if stamp is not None:  # else its fit has ended meanwhile
+            loaded = self._models.setdefault((key, stamp), loaded)  # it may have come together with this request
+            if len(self._models) > self._size:
+                self._models.popitem(last=False)
         return loaded
-
-    def _kept(self, key: FitKey, stamp: int | None) -> LoadedFit | None:
-        """Return the model that is kept for a result."""
-        found, loaded = self._models.get(key, (None, None))
-        if loaded is None or found != stamp:
-            return None
-        self._models.move_to_end(key)
-        return loaded
-
-    def _load(self, key: FitKey) -> LoadedFit:
-        document = self._store.result(key)
-        if document is not None:
-            decomposition, report = fit_from_json(document)
-            return LoadedFit(decomposition, report, [component_document(component) for component in decomposition])
-        row = self._store.fit(key)
-        if not row.ended:
-            raise ProblemError("fit-not-finished", f"The fit is {row.status}; its model exists when it has succeeded.")
-        raise ProblemError("fit-without-result", f"The fit {row.status} and has no model; its document says why.")

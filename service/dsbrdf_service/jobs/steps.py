@@ -41,6 +41,7 @@ from dsbrdf.output.figure_parts import encode_figure
 from dsbrdf.output.figures import lobes_figure, profiles_figure, residual_figure
 from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.sample_figures import samples_figure, samples_residual_figure
+from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
 from dsbrdf.output.table_summary import summary_of_table
 
@@ -115,9 +116,9 @@ def spheres_step(
     return encode_png(np.concatenate(pictures, axis=1))
 
 
-def thumbnail_step(model: DSBRDF, stored: StoredMeasurement | None, _: OnProgress) -> bytes:
+def thumbnail_step(document: str, stored: StoredMeasurement | None, _: OnProgress) -> bytes:
     """Return the PNG of a small sphere in the environment: the fit, its left half measured where that is stored."""
-    image = render_sphere(model, lighting="environment", size=_THUMBNAIL)
+    image = render_sphere(from_json(document)[0], lighting="environment", size=_THUMBNAIL)
     factor = exposure(image, sphere_normals(_THUMBNAIL)[1])
     if stored is not None:
         half = _THUMBNAIL // 2

@@ -12,7 +12,6 @@ from ..storage.database import in_write_thread
 from ..storage.schema import FitKey
 from ..storage.store import Store
 from .computations import Computations
-from .results import ModelCache
 from .steps import StoredMeasurement, thumbnail_step
 
 logger = logging.getLogger(__name__)
@@ -21,9 +20,8 @@ logger = logging.getLogger(__name__)
 class Thumbnails:
     """Draws each thumbnail once for all who wait for it, also if nobody does."""
 
-    def __init__(self, store: Store, models: ModelCache, computations: Computations) -> None:
+    def __init__(self, store: Store, computations: Computations) -> None:
         self._store = store
-        self._models = models
         self._computations = computations
         self._drawing: dict[FitKey, asyncio.Task[bytes]] = {}
 
@@ -61,8 +59,8 @@ class Thumbnails:
         return self._drawing[key]
 
     async def _draw(self, key: FitKey) -> bytes:
-        model = (await self._models.get(key)).model
-        picture = await self._computations.run_unasked(key.owner, thumbnail_step, model, await self.measured(key))
+        stored, measured = await run_in_threadpool(self._store.result, key), await self.measured(key)
+        picture = await self._computations.run_unasked(key.owner, thumbnail_step, stored, measured)
         with suppress(OSError, sqlite3.Error):  # the disk may be full: then it is drawn again
             await in_write_thread(self._store.keep_thumbnail, key, picture)
         return picture

@@ -31,7 +31,6 @@ from .dependencies import (
     Context,
     TheContext,
     TheFit,
-    TheLoadedFit,
     TheMeasurement,
     no_query,
 )
@@ -168,12 +167,13 @@ async def post_measured_values(request: Request, context: TheContext, stored: Th
     summary="The components of a fit",
     responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "fit-not-finished"),
 )
-async def get_components(request: Request, fit: TheLoadedFit) -> Response:
+async def get_components(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
 
     Each has a lobe of its own, as values at some angles, its albedo, colour, half width and how clear the split is.
     """
-    return tagged_reply(request, ComponentList.model_validate({"items": fit.components}))
+    stored = await context.fit_document(fit)
+    return tagged_reply(request, ComponentList.model_validate({"items": stored["shown"]}))
 
 
 async def _values(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:

@@ -12,7 +12,6 @@ from starlette.responses import Response
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.export import FORMATS, LAYERS, check_holds_component, check_shader_options, export_model
-from dsbrdf.output.serialize import model_to_dict
 
 from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
@@ -251,10 +250,10 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
 
 
 async def _document(context: Context, row: FitRow) -> schemas.FitDocument:
-    fit = await context.models.get(row.key) if row.status == "succeeded" else None
+    stored = await context.fit_document(row.key) if row.status == "succeeded" else {}
     more = {
-        "warnings": fit.report.warnings if fit and fit.report else [],
-        "components": fit and fit.components,
-        "model": fit and model_to_dict(fit.model),
+        "warnings": (stored.get("report") or {}).get("warnings", []),
+        "components": stored.get("shown"),
+        "model": stored.get("model"),
     }
     return schemas.from_row(schemas.FitDocument, row, progress=context.jobs.progress(row), **more)

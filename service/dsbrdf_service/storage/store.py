@@ -218,13 +218,20 @@ class Store:
         query = "SELECT id FROM fits WHERE measurement = ? AND owner = ? ORDER BY seq DESC LIMIT ?"
         return [fit_id for (fit_id,) in self.database.rows(query, sha256, owner, limit)]
 
-    def result(self, key: FitKey) -> str | None:
-        """Return the document of a fit that succeeded; raise ProblemError if it is not what was written."""
-        query = f"SELECT CAST(result AS BLOB), metrics, checksum FROM fits {_WHERE_FIT} AND result NOT NULL"  # noqa: S608
+    def result(self, key: FitKey) -> str:
+        """Return the document of a fit that succeeded.
+
+        Raises FitNotFoundError, or ProblemError if the fit has none, or it is not what was written.
+        """
+        query = f"SELECT status, CAST(result AS BLOB), metrics, checksum FROM fits {_WHERE_FIT}"  # noqa: S608
         rows = self.database.rows(query, *key)
         if not rows:
-            return None
-        document, metrics, written = rows[0]
+            raise FitNotFoundError(key.id)
+        status, document, metrics, written = rows[0]
+        if status in UNFINISHED:
+            raise ProblemError("fit-not-finished", f"The fit is {status}; its model exists when it has succeeded.")
+        if document is None:
+            raise ProblemError("fit-without-result", f"The fit {status} and has no model; its document says why.")
         if checksum(metrics, document) != written:
             detail = "The stored result of the fit is damaged; delete the fit and ask for it once more."
             raise ProblemError("fit-without-result", detail)

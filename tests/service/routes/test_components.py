@@ -91,5 +91,5 @@ def test_a_black_fit_has_no_components(model: dsbrdf.DSBRDF) -> None:
     black = dsbrdf.decompose(model.select((), with_delta=False))
     restored, _ = fit_from_json(to_json(black.model, None, black))
     with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
-        LoadedFit(restored, None, []).part("diffuse")
+        LoadedFit(restored, None).part("diffuse")
     assert raised.value.kind == "not-found"
