@@ -50,14 +50,20 @@ void main() {
   vec2 on_screen = gl_FragCoord.xy * 2.0 / size - vec2(1.0 + 2.0 * channel, 1.0);
   vec2 at = highlight + (on_screen - highlight) / zoom;
   if (dot(at, at) >= 1.0) { colour = vec4(0.0); return; }
-  bool left = on_screen.x < wipe;
+  bool real = show == 1 || (show == 2 && on_screen.x < wipe);
+  vec3 one = vec3(0.0);
+  // One call, in a loop: what it calls is long, and would be compiled for each.
+  for (int side = 0; side < (show == 3 ? 2 : 1); ++side) one = abs(one - seen(at, real != (side == 1)));
   if (exposure == 0.0) {
-    float level = floor(16777215.0 * (log2(max(seen(at, show == 1)[int(channel)], 1e-9)) / 64.0 + 0.5));
-    colour = vec4(mod(floor(level / vec3(65536.0, 256.0, 1.0)), 256.0) / 255.0, 1.0);
-  } else if (show == 3) colour = vec4(4.0 * abs(seen(at, true) - seen(at, false)), 1.0);
-  else if (show == 2 && abs(on_screen.x - wipe) < 2.0 / size) colour = vec4(1.0);
-  else colour = vec4(seen(at, show == 1 || (show == 2 && left)), 1.0);
+    float level = floor(16777215.0 * (log2(max(one[int(channel)], 1e-9)) / 64.0 + 0.5));
+    one = mod(floor(level / vec3(65536.0, 256.0, 1.0)), 256.0) / 255.0;
+  } else if (show == 3) one *= 4.0;
+  else if (show == 2 && abs(on_screen.x - wipe) < 2.0 / size) one = vec3(1.0);
+  colour = vec4(one, 1.0);
 }`;
+
+const TABLE = /const (vec4 (\w+)\[(\d+)\]) = vec4\[\d+\]\(([^;]*)\);/;
+const OTHERS = 32; // vectors at most of all other uniforms
 
 /** @param {WebGL2RenderingContext} gl @param {number} kind @param {string} source */
 function compile(gl, kind, source) {
@@ -69,9 +75,13 @@ function compile(gl, kind, source) {
 
 /**
  * A program from the functions of a material, and the call of the one that has its values for the directions a and b.
- * @param {WebGL2RenderingContext} gl @param {string} functions @param {string} call @returns {Promise<Program>}
+ * A long table of constants takes more time than all else: it becomes a uniform where there is room for it.
+ * @param {WebGL2RenderingContext} gl @param {string} given @param {string} call @returns {Promise<Program>}
  */
-export async function programOf(gl, functions, call) {
+export async function programOf(gl, given, call) {
+  const [constants = "", declared, name, count, numbers] = TABLE.exec(given) ?? [];
+  const isUniform = Number(count) < gl.getParameter(gl.MAX_FRAGMENT_UNIFORM_VECTORS) - OTHERS;
+  const functions = isUniform ? given.replace(constants, `uniform ${declared};`) : given;
   const material = `${functions}\nuniform vec3 shown;\nvec3 material(vec3 a, vec3 b) { return ${call}; }`;
   const program = /** @type {WebGLProgram} */ (gl.createProgram());
   gl.attachShader(program, compile(gl, gl.VERTEX_SHADER, VERTEX));
@@ -84,6 +94,7 @@ export async function programOf(gl, functions, call) {
     throw new Error(`The shader does not compile here: ${gl.getShaderInfoLog(fragment) || gl.getProgramInfoLog(program)}`);
   }
   gl.useProgram(program);
+  if (isUniform) gl.uniform4fv(gl.getUniformLocation(program, name), JSON.parse(`[${numbers.replace(/vec4\(|\)/g, "")}]`));
   ["table", "around", "around_measured"].forEach((name, unit) => gl.uniform1i(gl.getUniformLocation(program, name), unit));
   return { program, at: (name) => gl.getUniformLocation(program, name) };
 }
@@ -105,8 +116,24 @@ export function setTexture(gl, unit, [width, height, depth], values) {
   gl.texParameteri(target, gl.TEXTURE_WRAP_S, unit === 0 ? gl.REPEAT : gl.CLAMP_TO_EDGE); // phi_diff is periodic
 }
 
-/** The radiance that the shader has written with the exposure 0. @param {Uint8Array} pixels */
-export function radianceIn(pixels) {
+/** Waits until all that was drawn is there; the page goes on meanwhile. @param {WebGL2RenderingContext} gl */
+export async function finished(gl) {
+  const fence = /** @type {WebGLSync} */ (gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0));
+  gl.flush();
+  do await pause(4); while (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED);
+  gl.deleteSync(fence);
+}
+
+/** The radiance that the shader has drawn with the exposure 0. @param {WebGL2RenderingContext} gl @param {number} width @param {number} height */
+export async function radianceIn(gl, width, height) {
+  const pixels = new Uint8Array(4 * width * height);
+  const buffer = gl.createBuffer(); // pixels that are read into it hold up nothing
+  gl.bindBuffer(gl.PIXEL_PACK_BUFFER, buffer);
+  gl.bufferData(gl.PIXEL_PACK_BUFFER, pixels.length, gl.STREAM_READ);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, 0);
+  await finished(gl);
+  gl.getBufferSubData(gl.PIXEL_PACK_BUFFER, 0, pixels);
+  gl.deleteBuffer(buffer);
   const levels = Array.from({ length: pixels.length / 4 }, (_, i) => pixels.subarray(4 * i, 4 * i + 4)).filter((pixel) => pixel[3]);
   return levels.map(([high, middle, low]) => 2 ** (64 * ((65536 * high + 256 * middle + low) / 16777215 - 0.5)));
 }

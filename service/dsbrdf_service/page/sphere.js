@@ -2,7 +2,7 @@
 // show what the form of controls says.
 import { find, make, request } from "./app.js";
 import { fromNpy, toNpy } from "./npy.js";
-import { exposureOf, programOf, radianceIn, setTexture } from "./shader.js";
+import { exposureOf, finished, programOf, radianceIn, setTexture } from "./shader.js";
 
 /** @typedef {{show: string, lighting: string, stops: number, zoom: number, wipe: number, turn: number, highlight: number[]}} Look */
 
@@ -94,9 +94,7 @@ export class Sphere {
     const begun = performance.now();
     Object.assign(this.canvas, { width: 3 * SAMPLED, height: SAMPLED });
     this.shade("glsl", { ...look(), lighting: "three", show, highlight: [0, 0] }, { size: SAMPLED, exposure: 0, wipe: 0, zoom: 1 }, light);
-    const pixels = new Uint8Array(12 * SAMPLED * SAMPLED);
-    gl.readPixels(0, 0, 3 * SAMPLED, SAMPLED, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
-    this.exposure = exposureOf(radianceIn(pixels));
+    this.exposure = exposureOf(await radianceIn(gl, 3 * SAMPLED, SAMPLED));
     this.hint.textContent = USUAL;
     this.canvas.hidden = false;
     this.cost = (performance.now() - begun) * (this.fullSize() / SAMPLED) ** 2;
@@ -243,24 +241,15 @@ export class Sphere {
   }
 
   /** Waits until the picture is there, so that no more than one is on its way. @param {number} begun @param {number} full @param {number} size */
-  wait(begun, full, size) {
-    const gl = /** @type {WebGL2RenderingContext} */ (this.gl);
-    const { canvas } = this;
-    const fence = /** @type {WebGLSync} */ (gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0));
-    gl.flush();
-    const check = () => {
-      if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) return setTimeout(check, 4);
-      gl.deleteSync(fence);
-      this.cost = (performance.now() - begun) * (full / size) ** 2;
-      this.pending = 0;
-      find(this.figure, ".fallback").hidden = true;
-      if (size === full) canvas.dataset.painted = String(Number(canvas.dataset.painted ?? 0) + 1);
-      else canvas.dataset.rough = String(size);
-      this.onpaint();
-      if (this.changed || (size < full && !this.moving)) this.draw(this.moving);
-      return undefined;
-    };
-    setTimeout(check, 0);
+  async wait(begun, full, size) {
+    await finished(/** @type {WebGL2RenderingContext} */ (this.gl));
+    this.cost = (performance.now() - begun) * (full / size) ** 2;
+    this.pending = 0;
+    find(this.figure, ".fallback").hidden = true;
+    if (size === full) this.canvas.dataset.painted = String(Number(this.canvas.dataset.painted ?? 0) + 1);
+    else this.canvas.dataset.rough = String(size);
+    this.onpaint();
+    if (this.changed || (size < full && !this.moving)) this.draw(this.moving);
   }
 
   /** @param {string} kind @param {string} show @param {string | undefined} around */
