@@ -62,7 +62,8 @@ def show(browser: Browser, site: str, path: str, view: str, awaited: str, runs: 
         page.wait_for_function(awaited)
         seconds.append(time.perf_counter() - begin)
         page.wait_for_load_state("networkidle")
-        weights.append((len(received), sum(request.sizes()["responseBodySize"] for request in received) / 1e3))
+        sizes = [request.sizes()["responseBodySize"] for request in received if request.url.startswith(site)]
+        weights.append((len(sizes), sum(sizes) / 1e3))
         context.close()
     requests, size = np.median(weights, axis=0)
     print(f"| {view} | {requests:.0f} | {size:.0f} | {np.median(seconds):.2f} |", flush=True)
