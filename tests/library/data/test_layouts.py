@@ -48,13 +48,6 @@ def test_layouts_are_read_or_refused_by_name(path: Path) -> None:
     check_true(samples)
 
 
-def test_what_cornell_measured_has_radians_and_lines_before_its_names() -> None:
-    samples = read_samples(LAYOUTS / "cornell.astm")
-    assert np.degrees(np.arccos(samples.omega_in[:, 2])).round(1).max() == 60.0
-    np.testing.assert_allclose(samples.omega_in[:, 1], 0.0, atol=1e-6)
-    assert samples.notes == ()
-
-
 def test_a_zemax_file_may_end_in_bsdf(tmp_path: Path) -> None:
     path = tmp_path / "tile.bsdf"
     path.write_bytes((LAYOUTS / "zemax.txt").read_bytes())

@@ -323,13 +323,6 @@ def test_directions_are_made_unit_vectors() -> None:
         ScatteredSamples.from_arrays(1.01 * nearly, nearly, np.ones((300, 3)))
 
 
-def test_values_are_divided_by_the_cosine_that_they_contain() -> None:
-    first, second = np.tile([0.6, 0.0, 0.8], (300, 1)), np.tile([0.0, 0.8, 0.6], (300, 1))
-    samples = ScatteredSamples.from_arrays(first, second, np.full((300, 3), 0.24))
-    np.testing.assert_allclose(samples.divided_by_cosine("in").values, 0.3, rtol=1e-14)
-    np.testing.assert_allclose(samples.divided_by_cosine("out").values, 0.4, rtol=1e-14)
-
-
 @pytest.mark.parametrize("cell", ["(" + " " * 100_000, "(" * 100_000, "a [" * 30_000, "- " * 50_000])
 def test_a_long_cell_is_no_name_at_once(cell: str) -> None:
     assert not is_known(cell)

@@ -43,17 +43,6 @@ def test_columns_that_are_not_there_are_told(columns: str, words: str) -> None:
     assert words in str(caught.value)
 
 
-def test_rows_with_a_number_that_stands_for_missing_are_left_out() -> None:
-    values = GREY[:, :1].copy()
-    values[3:200:9], values[5:200:9] = -999.0, 0.0
-    there = (values > 0.0)[:, 0]
-    samples = parse_samples(
-        table((*DIRECTION, "value"), np.hstack([ANGLES, values])), options=TableOptions(missing=(0, -999))
-    )
-    check_same(samples, ANGLES[there], GREY[there])
-    assert samples.notes[1].startswith(f"{COUNT - there.sum()} rows have no finite number")
-
-
 def test_values_are_multiplied_and_divided_and_the_plane_is_turned() -> None:
     first, second = np.tile([0.6, 0.0, 0.8], (300, 1)), np.tile([0.0, 0.8, 0.6], (300, 1))
     plain = ScatteredSamples.from_arrays(first, second, np.full((300, 3), 24.0))

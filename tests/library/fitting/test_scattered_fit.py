@@ -173,7 +173,7 @@ def test_errors_expected_over_all_directions_are_those_of_new_samples_on_average
     ratios = []
     for known in (mixture(1, 0), TRUTH, mixture(3, 4)):
         new = scattered_samples(known, 6000, seed=5)
-        for count in (100, 300):
+        for count in (60, 200):
             result = dsbrdf.fit(noisy(scattered_samples(known, count, seed=count)), n_lobes=2, ring_lobes=0)
             true = scattered_metrics(result.model, new, np.radians(80.0)).relative_rms
             ratios.append((true or np.nan) / (result.report.metrics.relative_rms_expected or np.nan))

@@ -5,6 +5,7 @@ import shutil
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import cast
@@ -31,11 +32,10 @@ def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
     first = server.http.post("/v1/fits", params=QUICK, content=data).json()
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
         db.execute("BEGIN IMMEDIATE")
-        again = [server.http.post("/v1/fits", params=QUICK, content=data)]
-        again.append(server.submit(first["measurement"], **QUICK))
-        again.append(server.http.post("/v1/measurements", content=data))
-        assert [answer.status_code for answer in again] == [503, 200, 503]  # an upload is written, a known fit read
-        assert again[1].json()["id"] == first["id"]
+        with ThreadPoolExecutor(2) as pool:  # an upload is written, a known fit read
+            uploads = [pool.submit(server.http.post, f"/v1/{noun}", content=data) for noun in ("fits", "measurements")]
+            assert server.submit(first["measurement"], **QUICK).json()["id"] == first["id"]
+        assert [upload.result().status_code for upload in uploads] == [503, 503]
         wait_until(lambda: server.http.get("/health/ready").status_code == 503)
         # It has not answered, or has given up.
         assert "The database " in assert_problem(server.http.get("/health/ready"), 503, "not-ready")
