@@ -11,14 +11,13 @@ from ..errors import ProblemError
 from ..http import openapi
 from ..http.responses import json_reply
 from ..wire.schemas import Health
-from .dependencies import NO_QUERY, TheCaller, TheContext
+from .dependencies import CHECKED_QUERY, TheCaller, TheContext
 
-router = APIRouter(tags=["health"])
+router = APIRouter(tags=["health"], dependencies=CHECKED_QUERY)
 
 
 @router.get(
     "/health/live",
-    dependencies=NO_QUERY,
     response_model=Health,
     summary="Is the process alive?",
     responses=openapi.problems(behind_a_key=False),
@@ -30,7 +29,6 @@ async def get_live() -> Response:
 
 @router.get(
     "/health/ready",
-    dependencies=NO_QUERY,
     response_model=Health,
     summary="Can it take work?",
     responses=openapi.problems("not-ready", behind_a_key=False),
@@ -48,7 +46,6 @@ async def get_ready(context: TheContext) -> Response:
 
 @router.get(
     "/metrics",
-    dependencies=NO_QUERY,
     response_class=PlainTextResponse,
     summary="Counts and times",
     responses=openapi.problems("not-found"),

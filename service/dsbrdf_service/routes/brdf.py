@@ -27,12 +27,12 @@ from ..storage.schema import FitKey
 from ..wire.points import FORMS, JSON, NPY, Points, batch_step, from_json, from_npy, from_query
 from ..wire.schemas import ComponentList, MeasuredValues, Values
 from .dependencies import (
-    NO_QUERY,
+    CHECKED_QUERY,
     Context,
     TheContext,
     TheFit,
     TheMeasurement,
-    no_query,
+    check_query,
 )
 
 
@@ -56,7 +56,7 @@ class _DirectRoute(APIRoute):
 
 router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"], route_class=_DirectRoute)
 measured = APIRouter(prefix="/v1/measurements/{sha256}/brdf", tags=["values"])
-components = APIRouter(prefix="/v1/fits/{fit_id}/components", tags=["components"])
+components = APIRouter(prefix="/v1/fits/{fit_id}/components", tags=["components"], dependencies=CHECKED_QUERY)
 Label = Annotated[
     str,
     Path(pattern=f"^({'|'.join(LABELS)})$", description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]]),
@@ -162,7 +162,6 @@ async def post_measured_values(request: Request, context: TheContext, stored: Th
 
 @components.get(
     "",
-    dependencies=NO_QUERY,
     response_model=ComponentList,
     summary="The components of a fit",
     responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "fit-not-finished"),
@@ -209,7 +208,7 @@ async def _points(request: Request, context: Context) -> tuple[Points, str]:
     """
     if request.method == "GET":
         return from_query(request.scope["query_string"]), JSON
-    await no_query(request)
+    await check_query(request)
     media_type = media_type_of(request, JSON, NPY)
     async with context.bodies.received(request, _MAX_BODY, request.scope[CALLER_NAME]) as body:
         if len(body) > _MUCH_JSON and media_type == JSON:

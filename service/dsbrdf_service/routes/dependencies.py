@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from fastapi import Depends, Path, Request
+from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.errors import InvalidArgumentError
@@ -118,28 +119,23 @@ def name_of(request: Request) -> str | None:
     return given_name(request.query_params.get("name"), request.headers.get("content-disposition", ""))
 
 
-async def no_query(request: Request, *known: str) -> None:
-    """Refuse a query parameter that has no meaning here, rather than ignoring what may have been misspelled."""
-    if request.scope["query_string"]:
-        unknown = [name for name in request.query_params if name not in known]
-        if unknown or not request.query_params:
-            there_is = f"known is {', '.join(known)}" if known else "there is none here"
-            raise InvalidArgumentError(f"Unknown query parameter {''.join(unknown[:1])[:60]!r}; {there_is}.")
+async def check_query(request: Request) -> None:
+    """Refuse a query parameter that the route does not declare, or that is given twice: none is ignored."""
+    if not request.scope["query_string"]:
+        return
+    route: APIRoute = request.scope["route"]
+    written = (route.openapi_extra or {}).get("parameters", ())
+    declared = [parameter["name"] for parameter in written if parameter["in"] == "query"]
+    for field in route.dependant.query_params:
+        declared += getattr(field.field_info.annotation, "model_fields", [field.alias])
+    counts = Counter(name for name, _ in request.query_params.multi_items())
+    unknown = [name for name in counts if name not in declared]
+    if unknown or not counts:
+        there_is = f"known is {', '.join(declared)}" if declared else "there is none here"
+        raise InvalidArgumentError(f"Unknown query parameter {''.join(unknown[:1])[:60]!r}; {there_is}.")
+    for name, count in counts.items():
+        if count > 1:
+            raise InvalidArgumentError(f"The query parameter {name[:60]!r} is given more than once; give it once.")
 
 
-async def _no_query(request: Request) -> None:
-    await no_query(request)
-
-
-NO_QUERY = [Depends(_no_query)]
-
-
-async def _no_repetition(request: Request) -> None:
-    """Refuse a parameter that is given twice: of two values one would have to be ignored."""
-    if request.scope["query_string"]:
-        for name, count in Counter(name for name, _ in request.query_params.multi_items()).items():
-            if count > 1:
-                raise InvalidArgumentError(f"The query parameter {name[:60]!r} is given more than once; give it once.")
-
-
-NO_REPETITION = [Depends(_no_repetition)]
+CHECKED_QUERY = [Depends(check_query)]

@@ -25,15 +25,15 @@ from ..jobs.steps import (
     spheres_step,
     table_step,
 )
-from ..wire.fit_options import OF_TABLES, from_query, from_wire
+from ..wire.fit_options import from_query, from_wire
 from ..wire.inputs import Figure, FitPicture, FitSphere, Picture, Plain, Sphere
 from ..wire.points import NPY, panorama_from_npy
-from .dependencies import NO_REPETITION, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement, no_query
+from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement
 from .uploads import TABLE_PARAMETERS
 
 _Route = TypeVar("_Route", bound=Callable[..., Any])
 
-router = APIRouter(prefix="/v1", tags=["figures"], dependencies=NO_REPETITION)
+router = APIRouter(prefix="/v1", tags=["figures"], dependencies=CHECKED_QUERY)
 
 _MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml", "npy": NPY}
 _IMAGES = ("png", "svg")
@@ -211,18 +211,14 @@ async def get_samples(
 
     The options of a table tell how it is read, as for its fit.
     """
-    await no_query(request, "most", *OF_TABLES)
     options = from_query((name, text) for name, text in request.query_params.multi_items() if name != "most")
     stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
     return await draw(samples_step, stored, options.of_table(), most)
 
 
 @_get("/fits/{fit_id}/samples.npy", "Samples that were fitted", formats=("npy",))
-async def get_fitted_samples(
-    request: Request, draw: Draw, context: TheContext, key: TheFit, most: _Most = 5000
-) -> Response:
+async def get_fitted_samples(draw: Draw, context: TheContext, key: TheFit, most: _Most = 5000) -> Response:
     """Return the same of the table of a fit, read with the options of the fit: values are those of the BRDF in 1/sr."""
-    await no_query(request, "most")
     row = await context.fit_row(key)
     stored = await context.stored_measurement(key.owner, row.measurement, kind="samples")
     return await draw(samples_step, stored, from_wire(row.options), most)

@@ -26,11 +26,11 @@ from ..wire import inputs, schemas
 from ..wire.fit_options import canonical, from_query, from_wire
 from ..wire.names import check_name, content_disposition
 from ..wire.points import JSON
-from .dependencies import NO_QUERY, NO_REPETITION, Context, TheCaller, TheContext, TheFit, name_of
+from .dependencies import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, name_of
 from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLES, receive_upload
 
-router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=NO_REPETITION)
-exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=NO_REPETITION)
+router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
+exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=CHECKED_QUERY)
 
 _MAX_JSON = 1 << 16
 _PREFER = openapi.header_parameter(
@@ -128,7 +128,6 @@ async def get_fit(
 
 @router.patch(
     "/{fit_id}",
-    dependencies=NO_QUERY,
     response_model=schemas.FitDocument,
     summary="Rename a fit",
     responses=openapi.problems("not-found", "invalid-argument", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
@@ -211,7 +210,6 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
 
 @router.get(
     "/{fit_id}/events",
-    dependencies=NO_QUERY,
     response_class=EventSourceResponse,
     summary="Follow a fit",
     responses=openapi.response(

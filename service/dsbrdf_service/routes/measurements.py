@@ -29,16 +29,16 @@ from ..http.responses import (
 from ..jobs.computations import MadeFile
 from ..jobs.steps import understood_step
 from ..storage.database import in_write_thread
-from ..wire.fit_options import OF_TABLES, from_query
+from ..wire.fit_options import from_query
 from ..wire.inputs import Page
 from ..wire.names import content_disposition
 from ..wire.points import JSON
 from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, TableDocument, from_row
-from .dependencies import NO_QUERY, NO_REPETITION, Sha256, TheCaller, TheContext, no_query
+from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext
 from .uploads import CONTENT, MOST_CONVERTED, PARAMETERS, TABLE_PARAMETERS, TABLES, UPLOADED, receive_upload
 
-router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=NO_REPETITION)
-tables = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=NO_REPETITION)
+router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=CHECKED_QUERY)
+tables = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=CHECKED_QUERY)
 
 _VARY = {"Vary": "Accept"}
 _MOST_FITS = 200
@@ -66,7 +66,6 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     it is read; they are not stored, a fit is given them again.
     """
     media_type = media_type_of(request, *UPLOADED)
-    await no_query(request, "name", *OF_TABLES)
     given = [(name, text) for name, text in request.query_params.multi_items() if name != "name"]
     row, new = await receive_upload(request, context, caller, media_type, from_query(given))
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
@@ -89,7 +88,6 @@ async def describe_table(request: Request, context: TheContext, caller: TheCalle
     Nothing is stored: so a table can be looked at, and the right options found, before it is uploaded.
     """
     media_type_of(request, *TABLES)
-    await no_query(request, *OF_TABLES)
     options = from_query(request.query_params.multi_items()).of_table()
     async with context.bodies.received(request, MOST_CONVERTED, request.scope[CALLER_NAME]) as content:
         key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
@@ -117,7 +115,6 @@ async def list_measurements(
 
 @router.get(
     "/{sha256}",
-    dependencies=NO_QUERY,
     response_class=FileResponse,
     summary="Download a measurement",
     responses=openapi.response(
@@ -156,7 +153,6 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
 
 @router.delete(
     "/{sha256}",
-    dependencies=NO_QUERY,
     status_code=204,
     response_class=Response,
     summary="Delete a measurement",
