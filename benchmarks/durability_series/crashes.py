@@ -125,7 +125,7 @@ def out_of_memory(harness: Harness, times: int) -> str:
 @contextmanager
 def _starved(harness: Harness, server: Server) -> Iterator[None]:
     """Lower the limit of memory of the process that fits are forked from, so that a fit that begins now has it too."""
-    (worker,) = server.fitting()
+    (worker,) = server.workers()
     parent = int(Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[1])
     few = int(Path(f"/proc/{parent}/statm").read_text().split()[0]) * resource.getpagesize()
     few += harness.random.randrange(*_LITTLE_MEMORY)
@@ -163,12 +163,12 @@ class _Pair:
                 self._fits.append(answer.json()["id"])
                 began = becomes_true(lambda: self._began(server, number), _PATIENCE)  # noqa: B023
                 self._harness.expect(began, "two fits did not run at once")
-        return server.fitting()
+        return server.workers()
 
     def _began(self, server: Server, n_fits: int) -> bool:
         """Whether so many fits have processes, or the last one has ended already."""
         ended = "SELECT 1 FROM fits WHERE id = '{}' AND finished IS NOT NULL"
-        return len(server.fitting()) == n_fits or bool(query_database(server, ended.format(self._fits[-1])))
+        return len(server.workers()) == n_fits or bool(query_database(server, ended.format(self._fits[-1])))
 
     def check(self, server: Server, allowed: list[set[tuple[str, int]]]) -> int:
         """Wait for the ends, compare them with the allowed ones, and remove the fits; return how often one was lost."""
@@ -188,8 +188,8 @@ class _Pair:
 
 def _next_worker(server: Server, known: set[int]) -> int | None:
     """Return the process that replaces one of the known ones; none does if that had done its work."""
-    becomes_true(lambda: bool(server.fitting() - known), 10.0)
-    return next(iter(server.fitting() - known), None)
+    becomes_true(lambda: bool(server.workers() - known), 10.0)
+    return next(iter(server.workers() - known), None)
 
 
 def _kill_soon(harness: Harness, pid: int) -> bool:

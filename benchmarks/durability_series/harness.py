@@ -154,13 +154,12 @@ def counted_workers(server: Server) -> Iterator[set[tuple[int, str]]]:
 
     def watch() -> None:
         while not over.wait(0.02):
-            fits = server.fitting()
             for pid in server.workers():
                 try:
                     named = pid, Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]
                 except OSError:
                     continue
-                (seen.add if pid in fits else seen.discard)(named)  # in its first moment every process looks like a fit
+                seen.add(named)
 
     thread = threading.Thread(target=watch)
     thread.start()

@@ -135,7 +135,7 @@ def compute_on_cluster(task: FitTask, scheduler: str, limits: FitLimits, on_prog
     if isinstance(measurement, Measurement):
         timings = result.report.timings | {"profiles": seconds}
         result = add_sample_metrics(replace(result, report=replace(result.report, timings=timings)), measurement)
-    return document_of(result)
+    return document_of(result, measurement if task.with_thumbnail else None)
 
 
 async def _fit(

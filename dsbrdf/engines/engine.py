@@ -44,6 +44,7 @@ class FitTask:
     path: Path  # the measurement's file
     options: FitOptions
     sha256: str | None = None  # digest of the file, if it has been checked before
+    with_thumbnail: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ class FitDocument:
 
     text: str  # as `to_json` writes it, with the components
     metrics: dict[str, float | None]  # by their names in `Metrics`
+    thumbnail: bytes | None = None  # PNG, if the task asks for one
 
 
 @dataclass(frozen=True)

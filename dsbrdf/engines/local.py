@@ -16,11 +16,14 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
+from dsbrdf.output.sphere_panels import thumbnail
 
 
 def compute(task: FitTask, on_progress: OnProgress) -> FitDocument:
     """Fit the measurement of a task."""
-    return document_of(fit_quietly(measurement_of(task), task.options, on_progress))
+    measurement = measurement_of(task)
+    result = fit_quietly(measurement, task.options, on_progress)
+    return document_of(result, measurement if task.with_thumbnail else None)
 
 
 def measurement_of(task: FitTask) -> Measurement | ScatteredSamples:
@@ -38,10 +41,10 @@ def fit_quietly(
         return fit(measurement, options, progress=on_progress)
 
 
-def document_of(result: FitResult) -> FitDocument:
-    """Return what is stored of a fit."""
+def document_of(result: FitResult, drawn: Measurement | ScatteredSamples | None = None) -> FitDocument:
+    """Return what is stored of a fit; the thumbnail shows it with the measurement, if that is given."""
     text = to_json(result.model, result.report, decompose(result.model))
-    return FitDocument(text, asdict(result.report.metrics))
+    return FitDocument(text, asdict(result.report.metrics), None if drawn is None else thumbnail(result.model, drawn))
 
 
 class LocalEngine(Processes):

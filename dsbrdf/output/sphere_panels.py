@@ -14,6 +14,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.environment import EnvironmentMap
@@ -26,6 +27,7 @@ DIFFERENCE_GAIN = 4.0
 _SEEN = 0.1  # as a screen shows it: a component that is darker everywhere is not seen beside the others
 _LIGHTS = {"three_lights": "under three lights", "environment": "in the environment"}
 _NAME_HEIGHT, _ROOM_FOR_NAMES = 20, 128  # pixels: of names, and of panels that have them
+_THUMBNAIL = 112  # pixels along a side
 _EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
 
 
@@ -109,6 +111,16 @@ def cut_out(picture: Array) -> Array:
     nearest = ((part * inward + size / 2.0).astype(int) for part in (rows, columns))
     covered = np.clip(size / 2.0 - radius + 0.5, 0.0, 1.0)
     return np.concatenate([picture[tuple(nearest)], covered[..., np.newaxis]], axis=-1)
+
+
+def thumbnail(model: DSBRDF, measured: Measurement | ScatteredSamples) -> bytes:
+    """Return the PNG of a small sphere under three lights: the fit; of a grid, its left half is the measurement."""
+    image = render_sphere(model, size=_THUMBNAIL)
+    factor = exposure(image, sphere_normals(_THUMBNAIL)[1])
+    if isinstance(measured, Measurement):
+        half = _THUMBNAIL // 2
+        image[:, :half] = render_sphere(measured, size=_THUMBNAIL)[:, :half]
+    return encode_png(displayed(image, factor))
 
 
 def encode_png(image: Array) -> bytes:

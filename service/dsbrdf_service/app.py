@@ -29,7 +29,6 @@ from .http.static_files import is_open
 from .jobs.computations import Computations
 from .jobs.jobs import Jobs
 from .jobs.results import ModelCache
-from .jobs.thumbnails import Thumbnails
 from .operations.metrics import Metrics
 from .operations.readiness import Readiness
 from .routes import about, brdf, figures, fits, measurements, page
@@ -86,9 +85,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         keys.open(store.database)
         readiness = Readiness(store, engine, settings)
         computations = Computations(FitLimits(_COMPUTATION_SECONDS, settings.fit_memory_mb, _NICENESS))
-        thumbnails = Thumbnails(store, computations)
-        jobs = Jobs(store, engine, settings, metrics, thumbnails.draw_soon)
-        parts = settings, store, jobs, models, thumbnails, keys, metrics, readiness, computations, Bodies()
+        jobs = Jobs(store, engine, settings, metrics)
+        parts = settings, store, jobs, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)
         metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
@@ -100,7 +98,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             trimming.cancel()
             await asyncio.gather(trimming, return_exceptions=True)
             await jobs.close()
-            await thumbnails.close()
             await computations.close()
             await asyncio.to_thread(engine.close)
     finally:

@@ -1,6 +1,5 @@
 """What tests want to know of processes, their own and others."""
 
-import os
 import random
 import socket
 import time
@@ -43,14 +42,6 @@ def alive(pid: int) -> bool:
     except (FileNotFoundError, ProcessLookupError):
         return False
     return state != "Z"
-
-
-def niceness(pid: int) -> int | None:
-    """How far a process gives way to others; None if it has ended."""
-    try:
-        return os.getpriority(os.PRIO_PROCESS, pid)
-    except ProcessLookupError:
-        return None
 
 
 def free_port() -> int:

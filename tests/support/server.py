@@ -15,7 +15,7 @@ import httpx
 
 from tests.support import endless_fit
 from tests.support.launcher import ForkedProcess, launcher
-from tests.support.processes import alive, children, niceness, wait_until
+from tests.support.processes import alive, children, wait_until
 
 # Options of fits that take no time, about a second, and minutes: a test that wants to find a fit unfinished should
 # not have to hurry.
@@ -132,17 +132,8 @@ class Server:
         return found
 
     def workers(self) -> set[int]:
-        """Process ids of what is being computed: fits, and what requests or the page's list ask for."""
+        """Process ids of what is being computed: fits, and what requests ask for."""
         return {pid for helper in self.helpers() for pid in children(helper)}
-
-    def fitting(self) -> set[int]:
-        """Process ids of the fits that are being computed; all other computations give way to them."""
-        return {pid for pid in self.workers() if niceness(pid) == niceness(self.process.pid)}
-
-    def the_fit(self) -> int:
-        """Process id of the one fit that is being computed, once every other computation has begun to give way."""
-        wait_until(lambda: len(self.fitting()) == 1)
-        return self.fitting().pop()
 
     def submit(self, measurement: str, prefer: str = "wait=60", **options: Any) -> httpx.Response:
         """Ask for a fit; the method is by default the one that takes a fraction of a second."""
@@ -154,7 +145,7 @@ class Server:
         return status
 
     def until_running(self, fit_id: str) -> None:
-        wait_until(lambda: self.status(fit_id) != "accepted" and bool(self.fitting()))
+        wait_until(lambda: self.status(fit_id) != "accepted" and bool(self.workers()))
         assert self.status(fit_id) == "running"
 
 

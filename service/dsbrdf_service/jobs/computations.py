@@ -113,11 +113,6 @@ class Computations:
         work = partial(self._called, step, *arguments)
         return self._checked(await self._wait(request, key, work, place))
 
-    async def run_unasked(self, owner: str, step: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the same of what no request has to wait for, in the turn of its owner."""
-        async with self._turns["medium"].turn(owner):
-            return self._checked(await self._called(step, *arguments))
-
     async def _called(self, step: Callable[..., Any], *arguments: Any) -> Any:
         return await result_of(self._processes.call(step, *arguments))
 

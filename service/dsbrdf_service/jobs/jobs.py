@@ -64,14 +64,12 @@ class Jobs:
         engine: Engine,
         settings: Settings,
         metrics: Metrics,
-        on_success: Callable[[FitKey], object] = lambda _: None,
     ) -> None:
         self._store = store
         self._engine = engine
         self._turns = FairTurns(settings.workers)
         self._settings = settings
         self._metrics = metrics
-        self._on_success = on_success
         self._loop = asyncio.get_running_loop()
         self._stopping: asyncio.Future[None] = self._loop.create_future()
         self._running: dict[FitKey, _RunningFit] = {}
@@ -203,10 +201,7 @@ class Jobs:
                 await asyncio.sleep(_LOST_DELAY)
                 if self._stopping.done():  # its process was ended together with this one: the next one runs it
                     return True
-            is_over = await _write(self._record, row, outcome)
-        if isinstance(outcome, FitDocument):
-            self._on_success(key)
-        return is_over
+            return await _write(self._record, row, outcome)
 
     async def _until_ready(self) -> None:
         """Wait as long as the engine can run no fit."""
@@ -224,7 +219,7 @@ class Jobs:
                 if damage is not None:
                     return Fault("system", "MeasurementDamaged", MeasurementDamagedError(damage).detail)
                 path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
-                task = FitTask(str(row.key), path, options, row.measurement)
+                task = FitTask(str(row.key), path, options, row.measurement, with_thumbnail=True)
                 outcome = await result_of(self._engine.submit(task, partial(self._progress_in_loop, row.key)))
                 if isinstance(outcome, FitDocument):
                     return outcome
@@ -242,7 +237,7 @@ class Jobs:
     def _record(self, row: FitRow, outcome: Outcome) -> bool:
         """Write how an attempt ended; return whether the fit is over."""
         if isinstance(outcome, FitDocument):
-            self._store.complete_fit(row.key, outcome.text, outcome.metrics)
+            self._store.complete_fit(row.key, outcome.text, outcome.metrics, outcome.thumbnail)
             logger.info("the fit has succeeded")
             return True
         if outcome.origin == "system" and row.attempts < self._settings.fit_attempts:

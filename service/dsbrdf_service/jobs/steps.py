@@ -41,7 +41,6 @@ from dsbrdf.output.figure_parts import encode_figure
 from dsbrdf.output.figures import lobes_figure, profiles_figure, residual_figure
 from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.sample_figures import samples_figure, samples_residual_figure
-from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
 from dsbrdf.output.table_summary import summary_of_table
 
@@ -64,7 +63,6 @@ _SAMPLE_FIGURES: dict[str, Callable[[ScatteredSamples, DSBRDF], "Figure"]] = {
     "parameters": lambda samples, model: parameters_figure(model, title=samples.name),
     "residual": samples_residual_figure,
 }
-_THUMBNAIL = 112  # pixels along a side
 _DARKEST = 1e-6  # as in `interpolate` [1/sr]
 
 
@@ -114,16 +112,6 @@ def spheres_step(
     if stored is not None:
         pictures.insert(2, np.clip(DIFFERENCE_GAIN * np.abs(pictures[0] - pictures[1]), 0.0, 1.0))
     return encode_png(np.concatenate(pictures, axis=1))
-
-
-def thumbnail_step(document: str, stored: StoredMeasurement | None, _: OnProgress) -> bytes:
-    """Return the PNG of a small sphere in the environment: the fit, its left half measured where that is stored."""
-    image = render_sphere(from_json(document)[0], lighting="environment", size=_THUMBNAIL)
-    factor = exposure(image, sphere_normals(_THUMBNAIL)[1])
-    if stored is not None:
-        half = _THUMBNAIL // 2
-        image[:, :half] = render_sphere(stored.mapped(), lighting="environment", size=_THUMBNAIL)[:, :half]
-    return encode_png(displayed(image, factor))
 
 
 def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:

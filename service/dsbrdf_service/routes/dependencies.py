@@ -21,7 +21,6 @@ from ..jobs.computations import Computations
 from ..jobs.jobs import Jobs
 from ..jobs.results import LoadedFit, ModelCache
 from ..jobs.steps import StoredMeasurement
-from ..jobs.thumbnails import Thumbnails
 from ..operations.metrics import Metrics
 from ..operations.readiness import Readiness
 from ..settings import Settings
@@ -39,7 +38,6 @@ class Context:
     store: Store
     jobs: Jobs
     models: ModelCache
-    thumbnails: Thumbnails
     keys: Keys
     metrics: Metrics
     readiness: Readiness

@@ -7,12 +7,14 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from fastapi import APIRouter, Depends, Path, Query, Request
 from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 import dsbrdf
 from dsbrdf.extras import require
 
 from ..access.authentication import CALLER_NAME
+from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
 from ..http.responses import not_modified, tag_of, tagged_reply
@@ -115,17 +117,23 @@ async def draw_spheres(
 
     All have the exposure of the measurement; where none is stored on a grid, the first is the fit, with its own.
     """
-    stored, parts = await context.thumbnails.measured(key), list(fit.decomposition)
+    parts, stored = list(fit.decomposition), None
+    try:
+        stored = await context.stored_measurement(key.owner, (await context.fit_row(key)).measurement)
+    except ProblemError as error:
+        if error.kind != "not-found":  # it is deleted, or a table of samples
+            raise
     return await draw(spheres_step, fit.model, parts, stored, wanted.size, of=stored and stored.sha256)
 
 
 @_get("/fits/{fit_id}/figures/thumbnail.png", "A small picture of a fit", "fit-not-finished")
 async def get_thumbnail(request: Request, context: TheContext, fit: TheFit) -> Response:
-    """Return a small sphere in the environment: the fit, and on the left its measurement if it is stored on a grid.
+    """Return a small sphere under three lights: the fit, and on the left its measurement if that is on a grid.
 
-    It is drawn after the fit, and kept as long as the fit.
+    It is drawn with the fit, and kept as long as it.
     """
-    return tagged_reply(request, await context.thumbnails.get(fit), _MEDIA_TYPES["png"])
+    kept = await run_in_threadpool(context.store.thumbnail, fit)
+    return tagged_reply(request, kept, _MEDIA_TYPES["png"])
 
 
 @_get("/fits/{fit_id}/figures/sphere.npy", "Radiance of a lit sphere of a fit", "fit-not-finished", formats=("npy",))

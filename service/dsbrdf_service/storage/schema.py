@@ -31,7 +31,7 @@ _TABLES = f"""
         attempts INTEGER NOT NULL DEFAULT 0, interruptions INTEGER NOT NULL DEFAULT 0,
         metrics TEXT, error TEXT, created REAL NOT NULL, started REAL, finished REAL,
         result TEXT, -- JSON: model, report, components
-        thumbnail BLOB, -- PNG, once it is drawn
+        thumbnail BLOB, -- PNG
         checksum INTEGER, size INTEGER NOT NULL DEFAULT {ROW_SIZE},
         UNIQUE (owner, id), UNIQUE (owner, seq),
         CHECK ((status = 'succeeded') = (result IS NOT NULL)), CHECK ((status = 'failed') = (error IS NOT NULL))

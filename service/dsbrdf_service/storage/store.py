@@ -223,11 +223,18 @@ class Store:
 
         Raises FitNotFoundError, or ProblemError if the fit has none, or it is not what was written.
         """
-        query = f"SELECT status, CAST(result AS BLOB), metrics, checksum FROM fits {_WHERE_FIT}"  # noqa: S608
+        return self._result(key)[0]
+
+    def thumbnail(self, key: FitKey) -> bytes:
+        """Return the picture of a fit that succeeded; raises as `result`."""
+        return self._result(key)[1]
+
+    def _result(self, key: FitKey) -> tuple[str, bytes]:
+        query = f"SELECT status, CAST(result AS BLOB), thumbnail, metrics, checksum FROM fits {_WHERE_FIT}"  # noqa: S608
         rows = self.database.rows(query, *key)
         if not rows:
             raise FitNotFoundError(key.id)
-        status, document, metrics, written = rows[0]
+        status, document, thumbnail, metrics, written = rows[0]
         if status in UNFINISHED:
             raise ProblemError("fit-not-finished", f"The fit is {status}; its model exists when it has succeeded.")
         if document is None:
@@ -235,24 +242,12 @@ class Store:
         if checksum(metrics, document) != written:
             detail = "The stored result of the fit is damaged; delete the fit and ask for it once more."
             raise ProblemError("fit-without-result", detail)
-        return str(document, "utf-8")
+        return str(document, "utf-8"), thumbnail
 
     def result_stamp(self, key: FitKey) -> int | None:
         """Return what tells a fit's result from others, None without one; for the event loop, as `Database.row_now`."""
         row = self.database.row_now(f"SELECT checksum FROM fits {_WHERE_FIT} AND status = 'succeeded'", *key)  # noqa: S608
         return None if row is None else int(row[0])
-
-    def thumbnail(self, key: FitKey) -> bytes | None:
-        """Return the picture that is kept of a fit."""
-        rows = self.database.rows(f"SELECT thumbnail FROM fits {_WHERE_FIT}", *key)  # noqa: S608
-        return rows[0][0] if rows else None
-
-    def keep_thumbnail(self, key: FitKey, picture: bytes) -> None:
-        """Keep a picture of a fit that succeeded, as long as the fit; it counts as stored bytes."""
-        change = "UPDATE fits SET thumbnail = ?, size = size + ?"
-        with self.database.transaction() as db:
-            where = f"{_WHERE_FIT} AND status = 'succeeded' AND thumbnail IS NULL"
-            db.execute(f"{change} {where}", (picture, len(picture), *key))
 
     def start_fit(self, key: FitKey) -> FitRow | None:
         """Set an accepted fit running; None if it is not waiting any more."""
@@ -263,11 +258,14 @@ class Store:
         """Set a running fit back to accepted; None if it does not run any more."""
         return self._advance("status = 'accepted', started = NULL", (), key, ("running",))
 
-    def complete_fit(self, key: FitKey, document: str, metrics: Mapping[str, float | None]) -> FitRow | None:
+    def complete_fit(
+        self, key: FitKey, document: str, metrics: Mapping[str, float | None], thumbnail: bytes | None = None
+    ) -> FitRow | None:
         """Write a running fit's result and its state; None if it does not run any more."""
-        change = "status = 'succeeded', finished = ?, metrics = ?, result = ?, size = ?, checksum = ?"
+        change = "status = 'succeeded', finished = ?, metrics = ?, result = ?, thumbnail = ?, size = ?, checksum = ?"
         content, written = document.encode(), json.dumps(metrics)
-        values = (time.time(), written, document, ROW_SIZE + len(content), checksum(written, content))
+        size = ROW_SIZE + len(content) + len(thumbnail or b"")
+        values = (time.time(), written, document, thumbnail, size, checksum(written, content))
         return self._advance(change, values, key, ("running",))
 
     def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> FitRow | None:

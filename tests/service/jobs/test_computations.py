@@ -229,8 +229,6 @@ async def test_turn_of_a_cancelled_waiter_goes_to_the_next() -> None:
 def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
-    server.http.get(f"/v1/fits/{fit}/figures/thumbnail.png")  # which is drawn after each fit
-    wait_until(lambda: not server.workers())
     request = f"GET /v1/fits/{fit}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
     with closing(server.connection(request)):
         wait_until(lambda: bool(server.workers()))

@@ -226,7 +226,7 @@ def test_fits_and_uploads_are_counted_and_timed(own_server: Callable[..., Server
     running = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
     server.until_running(running)
     waiting = server.submit(sha256, prefer="respond-async", n_lobes=1).json()["id"]
-    worker = server.the_fit()
+    (worker,) = server.workers()
     os.kill(worker, signal.SIGKILL)
     with server.http.stream("GET", f"/v1/fits/{waiting}/events") as stream:
         events = stream.iter_lines()  # once nobody refers to it, httpx closes the connection

@@ -119,7 +119,7 @@ def test_fit_is_cancelled_with_its_process_or_deleted(server: Server, stored: st
     fit_id = server.submit(stored, prefer="respond-async", mask=0.13, **ENDLESS).json()["id"]
     url = f"/v1/fits/{fit_id}"
     server.until_running(fit_id)
-    worker = server.the_fit()
+    (worker,) = server.workers()
     assert_problem(server.http.delete(url, params={"only": "delete"}), 409, "fit-not-finished")
     assert server.status(fit_id) == "running"
     start = time.monotonic()

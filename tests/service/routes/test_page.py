@@ -2,22 +2,22 @@
 
 import io
 import re
-import sqlite3
-from contextlib import closing
 
 import httpx
 import numpy as np
 import pytest
+from PIL import Image
 
 import dsbrdf
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import parse_merl
 from dsbrdf.model.environment import EnvironmentMap
-from dsbrdf.model.render import render_sphere
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.serialize import from_json
 from dsbrdf_service.http.static_files import STATIC_FILES
 from tests.support.guarded import Guarded
-from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
 NPY = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
@@ -114,17 +114,16 @@ def test_spheres_stand_side_by_side_with_one_exposure(guarded: Guarded, data: by
     assert again.headers["etag"] == small.headers["etag"]
 
 
-def test_thumbnail_is_drawn_after_the_fit_before_anybody_asks(server: Server, data: bytes) -> None:
-    answer = server.http.post("/v1/fits", params=QUICK | {"em_iterations": 4}, content=data)
-    fit = answer.json()["id"]
-
-    def kept() -> bytes | None:
-        with closing(sqlite3.connect(f"file:{server.data_dir}/dsbrdf.sqlite?mode=ro", uri=True)) as database:
-            found: bytes | None = database.execute("SELECT thumbnail FROM fits WHERE id = ?", (fit,)).fetchone()[0]
-        return found
-
-    wait_until(lambda: kept() is not None, 60.0)
-    assert server.http.get(f"/v1/fits/{fit}/figures/thumbnail.png").content == kept()
+def test_thumbnail_is_the_fit_and_on_the_left_its_measurement(server: Server, data: bytes) -> None:
+    fit = server.http.post("/v1/fits", params=QUICK | {"em_iterations": 4}, content=data).json()["id"]
+    answer = server.http.get(f"/v1/fits/{fit}/figures/thumbnail.png")
+    shown = np.asarray(Image.open(io.BytesIO(answer.content)))[..., :3] / 255.0
+    model = from_json(server.http.get(f"/v1/fits/{fit}/export?format=json").text)[0]
+    size, half = len(shown), len(shown) // 2
+    measured, fitted = (render_sphere(material, size=size) for material in (parse_merl(data), model))
+    mask = sphere_normals(size)[1]
+    expected = displayed(np.hstack([measured[:, :half], fitted[:, half:]]), exposure(fitted, mask))
+    np.testing.assert_allclose(shown[mask], expected[mask], atol=0.51 / 255)
 
 
 def test_radiance_is_that_of_the_library(
