@@ -5,7 +5,6 @@ owner uses them, files after the last row of any owner. Files that have no row a
 """
 
 import re
-import sqlite3
 import time
 from collections.abc import Sequence
 from contextlib import closing
@@ -54,9 +53,9 @@ def purge(
         elif before is not None:
             while gone := _remove_fits(database, before):
                 purged["fits"] += gone
-            while removed := _remove_measurements(database, blobs, before):
-                purged["measurements"] += len(removed)
-                purged["bytes"] += sum(removed)
+            while (removed := _remove_measurements(database, blobs, before))[0]:
+                purged["measurements"] += removed[0]
+                purged["bytes"] += removed[1]
         if files_without_rows:
             names = set(blobs.all()) - {sha256 for (sha256,) in database.rows("SELECT sha256 FROM measurements")}
             if dry_run:
@@ -72,9 +71,10 @@ def _counted(database: Database, before: float) -> dict[str, int]:
     with database.transaction() as db:
         values = {"before": before}
         (fits,) = db.execute(f"SELECT count(*) {_OLD_FITS}", values).fetchone()
-        old = db.execute(f"SELECT sha256, size, count(*) {_OLD_MEASUREMENTS} GROUP BY sha256", values).fetchall()
-        last = [size for sha256, size, rows in old if rows == _rows_of(db, sha256)]
-    return {"fits": fits, "measurements": sum(rows for *_, rows in old), "bytes": sum(last)}
+        of_all = "(SELECT count(*) FROM measurements AS n WHERE n.sha256 = m.sha256)"
+        query = f"SELECT count(*), size * (count(*) = {of_all}) {_OLD_MEASUREMENTS} GROUP BY sha256"
+        old = db.execute(query, values).fetchall()
+    return {"fits": fits, "measurements": sum(rows for rows, _ in old), "bytes": sum(freed for _, freed in old)}
 
 
 def _remove_fits(database: Database, before: float) -> int:
@@ -83,20 +83,14 @@ def _remove_fits(database: Database, before: float) -> int:
         return db.execute(query, {"before": before}).rowcount
 
 
-def _remove_measurements(database: Database, blobs: Blobs, before: float) -> list[int]:
-    """Remove some old measurements; return for each how many bytes it has freed."""
+def _remove_measurements(database: Database, blobs: Blobs, before: float) -> tuple[int, int]:
+    """Remove some old measurements; return how many, and how many bytes that frees."""
     query = f"SELECT m.rowid, sha256, size {_OLD_MEASUREMENTS} LIMIT {_ROWS_PER_TRANSACTION}"
     with database.transaction() as db:
         old = db.execute(query, {"before": before}).fetchall()
         unwanted = set(remove_rows(db, blobs, [(rowid, sha256) for rowid, sha256, _ in old]))
     remove_files(database, blobs, unwanted)
-    sizes = {sha256: size for _, sha256, size in old if sha256 in unwanted}
-    return [sizes.pop(sha256, 0) for _, sha256, _ in old]
-
-
-def _rows_of(db: sqlite3.Connection, sha256: str) -> int:
-    (number,) = db.execute("SELECT count(*) FROM measurements WHERE sha256 = ?", (sha256,)).fetchone()
-    return int(number)
+    return len(old), sum({sha256: size for _, sha256, size in old if sha256 in unwanted}.values())
 
 
 def main(words: Sequence[str]) -> int:

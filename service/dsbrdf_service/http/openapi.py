@@ -1,16 +1,15 @@
 """The OpenAPI document: what routes declare to FastAPI beyond their types, and what is true of every operation."""
 
+import json
+from importlib.resources import files
 from typing import Any
 
-import numpy as np
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 import dsbrdf
-from dsbrdf import DSBRDF
-from dsbrdf.output.serialize import model_to_dict
 
 from ..access.authentication import HEALTH
 from ..wire.fit_options import DEFAULTS
@@ -40,101 +39,24 @@ NOT_MODIFIED: Responses = {304: {"description": "What the client has, by its `If
 
 EXAMPLE_FIT = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
 EXAMPLE_SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
-_CREATED, _STARTED, _FINISHED = (f"2026-11-21T09:30:{second}Z" for second in ("01.000000", "01.100000", "02.500000"))
-
-_MEASUREMENT: dict[str, Any] = {
-    "sha256": EXAMPLE_SHA256,
-    "name": "nickel",
-    "size": 34_992_012,
-    "valid_nodes": 1_005_210,
-    "created": _CREATED,
-}
-
-_MODEL = DSBRDF(np.zeros(1), np.array([[[0.11]], [[0.05]], [[0.03]]]), np.ones((1, 1, 1)), np.full((1, 1, 1), 0.2))
-_COMPONENT: dict[str, Any] = {
-    "label": "diffuse",
-    "structure": "dielectric over diffuse",
-    "light_share": 0.82,
-    "albedo": [0.33, 0.15, 0.09],
-    "color": [1.0, 0.455, 0.273],
-    "half_width_deg": None,
-    "alpha": None,
-    "kappa": None,
-    "f0": None,
-    "f90": None,
-    "lobe": {
-        "theta_diff_deg": [0, 30, 60, 75],
-        "height": [[0.11, 0.05, 0.03], [0.11, 0.05, 0.03], [0.1, 0.04, 0.03], [0.08, 0.03, 0.02]],
-    },
-    "ranges": {
-        "light_share": [0.8, 0.84],
-        "albedo": [[0.32, 0.34], [0.14, 0.16], [0.08, 0.1]],
-        "color": [[1.0, 1.0], [0.45, 0.46], [0.27, 0.28]],
-        "half_width_deg": None,
-        "alpha": None,
-        "f0": None,
-    },
-}
-_SUMMARY: dict[str, Any] = {
-    "id": EXAMPLE_FIT,
-    "name": "nickel",
-    "status": "succeeded",
-    "progress": 1.0,
-    "measurement": EXAMPLE_SHA256,
+_GIVEN: dict[str, dict[str, Any]] = json.loads((files(__package__) / "examples.json").read_text())
+EXAMPLE_POINTS = _GIVEN["points"]
+_FIT = {
+    **_GIVEN["fit"],
     "options": DEFAULTS,
-    "metrics": {
-        "relative_rms": 0.031,
-        "floor": 0.062,
-        "symmetric_floor": 0.012,
-        "excess": 0.5,
-        "male": 0.0041,
-        "albedo_error": 0.006,
-        "psnr": 41.2,
-        "ssim": 0.993,
-    },
-    "error": None,
-    "created": _CREATED,
-    "started": _STARTED,
-    "finished": _FINISHED,
     "algorithm": dsbrdf.ALGORITHM_VERSION,
     "library": dsbrdf.__version__,
-    "likeness": "very close (41.2 dB)",
-}
-EXAMPLE_POINTS: dict[str, Any] = {
-    "angles": {"value": {"theta_half_deg": [0, 10], "theta_diff_deg": [0, 30], "phi_diff_deg": [90, 45]}},
-    "sides": {"value": {"theta_in_deg": 45, "theta_out_deg": [30, 45, 60]}},
-    "directions": {"value": {"omega_in": [[0.6, 0, 0.8]], "omega_out": [[-0.6, 0, 0.8]]}},
 }
 _EXAMPLES: dict[str, dict[str, Any]] = {
-    "MeasurementDocument": _MEASUREMENT,
-    "MeasurementDetails": {**_MEASUREMENT, "fits": [EXAMPLE_FIT]},
-    "MeasurementList": {"items": [_MEASUREMENT]},
-    "TableDocument": {
-        "n_rows": 410,
-        "n_samples": 405,
-        "columns": [
-            {"name": "theta_in (deg)", "read_as": "theta_in", "unit": "deg"},
-            {"name": "theta_out (deg)", "read_as": "theta_out", "unit": "deg"},
-            {"name": "BRDF (1/sr)", "read_as": "value", "unit": "1/sr"},
-        ],
-        "ranges": {
-            "theta_in": [0, 60],
-            "theta_out": [0, 80],
-            "phi_out - phi_in": [0, 180],
-            "red": [0.01, 4.2],
-            "green": [0.01, 4.2],
-            "blue": [0.01, 4.2],
-        },
-        "angles_of_incidence": [0, 30, 60],
-        "in_plane_of_incidence": 1,
-        "warnings": ["5 rows have no finite number in a column that is needed; they are left out."],
-        "first": [[0, 80, 180, 0.01, 0.01, 0.01]],
-    },
+    "MeasurementDocument": _GIVEN["measurement"],
+    "MeasurementDetails": {**_GIVEN["measurement"], "fits": [EXAMPLE_FIT]},
+    "MeasurementList": {"items": [_GIVEN["measurement"]]},
+    "TableDocument": _GIVEN["table"],
     "FitRequest": {"measurement": EXAMPLE_SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}},
-    "FitDocument": {**_SUMMARY, "warnings": [], "components": [_COMPONENT], "model": model_to_dict(_MODEL)},
-    "FitList": {"items": [_SUMMARY]},
+    "FitDocument": {**_FIT, "warnings": [], "components": [_GIVEN["component"]], "model": _GIVEN["model"]},
+    "FitList": {"items": [_FIT]},
     "RemovedFit": {"id": EXAMPLE_FIT, "status": "cancelled"},
-    "ComponentList": {"items": [_COMPONENT]},
+    "ComponentList": {"items": [_GIVEN["component"]]},
     "Values": {"values": [[0.42, 0.21, 0.11]]},
     "MeasuredValues": {"values": [[0.42, 0.21, 0.11], None]},
     "NewName": {"name": "brushed nickel"},

@@ -136,11 +136,6 @@ def _nothing_at(path: str) -> ProblemError:
 
 def _methods(request: Request) -> list[str]:
     """Return what the routes of the request's path support, each route being one method; HEAD is as GET."""
-    asked = ("GET", "POST", "PUT", "PATCH", "DELETE")
-    scopes = [{**request.scope, "method": method} for method in asked]
-    found = [
-        method
-        for method, scope in zip(asked, scopes, strict=True)
-        if any(route.matches(scope)[0] is Match.FULL for route in request.app.router.routes)
-    ]
-    return [*found[:1], "HEAD", *found[1:]] if "GET" in found else found
+    there = [route for route in request.app.routes if route.matches(request.scope)[0] is not Match.NONE]
+    found = {method for route in there for method in route.methods}
+    return sorted(found | {"HEAD"} if "GET" in found else found)
