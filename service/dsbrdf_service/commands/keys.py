@@ -1,6 +1,5 @@
 """The command ``dsbrdf keys``: add, list and revoke API keys, also while a server runs."""
 
-import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict
@@ -8,6 +7,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from dsbrdf.cli.arguments import print_error, print_json
 from dsbrdf.cli.commands import Whole, new_application
@@ -36,21 +36,12 @@ def _check_name(_: Any, text: str) -> None:
         raise ValueError(f"a name has 1 to {_MAX_NAME} printable characters")
 
 
-def _check_rate(_: Any, rate: float | None) -> None:
-    if rate is not None and not 0.001 <= rate < math.inf:
-        raise ValueError("a rate is a number from 0.001")
-
-
-def _check_bound(_: Any, count: int | None) -> None:
-    if count is not None and not 0 <= count < 10**12:
-        raise ValueError("a bound is a whole number from 0")
-
-
 _Name = Annotated[str, Parameter(validator=_check_name, help="Whose key it is, for the list.")]
 _Rate = Annotated[
-    float | None, Parameter(validator=_check_rate, metavar="N", help="Five times as many may come at once.")
+    float | None,
+    Parameter(validator=Number(gte=0.001, lt=10**9), metavar="N", help="Five times as many may come at once."),
 ]
-_Bound = Annotated[int | None, Whole, Parameter(validator=_check_bound)]
+_Bound = Annotated[int | None, Whole, Parameter(validator=Number(gte=0, lt=10**12))]
 _StoredMb = Annotated[_Bound, Parameter(help="Most that may be stored [MB of 10^6 bytes].")]
 _QueuedFits = Annotated[_Bound, Parameter(help="Most fits that may wait or run.")]
 _MayReadMetrics = Annotated[bool, Parameter(help="It may read GET /metrics, the totals of all keys.")]

@@ -80,9 +80,9 @@ AGES = ("30", "d", "-1d", "1.5d", "30 d", "1y", "\u0663d", "")
     [
         *((["purge", f"--older-than={age}"], "30d") for age in AGES),
         (["purge"], "--files-without-rows"),
-        (["add", "x", "--requests-per-second", "0"], "rate"),
-        (["add", "x", "--requests-per-second", "nan"], "rate"),
-        (["add", "x", "--stored-mb", "-1"], "bound"),
+        (["add", "x", "--requests-per-second", "0"], "Must be >= 0.001"),
+        (["add", "x", "--requests-per-second", "nan"], "Must be < 1000000000"),
+        (["add", "x", "--stored-mb", "-1"], "Must be >= 0"),
         (["add", "x", "--queued-fits", "1.5"], "queued-fits"),
         (["add", "a\nb"], "printable"),
         (["add", "x" * 101], "printable"),
