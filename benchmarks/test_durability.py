@@ -11,7 +11,7 @@ from dsbrdf.data.merl import write_merl
 from tests.support.materials import glossy_plastic
 from tests.support.soak import SOAK
 
-TIMES = {name: one.times for name, one in SERIES.items()} if SOAK else {"server-kill": 2, "restores": 1, "disk": 1}
+TIMES = {name: one.times for name, one in SERIES.items()} if SOAK else {"server-kill": 1, "disk": 1}
 
 
 @pytest.fixture(scope="module")

@@ -100,7 +100,7 @@ def test_fit_survives_the_loss_of_the_scheduler_and_of_its_only_worker(
     stage, shares = Stage(own_cluster), list[float]()
     with started(stage.engine()) as engine:
         fit = engine.submit(FitTask("one", plastic_file, MIDDLE), shares.append)
-        for _ in range(2):
+        for _ in range(repeats(1, 4)):
             until_fitting(stage)
             own_cluster.kill_scheduler()
             wait_until(lambda: fault_of(engine) is not None, PATIENCE)
