@@ -20,7 +20,6 @@ from PIL import Image
 
 import dsbrdf
 from dsbrdf.cli import main as cli
-from dsbrdf.fitting import em
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
@@ -168,7 +167,6 @@ def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch:
     # The fit of a MaterialX surface has tests of its own.
     surface = materialx.FoundSurface(OpenPBR((0.5, 0.5, 0.5)), {"three_lights": 30.0}, {"highlight": 25.0})
     monkeypatch.setattr(materialx, "fit_openpbr", lambda *_: surface)
-    monkeypatch.setattr(em, "EM_TOLERANCE", 0.1)  # the paper's method has tests of its own, too
     monkeypatch.chdir(tmp_path)
     shown = [run_main(cli.main, *words_of(line)) for line in lines]
     assert [answer.returncode for answer in shown] == [0] * len(lines)

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 
 import httpx
-import numpy as np
 import pytest
 
 import dsbrdf
@@ -18,7 +17,7 @@ from dsbrdf_service.client import Client, ClientEngine, ServiceError
 from dsbrdf_service.wire.fit_options import canonical, to_wire
 from tests.support import endless_fit
 from tests.support.guarded import Guarded
-from tests.support.mixtures import mixture, scattered_samples
+from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.models import assert_same_bits
 from tests.support.processes import wait_until
 from tests.support.server import Server
@@ -53,10 +52,7 @@ def test_client_sends_other_files_as_the_library_reads_them(client: Client, tmp_
     model = mixture(2, seed=7)
     bsdf, table = tmp_path / "chalk.bsdf", tmp_path / "felt.csv"
     dsbrdf.export(model, bsdf)
-    samples = scattered_samples(model, 60)
-    columns = np.hstack([samples.omega_in, samples.omega_out, samples.values])
-    names = [f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz"]
-    np.savetxt(table, columns, "%.17g", ",", header=",".join([*names, "red", "green", "blue"]), comments="")
+    table.write_bytes(samples_table(scattered_samples(model, 60)))
     with client:
         assert_same_bits(client.fit(bsdf, OPTIONS).model, dsbrdf.fit(bsdf, OPTIONS).model)
         fit = client.submit(table, dsbrdf.FitOptions(n_lobes=1, ring_lobes=0))

@@ -1,10 +1,14 @@
 """Synthetic materials made of known lobes, and what the automatic fit makes of them."""
 
+from io import BytesIO
+
 import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import random_directions
+from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.reduction import profiles
+from dsbrdf.data.sample_names import VECTORS
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.synthetic import model_measurement
 from dsbrdf.fitting.options import FitOptions
@@ -50,6 +54,13 @@ def scattered_samples(model: DSBRDF, count: int = 5000, seed: int = 1) -> Scatte
     return ScatteredSamples.from_arrays(
         omega_in, omega_out, model.evaluate_directions(omega_in, omega_out), name="known"
     )
+
+
+def samples_table(samples: ScatteredSamples) -> bytes:
+    """Return samples as a table with commas, to the last digit."""
+    file, columns = BytesIO(), np.hstack([samples.omega_in, samples.omega_out, samples.values])
+    np.savetxt(file, columns, "%.17g", ",", header=",".join((*VECTORS, *CHANNELS)), comments="")
+    return file.getvalue()
 
 
 def scattered_directions(model: DSBRDF, count: int, seed: int) -> tuple[Array, Array]:

@@ -21,7 +21,6 @@ from dsbrdf.cli.parameters import DEFAULT, Flags
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
-from dsbrdf.data.sample_names import VECTORS
 from dsbrdf.data.table_options import TableOptions, sentences_of
 from dsbrdf.engines import batch, local
 from dsbrdf.engines.batch import FileFit
@@ -31,7 +30,7 @@ from dsbrdf.output.serialize import load, load_result
 from tests.support.command_line import QUICK, document, printed, run, sentence
 from tests.support.guarded import Guarded
 from tests.support.known_models import single_lobe
-from tests.support.mixtures import mixture, scattered_samples
+from tests.support.mixtures import mixture, samples_table, scattered_samples
 
 pytestmark = pytest.mark.slow
 
@@ -313,10 +312,8 @@ def expected_difference(growth: float) -> float:
 
 
 def test_a_table_is_fitted_and_stored_or_converted(tmp_path: Path) -> None:
-    samples, table = scattered_samples(FELT, 150), tmp_path / "felt.csv"
-    head = ",".join((*VECTORS, "red", "green", "blue"))
-    columns = [samples.omega_in, samples.omega_out, samples.values]
-    np.savetxt(table, np.hstack(columns), delimiter=",", header=head, comments="", fmt="%.9g")
+    table = tmp_path / "felt.csv"
+    table.write_bytes(samples_table(scattered_samples(FELT, 150)))
     command = ["fit", str(table), "-o", str(tmp_path), "--n-lobes", "1", "--ring-lobes", "0"]
     metrics = document(*command, "--json")["metrics"]
     assert metrics["relative_rms"] < 0.01

@@ -9,7 +9,6 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import dsbrdf
@@ -17,11 +16,10 @@ from dsbrdf import extras
 from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
-from dsbrdf.data.sample_names import VECTORS
 from dsbrdf.output.serialize import save
 from tests.support.command_line import QUICK, Capture, printed, run, sentence
 from tests.support.commands import start_in_vain
-from tests.support.mixtures import mixture, scattered_samples
+from tests.support.mixtures import mixture, samples_table, scattered_samples
 
 
 @pytest.mark.parametrize(
@@ -257,9 +255,7 @@ def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory, coarse_
         (path / name).write_bytes(content)
     os.link(plastic_file, path / "plastic.binary")
     save(mixture(2, 0), path / "model.json")
-    samples = scattered_samples(mixture(1, 0), 300)
-    columns, head = [samples.omega_in, samples.omega_out, samples.values], ",".join((*VECTORS, "red", "green", "blue"))
-    np.savetxt(path / "felt.csv", np.hstack(columns), delimiter=",", header=head, comments="")
+    (path / "felt.csv").write_bytes(samples_table(scattered_samples(mixture(1, 0), 300)))
     return path
 
 

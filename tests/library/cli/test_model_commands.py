@@ -24,7 +24,7 @@ from dsbrdf.model.layers import SpecularLayer
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json, layers_from_json, load
 from tests.support.command_line import FEW_LOBES, document, printed, run, sentence
-from tests.support.mixtures import scattered_samples
+from tests.support.mixtures import samples_table, scattered_samples
 from tests.support.random_models import random_model
 
 
@@ -310,9 +310,7 @@ def test_compare_a_measurement_with_its_fit(
 def test_samples_are_drawn_beside_the_fit_and_compared_with_it(model_file: Path, tmp_path: Path) -> None:
     table, pictures = tmp_path / "table.csv", [tmp_path / "plot.png", tmp_path / "compare.png"]
     samples = scattered_samples(load(model_file), 200)
-    columns = np.concatenate([samples.omega_in, samples.omega_out, 1.1 * samples.values], axis=1)
-    head = ",".join([*(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz"), "red", "green", "blue"])
-    np.savetxt(table, columns, delimiter=",", header=head, comments="", fmt="%.9g")
+    table.write_bytes(samples_table(replace(samples, values=1.1 * samples.values)))
     run("plot", table, model_file, "-o", pictures[0])
     answer = document("compare", model_file, table, "-o", pictures[1], "--json")
     assert answer["likeness"] == {"relative_rms": pytest.approx(1.0 - 1.0 / 1.1, rel=1e-6)}

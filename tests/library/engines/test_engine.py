@@ -12,7 +12,6 @@ from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import dsbrdf
@@ -36,7 +35,7 @@ from tests.support.engines import (
     until,
     until_fitting,
 )
-from tests.support.mixtures import mixture, scattered_samples
+from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.processes import alive, wait_until
 from tests.support.soak import SOAK
 
@@ -54,10 +53,8 @@ def stage(request: pytest.FixtureRequest) -> Stage:
 
 @pytest.fixture(scope="module")
 def samples_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    samples, path = scattered_samples(mixture(1, 0), 60), tmp_path_factory.mktemp("samples") / "samples.csv"
-    head = ",".join(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz")
-    table = np.hstack([samples.omega_in, samples.omega_out, samples.values])
-    np.savetxt(path, table, delimiter=",", header=f"{head},red,green,blue", comments="")
+    path = tmp_path_factory.mktemp("samples") / "samples.csv"
+    path.write_bytes(samples_table(scattered_samples(mixture(1, 0), 60)))
     return path
 
 

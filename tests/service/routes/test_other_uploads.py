@@ -17,7 +17,7 @@ from dsbrdf.data.sample_tables import parse_samples
 from dsbrdf.output.export import export_model
 from dsbrdf.output.serialize import from_json
 from tests.library.data.test_spreadsheet import spreadsheet
-from tests.support.mixtures import mixture, scattered_samples
+from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem
 from tests.support.soak import repeats
@@ -37,9 +37,7 @@ def bsdf() -> bytes:
 
 @pytest.fixture(scope="module")
 def table() -> bytes:
-    samples = scattered_samples(MODEL, 60)
-    rows = np.hstack([samples.omega_in, samples.omega_out, samples.values]).tolist()
-    return "\n".join([HEAD, *(",".join(map(repr, row)) for row in rows), ""]).encode()
+    return samples_table(scattered_samples(MODEL, 60))
 
 
 @pytest.fixture(scope="module")

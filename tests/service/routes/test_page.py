@@ -18,6 +18,7 @@ from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json
 from dsbrdf_service.http.static_files import STATIC_FILES
 from tests.support.guarded import Guarded
+from tests.support.points import npy
 from tests.support.server import QUICK, Server, assert_problem
 
 NPY = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
@@ -29,12 +30,6 @@ def array(answer: httpx.Response) -> np.ndarray:
     assert answer.headers["content-type"] == "application/x-npy"
     loaded: np.ndarray = np.load(io.BytesIO(answer.content))
     return loaded
-
-
-def npy(values: np.ndarray) -> bytes:
-    file = io.BytesIO()
-    np.save(file, values)
-    return file.getvalue()
 
 
 def test_pages_load_nothing_from_other_hosts_and_run_no_script_of_their_own(server: Server) -> None:
