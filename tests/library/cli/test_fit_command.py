@@ -313,7 +313,7 @@ def expected_difference(growth: float) -> float:
 
 def test_a_table_is_fitted_and_stored_or_converted(tmp_path: Path) -> None:
     table = tmp_path / "felt.csv"
-    table.write_bytes(samples_table(scattered_samples(FELT, 150)))
+    table.write_bytes(samples_table(scattered_samples(FELT, 60)))
     command = ["fit", str(table), "-o", str(tmp_path), "--n-lobes", "1", "--ring-lobes", "0"]
     metrics = document(*command, "--json")["metrics"]
     assert metrics["relative_rms"] < 0.01
