@@ -56,7 +56,7 @@ export async function sendJson(path, method, content) {
 let described = null;
 /** The OpenAPI document. @returns {Promise<any>} */
 export function openapi() {
-  described ??= json("openapi.json");
+  described ??= json("openapi.json").catch((error) => { described = null; throw error; });
   return described;
 }
 

@@ -1,7 +1,7 @@
 // Two fits side by side, under one light.
 import { dateOf, fill, find, json, nameOf, Problem, setTitle, showPicture, template } from "./app.js";
 import { keepInAddress } from "./address.js";
-import { prepare, startSpheres } from "./light.js";
+import { startSpheres } from "./light.js";
 import { componentTable, followPlots, place, placePlots, showMetrics, showWarnings, subjectOf, verdict } from "./said.js";
 import { Sphere } from "./sphere.js";
 
@@ -12,7 +12,6 @@ export async function show(main) {
   main.replaceChildren(template("compare", { names: "Two fits" }));
   find(main, "#seen").prepend(template("sphere-controls"));
   placePlots(find(main, "#plots"), true);
-  prepare();
   /** @type {Fit[]} */
   const fits = await Promise.all(ids.map((id) => json(`v1/fits/${id}`)));
   const unfinished = fits.find((fit) => fit.status !== "succeeded");

@@ -1,7 +1,7 @@
 // The page of one fit: its progress, why it failed, or the result.
 import { act, dateOf, fill, find, follow, json, make, nameOf, remove, request, say, sendJson, setTitle, share, showPicture, template, whenOpened, whenSeen } from "./app.js";
 import { keepInAddress } from "./address.js";
-import { prepare, startSpheres } from "./light.js";
+import { startSpheres } from "./light.js";
 import { componentTable, followPlots, place, placePlots, showDownloads, showMetrics, showOptions, showWarnings, subjectOf, verdict, words } from "./said.js";
 import { Sphere } from "./sphere.js";
 
@@ -21,7 +21,6 @@ export async function show(main, id) {
   const figure = place(find(main, "#seen"));
   find(main, "#seen").append(template("sphere-controls"));
   placePlots(find(main, "#plots"));
-  prepare();
   const picture = find(figure, ".fallback", HTMLImageElement);
   const drawn = showPicture(picture, `${path}/figures/sphere.png`).then(() => { picture.hidden = find(figure, "canvas").dataset.rough !== undefined; }, () => undefined);
   /** @type {Fit} */

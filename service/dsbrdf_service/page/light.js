@@ -1,16 +1,10 @@
 // Turning a sphere: the light, the line between measurement and fit, exposure and zoom, by pointer and keyboard; and what
 // the values are at the point below the pointer.
 import { find, json, say } from "./app.js";
-import { controls, field, lightAt, LIGHTS, look, panorama, running, Sphere, USUAL } from "./sphere.js";
+import { controls, field, lightAt, look, panorama, running, Sphere, USUAL } from "./sphere.js";
 
 const GRIP = 14; // pixels from the line at which it is taken, and not the light
 const STEPS = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] });
-
-/** Sets where the light's reflection is seen first, before the address is read. */
-export function prepare() {
-  const [x, y, z] = LIGHTS[0].towards;
-  field("highlight").defaultValue = [x, y].map((value) => (value / Math.hypot(x, y, z + 1)).toFixed(6)).join();
-}
 
 /**
  * Starts spheres, which share the light; where there is no WebGL 2, `instead` shows what there is.

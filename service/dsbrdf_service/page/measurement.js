@@ -1,7 +1,7 @@
 // A measurement, also before its fit: its sphere, profiles and values, or what is understood of a table; its fits, and a fit of it.
-import { act, dateOf, download, fill, find, json, make, remove, request, root, sendJson, setTitle, share, showPicture, stateOf, template, whenOpened } from "./app.js";
+import { act, dateOf, download, find, json, make, remove, request, root, sendJson, setTitle, share, showPicture, stateOf, template, whenOpened } from "./app.js";
 import { keepInAddress, readAddress } from "./address.js";
-import { prepare, startSpheres } from "./light.js";
+import { startSpheres } from "./light.js";
 import { chosen, inJson, showForm } from "./options.js";
 import { followPlots, place, placePlots } from "./said.js";
 import { Sphere } from "./sphere.js";
@@ -34,7 +34,6 @@ export async function show(main, sha256) {
   placePlots(plots);
   const figure = place(seen);
   seen.append(template("sphere-controls"));
-  prepare();
   keepInAddress();
   followPlots(plots, [subject]);
   const image = find(figure, ".fallback", HTMLImageElement);
@@ -58,7 +57,7 @@ async function showSamples(path, options, name, box, plots) {
 
 /** @param {string} id */
 function fitLink(id) {
-  const item = find(template("fit-link", { fit: id.slice(0, 12) }, { fit: `fits/${id}` }), "li");
-  json(`v1/fits/${id}`).then((fit) => fill(item, { fit: `${dateOf(fit.created)}, ${stateOf(fit)}` }));
-  return item;
+  const link = make("a", { href: new URL(`fits/${id}`, root) }, id.slice(0, 12));
+  json(`v1/fits/${id}`).then((fit) => link.replaceChildren(`${dateOf(fit.created)}, ${stateOf(fit)}`));
+  return make("li", {}, link);
 }

@@ -200,7 +200,7 @@ function marks(subjects) {
   const points = subjects.some((one) => one.measured) || measured ? "points are measured" : samples ? `points are samples within ${NEAR}°` : "";
   const components = subjects.length < 2 && parts.length > 0;
   const sentence = [points, fit ? "full lines are the fit" : "", components ? "the other lines its components" : ""].filter(Boolean).join(", ");
-  return `${sentence[0]?.toUpperCase() ?? ""}${sentence.slice(1)}. ${components ? "In one channel, a band shows the range of a component's albedo." : ""}`;
+  return `${sentence[0]?.toUpperCase() ?? ""}${sentence.slice(1)}. ${components ? "When one channel is shown, bands are the ranges of the components' albedo." : ""}`;
 }
 
 /** Draws the plots that are in a box. @param {HTMLElement} box @param {Subject[]} subjects */

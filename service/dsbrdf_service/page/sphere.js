@@ -11,9 +11,10 @@ export const LABELS = ["specular_spike", "specular_lobe", "diffuse"]; // in the 
 const SIDE = 256; // pixels of a picture under environment light
 const SAMPLED = 128; // pixels along a side of the pictures whose brightness gives the exposure
 const QUICK = 50; // milliseconds that a picture may take while something is moved
-export const USUAL = "Drag to move the light; with the keyboard, arrows, + and −, and R to reset.";
-// Key light from the upper left, fill light from the right, rim light from behind: as `lighting=three_lights`.
-export const LIGHTS = [[40, 125, 1], [80, -20, 0.5], [140, 70, 0.5]].map(([polar, azimuth, share]) => {
+export const USUAL = "Drag to move the light. Keys: arrows move it, + and − change the exposure, R resets.";
+// Key light from the upper left, fill light from the right, rim light from behind: as `lighting=three_lights`. The form's
+// `highlight` is where the reflection of the first one is seen.
+const LIGHTS = [[40, 125, 1], [80, -20, 0.5], [140, 70, 0.5]].map(([polar, azimuth, share]) => {
   const [away, round] = [polar, azimuth].map((degrees) => (degrees * Math.PI) / 180);
   return { towards: [Math.sin(away) * Math.cos(round), Math.sin(away) * Math.sin(round), Math.cos(away)], irradiance: share * Math.PI };
 });

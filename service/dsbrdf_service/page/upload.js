@@ -85,7 +85,7 @@ function send(path, file, onprogress) {
   upload.upload.onprogress = onprogress;
   return new Promise((resolve, reject) => {
     upload.onabort = () => reject(new Problem("The upload was cancelled."));
-    upload.onerror = () => reject(new Problem("The service cannot be reached, or it broke the upload off."));
+    upload.onerror = () => reject(new Problem("The service cannot be reached, or it has ended the upload."));
     upload.onload = () => (upload.status < 300 ? resolve(upload.response) : reject(problemOf(upload.response, upload.status)));
     upload.onloadend = () => { sending = null; };
     upload.send(file);

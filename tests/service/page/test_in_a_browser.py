@@ -333,6 +333,16 @@ def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic
         expect(page.locator("#said")).to_be_hidden()
     expect(page.locator(".card")).to_have_count(cards)
     visitor.context.set_offline(False)
+    page.goto(f"/fits/{site.fits['glossy']}")
+    folded = page.get_by_text("Options of the fit")
+    expect(page.locator("#pictures img")).not_to_have_js_property("naturalWidth", 0)
+    visitor.context.set_offline(True)
+    folded.click()
+    expect(page.locator("#said")).to_contain_text("cannot be reached")
+    visitor.context.set_offline(False)
+    folded.click()
+    folded.click()  # what could not be had is asked for again
+    expect(page.locator("#options")).to_contain_text("n_lobes")
     assert all("ERR_INTERNET_DISCONNECTED" in fault for fault in visitor.faults)
     visitor.faults.clear()
     assert site.read(f"/v1/fits/{site.fits['glossy']}").status_code == 200
