@@ -16,10 +16,12 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions
+from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.engines.engine import Fault, FitDocument, FitLimits, FitTask
 from dsbrdf.engines.local import LocalEngine
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import result_from_json, to_json
+from dsbrdf.output.sphere_panels import thumbnail
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (
     ENDLESS,
@@ -72,8 +74,9 @@ def test_result_equals_that_of_the_library_bit_for_bit(
 ) -> None:
     path: Path = request.getfixturevalue(f"{data}_file")
     expected, said = fitted_by_library(path, options)
-    outcome, shares = run(stage, FitTask("one", path, options))
+    outcome, shares = run(stage, FitTask("one", path, options, with_thumbnail=True))
     assert isinstance(outcome, FitDocument)
+    assert outcome.thumbnail == thumbnail(expected.model, read_measurement(path, options))
     found, document = outcome.text, to_json(expected.model, expected.report, dsbrdf.decompose(expected))
     assert content(found) == content(document)
     assert outcome.metrics == asdict(expected.report.metrics)
