@@ -12,6 +12,7 @@ from contextlib import asynccontextmanager
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
+from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
 
 Sink = Callable[[bytes], None]
@@ -37,34 +38,6 @@ def media_type_of(request: Request, *supported: str) -> str:
     return media_type
 
 
-async def receive_body(request: Request, limit: int, hold: Callable[[int], None] | None = None) -> bytes:
-    """Return the decoded body of `request`, of at most `limit` bytes; `hold` is told how many more are in memory.
-
-    Raises ProblemError if it is longer, or its encoding is unknown or damaged.
-    """
-    encoding, content = encoding_of(request), bytearray()
-
-    def keep(data: bytes) -> None:
-        if len(content) + len(data) > limit:
-            raise _too_large(limit)
-        if hold is not None:
-            hold(len(data))
-        content.extend(data)
-
-    feed, finish = decoder(encoding, keep, limit)
-    declared = request.headers.get("content-length", "")
-    if declared.isdecimal() and int(declared) > _most_encoded(limit):
-        raise _too_large(limit)
-    async for piece in request.stream():
-        if encoding:  # few bytes can decode to many
-            await run_in_threadpool(feed, piece)
-        else:
-            feed(piece)
-    if encoding:
-        await run_in_threadpool(finish)
-    return bytes(content)
-
-
 class Bodies:
     """Bodies in memory; a caller who has too much of them there has to wait."""
 
@@ -72,26 +45,39 @@ class Bodies:
         self._held: Counter[str] = Counter()  # bytes, by caller
 
     @asynccontextmanager
-    async def received(self, request: Request, limit: int, caller: str) -> AsyncIterator[bytes]:
-        """Yield the body as `receive_body`; it counts until the end of the block, as it arrives.
+    async def received(self, request: Request, limit: int) -> AsyncIterator[bytes]:
+        """Yield the decoded body of a request, of at most `limit` bytes; it counts until the end of the block.
 
-        Raises ProblemError too if it is too much with the caller's other bodies.
+        Raises ProblemError if it is longer, its encoding is unknown or damaged, or it is too much with the caller's
+        other bodies.
         """
-        own = 0
+        encoding, caller, content = encoding_of(request), request.scope[CALLER_NAME], bytearray()
 
-        def hold(n_bytes: int) -> None:
-            nonlocal own
-            if self._held[caller] + n_bytes > _MOST_HELD:
+        def keep(data: bytes) -> None:
+            if len(content) + len(data) > limit:
+                raise _too_large(limit)
+            if self._held[caller] + len(data) > _MOST_HELD:
                 most = f"{_MOST_HELD // 10**6} MB, the most allowed"
                 detail = f"Bodies of this caller's requests take {most}; wait for some to be answered."
                 raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
-            self._held[caller] += n_bytes
-            own += n_bytes
+            self._held[caller] += len(data)
+            content.extend(data)
 
+        feed, finish = decoder(encoding, keep, limit)
+        declared = request.headers.get("content-length", "")
+        if declared.isdecimal() and int(declared) > _most_encoded(limit):
+            raise _too_large(limit)
         try:
-            yield await receive_body(request, limit, hold)
+            async for piece in request.stream():
+                if encoding:  # few bytes can decode to many
+                    await run_in_threadpool(feed, piece)
+                else:
+                    feed(piece)
+            if encoding:
+                await run_in_threadpool(finish)
+            yield bytes(content)
         finally:
-            self._held[caller] -= own
+            self._held[caller] -= len(content)
             self._held += Counter()  # without those that have none
 
 

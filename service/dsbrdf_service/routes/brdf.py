@@ -17,7 +17,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 
-from ..access.authentication import CALLER, CALLER_NAME
+from ..access.authentication import CALLER
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
@@ -210,7 +210,7 @@ async def _points(request: Request, context: Context) -> tuple[Points, str]:
         return from_query(request.scope["query_string"]), JSON
     await check_query(request)
     media_type = media_type_of(request, JSON, NPY)
-    async with context.bodies.received(request, _MAX_BODY, request.scope[CALLER_NAME]) as body:
+    async with context.bodies.received(request, _MAX_BODY) as body:
         if len(body) > _MUCH_JSON and media_type == JSON:
             points = await context.computations.run_in_process(request, object(), batch_step, body)
         else:

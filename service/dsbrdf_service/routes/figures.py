@@ -13,7 +13,6 @@ from starlette.responses import Response
 import dsbrdf
 from dsbrdf.extras import require
 
-from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
@@ -91,7 +90,7 @@ Draw = Annotated[_Drawing, Depends()]
 async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[np.float32], bytes]:
     """Return the panorama in the body, and its digest."""
     media_type_of(request, NPY)
-    async with context.bodies.received(request, _MAX_PANORAMA, request.scope[CALLER_NAME]) as body:
+    async with context.bodies.received(request, _MAX_PANORAMA) as body:
         pixels = panorama_from_npy(body).astype(np.float32)
         return pixels, hashlib.sha256(body).digest()
 

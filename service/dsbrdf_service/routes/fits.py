@@ -16,7 +16,7 @@ from dsbrdf.output.export import FORMATS, LAYERS, check_holds_component, check_s
 from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
 from ..http.openapi import BINARY
-from ..http.request_body import media_type_of, receive_body
+from ..http.request_body import media_type_of
 from ..http.responses import OpenFileResponse, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
 from ..jobs.computations import departure
 from ..jobs.steps import export_step
@@ -77,7 +77,8 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     else:
         if given:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
-        document = inputs.parse_document(inputs.FitRequest, await receive_body(request, _MAX_JSON))
+        async with context.bodies.received(request, _MAX_JSON) as body:
+            document = inputs.parse_document(inputs.FitRequest, body)
         sha256, options = document.measurement, canonical(from_wire(document.options))
     row, new = await context.jobs.submit(caller, sha256, options, name)
     if not row.ended:
@@ -136,7 +137,8 @@ async def get_fit(
 async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Give a fit another name, or none; nothing else of it can be changed."""
     media_type_of(request, JSON)
-    given = inputs.parse_document(inputs.NewName, await receive_body(request, _MAX_JSON))
+    async with context.bodies.received(request, _MAX_JSON) as body:
+        given = inputs.parse_document(inputs.NewName, body)
     name = None if given.name is None else check_name(given.name)
     return json_reply(await _document(context, await in_write_thread(context.store.rename_fit, fit, name)))
 

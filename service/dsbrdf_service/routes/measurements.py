@@ -11,7 +11,6 @@ from starlette.responses import FileResponse, Response
 from dsbrdf.data.sample_tables import table_suffix
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 
-from ..access.authentication import CALLER_NAME
 from ..errors import MeasurementNotFoundError
 from ..http import openapi
 from ..http.openapi import BINARY
@@ -89,7 +88,7 @@ async def describe_table(request: Request, context: TheContext, caller: TheCalle
     """
     media_type_of(request, *TABLES)
     options = from_query(request.query_params.multi_items()).of_table()
-    async with context.bodies.received(request, MOST_CONVERTED, request.scope[CALLER_NAME]) as content:
+    async with context.bodies.received(request, MOST_CONVERTED) as content:
         key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
         try:
             found = await context.computations.run_in_process(request, key, understood_step, content, options)
