@@ -9,7 +9,7 @@ from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, named_in_err
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.sample_tables import TABLE_SUFFIXES, is_table, read_table
 from dsbrdf.errors import InvalidArgumentError, one_of
-from dsbrdf.output.table_summary import ANGLES, summary_of_table
+from dsbrdf.output.table_summary import ANGLE_NAMES, summary_of_table
 
 
 def table(file: Path, /, *, json: Json = False, options: AboutTable = NO_TABLE_FLAGS) -> None:
@@ -45,6 +45,6 @@ def _text(about: dict[str, Any]) -> Iterator[str]:
     yield f"in the plane of incidence: {about['in_plane_of_incidence']:.0%} of the samples"
     yield ""
     yield from (f"warning: {sentence}" for sentence in about["warnings"])
-    yield "".join(f"{name:>18}" for name in ANGLES) + "".join(f"{name:>12}" for name in CHANNELS)
+    yield "".join(f"{name:>18}" for name in ANGLE_NAMES) + "".join(f"{name:>12}" for name in CHANNELS)
     for row in about["first"]:
         yield "".join(f"{angle:>18.2f}" for angle in row[:3]) + "".join(f"{value:>12.4g}" for value in row[3:])

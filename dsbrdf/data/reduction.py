@@ -43,7 +43,8 @@ _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
 _BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(N_BINS))
 OUTLIER = 6.0
 """Standard deviations from the median at which a sample begins to count less; at twice as many it counts nothing."""
-_NORMAL_QUARTILE = 1.1503  # third quartile of the absolute deviations of a normal distribution, in its sigmas
+NORMAL_QUARTILE = 1.1503
+"""Third quartile of the absolute deviations of a normal distribution, in its standard deviations."""
 _FEW_IN_BIN = 5  # with fewer samples in a bin, half of them may be outliers: bins beside it help
 
 
@@ -195,7 +196,7 @@ def _outlier_weights(samples: Array, used: Mask) -> Array:
     lower = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=-1)
     median = np.where(count > 0, 0.5 * (lower + np.take_along_axis(ordered, count // 2, axis=-1)), 0.0)
     deviations = np.sort(np.abs(masked - median), axis=-1)
-    scale = np.take_along_axis(deviations, 3 * np.maximum(count - 1, 0) // 4, axis=-1) / _NORMAL_QUARTILE
+    scale = np.take_along_axis(deviations, 3 * np.maximum(count - 1, 0) // 4, axis=-1) / NORMAL_QUARTILE
     # A row of equal samples has no spread: what differs from it by more than some per cent is an outlier.
     scale = np.maximum(np.where(count > 0, scale, 0.0), 1e-2 * np.abs(median) + 1e-12)
     relative = np.where(used, np.abs(samples - median) / (OUTLIER * scale), 0.0)

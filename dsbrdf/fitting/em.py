@@ -25,12 +25,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from dsbrdf.arrays import Array, Mask
 
-KAPPA_BOUNDS = (1e-9, 40.0)
+EM_KAPPA_BOUNDS = (1e-9, 40.0)
 """Values above 1e8 / sr are not accepted, and log(1 + 1e8) = 18.4: twice that leaves room to extrapolate."""
-GAMMA_BOUNDS = (1e-4, 1e7)
+EM_GAMMA_BOUNDS = (1e-4, 1e7)
 """From flat to a fiftieth of a degree."""
-_LOWER = np.log([KAPPA_BOUNDS[0], GAMMA_BOUNDS[0]])
-_UPPER = np.log([KAPPA_BOUNDS[1], GAMMA_BOUNDS[1]])
+_LOWER = np.log([EM_KAPPA_BOUNDS[0], EM_GAMMA_BOUNDS[0]])
+_UPPER = np.log([EM_KAPPA_BOUNDS[1], EM_GAMMA_BOUNDS[1]])
 
 EM_TOLERANCE = 1e-4
 """A slice has converged when an iteration changes its curve by less than this share of the data's norm."""
@@ -68,12 +68,12 @@ def fit_slices(
     """
     log_cos = np.log(np.cos(theta_half))
     upper = np.tile(_UPPER, (len(mean), 1))
-    upper[:, 0] = np.log(np.clip(largest_kappa, 2.0 * KAPPA_BOUNDS[0], KAPPA_BOUNDS[1]))
+    upper[:, 0] = np.log(np.clip(largest_kappa, 2.0 * EM_KAPPA_BOUNDS[0], EM_KAPPA_BOUNDS[1]))
     parameters = np.minimum(initialize(theta_half, mean, weight, n_lobes), upper[:, None])
     used = np.zeros(len(mean), np.int64)
     converged = np.zeros(len(mean), bool)
     # Lobes at the lower bound of kappa stand for nothing: a slice of zeros must not wait until they stop moving.
-    still = EM_TOLERANCE * np.sqrt(np.sum(weight * mean**2, axis=1)) + KAPPA_BOUNDS[0] * np.sqrt(weight.sum(axis=1))
+    still = EM_TOLERANCE * np.sqrt(np.sum(weight * mean**2, axis=1)) + EM_KAPPA_BOUNDS[0] * np.sqrt(weight.sum(axis=1))
     active = np.arange(len(mean))
     for iteration in range(1, iterations + 1):
         data, weights, old = mean[active], weight[active], parameters[active]
@@ -103,15 +103,15 @@ def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> A
     Kappa comes from the peak, gamma from the angle at which the data fall to half of it.
     """
     data = np.where(weight > 0, mean, 0.0)
-    peak = np.maximum(data.max(axis=1), np.expm1(KAPPA_BOUNDS[0]))
-    kappa = np.clip(np.log1p(peak), *KAPPA_BOUNDS)
+    peak = np.maximum(data.max(axis=1), np.expm1(EM_KAPPA_BOUNDS[0]))
+    kappa = np.clip(np.log1p(peak), *EM_KAPPA_BOUNDS)
     above = (data >= 0.5 * peak[:, None]) & (weight > 0)
     last = np.where(above.any(axis=1), above.shape[1] - 1 - np.argmax(above[:, ::-1], axis=1), 0)
     width = theta_half[np.minimum(last + 1, theta_half.size - 1)]
     # The half width of a lobe with this kappa and gamma = 1; its log-cosine scales with 1 / gamma.
     gamma = np.log(np.cos(_half_width(kappa))) / np.log(np.cos(width))
     halving = 0.5 ** np.arange(n_lobes)
-    start = np.log(np.stack([kappa, np.clip(gamma, *GAMMA_BOUNDS)], axis=-1)[:, None, :] * halving[:, None])
+    start = np.log(np.stack([kappa, np.clip(gamma, *EM_GAMMA_BOUNDS)], axis=-1)[:, None, :] * halving[:, None])
     return np.clip(start, _LOWER, _UPPER)
 
 

@@ -125,7 +125,7 @@ def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
 
 def _bounds_hit(slices: em.SliceFits, largest_kappa: Array) -> Mask:
     """Whether any lobe of a slice stands at a bound; a vanishing or flat lobe at its lower bound is no fault."""
-    low = (slices.kappa <= em.KAPPA_BOUNDS[0] * (1 + 1e-9)) | (slices.gamma <= em.GAMMA_BOUNDS[0] * (1 + 1e-9))
-    highest = np.minimum(largest_kappa, em.KAPPA_BOUNDS[1])[:, None]
-    high = (slices.kappa >= highest * (1 - 1e-9)) | (slices.gamma >= em.GAMMA_BOUNDS[1] * (1 - 1e-9))
+    low = (slices.kappa <= em.EM_KAPPA_BOUNDS[0] * (1 + 1e-9)) | (slices.gamma <= em.EM_GAMMA_BOUNDS[0] * (1 + 1e-9))
+    highest = np.minimum(largest_kappa, em.EM_KAPPA_BOUNDS[1])[:, None]
+    high = (slices.kappa >= highest * (1 - 1e-9)) | (slices.gamma >= em.EM_GAMMA_BOUNDS[1] * (1 - 1e-9))
     return np.any(low | high, axis=1)

@@ -24,7 +24,7 @@ from dsbrdf.fitting.sample_prediction import (
 )
 from dsbrdf.model.dsbrdf import DSBRDF
 
-BANDS = np.radians([0.0, 30.0, 60.0, 75.0, 90.0])
+THETA_OUT_BANDS = np.radians([0.0, 30.0, 60.0, 75.0, 90.0])
 """Bands of theta_out [rad]."""
 MIRROR = np.radians(10.0)
 """Samples are near the mirror direction where theta_half is below this [rad]."""
@@ -75,7 +75,7 @@ def left_out_errors(
     places = {
         f"theta_out from {low:.0f} to {high:.0f} degrees": (theta_out >= np.radians(low))
         & (theta_out < np.radians(high))
-        for low, high in zip(np.degrees(BANDS[:-1]), np.degrees(BANDS[1:]), strict=True)
+        for low, high in zip(np.degrees(THETA_OUT_BANDS[:-1]), np.degrees(THETA_OUT_BANDS[1:]), strict=True)
     }
     places[f"theta_half below {np.degrees(MIRROR):.0f} degrees"] = angles[0] < MIRROR
     found = (

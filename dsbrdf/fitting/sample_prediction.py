@@ -20,7 +20,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference
-from dsbrdf.data.reduction import OUTLIER
+from dsbrdf.data.reduction import NORMAL_QUARTILE, OUTLIER
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.layer_data import LAYER_POWER, PLAIN_SHARE
 from dsbrdf.fitting.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
@@ -46,7 +46,7 @@ _MISFIT = 0.33  # of the logarithm, of highlights at grazing incidence, between 
 _LARGEST_LOG = 2.5  # of a factor at a sample
 _BLOCK = 256  # points at once, so that their kernel stays in the cache
 _FOLDS = 5
-_NORMAL_QUARTILE, _LEAST_OUTLIER = 1.15, 1e-2
+_LEAST_OUTLIER = 1e-2
 
 
 def layer_samples(samples: ScatteredSamples) -> LayerData:
@@ -259,7 +259,7 @@ def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
         expected = prediction.evaluate_unmasked(*half_difference(samples.omega_in, samples.omega_out))
         dark = prediction.layers.dark
         off = np.max(np.abs(np.log((samples.values + dark) / (expected + dark))), axis=1)
-        usual = float(np.quantile(off, 0.75)) / _NORMAL_QUARTILE
+        usual = float(np.quantile(off, 0.75)) / NORMAL_QUARTILE
         kept = samples.take(off <= OUTLIER * usual + _LEAST_OUTLIER)
     return kept
 

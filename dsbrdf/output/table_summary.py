@@ -10,7 +10,7 @@ from dsbrdf.data.sample_tables import ReadTable
 from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.sample_units import sample_units
 
-ANGLES = ("theta_in", "theta_out", "phi_out - phi_in")
+ANGLE_NAMES = ("theta_in", "theta_out", "phi_out - phi_in")
 """The angles of a sample; those of phi are their difference, 0 to 360 degrees."""
 _SHOWN = 5  # first samples
 _FEW = 12  # angles of incidence that are listed
@@ -20,7 +20,7 @@ _IN_PLANE = 0.5  # degrees from the plane of incidence
 def summary_of_table(found: ReadTable) -> dict[str, Any]:
     """Return columns, ranges, planes, warnings and the first samples of a table, in JSON's types.
 
-    A row of `first` has the `ANGLES` in degrees, then red, green and blue in 1/sr; `ranges` are those of all samples.
+    A row of `first` has the `ANGLE_NAMES` in degrees, then red, green and blue in 1/sr; `ranges` are of all samples.
     """
     samples = found.samples
     angles = _angles(samples)
@@ -33,7 +33,7 @@ def summary_of_table(found: ReadTable) -> dict[str, Any]:
         "columns": [{"name": name, "read_as": meaning or None, "unit": unit} for name, meaning, unit in found.columns],
         "ranges": {
             name: [float(column.min()), float(column.max())]
-            for name, column in zip((*ANGLES, *CHANNELS), rows.T, strict=True)
+            for name, column in zip((*ANGLE_NAMES, *CHANNELS), rows.T, strict=True)
         },
         "angles_of_incidence": incidence.tolist() if incidence.size <= _FEW else None,
         "in_plane_of_incidence": float(np.mean(aside <= np.sin(np.radians(_IN_PLANE)))),
@@ -43,7 +43,7 @@ def summary_of_table(found: ReadTable) -> dict[str, Any]:
 
 
 def _angles(samples: ScatteredSamples) -> Array:
-    """Return the `ANGLES`, shape (n, 3) [degrees]."""
+    """Return the `ANGLE_NAMES`, shape (n, 3) [degrees]."""
     first, second = samples.omega_in, samples.omega_out
     phi_in, phi_out = (np.arctan2(side[:, 1], side[:, 0]) for side in (first, second))
     theta_in, theta_out = (np.arccos(np.clip(side[:, 2], -1.0, 1.0)) for side in (first, second))

@@ -19,9 +19,9 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.layers import LayeredModel, SpecularLayer
+from dsbrdf.model.layers import Color, LayeredModel, SpecularLayer
 from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
-from dsbrdf.output.export.openpbr import Color, OpenPBR
+from dsbrdf.output.export.openpbr import OpenPBR
 from dsbrdf.version import __version__
 
 _DOCUMENT = """\

@@ -17,8 +17,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import incident_cosines
-
-Color = tuple[float, float, float]
+from dsbrdf.model.layers import Color
 
 _LEAST = 1e-6  # of a cosine and a roughness
 _F82_COSINE = 1.0 / 7.0

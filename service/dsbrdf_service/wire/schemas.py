@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field, computed_field
 
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.output.report_text import likeness
-from dsbrdf.output.table_summary import ANGLES
+from dsbrdf.output.table_summary import ANGLE_NAMES
 
 from ..storage.schema import FitRow, MeasurementRow, Status
 from .inputs import FIT_ID, SHA256, Label, Options
@@ -193,7 +193,7 @@ class TableDocument(BaseModel):
     columns: list[ColumnDocument]
     ranges: Annotated[
         dict[str, _Range],
-        Field(description=f"Smallest and largest of {', '.join(ANGLES)} [degrees], red, green and blue [1/sr]."),
+        Field(description=f"Smallest and largest of {', '.join(ANGLE_NAMES)} [degrees], red, green and blue [1/sr]."),
     ]
     angles_of_incidence: Annotated[list[float] | None, Field(description="theta_in [degrees], if they are few.")]
     in_plane_of_incidence: Annotated[Share, Field(description="Share of the samples.")]

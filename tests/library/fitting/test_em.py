@@ -64,7 +64,7 @@ def fitted_alone(data: Array, bounds: tuple[float, float], *, kappa: float | Non
     """The gamma of a lobe with this kappa that fits data best, or the kappa of one with the lowest gamma, by SciPy."""
 
     def cost(log: float) -> float:
-        lobe = (np.exp(log), em.GAMMA_BOUNDS[0]) if kappa is None else (kappa, np.exp(log))
+        lobe = (np.exp(log), em.EM_GAMMA_BOUNDS[0]) if kappa is None else (kappa, np.exp(log))
         return float(np.sum((plain_lobe(ANGLES, *lobe) - data) ** 2))
 
     return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-10}).x))
@@ -73,7 +73,7 @@ def fitted_alone(data: Array, bounds: tuple[float, float], *, kappa: float | Non
 def test_gamma_keeps_above_its_bound_and_kappa_is_fitted_to_it() -> None:
     mean = 0.02 * (1.0 + 2.0 * (ANGLES / ANGLES[-1]) ** 2)  # they rise towards the horizon
     found = em.fit_slices(ANGLES, mean[None], np.ones((1, ANGLES.size)), 1)
-    assert found.gamma[0, 0] == pytest.approx(em.GAMMA_BOUNDS[0], rel=1e-12)
+    assert found.gamma[0, 0] == pytest.approx(em.EM_GAMMA_BOUNDS[0], rel=1e-12)
     assert found.kappa[0, 0] == pytest.approx(fitted_alone(mean, (-8.0, 0.0)), rel=1e-6)
 
 
