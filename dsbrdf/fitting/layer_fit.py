@@ -70,8 +70,9 @@ class FittedStructure:
     def draw(self, generator: np.random.Generator, count: int) -> list[LayeredModel]:
         """Layers as probable as these, from the Gaussian of the normal equations, within the bounds."""
         values, vectors = np.linalg.eigh(self.normal_equations)
-        spread = vectors * np.sqrt(0.5 * TEMPERATURE / np.maximum(values, 1e-9))
-        drawn = self.unknowns + generator.standard_normal((count, values.size)) @ spread.T
+        # The symmetric root: unlike eigenvectors, whose signs are a library's choice, it is the same on every machine.
+        root = (vectors * np.sqrt(0.5 * TEMPERATURE / np.maximum(values, 1e-9))) @ vectors.T
+        drawn = self.unknowns + generator.standard_normal((count, values.size)) @ root
         return [self.structure.model(unknowns) for unknowns in np.clip(drawn, *self.structure.bounds)]
 
 

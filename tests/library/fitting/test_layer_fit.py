@@ -1,5 +1,7 @@
 """Structures are found again from values of their own layers, and parameters as they were put in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -72,6 +74,18 @@ def test_draws_spread_as_the_normal_equations_say() -> None:
     alphas = np.log([layer.alpha for model in drawn for layer in model.layers if isinstance(layer, SpecularLayer)])
     expected = np.sqrt(2.0 * np.linalg.inv(found.normal_equations)[6, 6])
     assert alphas.std() == pytest.approx(expected, rel=0.1)
+
+
+def test_draws_do_not_hang_on_which_eigenvectors_a_library_finds() -> None:
+    found = fitted(GOLD)[0]
+    size = found.unknowns.size
+    alphas = []
+    for seed in (1, 2):  # all directions are alike but for rounding, which decides on the vectors
+        noise = 1e-13 * np.random.default_rng(seed).standard_normal((size, size))
+        alike = replace(found, normal_equations=100.0 * (np.eye(size) + noise + noise.T))
+        models = alike.draw(np.random.default_rng(0), 5)
+        alphas.append([layer.alpha for model in models for layer in model.layers if isinstance(layer, SpecularLayer)])
+    np.testing.assert_allclose(*alphas, rtol=1e-9)
 
 
 def test_weights_of_the_data_are_shares_of_the_signal() -> None:
