@@ -6,7 +6,7 @@ from importlib.metadata import version
 
 __version__ = version("dsbrdf")
 
-ALGORITHM_VERSION = "7"
+ALGORITHM_VERSION = "8"
 """Changed whenever the same measurement and options may give another model; part of the identity of a fit."""
 
 

@@ -68,11 +68,15 @@ class FittedStructure:
         return self.structure.model(self.unknowns)
 
     def draw(self, generator: np.random.Generator, count: int) -> list[LayeredModel]:
-        """Layers as probable as these, from the Gaussian of the normal equations, within the bounds."""
+        """Layers as probable as these, from the Gaussian of the normal equations, within the bounds.
+
+        Each has a mirror image about these, so that a few tell the middle and the range.
+        """
         values, vectors = np.linalg.eigh(self.normal_equations)
         # The symmetric root: unlike eigenvectors, whose signs are a library's choice, it is the same on every machine.
         root = (vectors * np.sqrt(0.5 * TEMPERATURE / np.maximum(values, 1e-9))) @ vectors.T
-        drawn = self.unknowns + generator.standard_normal((count, values.size)) @ root
+        half = generator.standard_normal((-(-count // 2), values.size)) @ root
+        drawn = self.unknowns + np.concatenate([half, -half])[:count]
         return [self.structure.model(unknowns) for unknowns in np.clip(drawn, *self.structure.bounds)]
 
 
