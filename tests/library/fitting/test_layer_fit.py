@@ -85,7 +85,7 @@ def test_draws_do_not_hang_on_which_eigenvectors_a_library_finds() -> None:
         alike = replace(found, normal_equations=100.0 * (np.eye(size) + noise + noise.T))
         models = alike.draw(np.random.default_rng(0), 5)
         alphas.append([layer.alpha for model in models for layer in model.layers if isinstance(layer, SpecularLayer)])
-    np.testing.assert_allclose(*alphas, rtol=1e-9)
+    np.testing.assert_allclose(alphas[0], alphas[1], rtol=1e-9)
 
 
 def test_weights_of_the_data_are_shares_of_the_signal() -> None:
