@@ -226,10 +226,14 @@ class Store:
         return self._result(key)[0]
 
     def thumbnail(self, key: FitKey) -> bytes:
-        """Return the picture of a fit that succeeded; raises as `result`."""
-        return self._result(key)[1]
+        """Return the picture of a fit that succeeded; raises as `result`, and ProblemError if none is stored."""
+        picture = self._result(key)[1]
+        if picture is None:
+            detail = "The fit is stored without a thumbnail; figures/sphere.png of the fit draws its sphere."
+            raise ProblemError("not-found", detail)
+        return picture
 
-    def _result(self, key: FitKey) -> tuple[str, bytes]:
+    def _result(self, key: FitKey) -> tuple[str, bytes | None]:
         query = f"SELECT status, CAST(result AS BLOB), thumbnail, metrics, checksum FROM fits {_WHERE_FIT}"  # noqa: S608
         rows = self.database.rows(query, *key)
         if not rows:

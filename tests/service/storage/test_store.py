@@ -51,6 +51,8 @@ def test_finished_fit_cannot_change(store: Store) -> None:
         assert refused is None
     row, new = store.add_fit(LOCAL, *arguments)
     assert (row.status, new, row.metrics, store.result(key)) == ("succeeded", False, {"male": 0.5}, "document")
+    with pytest.raises(ProblemError, match="stored without a thumbnail"):
+        store.thumbnail(key)
     assert store.remove_fit(key)
     with pytest.raises(FitNotFoundError):
         store.fit(key)
