@@ -1,7 +1,6 @@
 """The application: `create_app` connects its parts, and the lifespan opens and closes them."""
 
 import asyncio
-import logging
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -41,8 +40,6 @@ _COMPUTATION_SECONDS = 30.0  # that one in a process of its own may take; the lo
 _NICENESS = 10  # of these processes: answers that are known already go first
 _SWITCH_INTERVAL = 0.0005  # seconds that a thread which computes may hold up the event loop; Python's own are ten times
 
-logger = logging.getLogger(__name__)
-
 _DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in the MERL format.
 
 `POST /v1/fits` with a file as the body answers with the fitted model; the fit then gives BRDF values and its
@@ -78,8 +75,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
     store = app.state.store or await run_in_threadpool(Store, settings.data_dir)
     try:
-        for warning in store.warnings:  # not before: the log has its form only when the folder is open
-            logger.warning("%s", warning)
         engine = make_engine(settings)
         models = ModelCache(store, settings.model_cache)
         keys.open(store.database)

@@ -4,7 +4,6 @@ The library's own errors and those of the machine are answered with problem docu
 """
 
 import re
-import sqlite3
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -29,16 +28,6 @@ class DSBRDFServiceError(Exception):
 
 class DataFolderError(DSBRDFServiceError):
     """The data folder cannot be opened; the message says why."""
-
-
-class DataFolderInUseError(DataFolderError):
-    """Another server has the data folder open."""
-
-
-class DatabaseBusyError(DSBRDFServiceError, sqlite3.OperationalError):
-    """Other transactions have not let this one begin in time."""
-
-    sqlite_errorcode = sqlite3.SQLITE_BUSY
 
 
 class DatabaseLostError(DSBRDFServiceError, OSError):

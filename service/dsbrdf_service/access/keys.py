@@ -15,7 +15,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from ..storage.database import FILE_NAME, Database, check_integrity
+from ..storage.database import FILE_NAME, Database
 from ..storage.schema import Caller, columns
 
 if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
@@ -76,7 +76,6 @@ def has_active_key(folder: Path) -> bool:
     """Return whether a data folder, which need not exist, has a key that is not revoked."""
     if not (folder / FILE_NAME).exists():
         return False
-    check_integrity(folder)
     with closing(Database(folder, exclusive=False)) as database:
         return any(row.revoked is None for row in all_keys(database))
 

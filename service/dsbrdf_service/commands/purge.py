@@ -17,7 +17,7 @@ from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.commands import new_application
 
 from ..storage.blobs import Blobs
-from ..storage.database import Database, check_integrity
+from ..storage.database import Database
 from ..storage.removal import remove_files, remove_rows
 from ..storage.schema import IS_UNFINISHED
 from . import DataDir, Json, data_folder, refuse, run_on_folder
@@ -45,7 +45,6 @@ def purge(
 
     Raises DataFolderError if the folder cannot be opened, or its database is damaged.
     """
-    check_integrity(folder)
     blobs, purged = Blobs(folder), {"fits": 0, "measurements": 0, "files_without_rows": 0, "bytes": 0}
     with closing(Database(folder, exclusive=False)) as database:
         if before is not None and dry_run:

@@ -18,6 +18,7 @@ from tempfile import mkstemp
 from typing import Any, Literal, TypeVar, get_args
 from weakref import WeakValueDictionary
 
+from anyio import CancelScope
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
@@ -69,15 +70,15 @@ class _Computation:
     """What is being computed, or waits for its turn, and how many requests wait for it."""
 
     task: "asyncio.Task[Any]"
+    scope: CancelScope
     n_waiting: int = 0
-    can_stop: bool = True
 
 
 class Computations:
     """Computes one thing at a time in each place; callers take turns there.
 
-    What waits for its turn is forgotten when the last request that waits for it has been given up by its client. What
-    runs in a thread is computed to its end then, what runs in a process is ended with it; `limits` are its own.
+    What is computed is given up when the last request that waits for it has been given up by its client: a process is
+    ended, a call in a thread keeps its turn until it has ended. The processes have `limits` of their own.
     """
 
     def __init__(self, limits: FitLimits) -> None:
@@ -94,7 +95,7 @@ class Computations:
         Raises ClientDisconnect if the client has closed the connection.
         """
         work = partial(run_in_threadpool, compute)
-        result: T = await self._wait(request, key, work, place, can_stop=False)
+        result: T = await self._wait(request, key, work, place)
         return result
 
     async def run_in_process(
@@ -151,31 +152,24 @@ class Computations:
 
     async def close(self) -> None:
         """Give up what is being computed."""
-        tasks = [computation.task for computation in self._in_progress.values()]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        unfinished = list(self._in_progress.values())
+        for computation in unfinished:
+            computation.scope.cancel()
+        await asyncio.gather(*(computation.task for computation in unfinished), return_exceptions=True)
         await asyncio.to_thread(self._processes.close)
 
-    async def _wait(
-        self,
-        request: Request,
-        key: Hashable,
-        work: Callable[[], Awaitable[Any]],
-        place: Place,
-        *,
-        can_stop: bool = True,
-    ) -> Any:
+    async def _wait(self, request: Request, key: Hashable, work: Callable[[], Awaitable[Any]], place: Place) -> Any:
         """Return the result of `work`, or of what is being computed with this key already."""
 
-        async def compute() -> Any:
-            async with self._turns[place].turn(request.scope[CALLER_NAME]):
-                self._in_progress[key].can_stop = can_stop
-                return await work()
+        async def compute(scope: CancelScope) -> Any:
+            with scope:
+                async with self._turns[place].turn(request.scope[CALLER_NAME]):
+                    return await work()
 
         computation = self._in_progress.get(key)
         if computation is None:
-            computation = self._in_progress[key] = _Computation(asyncio.create_task(compute()))
+            scope = CancelScope()
+            computation = self._in_progress[key] = _Computation(asyncio.create_task(compute(scope)), scope)
             computation.task.add_done_callback(lambda task: self._forget(key, task))
         computation.n_waiting += 1
         gone = asyncio.create_task(departure(request))
@@ -187,9 +181,9 @@ class Computations:
         finally:
             gone.cancel()
             computation.n_waiting -= 1
-            if not computation.n_waiting and computation.can_stop and not computation.task.done():
+            if not computation.n_waiting and not computation.task.done():
                 self._forget(key, computation.task)  # who asks now begins anew
-                computation.task.cancel()
+                computation.scope.cancel()
 
     def _forget(self, key: Hashable, task: "asyncio.Task[Any]") -> None:
         if key in self._in_progress and self._in_progress[key].task is task:
@@ -203,7 +197,8 @@ async def result_of(future: "Future[T]") -> T:
     try:
         return await asyncio.wrap_future(future)
     except asyncio.CancelledError:
-        await asyncio.gather(asyncio.wrap_future(future), return_exceptions=True)
+        with CancelScope(shield=True):
+            await asyncio.gather(asyncio.wrap_future(future), return_exceptions=True)
         raise
 
 

@@ -7,12 +7,12 @@ who waits for a change.
 import asyncio
 import logging
 import sqlite3
-from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, TypeVar, TypeVarTuple
 
+from anyio import CancelScope
 from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitDocument, FitTask, Outcome
@@ -33,19 +33,18 @@ Values = TypeVarTuple("Values")
 T = TypeVar("T")
 
 _RETRY_DELAY = 5.0  # seconds between attempts at what the machine does not allow now: to write, to start a process
-_FINAL_BUSY_TIMEOUT = 1.0  # seconds that a write may wait for others when the service is about to end
 _READY_INTERVAL = 0.5  # seconds between two questions whether the engine can run fits
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)
 _MIN_POLL_INTERVAL = 0.05  # seconds between looks at a row that is ahead of this process, or behind it, by one step
 _LOST_DELAY = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
-_INTERRUPTIONS_ALLOWED = 100  # a fit that runs whenever the service is killed may be the cause
 
 
 @dataclass
 class _RunningFit:
-    """An unfinished fit in this process."""
+    """An unfinished fit in this process; its task is cancelled by its scope, which lets calls in threads end."""
 
     task: "asyncio.Task[None]"
+    scope: CancelScope
     progress: float = 0.0
     changed: "asyncio.Future[None]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
@@ -76,26 +75,21 @@ class Jobs:
 
     async def start(self) -> None:
         """Run again what an earlier process left unfinished."""
-        for row in await run_in_threadpool(self._store.resume):
-            self._begin(row.key, row.interruptions)
+        for key in await run_in_threadpool(self._store.resume):
+            self._begin(key)
 
     def release_waiters(self) -> None:
         """Give everyone who waits for a fit or follows one its present state: the service is about to end."""
-        self._store.database.busy_timeout = _FINAL_BUSY_TIMEOUT
         if not self._stopping.done():
             self._stopping.set_result(None)
 
     async def close(self) -> None:
         """Stop all fits; their rows stay unfinished, so that the next process runs them."""
         self.release_waiters()
-        tasks = [running.task for running in self._running.values()]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-        try:
-            await run_in_threadpool(self._store.requeue_running)
-        except _DISK_ERRORS as error:
-            logger.warning("the next start of the service will find its fits interrupted (%s)", error)
+        unfinished = list(self._running.values())
+        for running in unfinished:
+            running.scope.cancel()
+        await asyncio.gather(*(running.task for running in unfinished))
 
     async def submit(
         self, caller: Caller, sha256: str, options: dict[str, Any], name: str | None = None
@@ -150,15 +144,15 @@ class Jobs:
         running = self._running.get(key)  # before the row changes: the same request may begin another one after it
         row = await in_write_thread(self._store.cancel_fit, key)
         if row is not None and running is not None:
-            running.task.cancel()
+            running.scope.cancel()
         return row
 
-    def _begin(self, key: FitKey, interruptions: int = 0) -> None:
-        previous = self._running.get(key)
+    def _begin(self, key: FitKey) -> None:
+        previous, scope = self._running.get(key), CancelScope()
         if previous is not None:  # its row has ended, and this is another one
-            previous.task.cancel()
-        task = asyncio.create_task(self._run(key, previous.task if previous else None, interruptions))
-        self._running[key] = running = _RunningFit(task)
+            previous.scope.cancel()
+        task = asyncio.create_task(self._run(key, scope, previous.task if previous else None))
+        self._running[key] = running = _RunningFit(task, scope)
 
         def forget(_: "asyncio.Task[None]") -> None:
             if self._running.get(key) is running:
@@ -167,41 +161,42 @@ class Jobs:
 
         task.add_done_callback(forget)
 
-    async def _run(self, key: FitKey, previous: "asyncio.Task[None] | None", interruptions: int) -> None:
+    async def _run(self, key: FitKey, scope: CancelScope, previous: "asyncio.Task[None] | None") -> None:
         bind("fit", str(key))
-        if previous is not None:
-            await _run_to_end(asyncio.wait([previous]))
-            await _write(self._store.requeue_running, key)  # the previous task may have started the new row last
-        try:
-            if interruptions >= _INTERRUPTIONS_ALLOWED:
-                reason = f"The service was killed {interruptions} times while it ran this fit."
-                await _write(self._store.fail_fit, key, asdict(Fault("system", "ServiceInterrupted", reason)))
-                return
-            while not await self._attempt(key):
-                pass
-        except Exception:
-            # The row stays unfinished, and the next start of the service runs the fit again.
-            logger.exception("the fit could not be brought to its end")
-            raise
+        with scope:
+            if previous is not None:
+                with CancelScope(shield=True):
+                    await asyncio.wait([previous])
+            try:
+                async with self._turns.turn(key.owner):
+                    while not await self._attempt(key):
+                        pass
+            except Exception:
+                # The row stays unfinished, and the next start of the service runs the fit again.
+                logger.exception("the fit could not be brought to its end")
 
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
-        async with self._turns.turn(key.owner):
-            await self._until_ready()
-            row = await _write(self._store.start_fit, key)
-            if row is None:
+        await self._until_ready()
+        row = await _write(self._store.start_fit, key)
+        if row is None:
+            return True
+        self._set_progress(key, 0.0)
+        if row.started is not None and row.attempts == 1:
+            seconds = max(0.0, row.started - row.created)  # a clock may have been set back
+            self._metrics.record_time("waiting", seconds)
+        with self._metrics.timing("fitting"):
+            outcome = await self._compute(row)
+        if isinstance(outcome, Fault) and outcome.origin == "system":
+            await asyncio.sleep(_LOST_DELAY)
+            if self._stopping.done():  # its process was ended together with this one: the next one runs it
                 return True
-            self._set_progress(key, 0.0)
-            if row.started is not None and row.attempts == 1:
-                seconds = max(0.0, row.started - row.created)  # a clock may have been set back
-                self._metrics.record_time("waiting", seconds)
-            with self._metrics.timing("fitting"):
-                outcome = await self._compute(row)
-            if isinstance(outcome, Fault) and outcome.origin == "system":
-                await asyncio.sleep(_LOST_DELAY)
-                if self._stopping.done():  # its process was ended together with this one: the next one runs it
-                    return True
-            return await _write(self._record, row, outcome)
+            if row.attempts < self._settings.fit_attempts:
+                logger.warning("the fit runs again: %s", outcome.message)
+                self._metrics.retries.inc()
+                return False
+        await _write(self._record, row.key, outcome)
+        return True
 
     async def _until_ready(self) -> None:
         """Wait as long as the engine can run no fit."""
@@ -234,19 +229,14 @@ class Jobs:
             logger.warning("%s Trying again in %g s.", outcome.message, _RETRY_DELAY)
             await asyncio.sleep(_RETRY_DELAY)
 
-    def _record(self, row: FitRow, outcome: Outcome) -> bool:
-        """Write how an attempt ended; return whether the fit is over."""
+    def _record(self, key: FitKey, outcome: Outcome) -> None:
+        """Write how a fit has ended."""
         if isinstance(outcome, FitDocument):
-            self._store.complete_fit(row.key, outcome.text, outcome.metrics, outcome.thumbnail)
+            self._store.complete_fit(key, outcome.text, outcome.metrics, outcome.thumbnail)
             logger.info("the fit has succeeded")
-            return True
-        if outcome.origin == "system" and row.attempts < self._settings.fit_attempts:
-            logger.warning("the fit runs again: %s", outcome.message)
-            self._metrics.retries.inc()
-            return self._store.requeue_fit(row.key) is None
-        self._store.fail_fit(row.key, asdict(outcome))
-        logger.warning("the fit has failed: %s", outcome.message)
-        return True
+        else:
+            self._store.fail_fit(key, asdict(outcome))
+            logger.warning("the fit has failed: %s", outcome.message)
 
     def _progress_in_loop(self, key: FitKey, share: float) -> None:
         """Take a share from another thread."""
@@ -260,25 +250,10 @@ class Jobs:
 
 
 async def _write(write: Callable[[*Values], T], *values: *Values) -> T:
-    """Call `write` in a thread, repeatedly while the disk refuses it, so that no computed fit is lost.
-
-    A cancelled call returns when the thread has ended, so that nothing is written after it.
-    """
+    """Call `write` in a thread, repeatedly while the disk refuses it, so that no computed fit is lost."""
     while True:
         try:
-            return await _run_to_end(in_write_thread(write, *values))
+            return await in_write_thread(write, *values)
         except _DISK_ERRORS as error:
             logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _RETRY_DELAY)
             await asyncio.sleep(_RETRY_DELAY)
-
-
-async def _run_to_end(work: Coroutine[Any, Any, T]) -> T:
-    """Await `work` to its end, however often this call is cancelled meanwhile."""
-    task = asyncio.create_task(work)
-    try:
-        return await asyncio.shield(task)
-    except asyncio.CancelledError:
-        while not task.done():
-            with suppress(asyncio.CancelledError):
-                await asyncio.wait([task])
-        raise

@@ -10,8 +10,7 @@ import os
 import re
 import stat
 import tempfile
-from collections.abc import Callable, Iterator
-from io import BufferedReader
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -86,16 +85,27 @@ class Blobs:
         incoming.path.replace(target)
         _sync_folder(target.parent)
 
-    def damage(self, sha256: str) -> str | None:
+    def damage(self, sha256: str, size: int | None = None) -> str | None:
         """Return what is wrong with a measurement's file; None if it has the bytes that it is named by: all are read.
+
+        If the `size` is given that its row says, only its length is looked at.
 
         Raises OSError if too many files are open.
         """
-        return _fault(self.path(sha256), lambda file: _has_digest(file, sha256))
-
-    def wrong_length(self, sha256: str, size: int) -> str | None:
-        """Return what is wrong with a measurement's file; None if it has as many bytes as its row says."""
-        return _fault(self.path(sha256), lambda file: _has_length(file, size))
+        path = self.path(sha256)
+        try:
+            status = path.stat()
+            if not stat.S_ISREG(status.st_mode):  # a pipe would have to be waited for
+                return "it is no regular file"
+            if size is not None:
+                return None if status.st_size == size else f"it has {status.st_size} bytes instead of {size}"
+            with path.open("rb") as file:
+                right = hashlib.file_digest(file, "sha256").hexdigest() == sha256
+        except OSError as error:
+            if error.errno in (errno.EMFILE, errno.ENFILE):  # the file may be sound
+                raise
+            return error.strerror or str(error)
+        return None if right else "its sha256 is another one"
 
     def all(self) -> Iterator[str]:
         """Yield the sha256 of every file that is one of a measurement."""
@@ -114,35 +124,6 @@ class Blobs:
         with tempfile.TemporaryFile(dir=self.temporary, buffering=0) as probe:
             probe.write(b"ready?")
             os.fsync(probe.fileno())
-
-
-def _fault(path: Path, check: Callable[[BufferedReader], str | None]) -> str | None:
-    """Return what a check says of a file, or why it cannot be read."""
-    try:
-        with _opened(path) as file:
-            return check(file)
-    except OSError as error:
-        if error.errno in (errno.EMFILE, errno.ENFILE):  # the file may be sound
-            raise
-        return error.strerror or str(error)
-
-
-def _has_digest(file: BufferedReader, sha256: str) -> str | None:
-    return None if hashlib.file_digest(file, "sha256").hexdigest() == sha256 else "its sha256 is another one"
-
-
-def _has_length(file: BufferedReader, size: int) -> str | None:
-    found = os.fstat(file.fileno()).st_size
-    return None if found == size else f"it has {found} bytes instead of {size}"
-
-
-def _opened(path: Path) -> BufferedReader:
-    """Open a regular file; raise OSError if it is none, rather than wait for who writes to a pipe in its place."""
-    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        file.close()
-        raise OSError(errno.EINVAL, "it is no regular file")
-    return file
 
 
 def _sync_folder(folder: Path) -> None:

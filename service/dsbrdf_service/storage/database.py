@@ -4,7 +4,6 @@ import fcntl
 import os
 import sqlite3
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
@@ -13,13 +12,12 @@ from typing import Any
 
 from anyio import CapacityLimiter, to_thread
 
-from ..errors import DatabaseBusyError, DatabaseLostError, DataFolderError, DataFolderInUseError
-from .schema import VERSION, create_tables, pragma
+from ..errors import DatabaseLostError, DataFolderError
+from .schema import create_tables
 
 FILE_NAME = "dsbrdf.sqlite"
 _HEADER = b"SQLite format 3\0"
-_BUSY_TIMEOUT = 5.0  # seconds that a server's transaction waits for others; then the client is asked to come again
-_COMMAND_BUSY_TIMEOUT = 30.0  # seconds that a command's transaction waits
+_BUSY_TIMEOUT = 5.0  # seconds that a transaction waits for others; then a client is asked to come again
 _RESTORE = "restore the folder from a copy; nothing in it has been changed"
 _REMEDIES = {
     sqlite3.SQLITE_CORRUPT: _RESTORE,
@@ -47,24 +45,19 @@ class Database:
 
     def __init__(self, folder: Path, *, exclusive: bool = True) -> None:
         _claim(folder)
-        self.busy_timeout = _BUSY_TIMEOUT if exclusive else _COMMAND_BUSY_TIMEOUT  # until a transaction begins [s]
         self._path = folder.resolve() / FILE_NAME
         self._writer_lock, self._reader_lock = threading.Lock(), threading.Lock()
         try:
             with ExitStack() as resources:
                 if exclusive:
                     resources.enter_context(_lock(folder))
-                    check_integrity(folder)
+                check_integrity(folder)
                 with suppress(FileExistsError):  # SQLite gives its other files the same mode
                     os.close(os.open(self._path, os.O_CREAT | os.O_EXCL, 0o600))
                 self._writer = resources.enter_context(closing(self._connection()))
                 self._reader = resources.enter_context(closing(self._connection()))
                 self._prompt_reader = resources.enter_context(closing(self._connection()))
-                if exclusive:
-                    create_tables(self._writer)
-                elif pragma(self._writer, "user_version") != VERSION:
-                    with _lock(folder):  # one process at a time creates them
-                        create_tables(self._writer)
+                create_tables(self._writer)
                 self._writer.execute("PRAGMA journal_mode = WAL")
                 self._writer.execute("PRAGMA synchronous = FULL")
                 for reader in (self._reader, self._prompt_reader):
@@ -97,15 +90,13 @@ class Database:
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """Write all or nothing; what is written is durable when the block ends.
 
-        Raises DatabaseBusyError or sqlite3.OperationalError if its turn has not come within `busy_timeout`,
-        DatabaseLostError if the database or its log is not where it was, also when the block has ended.
+        Raises sqlite3.OperationalError if its turn does not come in time, DatabaseLostError if the database or its log
+        is not where it was, also when the block has ended.
         """
-        deadline = time.monotonic() + self.busy_timeout
-        if not self._writer_lock.acquire(timeout=self.busy_timeout):
-            raise DatabaseBusyError("other transactions take too long")
+        if not self._writer_lock.acquire(timeout=_BUSY_TIMEOUT):
+            raise sqlite3.OperationalError("other transactions take too long")
         try:
             self._check_files()
-            self._writer.execute(f"PRAGMA busy_timeout = {max(0, round(1000 * (deadline - time.monotonic())))}")
             self._writer.execute("BEGIN IMMEDIATE")
             try:
                 yield self._writer
@@ -119,7 +110,7 @@ class Database:
             self._writer_lock.release()
 
     def _connection(self) -> sqlite3.Connection:
-        return sqlite3.connect(self._path, timeout=self.busy_timeout, isolation_level=None, check_same_thread=False)
+        return sqlite3.connect(self._path, timeout=_BUSY_TIMEOUT, isolation_level=None, check_same_thread=False)
 
     def _check_files(self) -> None:
         for path, status in self._files.items():
@@ -154,7 +145,7 @@ def read_only(folder: Path, query: str) -> list[tuple[Any, ...]]:
     Another connection would write the log of a damaged database into its file when it is closed.
     """
     uri = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro"
-    with closing(sqlite3.connect(uri, uri=True, timeout=_COMMAND_BUSY_TIMEOUT)) as connection:
+    with closing(sqlite3.connect(uri, uri=True, timeout=_BUSY_TIMEOUT)) as connection:
         return connection.execute(query).fetchall()
 
 
@@ -214,6 +205,6 @@ def _lock(folder: Path) -> Iterator[None]:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError:
-        raise DataFolderInUseError(f"the data folder {folder} is in use by another server") from None
+        raise DataFolderError(f"the data folder {folder} is in use by another server") from None
     finally:
         os.close(descriptor)

@@ -17,18 +17,18 @@ from ..errors import DataFolderError
 # of those change places, SQLite does not notice.
 ROW_SIZE = 2_000  # bytes that a fit takes with its places in the indexes, without its result
 _TABLES = f"""
-    CREATE TABLE measurements (
+    CREATE TABLE IF NOT EXISTS measurements (
         owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
         valid_nodes INTEGER NOT NULL, created REAL NOT NULL,
         UNIQUE (owner, sha256), UNIQUE (owner, seq)
     ) STRICT;
-    CREATE INDEX measurements_by_sha256 ON measurements (sha256);
-    CREATE INDEX measurements_by_name ON measurements (owner, name, seq);
-    CREATE TABLE fits (
+    CREATE INDEX IF NOT EXISTS measurements_by_sha256 ON measurements (sha256);
+    CREATE INDEX IF NOT EXISTS measurements_by_name ON measurements (owner, name, seq);
+    CREATE TABLE IF NOT EXISTS fits (
         owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, id TEXT NOT NULL, measurement TEXT NOT NULL,
         options TEXT NOT NULL, algorithm TEXT NOT NULL, library TEXT NOT NULL,
         status TEXT NOT NULL CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
-        attempts INTEGER NOT NULL DEFAULT 0, interruptions INTEGER NOT NULL DEFAULT 0,
+        attempts INTEGER NOT NULL DEFAULT 0,
         metrics TEXT, error TEXT, created REAL NOT NULL, started REAL, finished REAL,
         result TEXT, -- JSON: model, report, components
         thumbnail BLOB, -- PNG
@@ -36,11 +36,11 @@ _TABLES = f"""
         UNIQUE (owner, id), UNIQUE (owner, seq),
         CHECK ((status = 'succeeded') = (result IS NOT NULL)), CHECK ((status = 'failed') = (error IS NOT NULL))
     ) STRICT;
-    CREATE INDEX fits_by_status ON fits (status, owner);
-    CREATE INDEX fits_by_measurement ON fits (measurement, owner);
-    CREATE INDEX fits_by_name ON fits (owner, name, seq);
-    CREATE INDEX fits_by_size ON fits (owner, size);
-    CREATE TABLE keys (
+    CREATE INDEX IF NOT EXISTS fits_by_status ON fits (status, owner);
+    CREATE INDEX IF NOT EXISTS fits_by_measurement ON fits (measurement, owner);
+    CREATE INDEX IF NOT EXISTS fits_by_name ON fits (owner, name, seq);
+    CREATE INDEX IF NOT EXISTS fits_by_size ON fits (owner, size);
+    CREATE TABLE IF NOT EXISTS keys (
         id TEXT NOT NULL PRIMARY KEY, name TEXT NOT NULL, secret_sha256 TEXT NOT NULL, created REAL NOT NULL,
         revoked REAL, requests_per_second REAL, stored_mb INTEGER, queued_fits INTEGER,
         metrics INTEGER NOT NULL DEFAULT 0
@@ -53,18 +53,13 @@ UNFINISHED: tuple[Status, ...] = ("accepted", "running")
 IS_UNFINISHED = f"status IN {UNFINISHED}"  # for SQL, which writes a tuple as Python does
 
 
-def pragma(connection: sqlite3.Connection, name: str) -> int:
-    """Return a number that SQLite keeps; `user_version` is that of the tables, 0 if there are none yet."""
-    (value,) = connection.execute(f"PRAGMA {name}").fetchone()
-    return int(value)
-
-
 def create_tables(connection: sqlite3.Connection) -> None:
-    """Create the tables in an empty database.
+    """Create the tables in an empty database; another process may do so at the same time.
 
     Raises DataFolderError if another release or another program has written the database.
     """
-    version = pragma(connection, "user_version")
+    query = "SELECT user_version, (SELECT count(*) FROM sqlite_master) FROM pragma_user_version"
+    version, n_tables = connection.execute(query).fetchone()
     if version == VERSION:
         return
     if version:
@@ -72,7 +67,7 @@ def create_tables(connection: sqlite3.Connection) -> None:
             "the database was made by another release, which has other tables; serve it with that release, or give "
             "a data folder that is new or empty"
         )
-    if connection.execute("SELECT 1 FROM sqlite_master").fetchone():
+    if n_tables:
         raise DataFolderError(
             "the database is another program's; give a data folder that is new, empty or the service's"
         )
@@ -131,8 +126,7 @@ class MeasurementRow:
 class FitRow:
     """A fit's state without its result; options as on the wire; `seq` counts the fits of its owner.
 
-    `attempts` counts the processes that were started for it, except those that the end of the service ended;
-    `interruptions` counts how often the service was killed while one ran.
+    `attempts` counts the processes that were started for it since the start of the service.
     """
 
     owner: str
@@ -142,7 +136,6 @@ class FitRow:
     measurement: str
     status: Status
     attempts: int
-    interruptions: int
     created: float
     started: float | None
     finished: float | None

@@ -22,6 +22,7 @@ from .schema import (
     IS_UNFINISHED,
     ROW_SIZE,
     UNFINISHED,
+    VERSION,
     Caller,
     FitKey,
     FitRow,
@@ -29,7 +30,6 @@ from .schema import (
     Status,
     checksum,
     columns,
-    pragma,
 )
 from .uploads import Uploads, check_key, check_queue, check_storage
 
@@ -37,7 +37,6 @@ logger = logging.getLogger(__name__)
 
 _SELECT_FIT = f"SELECT {columns(FitRow)} FROM fits"  # noqa: S608 (constants only)
 _SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
-_REQUEUE = "UPDATE fits SET status = 'accepted', started = NULL, attempts = attempts - 1"
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
 _WHERE_MEASUREMENT = "WHERE owner = ? AND sha256 = ?"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
@@ -65,14 +64,12 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.warnings: list[str] = []  # a sentence for each thing that was not as it ought to be
         self.database = Database(folder)
         self.blobs = Blobs(folder)
         self.uploads = Uploads(self.database, self.blobs)
         try:
             self.blobs.make_folders()
             self.blobs.clear_temporary()
-            self._compare_files_with_rows()
         except BaseException:
             self.close()
             raise
@@ -118,7 +115,7 @@ class Store:
         """
         found, damage = self.measurement(owner, sha256), None
         if found is not None:
-            damage = self.blobs.wrong_length(sha256, found.size) if drawn else self.blobs.damage(sha256)
+            damage = self.blobs.damage(sha256, found.size if drawn else None)
         row = self.measurement(owner, sha256)
         if row is None:  # or it has been deleted meanwhile, file and row
             raise MeasurementNotFoundError(sha256)
@@ -254,13 +251,9 @@ class Store:
         return None if row is None else int(row[0])
 
     def start_fit(self, key: FitKey) -> FitRow | None:
-        """Set an accepted fit running; None if it is not waiting any more."""
+        """Set a fit running, also after the loss of its process; None if it has ended already."""
         change = "status = 'running', attempts = attempts + 1, started = ?"
-        return self._advance(change, (time.time(),), key, ("accepted",))
-
-    def requeue_fit(self, key: FitKey) -> FitRow | None:
-        """Set a running fit back to accepted; None if it does not run any more."""
-        return self._advance("status = 'accepted', started = NULL", (), key, ("running",))
+        return self._advance(change, (time.time(),), key, UNFINISHED)
 
     def complete_fit(
         self, key: FitKey, document: str, metrics: Mapping[str, float | None], thumbnail: bytes | None = None
@@ -287,28 +280,22 @@ class Store:
         with self.database.transaction() as db:
             return db.execute(query, key).rowcount > 0
 
-    def requeue_running(self, key: FitKey | None = None) -> None:
-        """Set all running fits, or one, back to accepted; that they were started does not count as an attempt."""
-        which, values = ("", ()) if key is None else (" AND owner = ? AND id = ?", key)
-        with self.database.transaction() as db:
-            db.execute(f"{_REQUEUE} WHERE status = 'running'{which}", values)
+    def resume(self) -> list[FitKey]:
+        """Set the fits that an earlier process has left running back to accepted; return all accepted, oldest first.
 
-    def resume(self) -> list[FitRow]:
-        """Set fits that a killed process left running back to accepted; return all accepted fits.
-
-        The oldest come first, but those before that were interrupted less often: one of the others may be the cause.
+        That they were started does not count as an attempt.
         """
         with self.database.transaction() as db:
-            db.execute(f"{_REQUEUE}, interruptions = interruptions + 1 WHERE status = 'running'")
-            rows = db.execute(f"{_SELECT_FIT} WHERE status = 'accepted' ORDER BY interruptions, rowid")
-            return [FitRow.from_values(row) for row in rows]
+            db.execute("UPDATE fits SET status = 'accepted', started = NULL, attempts = 0 WHERE status = 'running'")
+            rows = db.execute("SELECT owner, id FROM fits WHERE status = 'accepted' ORDER BY rowid")
+            return [FitKey(*row) for row in rows]
 
     def check(self) -> None:
         """Raise sqlite3.Error or OSError unless rows can be read and written."""
         for table in ("fits", "measurements"):
             self.database.rows(f"SELECT * FROM {table} ORDER BY rowid DESC LIMIT 1")  # noqa: S608
         with self.database.transaction() as db:
-            db.execute(f"PRAGMA user_version = {pragma(db, 'user_version')}")  # writing the same value is a write too
+            db.execute(f"PRAGMA user_version = {VERSION}")  # writing the same value is a write too
 
     def _advance(
         self, change: str, values: tuple[object, ...], key: FitKey, states: tuple[Status, ...]
@@ -325,20 +312,6 @@ class Store:
         given = {condition: value for condition, value in conditions.items() if value is not None}
         query = f"{select} WHERE {' AND '.join(given)} ORDER BY seq DESC LIMIT ?"
         return self.database.rows(query, *given.values(), limit)
-
-    def _compare_files_with_rows(self) -> None:
-        """Warn of files without a row and of rows without a file.
-
-        The database may be an older copy, and files may not be there yet: so neither files nor rows are deleted.
-        """
-        rows = {sha256 for (sha256,) in self.database.rows("SELECT sha256 FROM measurements NOT INDEXED")}
-        files = set(self.blobs.all())
-        if files - rows:
-            self.warnings.append(f"{len(files - rows)} files have no row; dsbrdf doctor says what helps")
-        if rows - files:
-            self.warnings.append(
-                f"the files of {len(rows - files)} measurements are missing; dsbrdf doctor names the first"
-            )
 
 
 def _first(fits: Sequence[tuple[Any, ...]]) -> FitRow | None:

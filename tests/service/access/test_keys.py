@@ -61,7 +61,7 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
 
 
 def test_locked_database_is_reported_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dsbrdf_service.storage.database._COMMAND_BUSY_TIMEOUT", 0.1)
+    monkeypatch.setattr("dsbrdf_service.storage.database._BUSY_TIMEOUT", 0.1)
     with closing(Database(tmp_path)) as database, database.transaction():
         busy = keys_command("add", "x", "--data-dir", str(tmp_path))
     assert busy.returncode in (1, 2)

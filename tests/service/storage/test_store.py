@@ -44,10 +44,9 @@ def test_finished_fit_cannot_change(store: Store) -> None:
     assert (row.status, new) == ("accepted", True)
     assert store.complete_fit(key, "document", {}) is None  # it does not run
     assert store.start_fit(key) is not None
-    assert store.start_fit(key) is None
     assert not store.remove_fit(key)
     assert store.complete_fit(key, "document", {"male": 0.5}) is not None
-    for refused in (store.cancel_fit(key), store.fail_fit(key, {}), store.requeue_fit(key), store.start_fit(key)):
+    for refused in (store.cancel_fit(key), store.fail_fit(key, {}), store.start_fit(key)):
         assert refused is None
     row, new = store.add_fit(LOCAL, *arguments)
     assert (row.status, new, row.metrics, store.result(key)) == ("succeeded", False, {"male": 0.5}, "document")
