@@ -83,7 +83,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         jobs = Jobs(store, engine, settings, metrics)
         parts = settings, store, jobs, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)
-        metrics.collect_from(store.database)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await jobs.start()
         trimming = asyncio.create_task(_trim_every_minute())

@@ -29,13 +29,7 @@ class Settings(BaseSettings):
     key_queued_fits: int = Field(default=100, ge=0, description="Most unfinished fits of one API key.")
 
     log_level: Literal["debug", "info", "warning", "error"] = Field(
-        default="info", description="Least level of the lines in the log."
-    )
-    log_format: Literal["auto", "json", "text"] = Field(
-        default="auto", description="Form of the log; auto is text on a terminal and JSON lines elsewhere."
-    )
-    access_log: bool = Field(
-        default=False, description="Log GET and HEAD requests that went well too; their rate falls by a third."
+        default="info", description="Least level of the lines in the log; debug has GET and HEAD that went well too."
     )
 
     engine: Literal["local", "dask"] = Field(default="local", description="Where fits run: here, or on a Dask cluster.")

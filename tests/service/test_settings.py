@@ -67,7 +67,7 @@ def test_address_is_told_at_a_terminal(tmp_path: Path) -> None:
         ("DSBRDF_LOG_LEVEL", "loud"),
         ("DSBRDF_WORKERS", "0"),
         ("DSBRDF_IDLE_TIMEOUT", "-1"),
-        ("DSBRDF_ACCESS_LOG", "perhaps"),
+        ("DSBRDF_INSECURE", "perhaps"),
     ],
 )
 def test_invalid_setting_is_named_in_one_sentence(

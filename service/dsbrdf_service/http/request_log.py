@@ -48,7 +48,6 @@ class RequestLogMiddleware:
         self._access = access
         self._body_limits = settings.idle_timeout, settings.least_upload_rate
         self._metrics = metrics
-        self._level_of_success = logging.INFO if settings.access_log else logging.DEBUG
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, log it and count it."""
@@ -85,12 +84,10 @@ class RequestLogMiddleware:
         method, status = exchange.method, exchange.status or 499  # the client went before there was an answer
         route = getattr(scope.get("route"), "path", NO_ROUTE)
         self._metrics.answered(method, route, status, seconds)
-        if n_received:
-            self._metrics.uploaded_bytes.inc(n_received)
         if status >= 500:
             level = logging.ERROR if status == 500 else logging.WARNING
         elif status < 400 and scope["method"] == "GET":
-            level = self._level_of_success
+            level = logging.DEBUG
         else:
             level = logging.INFO
         if logger.isEnabledFor(level):

@@ -184,8 +184,8 @@ class Jobs:
         self._set_progress(key, 0.0)
         if row.started is not None and row.attempts == 1:
             seconds = max(0.0, row.started - row.created)  # a clock may have been set back
-            self._metrics.record_time("waiting", seconds)
-        with self._metrics.timing("fitting"):
+            self._metrics.stages["waiting"].observe(seconds)
+        with self._metrics.stages["fitting"].time():
             outcome = await self._compute(row)
         if isinstance(outcome, Fault) and outcome.origin == "system":
             await asyncio.sleep(_LOST_DELAY)

@@ -3,17 +3,10 @@
 Labels take few values: a path counts under its route's template, and nothing by owner, fit or measurement.
 """
 
-import logging
-import sqlite3
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
-from time import perf_counter
 from typing import Any, Literal, get_args
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import GaugeMetricFamily, Metric
-from prometheus_client.registry import Collector
 
 from ..storage.database import Database
 from ..storage.schema import Status
@@ -24,10 +17,8 @@ NO_ROUTE = "unknown"
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
 _SECONDS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
-logger = logging.getLogger(__name__)
 
-
-class Metrics(Collector):
+class Metrics:
     """The metrics of one service; each says in its description what it counts."""
 
     def __init__(self) -> None:
@@ -41,11 +32,12 @@ class Metrics(Collector):
         # Looking labels up takes longer than counting.
         self._of_request = cache(lambda *of: (requests.labels(*of), request_seconds.labels(*of[:2])))
         stage_seconds = Histogram("dsbrdf_stage_seconds", "Time of a part of the work [s].", ("stage",), **timed)
-        self._stages = {stage: stage_seconds.labels(stage) for stage in get_args(Stage)}
+        self.stages: dict[Stage, Histogram] = {stage: stage_seconds.labels(stage) for stage in get_args(Stage)}
         self.requests_in_progress = Gauge("dsbrdf_requests_in_progress", "Requests being answered.", registry=registry)
-        self.event_streams = Gauge("dsbrdf_event_streams", "Streams of a fit's events being sent.", registry=registry)
-        self.uploaded_bytes = Counter("dsbrdf_uploaded_bytes", "Bytes of request bodies received.", registry=registry)
         self.retries = Counter("dsbrdf_fit_retries", "Fits that ran again after a lost process.", registry=registry)
+        fits = "Fits by state; the accepted ones are the queue."
+        self._fits = Gauge("dsbrdf_fits", fits, ("state",), registry=registry)
+        self._stored_bytes = Gauge("dsbrdf_stored_bytes", "Bytes of stored measurements.", registry=registry)
 
     def answered(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request; `route` is its route's template or `NO_ROUTE`."""
@@ -53,37 +45,12 @@ class Metrics(Collector):
         counter.inc()
         histogram.observe(seconds)
 
-    def record_time(self, stage: Stage, seconds: float) -> None:
-        """Record how long a stage of the work took."""
-        self._stages[stage].observe(seconds)
-
-    @contextmanager
-    def timing(self, stage: Stage) -> Iterator[None]:
-        """Record how long the block takes, unless it raises."""
-        begin = perf_counter()
-        yield
-        self.record_time(stage, perf_counter() - begin)
-
-    def exposition(self) -> bytes:
-        """Return everything in Prometheus' text format."""
-        return generate_latest(self._registry)
-
-    def collect_from(self, database: Database) -> None:
-        """Count the fits in each state, and the bytes on disk, whenever the metrics are read."""
-        self._database = database
-        self._registry.register(self)
-
-    def collect(self) -> Iterator[Metric]:
-        """Yield gauges of what is stored, read from the database: counters would start at zero with the process."""
-        states = GaugeMetricFamily("dsbrdf_fits", "Fits by state; the accepted ones are the queue.", labels=("state",))
-        files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
-        try:
-            numbers = dict(self._database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
-            ((stored_bytes,),) = self._database.rows(files)
-        except sqlite3.Error as error:  # the other metrics are still of use
-            logger.warning("the metrics lack those of the database: %s", error)
-            return
+    def exposition(self, database: Database) -> bytes:
+        """Return everything in Prometheus' text format, with what is stored in the database now."""
+        numbers = dict(database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
         for state in get_args(Status):
-            states.add_metric((state,), numbers.get(state, 0))
-        yield states
-        yield GaugeMetricFamily("dsbrdf_stored_bytes", "Bytes of stored measurements.", value=stored_bytes)
+            self._fits.labels(state).set(numbers.get(state, 0))
+        files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
+        ((stored_bytes,),) = database.rows(files)
+        self._stored_bytes.set(stored_bytes)
+        return generate_latest(self._registry)

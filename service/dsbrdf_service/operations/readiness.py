@@ -1,10 +1,9 @@
-"""Whether the service can take work: looked at within a time limit, at most once a second."""
+"""Whether the service can take work: looked at within a time limit, once for all who ask together."""
 
 import asyncio
 import logging
 import shutil
 import sqlite3
-import time
 from collections.abc import Callable
 from functools import partial
 
@@ -16,7 +15,6 @@ from ..settings import Settings
 from ..storage.store import Store
 
 LIMIT = 3.0  # seconds that the checks may take
-_FRESH = 1.0  # seconds for which an answer is used again
 
 logger = logging.getLogger(__name__)
 
@@ -33,7 +31,6 @@ class Readiness:
             "The engine": engine.check,
         }
         self._current = ""  # which is being checked
-        self._asked = 0.0
         self._answer: asyncio.Task[str | None] | None = None
 
     def stop(self) -> None:
@@ -47,9 +44,7 @@ class Readiness:
         """
         if self._stopping:
             return "The service is shutting down."
-        now = time.monotonic()
-        if self._answer is None or (self._answer.done() and now - self._asked > _FRESH):
-            self._asked = now
+        if self._answer is None or self._answer.done():
             self._answer = asyncio.create_task(to_thread.run_sync(self._check, abandon_on_cancel=True))
         answer = self._answer
         await asyncio.wait([answer], timeout=LIMIT)

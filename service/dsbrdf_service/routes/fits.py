@@ -224,12 +224,11 @@ async def follow_fit(
     context: TheContext, caller: TheCaller, fit: Annotated[FitKey, Depends(_existing_fit)]
 ) -> AsyncIterable[ServerSentEvent]:
     """Send an event at every step of a fit; the event's name is the fit's status, the last one tells its end."""
-    with context.metrics.event_streams.track_inprogress():
-        async for row in context.jobs.watch(fit):
-            if not context.keys.allows(caller):
-                return
-            event = schemas.from_row(schemas.Progress, row, progress=context.jobs.progress(row))
-            yield ServerSentEvent(data=event, event=row.status)
+    async for row in context.jobs.watch(fit):
+        if not context.keys.allows(caller):
+            return
+        event = schemas.from_row(schemas.Progress, row, progress=context.jobs.progress(row))
+        yield ServerSentEvent(data=event, event=row.status)
 
 
 async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey, seconds: float) -> FitRow:

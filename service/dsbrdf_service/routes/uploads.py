@@ -76,7 +76,7 @@ async def receive_upload(
     length = int(declared) if declared.isdecimal() and not encoding_of(request) else None
     if kind is not None:
         _check_longest(length or 0, kind)
-    with context.metrics.timing("upload"):
+    with context.metrics.stages["upload"].time():
         async with context.store.uploads.incoming(caller) as incoming:
             if kind is None:
                 await _write_merl(request, incoming, length)

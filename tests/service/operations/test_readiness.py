@@ -98,7 +98,6 @@ async def test_nearly_full_disk_and_damaged_database_are_not_ready(
             assert (answer.status, "retry-after" in answer.headers) == (503, True)
             for fault in (b"the service needs 1000000000 MB", b"disk image is malformed"):
                 assert (fault in answer.body) is (path == "/health/ready")
-        assert "dsbrdf_requests_total" in running.app.state.metrics.exposition().decode()
 
 
 class Asked:
@@ -123,13 +122,12 @@ def with_engine(folder: Path, engine: Asked) -> Iterator[Readiness]:
         yield Readiness(store, cast("Engine", engine), Settings(data_dir=folder))
 
 
-async def test_checks_run_at_most_once_a_second(tmp_path: Path) -> None:
+async def test_checks_run_once_for_all_who_ask_together(tmp_path: Path) -> None:
     engine = Asked()
     with with_engine(tmp_path, engine) as ready:
         assert set(await asyncio.gather(*(ready.fault() for _ in range(50)))) == {None}
         assert engine.times == 1
         engine.fault = "No worker is there"
-        await asyncio.sleep(1.1)
         assert await ready.fault() == "The engine is not ready: No worker is there."
         assert engine.times == 2
         ready.stop()

@@ -60,7 +60,7 @@ def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored:
 
 
 def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: Callable[..., Server]) -> None:
-    server = own_server(fits=False, access_log="true")
+    server = own_server(fits=False, log_level="debug")
     server.http.get("/v1/fits", headers={"X-Forwarded-For": "203.0.113.9"})
     assert server.stop() == 0
     assert "/v1/fits" in server.log.read_text()
