@@ -60,9 +60,10 @@ class ScatteredSamples:
         return replace(self, values=self.values / cosine[:, np.newaxis])
 
     def with_options(self, options: TableOptions) -> ScatteredSamples:
-        """Return the samples multiplied, divided and turned as options say; as they are if they were read with these.
+        """Return the samples scaled, divided by the cosine or turned, as options say.
 
-        Raises InvalidArgumentError if they were read with others, or if the options are about the text of a table.
+        Samples that were read with the same options are returned as they are. Raises InvalidArgumentError if they were
+        read with others, or if the options are about the text of a table.
         """
         wanted = options.of_table()
         if wanted in (self.options, AS_WRITTEN):

@@ -195,7 +195,8 @@ class SamplePrediction:
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values (n, 3) at angles (n,) [1/sr].
 
-        Where the albedo is above 1 at an angle to the normal, values are divided by it, on the side of each direction.
+        The model must not reflect more light than arrives: values are divided by the albedo at the angle of omega_in to
+        the normal, and by that of omega_out, where it is above 1.
         """
         values = self.unbounded(theta_half, theta_diff, phi_diff)
         if self.albedo.max() <= 1.0:

@@ -45,8 +45,9 @@ def map_directions(size: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
 def environment_rings(normals: Array, size: int) -> Callable[[Evaluate, Array], Array]:
     """Prepare the images of normals (N, 3), z > 0, one for each pixel of a sphere.
 
-    The larger the image, `size` pixels along a side, the finer the R rings. What is returned makes the radiance of the
-    pixels (N, 3) from the values of a material and the radiance (3, P, A) of an environment at the nodes of the map.
+    The larger the image, `size` pixels along a side, the finer the R rings. The function that is returned takes the
+    values of a material, and the radiance (3, P, A) of an environment at the nodes of the map. It returns the radiance
+    of the pixels (N, 3).
     """
     shape = map_shape(size)
     tilt = np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2])

@@ -1,10 +1,10 @@
 """Directions drawn in proportion to what a model reflects, roughly, and the density that they have exactly.
 
 A direction omega_in is omega_out mirrored at a normal that is drawn from those visible to omega_out of a rough surface,
-GGX with its own roughness along and across the plane of incidence (Walter et al. 2007; Heitz 2018), or it is drawn from
-the cosine of the normal. Only visible normals reflect light upwards at grazing angles too. With the sum
-T = omega_in + omega_out, its length L, and everything in the frame whose first axis is the heading of omega_out, the
-density per solid angle of omega_in is
+GGX with its own roughness along and across the plane of incidence (Walter et al. 2007; Heitz 2018). Or it is drawn in
+proportion to the cosine of its angle to the normal. Only visible normals reflect light upwards at grazing angles too.
+With the sum T = omega_in + omega_out, its length L, and everything in the frame whose first axis is the heading of
+omega_out, the density per solid angle of omega_in is
 
     L**4 / (2 pi a b (T_z**2 + (T_x/a)**2 + (T_y/b)**2)**2 (o_z + sqrt(o_z**2 + (a o_x)**2))),
 

@@ -117,10 +117,10 @@ def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | N
 def to_json(model: DSBRDF, report: FitReport | None = None, components: Decomposition | None = None) -> str:
     """Return a model and its report as JSON text.
 
-    It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. With components, so that
-    they need not be found again, it has ``"components": {"labels": [...], "structures": [...], "ranges": [...]}``,
-    which `fit_from_json` reads, and ``"shown": [...]``, what `component_document` says of each. Raises
-    InvalidArgumentError if the report has a value that JSON cannot store, such as NaN.
+    It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. If components are given, it
+    also has ``"components": {"labels": [...], "structures": [...], "ranges": [...]}``, from which `fit_from_json` makes
+    them again, and ``"shown": [...]``, the `component_document` of each. Raises InvalidArgumentError if the report has
+    a value that JSON cannot store, such as NaN.
     """
     document = {
         "format": FORMAT,
