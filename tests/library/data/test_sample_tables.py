@@ -92,6 +92,7 @@ SPELLINGS = {
     "decimal commas, blanks": table(between=" ", number=with_comma),
     "decimal commas, names with commas": table(",".join(ALL), between=";", number=with_comma),
     "exponents": table(number="{:.9E}".format),
+    "phi below zero": table(columns=np.hstack([ANGLES - [0.0, 360.0, 0.0, 360.0], RGB])),
     "another order": table([ALL[i] for i in ORDER], np.hstack([ANGLES, RGB])[:, ORDER]),
     "everything in quotes": quoted(),
     "capitals": table(",".join(ALL).upper()),
@@ -192,6 +193,16 @@ def test_what_is_no_number_is_left_out_and_counted() -> None:
         "5 rows have no finite number in a column that is needed; they are left out.",
         "2 rows have a direction at or below the horizon; they are left out.",
     )
+
+
+def test_values_of_one_pair_of_directions_that_are_far_apart_are_told() -> None:
+    rows = np.hstack([ANGLES, RGB])
+    again = rows[10:40] * [1.0, 1.0, 1.0, 1.0, 1.02, 1.02, 1.02]
+    assert not parse_samples(table(columns=np.vstack([rows, again]))).notes
+    again[[3, 7], 4:] *= 1.5
+    again[3] -= [0.0, 360.0, 0.0, 360.0, 0.0, 0.0, 0.0]
+    (note,) = parse_samples(table(columns=np.vstack([rows, again]))).notes
+    assert note.startswith("2 pairs of directions have values that differ by more than 25%, such as theta_in = ")
 
 
 def test_noise_below_zero_counts_as_zero() -> None:

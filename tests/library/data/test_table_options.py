@@ -1,6 +1,7 @@
 """Options that say of a table what it does not say itself, and the names that say it."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -43,12 +44,13 @@ def test_columns_that_are_not_there_are_told(columns: str, words: str) -> None:
     assert words in str(caught.value)
 
 
-def test_values_are_multiplied_and_divided_and_the_plane_is_turned() -> None:
+@pytest.mark.parametrize(("side", "value"), [("in", 0.3), ("out", 0.4)])
+def test_values_are_multiplied_and_divided_and_the_plane_is_turned(side: Literal["in", "out"], value: float) -> None:
     first, second = np.tile([0.6, 0.0, 0.8], (300, 1)), np.tile([0.0, 0.8, 0.6], (300, 1))
     plain = ScatteredSamples.from_arrays(first, second, np.full((300, 3), 24.0))
-    options = dsbrdf.FitOptions(scale=0.01, cosine="out", phi="mirror")
+    options = dsbrdf.FitOptions(scale=0.01, cosine=side, phi="mirror")
     samples = plain.with_options(options)
-    np.testing.assert_allclose(samples.values, 0.4, rtol=1e-14)
+    np.testing.assert_allclose(samples.values, value, rtol=1e-14)
     np.testing.assert_allclose(samples.omega_in, first * [-1.0, -1.0, 1.0], rtol=1e-14)
     assert samples.with_options(options) is samples
     assert samples.with_options(dsbrdf.FitOptions()) is samples
@@ -121,11 +123,12 @@ def test_an_elevation_is_from_the_horizon() -> None:
 
 
 @pytest.mark.parametrize(("missing", "which"), [(0.0, "smallest"), (9999.0, "largest")])
-def test_a_value_that_probably_stands_for_what_is_missing_is_named(missing: float, which: str) -> None:
-    rgb = np.where((np.arange(COUNT) % 9 == 0)[:, None], missing, RGB + 0.5)
-    (note,) = parse_samples(table(columns=np.hstack([ANGLES, rgb]))).notes
+def test_a_value_that_stands_for_what_is_missing_is_left_out_or_named(missing: float, which: str) -> None:
+    spoiled, rgb = np.arange(COUNT) % 9 == 0, RGB + 0.5
+    content = table(columns=np.hstack([ANGLES, np.where(spoiled[:, None] * [1, 0, 0], missing, rgb)]))
+    (note,) = parse_samples(content).notes
     assert note.startswith(f"27 samples have the same {which} value, {missing:g}, far from all others")
-    assert not parse_samples(table()).notes
+    check_same(parse_samples(content, options=TableOptions(missing=(-1, missing))), ANGLES[~spoiled], rgb[~spoiled])
 
 
 def test_values_of_a_grey_table_are_counted_once() -> None:

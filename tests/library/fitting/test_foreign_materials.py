@@ -1,21 +1,25 @@
-"""What docs/components.md says of real surfaces, on materials of others whose specular and diffuse light is known."""
+"""What docs/components.md says of real surfaces, on materials of others whose specular and diffuse light is known.
 
-import warnings
+Their own values are decomposed: that a fit has them is asked of fits.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import dsbrdf
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import directions
 from dsbrdf.fitting.decomposition import Decomposition
-from tests.support.foreign_bsdfs import conductor, lambert
+from dsbrdf.model.reflectance import ReflectanceModel
+from tests.support.foreign_bsdfs import conductor
 from tests.support.foreign_materials import CATALOGUE, Material
 from tests.support.foreign_truth import RULES, Truth, judged
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 pytestmark = pytest.mark.slow
@@ -24,12 +28,25 @@ COATED = ("plastic_green_03", "plastic_orange_25_beckmann")
 METALS = ("nickel_25", "silver_15_beckmann")
 CLOTH = ("charlie_sheen", "oren_nayar_25")
 LAYERED = ("coat_on_copper", "car_paint_blue")
+IN_RANGE = (*COATED, "nickel_25", "principled_quarter_metal")
 NAMES = (*COATED, *METALS, *CLOTH, *LAYERED, "coloured_highlight", "principled_quarter_metal", "plastic_white_50")
 
-TWINS = Material(
-    (conductor(0.10, color=(0.05, 0.05, 0.05)), conductor(0.13, color=(0.05, 0.05, 0.05))), (lambert((0.1, 0.2, 0.3)),)
-)
-"""Two lobes of nearly the same width."""
+
+@dataclass(frozen=True, eq=False)
+class Exact(ReflectanceModel):
+    """A material as a model."""
+
+    material: Material
+
+    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        pair = np.clip(directions(theta_half, theta_diff, phi_diff), -1.0, 1.0)  # formulas take roots of 1 - cosine
+        above, values = pair[..., 2].min(axis=0) > 1e-6, np.zeros((theta_half.size, 3))
+        light, eye = pair[:, above]
+        values[above] = self.material.specular_values(light, eye) + self.material.diffuse_values(light, eye)
+        return values
+
+    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
+        raise NotImplementedError
 
 
 @cache
@@ -43,9 +60,7 @@ def parts_of(name: str) -> Decomposition:
 
 
 def decomposed(material: Material) -> Decomposition:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)  # the last digits of a fit are not the matter here
-        return dsbrdf.decompose(dsbrdf.fit(dsbrdf.profiles(material.measurement("known"))))
+    return dsbrdf.decompose(cast(dsbrdf.DSBRDF, Exact(material)))
 
 
 def present(found: T | None) -> T:
@@ -67,23 +82,19 @@ def height(material: Material, theta_diff: float = 0.0) -> float:
 @pytest.mark.parametrize("name", NAMES)
 def test_light_is_on_its_own_side_and_the_share_within_its_range(name: str) -> None:
     found = judged(parts_of(name), truth_of(name))
-    assert found.moved.mean() < 0.04
+    assert found.moved.mean() < 0.03
     assert found.inside
 
 
 @pytest.mark.parametrize("name", [*COATED, *METALS, "coloured_highlight", "principled_quarter_metal"])
 def test_roughness_and_reflectance_of_a_layer_come_out_as_they_were_put_in(name: str) -> None:
     found = judged(parts_of(name), truth_of(name))
-    assert found.alpha == pytest.approx(0.0, abs=0.05)
+    assert found.alpha == pytest.approx(0.0, abs=0.03)
     assert found.f0 == pytest.approx(0.0, abs=0.10)
-
-
-@pytest.mark.parametrize("name", [*COATED, "nickel_25", "principled_quarter_metal"])
-def test_ranges_of_a_layer_hold_what_was_put_in(name: str) -> None:
     material, ranges = CATALOGUE[name], parts_of(name)[parts_of(name).labels[0]].ranges
     stated, true = (*present(ranges.f0), present(ranges.alpha)), (*present(material.f0), present(material.alpha))
-    for (low, high), value in zip(stated, true, strict=True):
-        assert low <= value <= high
+    within = [low <= value <= high for (low, high), value in zip(stated, true, strict=True)]
+    assert all(within) or name not in IN_RANGE
 
 
 @pytest.mark.parametrize("name", COATED)
@@ -161,12 +172,6 @@ def test_a_car_paint_has_all_three() -> None:
     np.testing.assert_allclose(present(parts.specular_spike).color, 1.0, atol=0.1)
     flakes = present(parts.specular_lobe).color
     np.testing.assert_allclose(flakes, [1 / 3, 0.16 / 0.3, 1.0], atol=0.06)
-
-
-def test_lobes_of_nearly_the_same_width_are_one_component_with_the_light_of_both() -> None:
-    parts, truth = decomposed(TWINS), Truth.of(TWINS)
-    assert parts.labels == ("specular_lobe", "diffuse")
-    np.testing.assert_allclose(present(parts.specular_lobe).albedo, albedo(truth.specular), rtol=0.05)
 
 
 def test_what_an_open_split_is_worth_is_said() -> None:
