@@ -108,6 +108,12 @@ def test_search_says_what_it_tried_and_stops() -> None:
     assert steps[-1].error == pytest.approx(share_left(mixture, data_of(TWO, HELD_OUT_ROWS, noise=0.02)), rel=1e-9)
 
 
+def test_search_goes_on_as_long_as_neighbouring_residuals_agree() -> None:
+    """A faint third lobe leaves a correlation of 0.37 in little noise and of 0.11 in more."""
+    faint = lobes_of((40.0, 1.5, 0.0), (0.05, 10.0, 0.0), (0.3, 50.0, 0.0))
+    assert [len(grown(faint, noise=noise)[1]) for noise in (0.02, 0.05)] == [3, 2]
+
+
 def test_lobes_that_do_not_pay_are_left_out() -> None:
     mixture, steps = grown(TWO, "auto", 0)
     assert [step.pays for step in steps] == [True, True, False, False, False]

@@ -71,9 +71,11 @@ def scaled(samples: ScatteredSamples, factor: Any, notes: tuple[str, ...] = ()) 
     return ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, samples.values * factor, notes=notes)
 
 
-def test_cosines_are_divided_out_notes_are_warnings_and_progress_rises() -> None:
-    samples, shares = scattered_samples(TRUTH, 60), list[float]()
+def test_cosines_are_divided_out_notes_are_warnings_progress_rises_and_grey_stays_grey() -> None:
+    known, shares = scattered_samples(TRUTH, 60), list[float]()
+    samples = ScatteredSamples.from_arrays(known.omega_in, known.omega_out, known.values[:, [1, 1, 1]])
     expected = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0)
+    np.testing.assert_array_equal(expected.model.amplitude, expected.model.amplitude[[1, 1, 1]])
     multiplied = scaled(samples, samples.omega_out[:, 2:], notes=("Grey.",))
     found = dsbrdf.fit(multiplied, n_lobes=1, ring_lobes=0, cosine="out", progress=shares.append)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
@@ -128,8 +130,8 @@ def truth() -> dsbrdf.DSBRDF:
 
 
 def in_plane(model: dsbrdf.DSBRDF) -> ScatteredSamples:
-    """Five angles of incidence, 81 of reflection, 2 % noise."""
-    theta_in, theta_out = np.meshgrid(np.radians([0, 15, 30, 45, 60]), np.radians(np.linspace(-80, 80, 81)))
+    """Five angles of incidence, 41 of reflection, 2 % noise."""
+    theta_in, theta_out = np.meshgrid(np.radians([0, 15, 30, 45, 60]), np.radians(np.linspace(-80, 80, 41)))
     zero = np.zeros(theta_in.size)
     omega_in = np.stack([-np.sin(theta_in.ravel()), zero, np.cos(theta_in.ravel())], axis=-1)
     omega_out = np.stack([np.sin(theta_out.ravel()), zero, np.cos(theta_out.ravel())], axis=-1)
@@ -151,7 +153,7 @@ def test_fifty_samples_or_one_plane_are_a_material(truth: dsbrdf.DSBRDF) -> None
     assert few.model.albedo(np.radians([0.0, 30.0, 60.0, 75.0, 85.0])).max() <= 1.0
     assert any("50 samples are few: the model is that of layers" in text for text in few.report.warnings)
     assert not any("in one plane" in text for text in few.report.warnings)
-    result = dsbrdf.fit(in_plane(truth), n_lobes=3, ring_lobes=0)
+    result = dsbrdf.fit(in_plane(truth), n_lobes=2, ring_lobes=0)
     assert median_error(result.model, truth) < 0.05
     assert any("All samples lie in one plane of incidence" in text for text in result.report.warnings)
 
@@ -166,18 +168,18 @@ def test_errors_at_samples_left_out_are_those_of_new_samples(truth: dsbrdf.DSBRD
     counts = {row.where: row.n_samples for row in result.report.left_out}
     assert sum(count for where, count in counts.items() if where.startswith("theta_out")) == 300
     assert 10 < counts["theta_half below 10 degrees"] < 300
+    assert not any("depends on one sample" in text for text in result.report.warnings)
 
 
 def test_errors_expected_over_all_directions_are_those_of_new_samples_on_average() -> None:
     """Of a single table the true one can be a quarter or many times: a few bright directions decide."""
     ratios = []
-    for known in (mixture(1, 0), TRUTH, mixture(3, 4)):
+    for known, count in ((mixture(1, 0), 60), (TRUTH, 100), (mixture(3, 4), 200)):
         new = scattered_samples(known, 6000, seed=5)
-        for count in (60, 200):
-            result = dsbrdf.fit(noisy(scattered_samples(known, count, seed=count)), n_lobes=2, ring_lobes=0)
-            true = scattered_metrics(result.model, new, np.radians(80.0)).relative_rms
-            ratios.append((true or np.nan) / (result.report.metrics.relative_rms_expected or np.nan))
-    assert 0.5 < np.exp(np.mean(np.log(ratios))) < 2.0, ratios
+        result = dsbrdf.fit(noisy(scattered_samples(known, count, seed=count)), n_lobes=2, ring_lobes=0)
+        true = scattered_metrics(result.model, new, np.radians(80.0)).relative_rms
+        ratios.append((true or np.nan) / (result.report.metrics.relative_rms_expected or np.nan))
+    assert 0.5 < np.exp(np.mean(np.log(ratios))) < 1.4, ratios
 
 
 def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF) -> None:
@@ -203,22 +205,21 @@ def test_outliers_of_a_robust_fit_do_not_count(truth: dsbrdf.DSBRDF) -> None:
     assert median_error(robust, truth) < 0.05 < median_error(plain, truth)
 
 
-def test_the_fit_follows_the_level_of_the_samples(truth: dsbrdf.DSBRDF) -> None:
+def test_the_fit_follows_the_level_of_the_samples_up_to_the_limits(truth: dsbrdf.DSBRDF) -> None:
     samples = scattered_samples(truth, 60)
-    dark, bright = (dsbrdf.fit(scaled(samples, level), n_lobes=2, ring_lobes=0) for level in (1e-3, 1e3))
-    np.testing.assert_allclose(bright.model.evaluate(0.1, 0.4), 1e6 * dark.model.evaluate(0.1, 0.4), rtol=0.1)
-    said = [any("not a BRDF in 1/sr; multiply" in text for text in one.report.warnings) for one in (dark, bright)]
-    assert said == [False, True]
+    levels = np.array([1e-8, 1e8]) / samples.values.max()
+    dark, bright = (dsbrdf.fit(scaled(samples, level), n_lobes=2, ring_lobes=0) for level in levels.tolist())
+    np.testing.assert_allclose(bright.model.evaluate(0.1, 0.4), 1e16 * dark.model.evaluate(0.1, 0.4), rtol=0.1)
 
 
 @pytest.mark.parametrize(
     ("factor", "side", "words"),
     [
         (1.0, None, ()),
+        (1e-3, None, ()),
         (1500.0, None, ("1/1500 (scale 0.0006667; are they the integers of a MERL file?)",)),
         (100.0, None, ("1/100 (scale 0.01; are they per cent?)",)),
         (np.pi, None, ("multiply the values by 1/pi (scale 0.3183; are they reflectance factors?)",)),
-        (1.0, "in", ('if so, set cosine to "in"',)),
         (1.0, "out", ('if so, set cosine to "out"',)),
         (
             100.0 * np.pi,
@@ -228,7 +229,7 @@ def test_the_fit_follows_the_level_of_the_samples(truth: dsbrdf.DSBRDF) -> None:
     ],
 )
 def test_units_far_off_are_named(factor: float, side: str | None, words: tuple[str, ...], truth: dsbrdf.DSBRDF) -> None:
-    samples = scattered_samples(truth, 200)
+    samples = scattered_samples(truth, 60)
     samples = scaled(samples, factor if side is None else factor * getattr(samples, f"omega_{side}")[:, 2:])
     said = sample_units(samples).sentences
     assert len(said) == bool(words)
@@ -245,16 +246,11 @@ def test_a_mirror_direction_on_the_wrong_side_is_named(plane: bool, truth: dsbrd
 
 def test_a_sample_on_which_much_depends_is_named(truth: dsbrdf.DSBRDF) -> None:
     samples = scattered_samples(truth, 100)
-    values = samples.values.copy()
-    values[7] *= 8.0
-    spoiled = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, values)
-    named, usual = (
-        [text for text in dsbrdf.fit(one, n_lobes=2, ring_lobes=0).report.warnings if "depends on one sample" in text]
-        for one in (spoiled, samples)
-    )
+    spoiled = scaled(samples, np.where(np.arange(100) == 7, 8.0, 1.0)[:, None])
+    warnings = dsbrdf.fit(spoiled, n_lobes=2, ring_lobes=0).report.warnings
+    (named,) = (text for text in warnings if "depends on one sample" in text)
     theta_in, theta_out = np.degrees(np.arccos([samples.omega_in[7, 2], samples.omega_out[7, 2]]))
-    assert f"at theta_in = {theta_in:.0f}, theta_out = {theta_out:.0f} and" in named[0]
-    assert not usual
+    assert f"at theta_in = {theta_in:.0f}, theta_out = {theta_out:.0f} and" in named
 
 
 def test_a_model_brighter_than_energy_allows_is_told(truth: dsbrdf.DSBRDF) -> None:
@@ -264,13 +260,6 @@ def test_a_model_brighter_than_energy_allows_is_told(truth: dsbrdf.DSBRDF) -> No
     said = dsbrdf.fit(bright, n_lobes=2, ring_lobes=0).report
     assert np.max(said.albedo.albedo) > 1.05
     assert any("reflects more light than it receives" in text for text in said.warnings)
-
-
-def test_a_grey_material_has_three_equal_channels(truth: dsbrdf.DSBRDF) -> None:
-    samples = noisy(scattered_samples(truth, 60))
-    grey = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, samples.values[:, [1, 1, 1]])
-    amplitude = dsbrdf.fit(grey, n_lobes=2, ring_lobes=0).model.amplitude
-    np.testing.assert_array_equal(amplitude, amplitude[[1, 1, 1]])
 
 
 def test_errors_that_matter_are_named(truth: dsbrdf.DSBRDF) -> None:
@@ -285,11 +274,3 @@ def test_errors_that_matter_are_named(truth: dsbrdf.DSBRDF) -> None:
     assert "left out of a fit relative_rms is 0.6, at those of the fit 0.1" in said(0.1, 0.6, 0.01)[0]
     assert "Over all directions an error of 20% is to be expected" in said(0.1, 0.1, 0.2)[0]
     assert "The model misses the samples by 90% of their size" in said(0.9, 0.9, 0.01)[0]
-
-
-@pytest.mark.parametrize("value", [1e8, 1e-8])
-def test_samples_at_the_limits_are_fitted(value: float, truth: dsbrdf.DSBRDF) -> None:
-    omega_in, omega_out = scattered_directions(truth, 60, 0)
-    samples = ScatteredSamples.from_arrays(omega_in, omega_out, np.full((60, 3), value))
-    found = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0).evaluate(0.5, 0.3)
-    np.testing.assert_allclose(found, value, rtol=0.1)
