@@ -6,6 +6,7 @@ cyclopts belongs to the extra ``cli``. The module of a command is imported when 
 import shutil
 import sys
 from collections.abc import Sequence
+from datetime import timedelta
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -163,7 +164,8 @@ def _allowed(kind: Any) -> str:
         return " or ".join(get_args(kind))
     if get_origin(kind) is tuple:  # of any length
         return _allowed(get_args(kind)[0])
-    return {int: "a whole number", float: "a number", bool: "yes or no", NoneType: "none"}.get(kind, "a text")
+    words = {int: "a whole number", float: "a number", bool: "yes or no", timedelta: "a time such as 30d"}
+    return {**words, NoneType: "none"}.get(kind, "a text")
 
 
 def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:

@@ -5,15 +5,14 @@ import signal
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # what follows takes a second, and Ctrl-C may end it at once
 
+import faulthandler
 import logging
 import os
 import resource
-import shutil
 import socket
 import sqlite3
 import sys
 import tempfile
-import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -35,7 +34,6 @@ from .http.limits import Connection
 from .operations import logging as logs
 from .routes.dependencies import Context
 from .settings import Settings
-from .storage.database import own_folder
 from .storage.store import Store
 
 _CLEANUP_SECONDS = 5.0  # for what has to be closed after the open requests have ended
@@ -67,11 +65,6 @@ def _serve(given: Mapping[str, Any]) -> int:
             )
         make_engine(settings)  # what it needs may not be installed
         store = Store(settings.data_dir)  # from here on no other server has the folder
-        try:
-            _keep_temporary_files_in(settings.data_dir)
-        except BaseException:
-            store.close()
-            raise
     except (DataFolderError, MissingExtraError) as error:
         return _refuse(str(error))
     except OSError as error:
@@ -84,9 +77,9 @@ def _serve(given: Mapping[str, Any]) -> int:
         store.close()
         print_error(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.")
         return 1
+    _keep_temporary_files_in(store.running)
     logs.configure(settings)
     return_freed_memory()
-    _raise_descriptor_limit()
     return _run(settings, store)
 
 
@@ -97,7 +90,7 @@ def _run(settings: Settings, store: Store) -> int:
         host=settings.host,
         port=settings.port,
         http=Connection,
-        limit_concurrency=_connection_limit(settings),
+        limit_concurrency=_most_connections(settings),
         timeout_graceful_shutdown=settings.shutdown_seconds,
         server_header=False,
         # Only where the operator names the proxies that are trusted: otherwise anyone could send that header.
@@ -142,19 +135,11 @@ class _Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop accepting requests and let those in progress end soon."""
         context: Context = cast(FastAPI, self.config.app).state.context
-        deadline = threading.Timer(context.settings.shutdown_seconds + _CLEANUP_SECONDS, _exit_at_once)
-        deadline.daemon = True
-        deadline.start()
+        # Accepted fits are stored, and the next start cleans up: the process ends in time although something hangs.
+        faulthandler.dump_traceback_later(context.settings.shutdown_seconds + _CLEANUP_SECONDS, exit=True)
         context.readiness.stop()
         context.jobs.release_waiters()
         await super().shutdown(sockets)
-
-
-def _exit_at_once() -> None:
-    """End the process although something hangs: accepted fits are stored, and the next start cleans up."""
-    logger.error("the service does not end in time; its process is ended now")
-    logging.shutdown()
-    os._exit(1)
 
 
 def _exit(*_: Any) -> None:
@@ -183,26 +168,21 @@ def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
     return validation_sentence(faults)
 
 
-def _raise_descriptor_limit() -> None:
-    """Raise the limit of open files to the largest allowed; the usual one is below the number of connections."""
+def _most_connections(settings: Settings) -> int:
+    """Raise the limit of open files to the largest allowed; return how many connections there may be.
+
+    Many of them are idle, and some descriptors are for files.
+    """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(OSError, ValueError):  # some systems report more than they allow
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-
-
-def _connection_limit(settings: Settings) -> int:
-    """Return how many connections there may be: many are idle, and some descriptors are for files."""
     descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = 8 * settings.limit_concurrency
     return most if descriptors == resource.RLIM_INFINITY else min(most, descriptors // 2)
 
 
-def _keep_temporary_files_in(data_dir: Path) -> None:
+def _keep_temporary_files_in(folder: Path) -> None:
     """Put the fork server's socket where the next start removes what a killed server has left."""
-    folder = own_folder(data_dir.resolve() / "run")
-    for left in folder.glob("pymp-*"):  # as multiprocessing names them
-        if left.is_dir() and not left.is_symlink():
-            shutil.rmtree(left)
     # A socket's path has at most 107 characters; through the open folder's descriptor it is always short.
     descriptor = Path(f"/proc/self/fd/{os.open(folder, os.O_RDONLY)}")
     if descriptor.is_dir():

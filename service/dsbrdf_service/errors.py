@@ -34,10 +34,6 @@ class DatabaseLostError(DSBRDFServiceError, OSError):
     """The database's file has been removed or replaced: what is written now would be lost with this process."""
 
 
-class CheckFailedError(DSBRDFServiceError):
-    """A check of `dsbrdf doctor` has found a fault; the message says which, and what would help."""
-
-
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 

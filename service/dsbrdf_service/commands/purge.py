@@ -4,14 +4,14 @@ Fits are removed when they ended longer ago, measurements when they were stored 
 owner uses them, files after the last row of any owner. Files that have no row at all go only when that is asked for.
 """
 
-import re
 import time
 from collections.abc import Sequence
 from contextlib import closing
+from datetime import timedelta
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from cyclopts import CoercionError, Parameter, Token
+from cyclopts import Parameter
 
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.commands import new_application
@@ -22,8 +22,6 @@ from ..storage.removal import remove_files, remove_rows
 from ..storage.schema import IS_UNFINISHED
 from . import DataDir, Json, data_folder, refuse, run_on_folder
 
-_AGE = re.compile(r"([0-9]{1,6})([smhdw])")
-_SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _PURPOSE = "Remove fits that ended long ago, measurements as old that no other fit uses, or files; a server may run."
 _ROWS_PER_TRANSACTION = 50  # so that a running server waits for a moment at most
 
@@ -36,20 +34,16 @@ _OLD_MEASUREMENTS = (
 )
 
 
-def purge(
-    folder: Path, before: float | None, *, files_without_rows: bool = False, dry_run: bool = False
-) -> dict[str, int]:
+def purge(folder: Path, before: float | None, *, files_without_rows: bool = False) -> dict[str, int]:
     """Remove what is older than the time `before` [s since 1970], and perhaps the files that have no row.
 
-    Return how many fits, measurements and files without rows that are, and how many bytes of files.
+    Return how many fits, measurements and files without rows that were, and how many bytes of files.
 
     Raises DataFolderError if the folder cannot be opened, or its database is damaged.
     """
     blobs, purged = Blobs(folder), {"fits": 0, "measurements": 0, "files_without_rows": 0, "bytes": 0}
     with closing(Database(folder, exclusive=False)) as database:
-        if before is not None and dry_run:
-            purged |= _counted(database, before)
-        elif before is not None:
+        if before is not None:
             while gone := _remove_fits(database, before):
                 purged["fits"] += gone
             while (removed := _remove_measurements(database, blobs, before))[0]:
@@ -57,23 +51,10 @@ def purge(
                 purged["bytes"] += removed[1]
         if files_without_rows:
             names = set(blobs.all()) - {sha256 for (sha256,) in database.rows("SELECT sha256 FROM measurements")}
-            if dry_run:
-                sizes = [blobs.path(name).lstat().st_size for name in names]
-            else:
-                sizes = remove_files(database, blobs, names)
+            sizes = remove_files(database, blobs, names)
             purged["files_without_rows"] = len(sizes)
             purged["bytes"] += sum(sizes)
     return purged
-
-
-def _counted(database: Database, before: float) -> dict[str, int]:
-    with database.transaction() as db:
-        values = {"before": before}
-        (fits,) = db.execute(f"SELECT count(*) {_OLD_FITS}", values).fetchone()
-        of_all = "(SELECT count(*) FROM measurements AS n WHERE n.sha256 = m.sha256)"
-        query = f"SELECT count(*), size * (count(*) = {of_all}) {_OLD_MEASUREMENTS} GROUP BY sha256"
-        old = db.execute(query, values).fetchall()
-    return {"fits": fits, "measurements": sum(rows for rows, _ in old), "bytes": sum(freed for _, freed in old)}
 
 
 def _remove_fits(database: Database, before: float) -> int:
@@ -83,13 +64,12 @@ def _remove_fits(database: Database, before: float) -> int:
 
 
 def _remove_measurements(database: Database, blobs: Blobs, before: float) -> tuple[int, int]:
-    """Remove some old measurements; return how many, and how many bytes that frees."""
-    query = f"SELECT m.rowid, sha256, size {_OLD_MEASUREMENTS} LIMIT {_ROWS_PER_TRANSACTION}"
+    """Remove some old measurements; return how many, and how many bytes of files."""
+    query = f"SELECT m.rowid, sha256 {_OLD_MEASUREMENTS} LIMIT {_ROWS_PER_TRANSACTION}"
     with database.transaction() as db:
         old = db.execute(query, {"before": before}).fetchall()
-        unwanted = set(remove_rows(db, blobs, [(rowid, sha256) for rowid, sha256, _ in old]))
-    remove_files(database, blobs, unwanted)
-    return len(old), sum({sha256: size for _, sha256, size in old if sha256 in unwanted}.values())
+        unwanted = remove_rows(db, blobs, old)
+    return len(old), sum(remove_files(database, blobs, unwanted))
 
 
 def main(words: Sequence[str]) -> int:
@@ -99,31 +79,27 @@ def main(words: Sequence[str]) -> int:
     return run_on_folder(app, words)
 
 
-def _age(_: Any, tokens: Sequence[Token]) -> int:
-    (token,) = tokens
-    parts = _AGE.fullmatch(token.value)
-    if parts is None:
-        raise CoercionError(
-            f"--older-than: {token.value[:40]!r} is no number with a unit (s, m, h, d or w), such as 30d"
-        )
-    return int(parts[1]) * _SECONDS[parts[2]]
+def _check_age(_: object, age: timedelta | None) -> None:
+    if age is not None and age < timedelta():
+        raise ValueError("an age is not negative; it is such as 30d")
 
 
 def _purge(
     *,
-    older_than: Annotated[int | None, Parameter(converter=_age, metavar="AGE", help="Such as 30d, 12h or 45m.")] = None,
+    older_than: Annotated[
+        timedelta | None, Parameter(validator=_check_age, metavar="AGE", help="Such as 30d, 12h or 45m.")
+    ] = None,
     files_without_rows: Annotated[bool, Parameter(help="Remove the files that belong to no measurement.")] = False,
-    dry_run: Annotated[bool, Parameter(help="Only report what would be removed.")] = False,
     data_dir: DataDir = None,
     json: Json = False,
 ) -> int:
     if older_than is None and not files_without_rows:
         return refuse("name what to remove: --older-than AGE, such as 30d, --files-without-rows, or both")
-    before = None if older_than is None else time.time() - older_than
-    purged = purge(data_folder(data_dir), before, files_without_rows=files_without_rows, dry_run=dry_run)
+    before = None if older_than is None else time.time() - older_than.total_seconds()
+    purged = purge(data_folder(data_dir), before, files_without_rows=files_without_rows)
     if json:
-        print_json({**purged, "dry_run": dry_run})
+        print_json(purged)
     else:
         rows = f"{purged['fits']} fits, {purged['measurements']} measurements and {purged['files_without_rows']}"
-        print(f"{rows} files without rows {'would be ' * dry_run}removed, {purged['bytes'] / 1e6:.1f} MB of files")
+        print(f"{rows} files without rows removed, {purged['bytes'] / 1e6:.1f} MB of files")
     return 0

@@ -28,6 +28,7 @@ from dsbrdf.errors import InvalidArgumentError
 
 from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
+from ..storage.blobs import PREFIX
 
 T = TypeVar("T")
 
@@ -111,15 +112,10 @@ class Computations:
         `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`. Raises
         InvalidArgumentError too if the arguments do not allow it, and ProblemError if it could not be computed.
         """
-        work = partial(self._called, step, *arguments)
-        return self._checked(await self._wait(request, key, work, place))
+        return await self._wait(request, key, partial(self._called, step, *arguments), place)
 
     async def _called(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        return await result_of(self._processes.call(step, *arguments))
-
-    @staticmethod
-    def _checked(found: Any) -> Any:
-        """Return what a process has found; raise its fault."""
+        found = await result_of(self._processes.call(step, *arguments))
         if not isinstance(found, Fault):
             return found
         if found.origin == "input":
@@ -138,16 +134,16 @@ class Computations:
         Raises OSError too if it cannot be made.
         """
 
-        async def work() -> Any:
-            descriptor, path = mkstemp(dir=folder)  # not in a thread, whose result a cancelled task would not get
+        async def work() -> MadeFile:
+            descriptor, path = mkstemp(prefix=PREFIX, dir=folder)
             made = MadeFile(descriptor)
             try:
-                found = await self._called(step, *arguments, path)
+                await self._called(step, *arguments, path)
             finally:
                 Path(path).unlink()
-            return found if isinstance(found, Fault) else made
+            return made
 
-        made: MadeFile = self._checked(await self._wait(request, key, work, place))
+        made: MadeFile = await self._wait(request, key, work, place)
         return made
 
     async def close(self) -> None:

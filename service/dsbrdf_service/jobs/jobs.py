@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, TypeVar, TypeVarTuple
 
-from anyio import CancelScope
+from anyio import CancelScope, move_on_after
 from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitDocument, FitTask, Outcome
@@ -103,17 +103,10 @@ class Jobs:
 
     async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow:
         """Return the fit's row at its end, after `seconds` or at one of `ends`; raises as `Store.fit`."""
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + seconds
-        ends = (self._stopping, *ends)
-        while True:
-            running, left = self._running.get(key), deadline - loop.time()
-            if running is not None and left > 0:
-                await asyncio.wait((running.task, *ends), timeout=left, return_when=asyncio.FIRST_COMPLETED)
-            row = await run_in_threadpool(self._store.fit, key)
-            if row.ended or loop.time() >= deadline or any(end.done() for end in ends):
-                return row
-            await asyncio.sleep(_MIN_POLL_INTERVAL)  # the fit was cancelled and sent again: it has another task
+        with move_on_after(seconds):
+            async for _ in self.watch(key, *ends, each_step=False):
+                pass
+        return await run_in_threadpool(self._store.fit, key)
 
     def progress(self, row: FitRow) -> float:
         """Return the finished share of a fit, 0 to 1."""
@@ -122,22 +115,23 @@ class Jobs:
         running = self._running.get(row.key)
         return 0.0 if running is None else running.progress
 
-    async def watch(self, key: FitKey) -> AsyncIterator[FitRow]:
-        """Yield the fit's row now and at every change, until it has ended or is deleted."""
+    async def watch(self, key: FitKey, *ends: "asyncio.Future[None]", each_step: bool = True) -> AsyncIterator[FitRow]:
+        """Yield the fit's row now and at its end, or at `each_step`, until it has ended, is deleted, or at `ends`."""
+        ends = (self._stopping, *ends)
         while True:
             running = self._running.get(key)
-            changed = None if running is None else running.changed
+            change = None if running is None else running.changed if each_step else running.task
             try:
                 row = await run_in_threadpool(self._store.fit, key)
             except FitNotFoundError:
                 return
             yield row
-            if row.ended or self._stopping.done():
+            if row.ended or any(end.done() for end in ends):
                 return
-            if changed is not None:
-                await asyncio.wait((changed, self._stopping), return_when=asyncio.FIRST_COMPLETED)
-            else:  # the row is ahead of, or behind, this process by one step
+            if change is None or change.done():  # the row is ahead of, or behind, this process by one step
                 await asyncio.sleep(_MIN_POLL_INTERVAL)
+            else:
+                await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
 
     async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""

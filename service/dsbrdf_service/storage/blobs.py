@@ -17,7 +17,8 @@ from typing import BinaryIO
 from .database import own_folder
 
 _SUFFIX = ".binary"
-_UPLOAD = "upload-"
+PREFIX = "upload-"
+"""Of the names of temporary files: what else is in their folder is not the service's."""
 _NAME = re.compile("[0-9a-f]{64}")
 
 
@@ -25,7 +26,7 @@ class Incoming:
     """A file that is being received; it is either placed by `Blobs.place` or discarded."""
 
     def __init__(self, folder: Path) -> None:
-        descriptor, name = tempfile.mkstemp(prefix=_UPLOAD, dir=folder)
+        descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=folder)
         self.path = Path(name)
         self.size = 0  # bytes so far
         self.sha256 = ""  # once it is closed
@@ -115,7 +116,7 @@ class Blobs:
 
     def clear_temporary(self) -> None:
         """Remove what an earlier process was receiving when it ended."""
-        for path in self.temporary.glob(f"{_UPLOAD}*"):
+        for path in self.temporary.glob(f"{PREFIX}*"):
             if path.is_file():
                 path.unlink()
 

@@ -16,8 +16,8 @@ from ..errors import DatabaseLostError, DataFolderError
 from .schema import create_tables
 
 FILE_NAME = "dsbrdf.sqlite"
-_HEADER = b"SQLite format 3\0"
 _BUSY_TIMEOUT = 5.0  # seconds that a transaction waits for others; then a client is asked to come again
+_LEAST_SIZE = 512  # bytes of a database; SQLite takes a shorter file for an empty one, and writes over it
 _RESTORE = "restore the folder from a copy; nothing in it has been changed"
 _REMEDIES = {
     sqlite3.SQLITE_CORRUPT: _RESTORE,
@@ -63,7 +63,8 @@ class Database:
                 for reader in (self._reader, self._prompt_reader):
                     reader.execute("PRAGMA query_only = ON")
                 self._reader.execute("SELECT 1 FROM sqlite_master").fetchall()  # from now on it has all its files
-                self._files = {path: path.stat() for path in (self._path, *_companions(self._path))}
+                ours = [self._path.with_name(f"{FILE_NAME}{suffix}") for suffix in ("", "-wal", "-shm")]
+                self._files = {path: path.stat() for path in ours}
                 self._resources = resources.pop_all()
         except sqlite3.DatabaseError as error:
             raise _cannot_be_opened(folder, error) from error
@@ -170,13 +171,9 @@ def _claim(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     database = folder / FILE_NAME
     ours = database.is_file() and not database.is_symlink()
-    if ours:
-        with database.open("rb") as file:
-            start = file.read(len(_HEADER))
-        if start not in (b"", _HEADER):
-            raise DataFolderError(f"the database {database} cannot be opened: it is not one, or it is damaged")
+    if ours and (size := database.stat().st_size) < _LEAST_SIZE:
         # A service that was killed at its first start leaves an empty file.
-        ours = bool(start) or names <= {FILE_NAME, f"{FILE_NAME}-journal"}
+        ours = not size and names <= {FILE_NAME, f"{FILE_NAME}-journal"}
     if names and not ours:
         raise DataFolderError(
             f"{folder} has files in it, but none of a service, and was left as it is; "
@@ -190,11 +187,6 @@ def _cannot_be_opened(folder: Path, error: sqlite3.DatabaseError) -> DataFolderE
     return DataFolderError(
         f"the database {folder / FILE_NAME} cannot be opened: {error}" + (f"; {remedy}" if remedy else "")
     )
-
-
-def _companions(path: Path) -> tuple[Path, Path]:
-    """Return the log of a database and the index of the log."""
-    return path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")
 
 
 @contextmanager

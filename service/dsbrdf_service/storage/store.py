@@ -6,6 +6,7 @@ Every method is safe to call from any thread and returns when the change is dura
 import hashlib
 import json
 import logging
+import shutil
 import sqlite3
 import time
 from collections.abc import Mapping, Sequence
@@ -16,7 +17,7 @@ import dsbrdf
 
 from ..errors import FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
 from .blobs import Blobs, Incoming
-from .database import Database
+from .database import Database, own_folder
 from .removal import remove_files, remove_rows
 from .schema import (
     IS_UNFINISHED,
@@ -67,9 +68,13 @@ class Store:
         self.database = Database(folder)
         self.blobs = Blobs(folder)
         self.uploads = Uploads(self.database, self.blobs)
+        self.running = folder.resolve() / "run"  # for what is there as long as the service runs
         try:
             self.blobs.make_folders()
             self.blobs.clear_temporary()
+            for left in own_folder(self.running).glob("pymp-*"):  # as multiprocessing names them
+                if left.is_dir() and not left.is_symlink():
+                    shutil.rmtree(left)
         except BaseException:
             self.close()
             raise

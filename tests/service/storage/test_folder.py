@@ -197,10 +197,9 @@ def test_files_without_rows_go_only_when_that_is_asked_for(store: Store, tmp_pat
     with store.database.transaction() as db:
         db.execute("DELETE FROM measurements WHERE sha256 = ?", (second,))
     assert purge(tmp_path, 0.0) == {"fits": 0, "measurements": 0, "files_without_rows": 0, "bytes": 0}
-    for dry_run in (True, False):
-        assert store.blobs.path(second).exists()
-        purged = purge(tmp_path, None, files_without_rows=True, dry_run=dry_run)
-        assert purged == {"fits": 0, "measurements": 0, "files_without_rows": 1, "bytes": len(b"second")}
+    assert store.blobs.path(second).exists()
+    purged = purge(tmp_path, None, files_without_rows=True)
+    assert purged == {"fits": 0, "measurements": 0, "files_without_rows": 1, "bytes": len(b"second")}
     assert not store.blobs.path(second).exists()
     assert store.measurement_file("", first).read_bytes() == b"first"
 
