@@ -148,7 +148,8 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
                 _print_above(bar, line)
             if len(done) < len(files):
                 bar.start()
-    return done
+    places = {file: place for place, file in enumerate(files)}
+    return sorted(done, key=lambda item: places[item.file])
 
 
 def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:

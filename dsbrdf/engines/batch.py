@@ -2,12 +2,13 @@
 
 import os
 import time
-from collections.abc import Callable, Generator, Iterable, Sequence
-from concurrent.futures import Future
+from collections.abc import Generator, Sequence
+from concurrent.futures import Future, as_completed
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from threading import Lock
 
 from dsbrdf.data.files import write_atomically
 from dsbrdf.engines.dask import DaskEngine
@@ -21,7 +22,6 @@ from dsbrdf.process_settings import core_count
 from dsbrdf.version import ALGORITHM_VERSION
 
 _CLUSTER_TIMEOUT = 15.0  # seconds that a cluster has to answer and to have a usable worker
-_PROGRESS_INTERVAL = 0.1  # seconds between two calls of `progress`
 
 
 @dataclass(frozen=True)
@@ -56,16 +56,15 @@ def fit_files(
     scheduler: str | None = None,
     engine: Engine | None = None,
     force: bool = False,
-    progress: OnProgress | None = None,
+    progress: OnProgress = lambda _: None,
 ) -> Generator[FileFit, None, None]:
-    """Yield the fit of each file, in order: a single one made here, several at once in processes of their own.
+    """Yield the fit of each file when it is done: a single one made here, several at once in processes of their own.
 
-    Every model is written completely or not at all, as soon as its fit is done, to ``NAME.json`` in the `folder`, if
-    there is one. The processes are started and heard while the caller waits for the next fit; closing the iterator ends
-    them. At most so many `jobs` run at once, by default one for each processor core. With the address of a Dask
-    `scheduler` its workers compute the fits; any other `engine` is closed here. Without `force` a fit in the folder is
-    kept if it is newer than its measurement and was made with the same options by the same version of the algorithm.
-    `progress` is called with the number of finished files, fractions included.
+    Every model is written completely or not at all to ``NAME.json`` in the `folder`, if there is one. Closing the
+    iterator ends the processes. At most so many `jobs` run at once, by default one for each processor core. With the
+    address of a Dask `scheduler` its workers compute the fits; any other `engine` is closed here. Without `force` a fit
+    in the folder is kept if it is newer than its measurement and was made with the same options by the same version of
+    the algorithm. `progress` is called, in other threads too, with the number of finished files, fractions included.
 
     Raises InvalidArgumentError if two files would be written to the same output or `jobs` is less than 1, OSError if an
     output cannot be written or no worker of the cluster can be reached.
@@ -73,60 +72,35 @@ def fit_files(
     if jobs is not None and jobs < 1:
         raise InvalidArgumentError(f"jobs, the number of fits that run at once, must be at least 1, not {jobs}")
     outputs = _outputs(files, folder)
-    known = (_known_result(*pair, options, force=force) for pair in zip(files, outputs, strict=True))
-    on_progress = progress or (lambda _: None)
-    if len(files) == 1 and scheduler is None and engine is None:  # here, as another process takes time to start
-        file, found = files[0], next(known)
-        if found is None:
-            found = _file_fit(file, outputs[0], run_step(compute, FitTask(file.stem, file, options), on_progress))
-            on_progress(1.0)
-        yield found
-        return
+    is_single = len(files) == 1 and scheduler is None and engine is None  # made here: a process takes time to start
     count = core_count() if jobs is None else jobs
-    go_on: Callable[[float], None] = time.sleep
-    if scheduler is not None:
-        engine = DaskEngine(scheduler, count)
-    elif engine is None:
-        engine = here = LocalEngine(count, in_thread=False)
-        go_on = here.serve
-    with closing(engine):
-        yield from _fit_at_once(engine, go_on, files, outputs, known, options, on_progress)
+    engine = engine or (LocalEngine(count) if scheduler is None else DaskEngine(scheduler, count))
+    shares, in_turn = [0.0] * len(files), Lock()
 
+    def tell(number: int, share: float) -> None:
+        with in_turn:
+            shares[number] = share
+            progress(sum(shares))
 
-def _fit_at_once(
-    engine: Engine,
-    go_on: Callable[[float], None],
-    files: Sequence[Path],
-    outputs: Sequence[Path | None],
-    known: Iterable[FileFit | None],
-    options: FitOptions,
-    on_progress: OnProgress,
-) -> Generator[FileFit, None, None]:
-    """Yield the fits of files in order, after submitting all that are not `known`.
-
-    `go_on` is called between two looks at them, with the seconds until the next.
-    """
-    done: dict[int, FileFit] = {}
-    shares = [0.0] * len(files)
     numbers: dict[Future[Outcome], int] = {}
-    for number, (file, known_result) in enumerate(zip(files, known, strict=True)):
-        if known_result is not None:
-            done[number] = known_result
-            continue
-        if not numbers:
-            _wait_until_ready(engine)
-        numbers[engine.submit(FitTask(file.stem, file, options), partial(shares.__setitem__, number))] = number
-    yielded = 0
-    while yielded < len(files):
-        on_progress(len(done) + sum(share for at, share in enumerate(shares) if at not in done))
-        while yielded in done:
-            yield done[yielded]
-            yielded += 1
-        if numbers:
-            go_on(_PROGRESS_INTERVAL)
-        for future in [future for future in numbers if future.done()]:
-            number = numbers.pop(future)
-            done[number] = _file_fit(files[number], outputs[number], future.result())
+    with closing(engine):
+        for number, (file, output) in enumerate(zip(files, outputs, strict=True)):
+            found = _known_result(file, output, options, force=force)
+            task, on_progress = FitTask(file.stem, file, options), partial(tell, number)
+            if found is None and is_single:
+                found = _file_fit(file, output, run_step(compute, task, on_progress))
+            if found is None:
+                if not numbers:
+                    _wait_until_ready(engine)
+                numbers[engine.submit(task, on_progress)] = number
+            else:
+                tell(number, 1.0)
+                yield found
+        for future in as_completed(numbers):
+            number = numbers[future]
+            found = _file_fit(files[number], outputs[number], future.result())
+            tell(number, 1.0)
+            yield found
 
 
 def _known_result(file: Path, output: Path | None, options: FitOptions, *, force: bool) -> FileFit | None:

@@ -22,8 +22,8 @@ from typing import Any
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.engines.engine import Fault, FitLimits, FitTask, OnProgress, Outcome, rising
-from dsbrdf.engines.fork_server import preloaded, start_fork_server
+from dsbrdf.engines.engine import NO_LIMITS, Fault, FitLimits, FitTask, OnProgress, Outcome, rising
+from dsbrdf.engines.fork_server import start_fork_server
 from dsbrdf.engines.local import document_of, fit_quietly, measurement_of
 from dsbrdf.engines.processes import Processes
 from dsbrdf.extras import require
@@ -52,12 +52,10 @@ class DaskEngine(Processes):
     those of the processes of the workers. Raises MissingExtraError if Dask distributed is not installed.
     """
 
-    def __init__(self, scheduler: str, count: int, limits: FitLimits | None = None) -> None:
+    def __init__(self, scheduler: str, count: int, limits: FitLimits = NO_LIMITS) -> None:
         require("dask", "distributed", purpose="fits on a Dask cluster")
-        if "distributed" not in preloaded:
-            preloaded.append("distributed")
-        super().__init__(count, FitLimits())  # they wait for the cluster as long as it takes
-        self._scheduler, self._fit_limits = scheduler, limits or FitLimits()
+        super().__init__(count)  # without limits: they wait for the cluster as long as it takes
+        self._scheduler, self._fit_limits = scheduler, limits
         self._good_at = float("-inf")
 
     def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
@@ -81,32 +79,24 @@ async def _cluster(scheduler: str) -> AsyncIterator[tuple[Any, set[str]]]:
     """Connect to a cluster; yield the client and the addresses of the workers that can run fits, at least one."""
     distributed: Any = import_module("distributed")  # only partly typed
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it logs a lost connection with pages of traces
-    settings: dict[str, Any] = {"asynchronous": True, "set_as_default": False, "name": "dsbrdf"}
-    client: Any = None
+    client = distributed.Client(scheduler, timeout=_TIMEOUT, asynchronous=True, set_as_default=False, name="dsbrdf")
     try:
-        try:
-            client = distributed.Client(scheduler, timeout=_TIMEOUT, **settings)
-            async with asyncio.timeout(2 * _TIMEOUT):  # Dask waits for ever for a scheduler that hangs
-                await client
-            async with asyncio.timeout(_START_TIMEOUT):
-                answers = await client.run(unusable_because, asdict(versions()), on_error="return")
-        except Exception as error:
-            reason = str(error).partition("\n")[0].rstrip(".") or type(error).__name__
-            raise NoClusterError(f"The Dask scheduler at {scheduler} cannot be reached: {reason}.") from error
-        yield client, _usable(scheduler, answers)
+        yield client, await _usable(client, scheduler)
     finally:
-        if client is not None:
-            with suppress(Exception):
-                await client.close(timeout=_TIMEOUT)
+        with suppress(Exception):
+            await client.close(timeout=_TIMEOUT)
 
 
-async def _try(scheduler: str) -> None:
-    async with _cluster(scheduler):
-        pass
-
-
-def _usable(scheduler: str, answers: dict[str, Any]) -> set[str]:
-    """Return the addresses of workers that can run fits, of the answers of all to `unusable_because`."""
+async def _usable(client: Any, scheduler: str) -> set[str]:
+    """Return the addresses of the workers that can run fits, after connecting."""
+    try:
+        async with asyncio.timeout(2 * _TIMEOUT):  # Dask waits for ever for a scheduler that hangs
+            await client
+        async with asyncio.timeout(_START_TIMEOUT):
+            answers = await client.run(unusable_because, asdict(versions()), on_error="return")
+    except Exception as error:
+        reason = str(error).partition("\n")[0].rstrip(".") or type(error).__name__
+        raise NoClusterError(f"The Dask scheduler at {scheduler} cannot be reached: {reason}.") from error
     if not answers:
         raise NoClusterError(f"The Dask cluster at {scheduler} has no workers.")
     why = "; ".join(
@@ -120,6 +110,11 @@ def _usable(scheduler: str, answers: dict[str, Any]) -> set[str]:
     if why:
         logger.info("not all workers of the Dask cluster are used: %s", why)
     return usable
+
+
+async def _try(scheduler: str) -> None:
+    async with _cluster(scheduler):
+        pass
 
 
 def compute_on_cluster(task: FitTask, scheduler: str, limits: FitLimits, on_progress: OnProgress) -> Outcome:
@@ -162,20 +157,18 @@ async def _fit(
 
 
 async def _answer(future: Any) -> FitResult | Fault:
-    from distributed.scheduler import KilledWorker
+    from distributed import KilledWorker
 
     try:
-        outcome: FitResult | Fault = await future
+        return await future
     except KilledWorker as error:
         count = error.allowed_failures + 1
-        message = f"{count} workers of the Dask cluster were lost while they ran this fit."
-        return Fault("system", "WorkerLost", message)
+        return Fault("system", "WorkerLost", f"{count} workers of the Dask cluster were lost while they ran this fit.")
     except CancelledError:  # as the scheduler is lost
         raise
     except Exception as error:
         logger.exception("a fit could not run on the Dask cluster")
         return Fault("system", "ClusterFailed", f"The Dask cluster failed: {type(error).__name__}.")
-    return outcome
 
 
 _REMEDY = "start it with --no-nanny, or with DASK_DISTRIBUTED__WORKER__DAEMON=false in its environment"
@@ -206,7 +199,7 @@ def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, lim
         state = worker.state.tasks.get(key)
         return state is None or state.state != "executing" or worker.status in (Status.closing, Status.closed)
 
-    on_progress = rising(lambda share: worker.log_event(_TOPIC, {key: share}), seconds=_PROGRESS_INTERVAL)
+    on_progress = rising(lambda share: worker.log_event(_TOPIC, {key: share}), _PROGRESS_INTERVAL)
     memory: int | None = worker.memory_manager.memory_limit
     if memory is not None:  # the fit's share of it: all threads of the worker use it
         share = memory // worker.state.nthreads >> 20
@@ -216,5 +209,4 @@ def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, lim
         while not wait([fit], _POLL_INTERVAL).done:
             if stopped():
                 fit.cancel()
-    outcome: FitResult | Fault = fit.result()
-    return outcome
+    return fit.result()

@@ -36,6 +36,9 @@ class FitLimits:
     niceness: int = 0  # added to the nice value of its process, where the system has one
 
 
+NO_LIMITS = FitLimits()
+
+
 @dataclass(frozen=True)
 class FitTask:
     """One fit to compute."""
@@ -90,17 +93,14 @@ class Engine(Protocol):
         """Stop all fits, and return when their processes have ended."""
 
 
-def rising(on_progress: OnProgress, step: float = 0.0, seconds: float = 0.0) -> OnProgress:
-    """Return a function that passes on shares which rise by a step at least, and one at most in so many seconds.
-
-    The share 1, the last, is always passed on.
-    """
+def rising(on_progress: OnProgress, seconds: float) -> OnProgress:
+    """Return a function that passes on shares which rise, one at most in so many seconds; the last, 1, always."""
     last, then = 0.0, -math.inf
 
     def filtered(share: float) -> None:
         nonlocal last, then
         now = time.monotonic()
-        if share > last and share - last >= step and (now - then >= seconds or share >= 1.0):
+        if share > last and (now - then >= seconds or share >= 1.0):
             last, then = float(share), now
             on_progress(last)
 

@@ -8,7 +8,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.measurement_files import open_checked, read_measurement
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.engines.engine import FitDocument, FitLimits, FitTask, OnProgress, Outcome
+from dsbrdf.engines.engine import FitDocument, FitTask, OnProgress, Outcome
 from dsbrdf.engines.processes import Processes
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import decompose
@@ -49,9 +49,6 @@ def document_of(result: FitResult, drawn: Measurement | ScatteredSamples | None 
 
 class LocalEngine(Processes):
     """Engine with at most so many fits at once on this machine, each in a worker process with the limits."""
-
-    def __init__(self, count: int, limits: FitLimits | None = None, *, in_thread: bool = True) -> None:
-        super().__init__(count, limits or FitLimits(), in_thread=in_thread)
 
     def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
         """Compute a task in a new process."""

@@ -7,10 +7,10 @@ happens.
 import logging
 import mmap
 import os
+import pickle  # nosec B403
 import signal
 import socket
 from collections.abc import Callable
-from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 from dsbrdf.engines.engine import FitLimits, rising, run_step
@@ -21,12 +21,10 @@ try:
 except ImportError:  # pragma: no cover (no such limits outside POSIX)
     resource = None  # type: ignore[assignment]
 
-HEAD = 8
-"""Bytes before each message that are its length."""
 OUT_OF_MEMORY = 75
 """Exit code of a process that could not send its outcome."""
 
-_MIN_PROGRESS_STEP = 0.01  # smaller steps of progress are not sent
+_PROGRESS_INTERVAL = 0.1  # seconds between two messages of progress, at least
 _LEAST_MEMORY = 4 << 20  # bytes without which a step is not begun
 
 
@@ -35,14 +33,12 @@ def run_in_worker(pipe: socket.socket, limits: FitLimits, step: Callable[..., An
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal reaches all processes; the parent handles it
 
     def send(kind: str, content: object) -> None:
-        message = ForkingPickler.dumps((kind, content))
-        pipe.sendall(len(message).to_bytes(HEAD))
-        pipe.sendall(message)
+        pipe.sendall(pickle.dumps((kind, content)))
 
     try:
         _prepare(limits)
         logging.basicConfig(handlers=[_LogToParent(send)], level=logging.INFO, force=True)
-        send("outcome", run_step(step, *arguments, rising(lambda share: send("progress", share), _MIN_PROGRESS_STEP)))
+        send("outcome", run_step(step, *arguments, rising(lambda share: send("progress", share), _PROGRESS_INTERVAL)))
     except (MemoryError, RuntimeError) as error:  # there is not even enough to begin, or to send the outcome
         limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
         if isinstance(error, MemoryError) or limited:  # else a thread is refused for another reason
@@ -79,8 +75,6 @@ class _LogToParent(logging.Handler):
         self._send = send
 
     def emit(self, record: logging.LogRecord) -> None:
-        record.msg, record.args = record.getMessage(), None
-        if record.exc_info:
-            record.exc_text = logging.Formatter().formatException(record.exc_info)
-            record.exc_info = None  # a traceback cannot be pickled
+        self.format(record)  # sets its message and the text of its traceback, which cannot be pickled
+        record.msg, record.args, record.exc_info = record.message, None, None
         self._send("log", record)

@@ -121,12 +121,12 @@ def test_one_bad_file_does_not_stop_the_others(plastic_file: Path, tmp_path: Pat
     cut = tmp_path / "cut.binary"
     cut.write_bytes(plastic_file.read_bytes()[:1000])
     captured = run("fit", cut, tmp_path / "none.binary", plastic_file, "-o", tmp_path / "out", *QUICK, code=2)
-    first, second, *warnings = captured.stderr.splitlines()
     with pytest.raises(dsbrdf.MeasurementFormatError) as refusal:
         dsbrdf.read_merl(cut)
-    assert first == f"dsbrdf: {cut}: {refusal.value}"
-    assert second == f"dsbrdf: {tmp_path / 'none.binary'}: No such file or directory"
-    assert all(line.startswith(f"dsbrdf: {plastic_file}: ") for line in warnings)
+    errors = [f"dsbrdf: {cut}: {refusal.value}", f"dsbrdf: {tmp_path / 'none.binary'}: No such file or directory"]
+    said = captured.stderr.splitlines()
+    assert set(errors) < set(said)
+    assert all(line.startswith(f"dsbrdf: {plastic_file}: ") for line in said if line not in errors)
     assert re.match(r"plastic: strongly different \(.*\); 1 lobe; ", captured.stdout)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["plastic.json"]
 

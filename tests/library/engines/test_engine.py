@@ -182,17 +182,16 @@ import sys
 from pathlib import Path
 from tests.support.engines import ENDLESS, QUICK, DaskEngine, FitTask, ignore, started
 
-with started(DaskEngine(sys.argv[1], 1)) as engine:
-    for options in (QUICK, ENDLESS):
-        outcome = engine.submit(FitTask("one", Path(sys.argv[2]), options), ignore).result()
-        print(type(outcome).__name__, flush=True)
+if __name__ == "__main__":
+    with started(DaskEngine(sys.argv[1], 1)) as engine:
+        for options in (QUICK, ENDLESS):
+            outcome = engine.submit(FitTask("one", Path(sys.argv[2]), options), ignore).result()
+            print(type(outcome).__name__, flush=True)
 """
 
 
-def test_processes_do_not_import_the_main_module_and_none_outlives_a_killed_program(
-    cluster: DaskCluster, plastic_file: Path, tmp_path: Path
-) -> None:
-    """The program has no ``if __name__ == "__main__"``; it reads in a process of its own and fits on the cluster."""
+def test_no_process_outlives_a_killed_program(cluster: DaskCluster, plastic_file: Path, tmp_path: Path) -> None:
+    """The program reads in a process of its own and fits on the cluster."""
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     process = subprocess.Popen(
@@ -202,13 +201,15 @@ def test_processes_do_not_import_the_main_module_and_none_outlives_a_killed_prog
         text=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
     )
-    with process:
+    try:
         assert process.stdout is not None
         assert process.stdout.readline() == "FitDocument\n"
         wait_until(lambda: bool(cluster.fitting()), PATIENCE)
         victims = forked(process.pid) + cluster.fitting()
+    finally:
         process.kill()
-        assert process.communicate() == ("", "")
+        said = process.communicate()
+    assert said == ("", "")
     wait_until(lambda: not any(map(alive, victims)))
 
 
