@@ -45,14 +45,6 @@ def test_dockerfile_compose_files_and_script_pass_their_linters() -> None:
     run(tool("hadolint"), "docker/Dockerfile")
 
 
-def test_the_configuration_of_nginx_is_valid(tmp_path: Path) -> None:
-    text = (
-        (DOCKER / "nginx.conf").read_text().replace("service:8000", "127.0.0.1:8000").replace("/tmp/", f"{tmp_path}/")
-    )
-    (tmp_path / "nginx.conf").write_text(text)
-    run(tool("nginx"), "-t", "-e", "stderr", "-c", tmp_path / "nginx.conf")
-
-
 def test_image_is_minimal_and_unprivileged() -> None:
     final = DOCKERFILE.rpartition("\nFROM ")[2]
     assert final.startswith("python AS service")
