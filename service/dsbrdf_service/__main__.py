@@ -10,22 +10,23 @@ import logging
 import os
 import resource
 import socket
-import sqlite3
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, cast
 
 import uvicorn
+from anyio import to_thread
 from fastapi import FastAPI
 from pydantic import ValidationError
 
 from dsbrdf.cli.arguments import BAD_INPUT, open_closed_output, print_error
 from dsbrdf.extras import MissingExtraError
-from dsbrdf.process_settings import return_freed_memory
+from dsbrdf.process_settings import return_freed_memory, trim_memory
 
 from .access.keys import has_active_key
 from .app import create_app, make_engine
@@ -69,8 +70,6 @@ def _serve(given: Mapping[str, Any]) -> int:
         return _refuse(str(error))
     except OSError as error:
         return _refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
-    except sqlite3.Error as error:
-        return _refuse(f"the database in {settings.data_dir} cannot be used: {error}.")
     try:
         _check_address(settings.host, settings.port)
     except OSError as error:
@@ -99,6 +98,8 @@ def _run(settings: Settings, store: Store) -> int:
         log_config=None,
         log_level=settings.log_level,
         access_log=False,
+        callback_notify=partial(to_thread.run_sync, trim_memory),
+        timeout_notify=60,
     )
     # When it has shut down, uvicorn raises the signal that stopped it once more: an ordinary exit then.
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -17,7 +17,6 @@ from dsbrdf.data.merl_validation import MerlChecker
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, FitLimits
 from dsbrdf.engines.local import LocalEngine
-from dsbrdf.process_settings import trim_memory
 
 from .access.authentication import Access
 from .access.keys import Keys
@@ -85,24 +84,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.context = Context(*parts)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
         await jobs.start()
-        trimming = asyncio.create_task(_trim_every_minute())
         try:
             yield
         finally:
-            trimming.cancel()
-            await asyncio.gather(trimming, return_exceptions=True)
             await jobs.close()
             await computations.close()
             await asyncio.to_thread(engine.close)
     finally:
         store.close()
-
-
-async def _trim_every_minute() -> None:
-    """Give freed memory back to the system, until cancelled."""
-    while True:
-        await asyncio.sleep(60.0)
-        await asyncio.to_thread(trim_memory)
 
 
 def make_engine(settings: Settings) -> Engine:

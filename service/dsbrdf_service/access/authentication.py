@@ -16,7 +16,7 @@ from starlette.types import Scope
 from ..errors import InvalidKeyError, ProblemError
 from ..settings import Settings
 from ..storage.schema import Caller
-from .keys import ActiveKey, Keys
+from .keys import Keys
 
 HEALTH = ("/health/live", "/health/ready")
 """Paths that are answered to everyone, even when the service is overloaded."""
@@ -58,7 +58,7 @@ class Access:
         if not self._is_open(path):
             scope[CALLER] = _LOCAL
             if b"authorization" in headers:
-                scope[CALLER] = self._key(scope).caller
+                scope[CALLER] = self._owner(scope)
                 caller = f"key {scope[CALLER].owner}"
             else:
                 self._check_local(headers)
@@ -81,20 +81,21 @@ class Access:
             if not self._in_progress[caller]:
                 del self._in_progress[caller]
 
-    def _key(self, scope: Scope) -> ActiveKey:
-        """Return the key of a request, and count it.
+    def _owner(self, scope: Scope) -> Caller:
+        """Return whose key a request has, and count it.
 
         A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
         """
         sent = [value for name, value in scope["headers"] if name == b"authorization"]
         scheme, _, text = sent[0].partition(b" ")
-        key = self._keys.find(text.strip(b" ")) if len(sent) == 1 and scheme.lower() == b"bearer" else None
-        if key is None:
+        caller = self._keys.find(text.strip(b" ")) if len(sent) == 1 and scheme.lower() == b"bearer" else None
+        if caller is None:
             raise InvalidKeyError
-        if seconds := key.rate_limit.take():
-            detail = f"This key may make {key.rate_limit.rate:g} requests per second; ask again in {seconds:.3g} s."
+        if seconds := self._keys.wait(caller):
+            rate = f"{caller.requests_per_second:g} requests per second"
+            detail = f"This key may make {rate}; ask again in {seconds:.3g} s."
             raise ProblemError("rate-limited", detail, {"Retry-After": str(math.ceil(seconds))})
-        return key
+        return caller
 
     def _check_local(self, headers: dict[bytes, bytes]) -> None:
         """Check that it is the local user who asks."""

@@ -80,49 +80,19 @@ def has_active_key(folder: Path) -> bool:
         return any(row.revoked is None for row in all_keys(database))
 
 
-class RateLimit:
-    """A token bucket: fills at a `rate` of requests per second; those of five seconds, and one, may come at once."""
-
-    __slots__ = ("_filled", "_last", "_size", "rate")
-
-    def __init__(self, rate: float) -> None:
-        self.rate = rate
-        self._size = max(1.0, rate * _BURST_SECONDS)
-        self._filled = self._size
-        self._last = monotonic()
-
-    def take(self) -> float:
-        """Count one request and return 0, or return the time until the next one may come [s]."""
-        now = monotonic()
-        self._filled = min(self._size, self._filled + (now - self._last) * self.rate)
-        self._last = now
-        if self._filled >= 1.0:
-            self._filled -= 1.0
-            return 0.0
-        return (1.0 - self._filled) / self.rate
-
-
-@dataclass(frozen=True)
-class ActiveKey:
-    """A key that is not revoked, and the requests that it may make at the moment."""
-
-    caller: Caller
-    rate_limit: RateLimit
-
-
 class Keys:
     """The active keys of a database, which is asked each time; `settings` has the limits of keys without their own."""
 
     def __init__(self, settings: "Settings") -> None:
         self._usual = settings.key_requests_per_second, settings.key_stored_mb, settings.key_queued_fits
-        self._rate_limits: dict[str, RateLimit] = {}  # by key
+        self._paid_until: dict[str, float] = {}  # by key: when its requests so far would end, one after the other
 
     def open(self, database: Database) -> None:
         """Set the database; before, there are no keys to ask for."""
         self._database = database
 
-    def find(self, text: bytes) -> ActiveKey | None:
-        """Return the key with this text; the time that it takes does not depend on which part of it is wrong."""
+    def find(self, text: bytes) -> Caller | None:
+        """Return whose key has this text; the time that it takes does not depend on which part of it is wrong."""
         parts = _KEY.fullmatch(text)
         if parts is None:
             return None
@@ -133,8 +103,20 @@ class Keys:
         if row is None or not right:
             return None
         _, rate, stored_mb, queued_fits, metrics = row
-        rate_limit = self._rate_limits.setdefault(key_id, RateLimit(rate))
-        return ActiveKey(Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics)), rate_limit)
+        return Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics), rate)
+
+    def wait(self, caller: Caller) -> float:
+        """Count a request and return 0, or return the time until the next one may come [s].
+
+        Those of five seconds, and one at least, may come at once.
+        """
+        now, each = monotonic(), 1.0 / caller.requests_per_second
+        begin = max(now, self._paid_until.get(caller.owner, now))
+        too_early = begin - now - max(0.0, _BURST_SECONDS - each)
+        if too_early > 0.0:
+            return too_early
+        self._paid_until[caller.owner] = begin + each
+        return 0.0
 
     def allows(self, caller: Caller) -> bool:
         """Return whether the key of a caller is still active; a caller without key is always allowed."""

@@ -4,6 +4,7 @@
 """
 
 import json
+import math
 import sqlite3
 import zlib
 from dataclasses import dataclass, fields
@@ -97,6 +98,7 @@ class Caller:
     stored_bytes: int | None = None  # None is no bound
     queued_fits: int | None = None
     metrics: bool = True  # whether they may see the totals of all
+    requests_per_second: float = math.inf
 
 
 def columns(row: type) -> str:

@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from dsbrdf_service.access import keys as keys_module
-from dsbrdf_service.access.keys import Keys, RateLimit, add_key, revoke_key
+from dsbrdf_service.access.keys import Keys, add_key, revoke_key
 from dsbrdf_service.errors import InvalidKeyError
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.database import Database
@@ -52,7 +52,7 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
         active = Keys(Settings())
         active.open(database)
         found = active.find(key.encode())
-        assert (found and found.caller.owner) == row.id
+        assert (found and found.owner) == row.id
         for wrong in (key.replace(row.id, "0" * 12), key[:-1] + "_"):
             assert active.find(wrong.encode()) is None
         revoke_key(database, row.id)
@@ -76,11 +76,10 @@ def test_keys_without_limits_of_their_own_have_those_of_the_settings(tmp_path: P
         keys = Keys(settings)
         keys.open(database)
         found = [keys.find(key.encode()) for key in (usual_key, own_key)]
-    assert [key and key.caller for key in found] == [
-        Caller(usual.id, stored_bytes=40_000_000, queued_fits=5, metrics=False),
-        Caller(own.id, stored_bytes=6_000_000, queued_fits=7, metrics=False),
+    assert found == [
+        Caller(usual.id, stored_bytes=40_000_000, queued_fits=5, metrics=False, requests_per_second=3.0),
+        Caller(own.id, stored_bytes=6_000_000, queued_fits=7, metrics=False, requests_per_second=3.0),
     ]
-    assert [key and key.rate_limit.rate for key in found] == [3.0, 3.0]
 
 
 def test_revoked_key_stores_nothing_and_its_waiting_fits_are_cancelled(tmp_path: Path) -> None:
@@ -103,23 +102,22 @@ def test_revoked_key_stores_nothing_and_its_waiting_fits_are_cancelled(tmp_path:
         assert store.add_measurement(Caller(other), incoming)[1]
 
 
-def test_token_bucket_refills_at_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_requests_of_five_seconds_may_come_at_once_and_more_at_their_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1000.0
     monkeypatch.setattr(keys_module, "monotonic", lambda: now)
-    bucket = RateLimit(4.0)
-    assert [bucket.take() for _ in range(20)] == [0.0] * 20
-    assert bucket.take() == pytest.approx(0.25)
+    keys, key, slow = Keys(Settings()), Caller("a", requests_per_second=4.0), Caller("b", requests_per_second=0.01)
+    assert [keys.wait(key) for _ in range(20)] == [0.0] * 20
+    assert keys.wait(key) == pytest.approx(0.25)
     now += 0.2
-    assert bucket.take() == pytest.approx(0.05)
+    assert keys.wait(key) == pytest.approx(0.05)
     now += 0.05 + 1e-9
-    assert bucket.take() == 0.0
-    assert bucket.take() > 0.0
+    assert keys.wait(key) == 0.0
+    assert keys.wait(key) > 0.0
     now += 1e6
-    assert [bucket.take() for _ in range(20)] == [0.0] * 20
-    assert bucket.take() > 0.0
-    slow = RateLimit(0.01)
-    assert slow.take() == 0.0
-    assert slow.take() == pytest.approx(100.0)
+    assert [keys.wait(key) for _ in range(20)] == [0.0] * 20
+    assert keys.wait(key) > 0.0
+    assert keys.wait(slow) == 0.0
+    assert keys.wait(slow) == pytest.approx(100.0)
 
 
 def test_rate_limit_counts_each_key_alone(guarded: Guarded) -> None:
