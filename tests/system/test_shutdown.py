@@ -277,15 +277,3 @@ def test_start_that_could_harm_is_refused(server: Server, tmp_path: Path) -> Non
     refused = run_main(main, "--port", "0", "--data-dir", str(server.data_dir))
     assert (refused.returncode, "in use" in refused.stderr) == (2, True)
     assert server.http.get("/health/ready").status_code == 200
-
-
-def test_limit_of_the_whole_service_is_the_limit_of_each_fit(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server()
-    server.http.post("/v1/fits", params=QUICK, content=data)  # the helpers have imported all that they will
-    for limit_mb, fault in ((1024, None), (200, ("compute", "MemoryLimit"))):  # both less than the service allows
-        for pid in server.helpers():  # from which the processes of fits have it, as if the service were started with it
-            _, most = resource.prlimit(pid, resource.RLIMIT_AS)
-            resource.prlimit(pid, resource.RLIMIT_AS, (limit_mb << 20, most))
-        fit = server.http.post("/v1/fits", params={**QUICK, "em_iterations": limit_mb // 10}, content=data).json()
-        assert (fit["error"] and (fit["error"]["origin"], fit["error"]["type"])) == fault
-    assert "Traceback" not in server.log.read_text()

@@ -16,7 +16,6 @@ from dsbrdf.data.merl import encode_merl, map_merl, parse_merl, read_merl, write
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.errors import MeasurementFormatError
 from tests.support.merl_files import ABOVE, BELOW, HEADER, position, with_values
-from tests.support.soak import repeats
 
 
 def test_file_layout_is_that_of_the_merl_format(data: bytes, plastic: Measurement) -> None:
@@ -81,11 +80,6 @@ def test_written_files_have_ordinary_permissions_and_names_of_any_length(tmp_pat
         assert (tmp_path / name).stat().st_mode == (tmp_path / "b").stat().st_mode
     with pytest.raises(IsADirectoryError):
         write_atomically(tmp_path, [b"whole"])
-
-
-def test_reference_files_round_trip(reference_files: dict[str, Path]) -> None:
-    for path in list(reference_files.values())[: repeats(1, 100)]:
-        assert encode_merl(read_merl(path)) == path.read_bytes()
 
 
 def test_valid_needs_a_channel_and_the_horizon(data: bytes) -> None:

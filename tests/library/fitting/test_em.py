@@ -1,7 +1,5 @@
 """Algorithm 1 on a batch against its plain SciPy version on the raw samples, and each step alone."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,7 +7,6 @@ from scipy.optimize import minimize_scalar
 
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.fitting import em
 from tests.support.algorithm_1 import algorithm_1, plain_lobe, raw_slice
@@ -53,11 +50,6 @@ def assert_equal_to_the_oracle(measurement: Measurement, slices: list[tuple[int,
 @pytest.mark.parametrize("n_lobes", [1, 2, 3])
 def test_batch_gives_the_curves_of_plain_scipy_on_the_raw_samples(plastic: Measurement, n_lobes: int) -> None:
     assert_equal_to_the_oracle(plastic, [(0, 0), (2, 0), (2, 35), (1, 60)], n_lobes)
-
-
-def test_batch_gives_the_curves_of_plain_scipy_on_a_measured_material(reference_files: dict[str, Path]) -> None:
-    name = "merl_nickel" if "merl_nickel" in reference_files else next(iter(reference_files))
-    assert_equal_to_the_oracle(read_merl(reference_files[name]), [(0, 10), (2, 45)], 3)
 
 
 def fitted_alone(data: Array, bounds: tuple[float, float], *, kappa: float | None = None) -> float:

@@ -16,7 +16,7 @@ from dsbrdf.model.lobes import half_width
 Array = NDArray[np.float64]
 
 ROWS, COLUMNS = np.arange(0, 80, 9), np.array([0, 6, 14, 22, 30, 45, 60, 75])
-KNOTS = np.radians([0.0, 40.0, 72.0])
+KNOTS = np.radians([0.0, 40.0, 68.0])  # rows go beyond
 SMOOTHING = (1e-4, 3e-4, 2e-4)  # far above the usual, so that it counts in the tests
 
 
@@ -151,12 +151,12 @@ def test_optimum_at_bounds_is_that_of_scipy() -> None:
 
 def test_flags_are_honest_and_the_cost_never_rises() -> None:
     problem = problem_of(structure_of((False, False, False)))
-    start = truth_of(problem.structure, seed=3)
+    start = truth_of(problem.structure, seed=7)
     calls: list[int] = []
     short = minimize(problem, start, tolerance=1e-12, iterations=2, on_iteration=calls.append)
     assert isinstance(short, Solution)
     assert (short.converged, short.iterations, calls) == (False, 2, [1, 2])
-    costs = [minimize(problem, start, tolerance=0.0, iterations=n).cost for n in range(25)]
+    costs = [minimize(problem, start, tolerance=0.0, iterations=n).cost for n in range(30)]
     assert costs[0] <= problem.evaluate(start).cost
     assert np.all(np.diff(costs) <= 0.0)
     # It ends after two steps in a row that lower the cost by less than the tolerance, of itself a thousandth.

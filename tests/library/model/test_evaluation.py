@@ -11,7 +11,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import FAMILIES
 from dsbrdf.model.lobes import GRAZING_COSINE
-from dsbrdf.model.splines import knot_vector, n_control_values, roughness, spline_basis
+from dsbrdf.model.splines import n_control_values
 from tests.support.known_models import single_lobe
 from tests.support.soak import repeats
 
@@ -151,21 +151,3 @@ def test_threads_may_share_a_model() -> None:
             every = list(threads.map(lambda _, model=fresh: model.evaluate_unmasked(*angles), range(8)))
         for values in every:
             np.testing.assert_array_equal(values, expected)
-
-
-@pytest.mark.parametrize("knots", [np.array([0.0, 0.3]), np.array([0.1, 0.4, 1.0]), KNOTS])
-def test_basis_is_scipys_clamped_spline_held_beyond_the_knots(knots: Array) -> None:
-    points = np.append(np.linspace(0.0, np.pi / 2, 101), knots)
-    clamped = np.pad(knots, 3, mode="edge")
-    np.testing.assert_array_equal(knot_vector(knots), clamped)
-    expected = BSpline(clamped, np.eye(n_control_values(knots.size)), 3)(np.clip(points, knots[0], knots[-1]))
-    np.testing.assert_allclose(spline_basis(knots, points), expected, atol=1e-14)
-    assert spline_basis(knots, points).min() == 0.0
-    assert spline_basis(knots[:1], points).tolist() == [[1.0]] * points.size  # a constant
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 9])
-def test_roughness_is_the_squared_second_difference(count: int) -> None:
-    form, values = roughness(count), np.random.default_rng(count).normal(size=count)
-    assert form.shape == (count, count)
-    assert values @ form @ values == pytest.approx(np.sum(np.diff(values, 2) ** 2), abs=1e-12)
