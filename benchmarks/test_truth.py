@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.truth import drawn, load_truth, save_truth
 from dsbrdf.data.geometry import spherical
 from tests.support.foreign_bsdfs import burley_diffuse, lambert, oren_nayar, principled_diffuse
-from tests.support.foreign_materials import CATALOGUE, Material, drawn
+from tests.support.foreign_materials import CATALOGUE, Material
 from tests.support.foreign_truth import RULES, Truth, judged
 
 Array = NDArray[np.float64]
@@ -83,8 +84,8 @@ class KnownParts(list[Any]):
 
 def test_what_is_wrong_is_found(tmp_path: Path) -> None:
     material = CATALOGUE["plastic_green_03"]
-    Truth.of(material).save(tmp_path / "truth.npz")
-    truth = Truth.load(tmp_path / "truth.npz")
+    save_truth(Truth.of(material), tmp_path / "truth.npz")
+    truth = load_truth(tmp_path / "truth.npz")
     share = truth.diffuse_share
     for kept, stated, alpha, inside in ((1.0, (share, share), 0.03, True), (0.9, (0.0, 0.9 * share), 0.033, False)):
         parts = KnownParts(material, kept, stated, alpha)

@@ -16,17 +16,128 @@ from pathlib import Path
 import numpy as np
 
 import dsbrdf
+from dsbrdf.data.geometry import directions
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import ConvergenceWarning
-from tests.support.foreign_materials import CATALOGUE, Material, drawn
-from tests.support.foreign_truth import Judgement, Truth, judged
+from tests.support.foreign_bsdfs import Color, lambert, ward_duer
+from tests.support.foreign_materials import (
+    CATALOGUE,
+    Material,
+    ashikhmin_shirley,
+    car_paint,
+    metal,
+    plastic_material,
+    principled_material,
+)
+from tests.support.foreign_truth import RULES, Judgement, Truth, judged
+
+METALS = ("Ag", "Al", "Au", "Cr", "Cu", "Mo", "Ni_palik", "TiN", "V_palik", "W")
+
+
+def drawn(number: int, seed: int) -> dict[str, Material]:
+    """Return materials of six kinds in turn: plastics, metals, principled, car paints and two formulas."""
+    random = np.random.default_rng(seed)
+    kinds = list(KINDS.items())
+    chosen = [(k, *kinds[k % len(kinds)]) for k in range(number)]
+    return {f"{kind}_{k:02}": draw(random) for k, kind, draw in chosen}
+
+
+def _color(random: np.random.Generator, low: float, high: float, saturation: float = 1.0) -> Color:
+    """A colour of logarithmically uniform brightness; the saturation scales how much its channels differ."""
+    level = np.exp(random.uniform(np.log(low), np.log(high)))
+    red, green, blue = (level * np.exp(-saturation * random.uniform(0.0, 1.5, 3))).tolist()
+    return red, green, blue
+
+
+def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+
+def _drawn_plastic(random: np.random.Generator) -> Material:
+    kind, mixed = str(random.choice(["ggx", "beckmann"])), bool(random.integers(2))
+    color = _color(random, 0.02, 0.9)
+    return plastic_material(_log_uniform(random, 0.03, 0.5), color, random.uniform(1.35, 1.8), kind, mixed)
+
+
+def _drawn_metal(random: np.random.Generator) -> Material:
+    name, kind = str(random.choice(METALS)), str(random.choice(["ggx", "beckmann"]))
+    return metal(_log_uniform(random, 0.03, 0.5), name, kind)
+
+
+def _drawn_principled(random: np.random.Generator) -> Material:
+    return principled_material(
+        _color(random, 0.05, 0.9),
+        random.uniform(0.2, 0.8),
+        metallic=float(random.choice([0.0, 0.0, 0.3, 0.7, 1.0])),
+        clearcoat=float(random.choice([0.0, 0.0, 1.0])),
+        specular=random.uniform(0.2, 0.9),
+    )
+
+
+def _drawn_car_paint(random: np.random.Generator) -> Material:
+    flakes, ground = _color(random, 0.05, 0.5, 0.5), _color(random, 0.01, 0.3)
+    return car_paint(
+        _log_uniform(random, 0.006, 0.04), random.uniform(0.12, 0.4), flakes, ground, random.uniform(1.4, 1.6)
+    )
+
+
+def _drawn_ashikhmin_shirley(random: np.random.Generator) -> Material:
+    specular = _color(random, 0.03, 0.4, 0.3)
+    return ashikhmin_shirley(_log_uniform(random, 10.0, 3000.0), specular, _color(random, 0.02, 0.8))
+
+
+def _drawn_ward(random: np.random.Generator) -> Material:
+    ground = (lambert(_color(random, 0.02, 0.7)),) if random.random() < 0.7 else ()
+    return Material((ward_duer(_log_uniform(random, 0.03, 0.35), _color(random, 0.03, 0.5, 0.5)),), ground)
+
+
+KINDS = {
+    "plastic": _drawn_plastic,
+    "metal": _drawn_metal,
+    "principled": _drawn_principled,
+    "car_paint": _drawn_car_paint,
+    "ashikhmin_shirley": _drawn_ashikhmin_shirley,
+    "ward": _drawn_ward,
+}
+
+
+def measured(material: Material, name: str, noise: float) -> Measurement:
+    """Values on the grid of a MERL file, with independent relative Gaussian noise."""
+    above = nodes_above_horizon()
+    half, diff, phi = np.nonzero(above)
+    pair = directions(THETA_HALF[half], THETA_DIFF[diff], PHI_DIFF[phi])
+    found = material.specular_values(*pair) + material.diffuse_values(*pair)
+    if noise:
+        found *= np.maximum(1.0 + noise * np.random.default_rng(0).standard_normal(found.shape), 0.0)
+    values = np.full((3, *above.shape), -1.0)
+    values[:, above] = found.T
+    return Measurement.from_values(values, above, name)
+
+
+def save_truth(truth: Truth, path: Path) -> None:
+    """Write an .npz file, so that a decomposition can be judged again without Mitsuba."""
+    sides = {"specular": truth.specular, "diffuse": truth.diffuse}
+    arrays = {f"{side}_{k}": values for side, parts in sides.items() for k, values in enumerate(parts)}
+    alpha, f0 = np.nan if truth.alpha is None else truth.alpha, np.zeros(3) if truth.f0 is None else truth.f0
+    np.savez(path, allow_pickle=False, alpha=alpha, f0=f0, **arrays)
+
+
+def load_truth(path: Path) -> Truth:
+    """Read what `save_truth` wrote."""
+    with np.load(path) as file:
+        specular, diffuse = (tuple(file[f"{side}_{k}"] for k in range(len(RULES))) for side in ("specular", "diffuse"))
+        alpha, f0 = float(file["alpha"]), file["f0"]
+        one_layer = np.isfinite(alpha)
+        return Truth(specular, diffuse, alpha if one_layer else None, f0 if one_layer else None)
 
 
 def fitted(name: str, material: Material, noise: float, folder: Path | None) -> tuple[dsbrdf.DSBRDF, Truth]:
     """Fit a material; return the model and the truth, which are kept in the folder if there is one."""
-    result, truth = dsbrdf.fit(dsbrdf.profiles(material.measurement(name, noise))), Truth.of(material)
+    result, truth = dsbrdf.fit(dsbrdf.profiles(measured(material, name, noise))), Truth.of(material)
     if folder is not None:
         dsbrdf.save(result, folder / f"{name}.json")
-        truth.save(folder / f"{name}.npz")
+        save_truth(truth, folder / f"{name}.npz")
     return result.model, truth
 
 
@@ -76,7 +187,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         warnings.simplefilter("ignore", ConvergenceWarning)
         for name, material in chosen.items():
             if folder is not None and (folder / f"{name}.npz").exists():
-                model, truth = dsbrdf.load(folder / f"{name}.json"), Truth.load(folder / f"{name}.npz")
+                model, truth = dsbrdf.load(folder / f"{name}.json"), load_truth(folder / f"{name}.npz")
                 start = time.perf_counter()
                 parts = dsbrdf.decompose(model)
                 seconds.append(time.perf_counter() - start)

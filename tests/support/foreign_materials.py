@@ -1,12 +1,9 @@
-"""Materials of others whose specular and diffuse light is known: a catalogue, and any number drawn with a seed."""
+"""A catalogue of materials of others whose specular and diffuse light is known."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dsbrdf.data.geometry import directions
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
 from tests.support.foreign_bsdfs import (
     Array,
     Color,
@@ -61,18 +58,6 @@ class Material:
         if self.alpha is None:  # GGX's distribution and Beckmann's are 1 / (pi alpha**2) at the normal
             return None
         return np.asarray(self.specular_values(UP, UP)[0] * 4.0 * np.pi * self.alpha**2)
-
-    def measurement(self, name: str, noise: float = 0.0, seed: int = 0) -> Measurement:
-        """Values on the grid of a MERL file, with independent relative Gaussian noise."""
-        above = nodes_above_horizon()
-        half, diff, phi = np.nonzero(above)
-        pair = directions(THETA_HALF[half], THETA_DIFF[diff], PHI_DIFF[phi])
-        found = self.specular_values(*pair) + self.diffuse_values(*pair)
-        if noise:
-            found *= np.maximum(1.0 + noise * np.random.default_rng(seed).standard_normal(found.shape), 0.0)
-        values = np.full((3, *above.shape), -1.0)
-        values[:, above] = found.T
-        return Measurement.from_values(values, above, name)
 
 
 def _sum(parts: tuple[Part, ...], omega_in: Array, omega_out: Array) -> Array:
@@ -180,73 +165,4 @@ CATALOGUE = {
     "burley_smooth_under_coat": Material((dielectric_coat(0.06),), (burley_diffuse(0.2, BLUE),), 0.06),
     "car_paint_blue": car_paint(0.012, 0.22, (0.10, 0.16, 0.30), (0.01, 0.02, 0.06)),
     "car_paint_champagne": car_paint(0.02, 0.35, (0.30, 0.25, 0.18), (0.12, 0.10, 0.07), ior=1.55),
-}
-
-METALS = ("Ag", "Al", "Au", "Cr", "Cu", "Mo", "Ni_palik", "TiN", "V_palik", "W")
-
-
-def drawn(number: int, seed: int) -> dict[str, Material]:
-    """Return materials of six kinds in turn: plastics, metals, principled, car paints and two formulas."""
-    random = np.random.default_rng(seed)
-    kinds = list(KINDS.items())
-    chosen = [(k, *kinds[k % len(kinds)]) for k in range(number)]
-    return {f"{kind}_{k:02}": draw(random) for k, kind, draw in chosen}
-
-
-def _color(random: np.random.Generator, low: float, high: float, saturation: float = 1.0) -> Color:
-    """A colour of logarithmically uniform brightness; the saturation scales how much its channels differ."""
-    level = np.exp(random.uniform(np.log(low), np.log(high)))
-    red, green, blue = (level * np.exp(-saturation * random.uniform(0.0, 1.5, 3))).tolist()
-    return red, green, blue
-
-
-def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(random.uniform(np.log(low), np.log(high))))
-
-
-def _drawn_plastic(random: np.random.Generator) -> Material:
-    kind, mixed = str(random.choice(["ggx", "beckmann"])), bool(random.integers(2))
-    color = _color(random, 0.02, 0.9)
-    return plastic_material(_log_uniform(random, 0.03, 0.5), color, random.uniform(1.35, 1.8), kind, mixed)
-
-
-def _drawn_metal(random: np.random.Generator) -> Material:
-    name, kind = str(random.choice(METALS)), str(random.choice(["ggx", "beckmann"]))
-    return metal(_log_uniform(random, 0.03, 0.5), name, kind)
-
-
-def _drawn_principled(random: np.random.Generator) -> Material:
-    return principled_material(
-        _color(random, 0.05, 0.9),
-        random.uniform(0.2, 0.8),
-        metallic=float(random.choice([0.0, 0.0, 0.3, 0.7, 1.0])),
-        clearcoat=float(random.choice([0.0, 0.0, 1.0])),
-        specular=random.uniform(0.2, 0.9),
-    )
-
-
-def _drawn_car_paint(random: np.random.Generator) -> Material:
-    flakes, ground = _color(random, 0.05, 0.5, 0.5), _color(random, 0.01, 0.3)
-    return car_paint(
-        _log_uniform(random, 0.006, 0.04), random.uniform(0.12, 0.4), flakes, ground, random.uniform(1.4, 1.6)
-    )
-
-
-def _drawn_ashikhmin_shirley(random: np.random.Generator) -> Material:
-    specular = _color(random, 0.03, 0.4, 0.3)
-    return ashikhmin_shirley(_log_uniform(random, 10.0, 3000.0), specular, _color(random, 0.02, 0.8))
-
-
-def _drawn_ward(random: np.random.Generator) -> Material:
-    ground = (lambert(_color(random, 0.02, 0.7)),) if random.random() < 0.7 else ()
-    return Material((ward_duer(_log_uniform(random, 0.03, 0.35), _color(random, 0.03, 0.5, 0.5)),), ground)
-
-
-KINDS = {
-    "plastic": _drawn_plastic,
-    "metal": _drawn_metal,
-    "principled": _drawn_principled,
-    "car_paint": _drawn_car_paint,
-    "ashikhmin_shirley": _drawn_ashikhmin_shirley,
-    "ward": _drawn_ward,
 }

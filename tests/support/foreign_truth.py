@@ -1,7 +1,6 @@
 """What is wrong with the components of a model whose specular and diffuse light is known."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,24 +50,6 @@ class Truth:
         specular = tuple(material.specular_values(light, eye) for light, eye, _ in RULES)
         diffuse = tuple(material.diffuse_values(light, eye) for light, eye, _ in RULES)
         return cls(specular, diffuse, material.alpha, material.f0)
-
-    @classmethod
-    def load(cls, path: Path) -> "Truth":
-        """Read what `save` wrote."""
-        with np.load(path) as file:
-            specular, diffuse = (
-                tuple(file[f"{side}_{k}"] for k in range(len(RULES))) for side in ("specular", "diffuse")
-            )
-            alpha, f0 = float(file["alpha"]), file["f0"]
-            one_layer = np.isfinite(alpha)
-            return cls(specular, diffuse, alpha if one_layer else None, f0 if one_layer else None)
-
-    def save(self, path: Path) -> None:
-        """Write an .npz file, so that a decomposition can be judged again without Mitsuba."""
-        sides = {"specular": self.specular, "diffuse": self.diffuse}
-        arrays = {f"{side}_{k}": values for side, parts in sides.items() for k, values in enumerate(parts)}
-        alpha, f0 = np.nan if self.alpha is None else self.alpha, np.zeros(3) if self.f0 is None else self.f0
-        np.savez(path, allow_pickle=False, alpha=alpha, f0=f0, **arrays)
 
     @property
     def diffuse_share(self) -> float:
