@@ -86,10 +86,3 @@ def test_empty_environment_variable_is_ignored(monkeypatch: pytest.MonkeyPatch) 
     for name in Settings.model_fields:
         monkeypatch.setenv(f"DSBRDF_{name.upper()}", "")
     assert Settings() == Settings(_env_prefix="NOTHING_")  # type: ignore[call-arg]
-
-
-def test_every_setting_is_described() -> None:
-    for name, field in Settings.model_fields.items():
-        assert field.description, name
-        assert field.description.endswith("."), name
-    assert Settings().shutdown_seconds < 10

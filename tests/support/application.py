@@ -93,11 +93,11 @@ class Application:
 
     def new_key(self) -> str:
         """Return a key that has the fit `FIT`."""
-        row, key = add_key(self.store.database, "a key")
+        owner, key = add_key(self.store.database, "a key")
         model = random_model()
         document = to_json(model, None, dsbrdf.decompose(model))
         written = checksum(None, document.encode())
-        values = (row.id, FIT, "0" * 64, json.dumps(to_wire(dsbrdf.FitOptions())), time.time(), document, written)
+        values = (owner, FIT, "0" * 64, json.dumps(to_wire(dsbrdf.FitOptions())), time.time(), document, written)
         with self.store.database.transaction() as db:
             db.execute(
                 "INSERT INTO fits (seq, owner, id, measurement, options, algorithm, library, status, created, result,"

@@ -27,11 +27,11 @@ class Guarded:
 def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, str]]:
     """Make a key beside a running service, and use it at once; return its id and the header that holds it."""
     database = Database(server.data_dir, exclusive=False)
-    row, key = add_key(database, name, **limits)
+    key_id, key = add_key(database, name, **limits)
     database.close()
     header = {"Authorization": f"Bearer {key}"}
     assert server.http.get("/v1/fits", headers=header).status_code == 200
-    return row.id, header
+    return key_id, header
 
 
 def keys_command(*words: str) -> "CompletedProcess[str]":

@@ -10,13 +10,12 @@ import re
 import secrets
 import time
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from ..storage.database import FILE_NAME, Database
-from ..storage.schema import Caller, columns
+from ..storage.schema import Caller
 
 if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
     from ..settings import Settings
@@ -25,41 +24,28 @@ _KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
 _NO_SECRET = b"\0" * hashlib.sha256().digest_size
 _MB = 1_000_000
 _BURST_SECONDS = 5.0
-
+_SHOWN = ("id", "name", "created", "revoked", "requests_per_second", "stored_mb", "queued_fits", "metrics")
 _SELECT_ACTIVE = (
     "SELECT secret_sha256, coalesce(requests_per_second, ?), coalesce(stored_mb, ?), coalesce(queued_fits, ?), metrics"
     " FROM keys WHERE revoked IS NULL AND id = ?"
 )
 
 
-@dataclass(frozen=True)
-class KeyRow:
-    """A key without its secret. Times are seconds since 1970; None as a limit is the server's default."""
-
-    id: str
-    name: str
-    created: float
-    revoked: float | None = None
-    requests_per_second: float | None = None
-    stored_mb: int | None = None
-    queued_fits: int | None = None
-    metrics: bool = False  # whether it may read ``/metrics``, which has the totals of all keys
-
-
-def add_key(database: Database, name: str, **fields: Any) -> tuple[KeyRow, str]:
-    """Make a key, with other `fields` of its row; return the row and the key itself, which cannot be shown again."""
-    row, secret = KeyRow(secrets.token_hex(6), name, time.time(), **fields), secrets.token_urlsafe(32)
-    values = {**asdict(row), "secret_sha256": hashlib.sha256(secret.encode()).hexdigest()}
+def add_key(database: Database, name: str, **fields: Any) -> tuple[str, str]:
+    """Make a key, with other `fields` of its row; return its id and the key itself, which cannot be shown again."""
+    key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
+    digest = hashlib.sha256(secret.encode()).hexdigest()
+    values = {"id": key_id, "name": name, "created": time.time(), "secret_sha256": digest, **fields}
     marks = ", ".join(f":{name}" for name in values)
     with database.transaction() as db:
         db.execute(f"INSERT INTO keys ({', '.join(values)}) VALUES ({marks})", values)  # noqa: S608
-    return row, f"dsbrdf_{row.id}_{secret}"
+    return key_id, f"dsbrdf_{key_id}_{secret}"
 
 
-def all_keys(database: Database) -> list[KeyRow]:
-    """Return every key, in the order in which they were made."""
-    rows = [KeyRow(*row) for row in database.rows(f"SELECT {columns(KeyRow)} FROM keys ORDER BY rowid")]  # noqa: S608
-    return [replace(row, metrics=bool(row.metrics)) for row in rows]  # SQLite keeps a number
+def all_keys(database: Database) -> list[dict[str, Any]]:
+    """Return every key without its secret, in the order in which they were made."""
+    rows = database.rows(f"SELECT {', '.join(_SHOWN)} FROM keys ORDER BY rowid")  # noqa: S608
+    return [dict(zip(_SHOWN, row, strict=True)) for row in rows]
 
 
 def revoke_key(database: Database, key_id: str) -> bool:
@@ -77,7 +63,7 @@ def has_active_key(folder: Path) -> bool:
     if not (folder / FILE_NAME).exists():
         return False
     with closing(Database(folder, exclusive=False)) as database:
-        return any(row.revoked is None for row in all_keys(database))
+        return bool(database.rows("SELECT 1 FROM keys WHERE revoked IS NULL LIMIT 1"))
 
 
 class Keys:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
@@ -63,8 +62,8 @@ def _add(
         print_error(f"{folder.resolve()} becomes a new data folder; the key is for a server of that folder only")
     with closing(Database(folder, exclusive=False)) as database:
         limits = {"requests_per_second": requests_per_second, "stored_mb": stored_mb, "queued_fits": queued_fits}
-        row, key = add_key(database, name, **limits, metrics=metrics)
-    print_error(f"the key {row.id} of {row.name!r} is shown this once")
+        key_id, key = add_key(database, name, **limits, metrics=metrics)
+    print_error(f"the key {key_id} of {name!r} is shown this once")
     print(key)
 
 
@@ -78,9 +77,10 @@ def _revoke(key_id: _KeyId, /, *, data_dir: DataDir = None) -> int:
 
 def _list(*, data_dir: DataDir = None, json: Json = False) -> None:
     with closing(Database(data_folder(data_dir), exclusive=False)) as database:
-        rows = [asdict(row) for row in all_keys(database)]
+        rows = all_keys(database)
     for row in rows:
         row |= {name: row[name] and datetime.fromtimestamp(row[name], UTC).isoformat() for name in _TIMES}
+        row["metrics"] = bool(row["metrics"])
     if json:
         print_json({"items": rows})
         return

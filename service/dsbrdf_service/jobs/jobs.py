@@ -57,13 +57,7 @@ class _RunningFit:
 class Jobs:
     """Runs fits, and lets requests wait for them or follow them."""
 
-    def __init__(
-        self,
-        store: Store,
-        engine: Engine,
-        settings: Settings,
-        metrics: Metrics,
-    ) -> None:
+    def __init__(self, store: Store, engine: Engine, settings: Settings, metrics: Metrics) -> None:
         self._store = store
         self._engine = engine
         self._turns = FairTurns(settings.workers)

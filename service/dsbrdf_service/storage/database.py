@@ -60,8 +60,6 @@ class Database:
                 create_tables(self._writer)
                 self._writer.execute("PRAGMA journal_mode = WAL")
                 self._writer.execute("PRAGMA synchronous = FULL")
-                for reader in (self._reader, self._prompt_reader):
-                    reader.execute("PRAGMA query_only = ON")
                 self._reader.execute("SELECT 1 FROM sqlite_master").fetchall()  # from now on it has all its files
                 ours = [self._path.with_name(f"{FILE_NAME}{suffix}") for suffix in ("", "-wal", "-shm")]
                 self._files = {path: path.stat() for path in ours}
@@ -98,15 +96,10 @@ class Database:
             raise sqlite3.OperationalError("other transactions take too long")
         try:
             self._check_files()
-            self._writer.execute("BEGIN IMMEDIATE")
-            try:
+            with self._writer:  # which commits, or rolls back
+                self._writer.execute("BEGIN IMMEDIATE")
                 yield self._writer
-                self._writer.execute("COMMIT")
-                self._check_files()  # what has been written to a log without a name is not durable
-            except BaseException:
-                if self._writer.in_transaction:
-                    self._writer.execute("ROLLBACK")
-                raise
+            self._check_files()  # what has been written to a log without a name is not durable
         finally:
             self._writer_lock.release()
 

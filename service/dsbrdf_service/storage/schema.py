@@ -15,7 +15,8 @@ from ..errors import DataFolderError
 # `owner` is the id of an API key, '' without keys. `seq` counts the rows of each owner, so that the cursor of a page
 # does not tell how many rows others have. `size` of a fit is what it takes on the disk, with or without a
 # result: it counts as stored bytes. `checksum` is that of metrics and result, which lie on pages of their own: if two
-# of those change places, SQLite does not notice.
+# of those change places, SQLite does not notice. A limit of a key that is NULL is the server's default; `metrics` is
+# whether it may read ``/metrics``, which has the totals of all keys.
 ROW_SIZE = 2_000  # bytes that a fit takes with its places in the indexes, without its result
 _TABLES = f"""
     CREATE TABLE IF NOT EXISTS measurements (

@@ -1,10 +1,8 @@
 """Keys: who is let in, how often, and with how much; and that a key is known to nobody but its owner."""
 
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
-import httpx
 import pytest
 
 from dsbrdf_service.access import keys as keys_module
@@ -15,7 +13,7 @@ from dsbrdf_service.storage.database import Database
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.guarded import Guarded, keys_command
-from tests.support.server import ENDLESS, QUICK, assert_problem
+from tests.support.server import assert_problem
 from tests.support.stores import add, receive
 
 
@@ -48,14 +46,14 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
 
     monkeypatch.setattr("dsbrdf_service.access.keys.hmac.compare_digest", compare)
     with closing(Database(tmp_path)) as database:
-        row, key = add_key(database, "x")
+        key_id, key = add_key(database, "x")
         active = Keys(Settings())
         active.open(database)
         found = active.find(key.encode())
-        assert (found and found.owner) == row.id
-        for wrong in (key.replace(row.id, "0" * 12), key[:-1] + "_"):
+        assert (found and found.owner) == key_id
+        for wrong in (key.replace(key_id, "0" * 12), key[:-1] + "_"):
             assert active.find(wrong.encode()) is None
-        revoke_key(database, row.id)
+        revoke_key(database, key_id)
         assert active.find(key.encode()) is None
     assert [len(part) for pair in compared for part in pair] == [32] * 8
 
@@ -77,14 +75,14 @@ def test_keys_without_limits_of_their_own_have_those_of_the_settings(tmp_path: P
         keys.open(database)
         found = [keys.find(key.encode()) for key in (usual_key, own_key)]
     assert found == [
-        Caller(usual.id, stored_bytes=40_000_000, queued_fits=5, metrics=False, requests_per_second=3.0),
-        Caller(own.id, stored_bytes=6_000_000, queued_fits=7, metrics=False, requests_per_second=3.0),
+        Caller(usual, stored_bytes=40_000_000, queued_fits=5, metrics=False, requests_per_second=3.0),
+        Caller(own, stored_bytes=6_000_000, queued_fits=7, metrics=False, requests_per_second=3.0),
     ]
 
 
 def test_revoked_key_stores_nothing_and_its_waiting_fits_are_cancelled(tmp_path: Path) -> None:
     with closing(Store(tmp_path)) as store:
-        key, other = (add_key(store.database, name)[0].id for name in ("revoked", "other"))
+        key, other = (add_key(store.database, name)[0] for name in ("revoked", "other"))
         fits = {}
         for owner in (key, other):
             sha256 = add(store, b"content", Caller(owner))
@@ -127,58 +125,3 @@ def test_rate_limit_counts_each_key_alone(guarded: Guarded) -> None:
     assert 1 <= int(answer.headers["retry-after"]) <= 50
     assert [guarded.server.http.get("/v1/fits", headers=guarded.bob).status_code for _ in range(20)] == [200] * 20
     assert guarded.server.http.get("/v1/fits", headers=header).status_code == 429
-
-
-def test_upload_over_quota_is_refused_and_not_stored(guarded: Guarded, data: bytes) -> None:
-    server = guarded.server
-    header = guarded.new_key("full", stored_mb=74)  # room for two files of 35.0 MB
-    before = set(server.files())
-
-    def upload(content: bytes) -> httpx.Response:
-        return server.http.post("/v1/measurements", content=content, headers=header)
-
-    files = [data[:-8] + bytes([100 + number, *data[-7:]]) for number in range(6)]  # which no other test has
-    with ThreadPoolExecutor(len(files)) as pool:
-        answers = list(pool.map(upload, files))
-    assert sorted(answer.status_code for answer in answers) == [201, 201, 403, 403, 403, 403]
-    by_status = {answer.status_code: content for content, answer in zip(files, answers, strict=True)}
-    assert len(set(server.files()) - before) == 2
-    assert len(server.http.get("/v1/measurements", headers=header).json()["items"]) == 2
-
-    again = upload(by_status[201])
-    assert again.status_code == 200  # nothing more is stored
-    refused = server.http.post("/v1/fits", params=QUICK, content=by_status[403], headers=header)
-    detail = assert_problem(refused, 403, "storage-quota")
-    assert detail.startswith("this key has stored 70.0 of 74.0 MB and ")
-    sha256 = again.json()["sha256"]
-    assert server.http.delete(f"/v1/measurements/{sha256}", headers=header).status_code == 204
-    assert upload(by_status[403]).status_code == 201
-
-
-def test_unfinished_fits_of_a_key_are_limited(guarded: Guarded, data: bytes) -> None:
-    server = guarded.server
-    header = guarded.new_key("busy", queued_fits=2)
-    sha256 = server.http.post("/v1/measurements", content=data, headers=header).json()["sha256"]
-
-    def submit(number: int, **other: str) -> httpx.Response:
-        document = {"measurement": sha256, "options": {**ENDLESS, "mask": number / 100}}
-        return server.http.post("/v1/fits", json=document, headers={**header, "Prefer": "respond-async", **other})
-
-    with ThreadPoolExecutor(6) as pool:
-        answers = list(pool.map(submit, range(6)))
-    assert sorted(answer.status_code for answer in answers) == [202, 202, 429, 429, 429, 429]
-    accepted = [number for number, answer in enumerate(answers) if answer.status_code == 202]
-    refused = next(number for number, answer in enumerate(answers) if answer.status_code == 429)
-    assert_problem(answers[refused], 429, "queue-quota")
-    assert int(answers[refused].headers["retry-after"]) >= 1
-    assert submit(accepted[0]).status_code in (200, 202)  # the same fit
-
-    server.http.post("/v1/measurements", content=data, headers=guarded.bob)
-    of_bob = submit(refused, **guarded.bob)
-    assert of_bob.status_code == 202
-    for number in accepted:
-        server.http.delete(f"/v1/fits/{answers[number].json()['id']}", headers=header)
-    again = submit(refused)
-    assert again.status_code == 202
-    for answer, who in ((again, header), (of_bob, guarded.bob)):
-        assert server.http.delete(answer.headers["location"], headers=who).json()["status"] == "cancelled"

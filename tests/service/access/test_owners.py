@@ -7,7 +7,7 @@ import httpx
 import pytest
 
 from tests.support.guarded import Guarded
-from tests.support.server import QUICK, assert_problem
+from tests.support.server import QUICK
 
 pytestmark = pytest.mark.slow
 
@@ -85,28 +85,3 @@ def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) 
     # All of it is still there for who owns it.
     assert server.http.get(f"/v1/fits/{fit}", headers=alice).json()["status"] == "succeeded"
     assert server.http.get(f"/v1/measurements/{sha256}", headers=alice).content == data
-
-
-def test_upload_of_a_file_that_another_owner_has_is_created(guarded: Guarded, data: bytes) -> None:
-    server = guarded.server
-    alice, bob = guarded.new_key("first"), guarded.new_key("second")
-    content = data[:-8] + b"\x2a" + data[-7:]  # that no other test has
-    first, second = (server.http.post("/v1/measurements", content=content, headers=who) for who in (alice, bob))
-    assert (first.status_code, second.status_code) == (201, 201)
-    assert first.json() | {"created": ""} == second.json() | {"created": ""}
-    assert first.json()["created"] != second.json()["created"]
-    sha256 = first.json()["sha256"]
-    assert [path.stem for path in server.files()].count(sha256) == 1
-
-    document = {"measurement": sha256, "options": QUICK}
-    fits = [server.http.post("/v1/fits", json=document, headers=who) for who in (alice, bob)]
-    assert [answer.status_code for answer in fits] == [201, 201]  # computed for each
-    assert fits[0].json()["created"] != fits[1].json()["created"]
-    fit = fits[0].headers["location"]
-    assert fit == fits[1].headers["location"]
-
-    assert server.http.delete(fit, headers=alice).json()["status"] == "deleted"
-    assert_problem(server.http.get(fit, headers=alice), 404, "not-found")
-    query = "/brdf?theta_half_deg=1&theta_diff_deg=2"
-    assert_problem(server.http.get(fit + query, headers=alice), 404, "not-found")
-    assert server.http.get(fit + query, headers=bob).status_code == 200

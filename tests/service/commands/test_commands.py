@@ -110,7 +110,7 @@ def test_new_key_tells_that_its_data_folder_is_new(tmp_path: Path) -> None:
 def test_service_on_a_public_address_requires_an_active_key(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     with closing(Database(folder)) as database:
-        revoke_key(database, add_key(database, "x")[0].id)
+        revoke_key(database, add_key(database, "x")[0])
     code, said = start_in_vain(tmp_path, "--host", "0.0.0.0", "--port", "0", "--data-dir", str(folder))
     assert (code, "dsbrdf keys add" in said) == (2, True)
     with closing(Database(folder)) as database:

@@ -131,19 +131,6 @@ def test_log_lines_of_a_fit_carry_its_request_id(watched: Server, data: bytes) -
     assert told["request"]["status"] == 201
 
 
-def test_missing_folder_is_logged_once(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(fits=False)
-    folder = server.data_dir / "tmp"
-    folder.rmdir()
-    answer = server.http.post("/v1/measurements", content=data, headers={"X-Request-ID": "gone"})
-    assert "log" in assert_problem(answer, 503, "not-ready")
-    assert str(folder) not in answer.text
-    reason, request = lines_of(server, "gone")
-    assert (reason["level"], request["level"]) == ("error", "warning")
-    assert "No such file or directory" in reason["event"]
-    assert "Traceback" not in server.log.read_text()
-
-
 def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server()
     fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]

@@ -180,18 +180,6 @@ def test_older_database_loses_no_file_and_an_upload_makes_its_row_again(
     assert run_main(doctor.main, "--data-dir", str(server.data_dir)).returncode == 0
 
 
-def test_rows_wait_for_their_files(store: Store, tmp_path: Path) -> None:
-    contents = {add(store, content): content for content in (b"first", b"second")}
-    store.close()
-    (tmp_path / "blobs").rename(tmp_path / "later")  # the database came back before the measurements
-    with closing(Store(tmp_path)) as store:
-        assert {row.sha256 for row in store.measurements("", 9, None)} == set(contents)
-    (tmp_path / "blobs").rmdir()
-    (tmp_path / "later").rename(tmp_path / "blobs")
-    with closing(Store(tmp_path)) as store:
-        assert {sha256: store.measurement_file("", sha256).read_bytes() for sha256 in contents} == contents
-
-
 def test_files_without_rows_go_only_when_that_is_asked_for(store: Store, tmp_path: Path) -> None:
     first, second = add(store, b"first"), add(store, b"second")
     with store.database.transaction() as db:
@@ -290,13 +278,28 @@ def test_file_comes_before_its_row_and_goes_after_it(
             yield db
         steps.append(f"commit of {store.database.rows('SELECT count(*) FROM measurements')[0][0]} rows")
 
-    incoming = receive(store, b"content")
-    store.blobs.path(incoming.sha256).parent.mkdir()
+    fsync = os.fsync
+
+    def record_fsync(descriptor: int) -> None:
+        steps.append(f"fsync {Path(f'/proc/self/fd/{descriptor}').readlink()}")
+        fsync(descriptor)
+
+    incoming = store.blobs.incoming()
+    incoming.write(b"content")
+    monkeypatch.setattr(os, "fsync", record_fsync)
     monkeypatch.setattr(store.database, "transaction", recorded)
     steps.clear()
+    incoming.close()
     store.add_measurement(LOCAL, incoming)
     path = store.blobs.path(incoming.sha256)
-    assert steps == [f"os.rename {incoming.path}", f"open {path.parent}", "commit of 1 rows"]
+    folders = (path.parents[1], path.parent)
+    assert [step for step in steps if not step.startswith("open")] == [
+        f"fsync {incoming.path}",
+        f"fsync {folders[0]}",
+        f"os.rename {incoming.path}",
+        f"fsync {folders[1]}",
+        "commit of 1 rows",
+    ]
     steps.clear()
     assert store.remove_measurement("", incoming.sha256)
     assert steps == ["commit of 0 rows", f"os.remove {path}", "commit of 0 rows"]

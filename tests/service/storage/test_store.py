@@ -1,12 +1,9 @@
 """The store on its own: what a fit may become, what owners share and may have, and what a failure leaves."""
 
 import asyncio
-import errno
-import json
-import os
 import shutil
 import sqlite3
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
 from functools import partial
 from pathlib import Path
@@ -22,13 +19,10 @@ from dsbrdf_service.errors import (
     MeasurementNotFoundError,
     ProblemError,
 )
-from dsbrdf_service.storage.blobs import Blobs, Incoming
 from dsbrdf_service.storage.database import FILE_NAME, Database
 from dsbrdf_service.storage.schema import ROW_SIZE, Caller, FitKey
 from dsbrdf_service.storage.store import Store, fit_identity
-from dsbrdf_service.storage.uploads import in_thread
 from dsbrdf_service.wire.fit_options import to_wire
-from tests.support.application import application
 from tests.support.stores import LOCAL, add, receive
 
 OPTIONS = to_wire(dsbrdf.FitOptions())
@@ -172,16 +166,6 @@ def test_uploads_in_progress_count_towards_the_quota_but_one_may_exceed_it(
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def test_uploads_share_few_threads() -> None:
-    async def meet(number: int, patience: float) -> None:
-        together = threading.Barrier(number, timeout=patience)
-        await asyncio.gather(*(in_thread(together.wait) for _ in range(number)))
-
-    asyncio.run(meet(4, 60.0))
-    with pytest.raises(threading.BrokenBarrierError):
-        asyncio.run(meet(5, 0.3))
-
-
 def test_cancelled_fits_and_results_count_as_stored_bytes(store: Store) -> None:
     sha256 = add(store, b"12345", Caller("a"))
 
@@ -200,48 +184,21 @@ def test_cancelled_fits_and_results_count_as_stored_bytes(store: Store) -> None:
     submit(2, stored + ROW_SIZE)  # there is room again
 
 
-def test_file_is_durable_before_it_is_placed_and_its_name_after(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    blobs = Blobs(tmp_path)
-    blobs.make_folders()
-    incoming = blobs.incoming()
-    incoming.write(b"content")
-    steps: list[tuple[str, Path]] = []
-    fsync, replace = os.fsync, Path.replace
-
-    def record_fsync(descriptor: int) -> None:
-        steps.append(("fsync", Path(f"/proc/self/fd/{descriptor}").readlink()))
-        fsync(descriptor)
-
-    def record_replace(source: Path, target: Path) -> Path:
-        steps.append(("replace", source))
-        return replace(source, target)
-
-    monkeypatch.setattr(os, "fsync", record_fsync)
-    monkeypatch.setattr(Path, "replace", record_replace)
-    incoming.close()
-    blobs.place(incoming)
-    written, folder = incoming.path, blobs.path(incoming.sha256).parent
-    assert steps == [("fsync", written), ("fsync", folder.parent), ("replace", written), ("fsync", folder)]
-
-
-@pytest.mark.anyio
-async def test_full_disk_is_507_until_there_is_room(
-    tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write = Incoming.write
-
-    def write_until_full(incoming: Incoming, content: bytes | memoryview) -> None:
-        if incoming.size + len(content) > 20_000_000:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        write(incoming, content)
-
-    async with application(tmp_path, monkeypatch) as running:
-        upload = "/v1/measurements", running.new_key(), "POST", data, "application/octet-stream"
-        with monkeypatch.context() as full:
-            full.setattr(Incoming, "write", write_until_full)
-            refused = await running.ask(*upload).end()
-        assert (refused.status, json.loads(refused.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
-        assert list((tmp_path / "tmp").iterdir()) == []
-        assert (await running.ask(*upload).end()).status == 201
+def test_a_caller_stores_and_queues_no_more_than_is_allowed(store: Store) -> None:
+    caller, other = Caller("a", stored_bytes=2 * ROW_SIZE, queued_fits=2), Caller("b", queued_fits=2)
+    sha256 = add(store, b"x" * ROW_SIZE, caller)
+    with pytest.raises(ProblemError, match=r"and the measurement has 0\.0 MB; delete what is not needed"):
+        add(store, b"y" * (ROW_SIZE + 1), caller)
+    assert [row.sha256 for row in store.measurements("a", 9, None)] == [sha256]
+    assert not store.add_measurement(caller, receive(store, b"x" * ROW_SIZE))[1]  # nothing more is stored
+    add(store, b"x" * ROW_SIZE, other)
+    with ThreadPoolExecutor(6) as pool:
+        asked = [pool.submit(store.add_fit, other, sha256, {"mask": number}, 10) for number in range(6)]
+    accepted = [one.result()[0] for one in asked if one.exception() is None]
+    refused = [str(one.exception()) for one in asked if one.exception() is not None]
+    assert refused == ["2 fits of this key are unfinished, the most allowed; ask again when one has ended."] * 4
+    assert store.add_fit(other, sha256, accepted[0].options, 10) == (accepted[0], False)
+    store.cancel_fit(accepted[0].key)
+    assert store.add_fit(other, sha256, {"mask": 9}, 10)[1]
+    with pytest.raises(ProblemError, match="2 fits are waiting, the most allowed"):
+        store.add_fit(caller, sha256, {}, 2)
