@@ -54,9 +54,9 @@ _COMMANDS = {
         "decompose": ("model_commands:print_components", "Print the specular spike, specular lobe and diffuse part."),
     },
     "Pictures": {
-        "plot": ("model_commands:plot", "Draw the fit of a measurement, or the parameters of a model."),
-        "render": ("model_commands:render", "Draw a lit sphere of a model or a measurement, or compare two."),
-        "compare": ("model_commands:compare", "Compare two models or measurements, with their spheres side by side."),
+        "plot": ("picture_commands:plot", "Draw the fit of a measurement, or the parameters of a model."),
+        "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement, or compare two."),
+        "compare": ("picture_commands:compare", "Compare two models or measurements, with their spheres side by side."),
     },
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),

@@ -21,7 +21,9 @@ from dsbrdf.cli.parameters import DEFAULT, Flags, Json, RequiredFiles
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
+from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine
+from dsbrdf.engines.local import LocalEngine
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.fitting.metrics import METRICS
@@ -64,12 +66,23 @@ class Work:
             raise InvalidArgumentError(
                 f"--output: must be a folder, in which NAME.json is saved, not a file such as {self.output}"
             )
+        if self.jobs is not None and self.jobs < 1:
+            raise InvalidArgumentError(f"--jobs: must be at least 1, not {self.jobs}")
         for name, text, address, example in (
             ("--scheduler", self.scheduler, _SCHEDULER, "tcp://host:8786"),
             ("--url", self.url, _URL, "http://127.0.0.1:8000"),
         ):
             if text is not None and re.fullmatch(address, text) is None:
                 raise InvalidArgumentError(f"{name}: must be an address such as {example}, not {text!r}")
+
+    def engine(self) -> Engine:
+        """Return what computes the fits."""
+        jobs = core_count() if self.jobs is None else self.jobs
+        if self.url is not None:
+            require("client", "httpx", purpose="dsbrdf fit --url")
+            found: Engine = entry_point("engines", "url").load()(self.url, jobs)
+            return found
+        return LocalEngine(jobs) if self.scheduler is None else DaskEngine(self.scheduler, jobs)
 
 
 _HERE = Work()
@@ -122,20 +135,13 @@ def fit(
 def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> list[FileFit]:
     """Fit the files, and print each result as soon as it is there unless `quiet`."""
     done: list[FileFit] = []
-    jobs = core_count() if work.jobs is None else work.jobs
-    engine: Engine | None = None
-    if work.url is not None:
-        require("client", "httpx", purpose="dsbrdf fit --url")
-        engine = entry_point("engines", "url").load()(work.url, jobs)
     bar = _progress_bar()
     task = bar.add_task("", total=len(files), done=0)
     items = fit_files(
         files,
         options,
+        work.engine(),
         work.output,
-        jobs=jobs,
-        scheduler=work.scheduler,
-        engine=engine,
         force=work.force,
         progress=lambda finished: bar.update(task, completed=finished, done=int(finished)),
     )

@@ -11,14 +11,12 @@ from pathlib import Path
 from threading import Lock
 
 from dsbrdf.data.files import write_atomically
-from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, Fault, FitTask, OnProgress, Outcome, run_step
 from dsbrdf.engines.local import LocalEngine, compute
 from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import result_from_json
-from dsbrdf.process_settings import core_count
 from dsbrdf.version import ALGORITHM_VERSION
 
 _CLUSTER_TIMEOUT = 15.0  # seconds that a cluster has to answer and to have a usable worker
@@ -50,31 +48,23 @@ def measurement_files(paths: Sequence[Path]) -> list[Path]:
 def fit_files(
     files: Sequence[Path],
     options: FitOptions,
+    engine: Engine,
     folder: Path | None = None,
     *,
-    jobs: int | None = None,
-    scheduler: str | None = None,
-    engine: Engine | None = None,
     force: bool = False,
     progress: OnProgress = lambda _: None,
 ) -> Generator[FileFit, None, None]:
-    """Yield the fit of each file when it is done: a single one made here, several at once in processes of their own.
+    """Yield the fit of each file when it is done; closing the iterator closes the engine, and ends its processes.
 
-    Every model is written completely or not at all to ``NAME.json`` in the `folder`, if there is one. Closing the
-    iterator ends the processes. At most so many `jobs` run at once, by default one for each processor core. With the
-    address of a Dask `scheduler` its workers compute the fits; any other `engine` is closed here. Without `force` a fit
-    in the folder is kept if it is newer than its measurement and was made with the same options by the same version of
-    the algorithm. `progress` is called, in other threads too, with the number of finished files, fractions included.
+    A single file is fitted in this process where the engine is that of this machine. Every model is written completely
+    or not at all to ``NAME.json`` in the `folder`, if there is one. Without `force` a fit in the folder is kept if it
+    is newer than its measurement and was made with the same options by the same version of the algorithm. `progress` is
+    called, in other threads too, with the number of finished files, fractions included.
 
-    Raises InvalidArgumentError if two files would be written to the same output or `jobs` is less than 1, OSError if an
-    output cannot be written or no worker of the cluster can be reached.
+    Raises InvalidArgumentError if two files would be written to the same output, OSError if an output cannot be written
+    or no worker of the cluster can be reached.
     """
-    if jobs is not None and jobs < 1:
-        raise InvalidArgumentError(f"jobs, the number of fits that run at once, must be at least 1, not {jobs}")
-    outputs = _outputs(files, folder)
-    is_single = len(files) == 1 and scheduler is None and engine is None  # made here: a process takes time to start
-    count = core_count() if jobs is None else jobs
-    engine = engine or (LocalEngine(count) if scheduler is None else DaskEngine(scheduler, count))
+    is_single = len(files) == 1 and isinstance(engine, LocalEngine)  # a process takes time to start
     shares, in_turn = [0.0] * len(files), Lock()
 
     def tell(number: int, share: float) -> None:
@@ -84,6 +74,7 @@ def fit_files(
 
     numbers: dict[Future[Outcome], int] = {}
     with closing(engine):
+        outputs = _outputs(files, folder)
         for number, (file, output) in enumerate(zip(files, outputs, strict=True)):
             found = _known_result(file, output, options, force=force)
             task, on_progress = FitTask(file.stem, file, options), partial(tell, number)

@@ -143,7 +143,7 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
 
     Raises ModelFormatError if the text is damaged, of another kind, or of another version.
     """
-    return _model_and_report(_document(text, FORMAT))
+    return _model_and_report(_document(text))
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
 
     Raises ModelFormatError as `from_json`, and if the text has no components or they do not belong together.
     """
-    document = _document(text, FORMAT)
+    document = _document(text)
     model, report = _model_and_report(document)
     stored: _Components = _typed(_Components, document.get("components"), "components")
     in_order = stored.labels == tuple(label for label in LABELS if label in stored.labels)
@@ -174,16 +174,6 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
 def layers_to_json(layers: LayeredModel) -> str:
     """Return a layered model as JSON text: ``{"format": "dsbrdf-layers", "version": 2, "layers": [...]}``."""
     return _dump({"format": LAYERS_FORMAT, "version": VERSION, **asdict(layers)})
-
-
-def layers_from_json(text: str) -> LayeredModel:
-    """Return the layered model of a JSON text, the inverse of `layers_to_json`.
-
-    Raises ModelFormatError if the text is damaged, of another kind, or of another version.
-    """
-    document = _document(text, LAYERS_FORMAT)
-    layers: LayeredModel = _typed(LayeredModel, {"layers": document.get("layers")}, "layered model")
-    return layers
 
 
 def result_from_json(text: str) -> FitResult:
@@ -205,8 +195,8 @@ def _dump(content: object) -> str:
         raise InvalidArgumentError(f"The report must contain only plain, finite values: {error}.") from None
 
 
-def _document(text: str, wanted: str) -> dict[str, Any]:
-    """Return the document of a JSON text, which has the wanted format."""
+def _document(text: str) -> dict[str, Any]:
+    """Return the document of a JSON text, which is that of a model."""
     try:
         document = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
@@ -215,8 +205,8 @@ def _document(text: str, wanted: str) -> dict[str, Any]:
         raise ModelFormatError("The text is not valid JSON: it is damaged or cut off.") from None
     if not isinstance(document, dict):
         raise ModelFormatError("The JSON text is not an object, as a stored model must be.")
-    if document.get("format") != wanted:
-        raise ModelFormatError(f"The data is not a stored model: its format is not {wanted!r}.")
+    if document.get("format") != FORMAT:
+        raise ModelFormatError(f"The data is not a stored model: its format is not {FORMAT!r}.")
     version = document.get("version")
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise ModelFormatError(f"The stored model has no valid version; it must be {VERSION}.")

@@ -44,7 +44,6 @@ class OpenPBR:
 
     base_color: Color = (0.8, 0.8, 0.8)  # linear RGB of the diffuse part or of the metal
     base_metalness: float = 0.0
-    specular_weight: float = 1.0
     specular_color: Color = (1.0, 1.0, 1.0)  # linear RGB of the highlight or of the metal's edge
     specular_roughness: float = 0.3
     specular_ior: float = 1.5
@@ -63,8 +62,9 @@ class OpenPBR:
         rough = _Facets.of(self._base_roughness**2, *cosines)
         highlight, passed = rough.dielectric(self._base_index, 1.0)
         dielectric = highlight * tint + passed * color / np.pi
-        metal = self.specular_weight * rough.metal(color, tint)
-        base = self._darkening * (self.base_metalness * metal + (1.0 - self.base_metalness) * dielectric)
+        base = self._darkening * (
+            self.base_metalness * rough.metal(color, tint) + (1.0 - self.base_metalness) * dielectric
+        )
         coat, passed = _Facets.of(self.coat_roughness**2, *cosines).dielectric(self.coat_ior, self.coat_weight)
         return np.where(above, coat + passed * base, 0.0)
 
@@ -76,18 +76,16 @@ class OpenPBR:
 
     @property
     def _base_index(self) -> float:
-        """Relative index of refraction of the base, less than a coat's, with F0 scaled by ``specular_weight``."""
+        """Relative index of refraction of the base, less than a coat's; not below 1."""
         inside = self.coat_ior / self.specular_ior
         index = self.coat_weight * inside + (1.0 - self.coat_weight) * self.specular_ior
-        root = np.sqrt(self.specular_weight * _normal_reflectance(index))
-        return float((1.0 + root) / (1.0 - root))
+        return max(index, 1.0 / index)
 
     @property
     def _darkening(self) -> Array:
         """What of the base's light is left after reflections inside the coat."""
         inner = 1.0 - (1.0 - _normal_reflectance(self.coat_ior)) / self.coat_ior**2
-        metal = self.base_metalness * self.specular_weight + 1.0 - self.base_metalness
-        dimmed = (1.0 - inner) / (1.0 - np.array(self.base_color) * metal * inner)
+        dimmed = (1.0 - inner) / (1.0 - np.array(self.base_color) * inner)
         return np.asarray(self.coat_weight * dimmed + 1.0 - self.coat_weight)
 
 

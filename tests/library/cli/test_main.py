@@ -185,7 +185,7 @@ MISTAKES = {
     "fit nickel.binary --horizon-cutoff-deg far": "--horizon-cutoff-deg: must be a number, not 'far'",
     "fit nickel.binary --knots-deg 0,x": "--knots-deg: must be",
     "fit nickel.binary --robust=maybe": "dsbrdf fit: --robust: must be yes or no, not 'maybe'",
-    "fit nickel.binary --jobs 0": "the number of fits that run at once, must be at least 1, not 0",
+    "fit nickel.binary --jobs 0": "--jobs: must be at least 1, not 0",
     "fit nickel.binary --scheduler host": "--scheduler: must be an address such as tcp://host:8786, not 'host'",
     "fit nickel.binary --scheduler tcp://host": "--scheduler: must be an address such as",
     "fit nickel.binary --url localhost:8000": "must be an address such as http://127.0.0.1:8000, not 'localhost:8000'",

@@ -22,7 +22,7 @@ from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.layers import SpecularLayer
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.serialize import from_json, layers_from_json, load
+from dsbrdf.output.serialize import from_json, layers_to_json, load
 from tests.support.command_line import FEW_LOBES, document, printed, run, sentence
 from tests.support.mixtures import samples_table, scattered_samples
 from tests.support.random_models import random_model
@@ -103,7 +103,7 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
 
 def test_layers_are_exported(model_file: Path, tmp_path: Path) -> None:
     run("export", model_file, "--component", "layers", "-o", tmp_path / "layers.json")
-    assert layers_from_json((tmp_path / "layers.json").read_text()) == decompose(load(model_file)).layers
+    assert (tmp_path / "layers.json").read_text() == layers_to_json(decompose(load(model_file)).layers)
 
 
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:

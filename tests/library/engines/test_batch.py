@@ -16,9 +16,9 @@ from dsbrdf import FitOptions
 from dsbrdf.cli import main as cli
 from dsbrdf.engines import batch, local
 from dsbrdf.engines.batch import FileFit, fit_files
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.engines.dask import DaskEngine
+from dsbrdf.engines.local import LocalEngine
 from dsbrdf.output.serialize import load
-from dsbrdf.process_settings import core_count
 from tests.support import endless_fit
 from tests.support.crashing_tasks import compute_unless_named_one
 from tests.support.dask_cluster import DaskCluster, forked
@@ -87,7 +87,9 @@ def command(files: list[Path], tmp_path: Path, temporary: Path) -> Iterator["sub
 def test_each_result_is_written(files: list[Path], tmp_path: Path) -> None:
     missing = tmp_path / "none.binary"
     shares: list[float] = []
-    with closing(fit_files([missing, *files], QUICK, tmp_path / "out", jobs=2, progress=shares.append)) as items:
+    with closing(
+        fit_files([missing, *files], QUICK, LocalEngine(2), tmp_path / "out", progress=shares.append)
+    ) as items:
         results = sorted(items, key=lambda item: [missing, *files].index(item.file))
     assert [item.file for item in results] == [missing, *files]
     assert results[0] == FileFit(missing, error="No such file or directory")
@@ -121,7 +123,8 @@ def test_fit_processes_have_one_thread_and_end_with_the_iterator_and_the_environ
         if threads == [2, 2]:
             raise Seen
 
-    with closing(fit_files([Path("none.binary"), *files[:2]], endless_fit.OPTIONS, jobs=2, progress=look)) as items:
+    asked = [Path("none.binary"), *files[:2]]
+    with closing(fit_files(asked, endless_fit.OPTIONS, LocalEngine(2), progress=look)) as items:
         assert next(items).error == "No such file or directory"
         with pytest.raises(Seen):
             next(items)
@@ -131,17 +134,11 @@ def test_fit_processes_have_one_thread_and_end_with_the_iterator_and_the_environ
     assert not any(map(alive, workers))
 
 
-def test_number_of_jobs_is_positive() -> None:
-    assert core_count() >= 1
-    with pytest.raises(InvalidArgumentError, match="must be at least 1, not 0"):
-        next(fit_files([], QUICK, jobs=0))
-
-
 def test_killed_fit_process_loses_only_its_file(
     files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(local, "compute", compute_unless_named_one)
-    with closing(fit_files(files, QUICK, tmp_path / "out", jobs=1)) as items:
+    with closing(fit_files(files, QUICK, LocalEngine(1), tmp_path / "out")) as items:
         first, *others = items
     assert first.lost
     assert "was ended from outside (SIGKILL); run the command again" in (first.error or "")
@@ -170,19 +167,19 @@ def test_ended_command_leaves_no_process_and_no_file(
 
 def test_batch_that_was_ended_resumes_where_it_stopped(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with closing(fit_files(files, QUICK, out, jobs=1)) as items:
+    with closing(fit_files(files, QUICK, LocalEngine(1), out)) as items:
         assert next(items).output == out / "one.json"
     before = (out / "one.json").read_bytes()
     assert not (out / "three.json").exists()
-    with closing(fit_files(files, QUICK, out, jobs=1)) as items:
+    with closing(fit_files(files, QUICK, LocalEngine(1), out)) as items:
         assert [(item.file, item.resumed) for item in items][::2] == [(files[0], True), (files[2], False)]
     assert (out / "one.json").read_bytes() == before
 
 
 def test_batch_on_a_cluster_equals_the_local_one(files: list[Path], tmp_path: Path, cluster: DaskCluster) -> None:
     asked, shares = [files[0], tmp_path / "none.binary"], list[float]()
-    there = fit_files(asked, QUICK, tmp_path / "out", scheduler=cluster.address, progress=shares.append)
-    with closing(there), closing(fit_files(asked, QUICK)) as here:
+    there = fit_files(asked, QUICK, DaskEngine(cluster.address, 1), tmp_path / "out", progress=shares.append)
+    with closing(there), closing(fit_files(asked, QUICK, LocalEngine(1))) as here:
         (missing, found), (_, expected) = there, here
     assert missing.error == "No such file or directory"
     assert found.result is not None

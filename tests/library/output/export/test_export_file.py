@@ -20,7 +20,6 @@ from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, spher
 from dsbrdf.output.export import FORMATS, export_model, materialx
 from dsbrdf.output.export.materialx import FoundSurface, fit_openpbr
 from dsbrdf.output.export.openpbr import OpenPBR
-from dsbrdf.output.serialize import layers_from_json
 from tests.support.known_models import pairs_of_directions, single_lobe
 from tests.support.materialx_shader import generated_function, materialx_document, surface_of
 from tests.support.mixtures import mixture
@@ -31,9 +30,7 @@ pytestmark = pytest.mark.slow
 needs_materialx = pytest.mark.skipif(
     importlib.util.find_spec("MaterialX") is None, reason='"MaterialX" is not installed'
 )
-COATED = OpenPBR(
-    (0.6, 0.3, 0.1), 0.3, 0.7, (0.9, 0.8, 0.5), specular_roughness=0.5, coat_weight=0.6, coat_roughness=0.25
-)
+COATED = OpenPBR((0.6, 0.3, 0.1), 0.3, (0.9, 0.8, 0.5), specular_roughness=0.5, coat_weight=0.6, coat_roughness=0.25)
 # About what a decomposition would say of it, not the surface itself.
 LAYERS = LayeredModel(
     (
@@ -144,11 +141,6 @@ def test_a_result_is_exported_with_its_report_and_a_component_as_one(report: Fit
     assert "vec3 dsbrdf(" in (tmp_path / "paint.txt").read_text()
     dsbrdf.export(decompose(MODEL)["diffuse"], tmp_path / "lobe.glsl")
     assert "This is a component" in (tmp_path / "lobe.glsl").read_text()
-
-
-def test_layers_are_stored_without_loss(tmp_path: Path) -> None:
-    dsbrdf.export(LAYERS, tmp_path / "layers.json")
-    assert layers_from_json((tmp_path / "layers.json").read_text()) == LAYERS
 
 
 def test_layers_are_values_in_the_formats_that_hold_values() -> None:

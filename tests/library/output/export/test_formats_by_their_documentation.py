@@ -240,7 +240,7 @@ def test_layers_as_csv() -> None:
 
 
 def test_materialx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    surface = OpenPBR((0.61, 0.0, 1.0 / 3.0), 0.3, 0.7, (0.9, 0.8, 0.5), 0.123456789, 1.5, 0.6, 0.25, 1.6)
+    surface = OpenPBR((0.61, 0.0, 1.0 / 3.0), 0.3, (0.9, 0.8, 0.5), 0.123456789, 1.5, 0.6, 0.25, 1.6)
     monkeypatch.setattr(materialx, "fit_openpbr", lambda *_: FoundSurface(surface, {"three_lights": 30.0}, {}))
     dsbrdf.export(MODELS["student"], tmp_path / "satin purple.mtlx")
     document = ElementTree.parse(tmp_path / "satin purple.mtlx").getroot()

@@ -1,0 +1,229 @@
+"""Commands that draw models and measurements, and compare two."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+
+from dsbrdf.cli.arguments import print_json, print_written
+from dsbrdf.cli.commands import Whole
+from dsbrdf.cli.parameters import (
+    MEASUREMENTS,
+    ComponentName,
+    Json,
+    OutputFile,
+    SourceFile,
+    named_in_errors,
+    named_part,
+    read_measured,
+    read_model,
+    read_source,
+)
+from dsbrdf.data.files import write_atomically
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.sample_tables import is_table
+from dsbrdf.data.scattered_samples import ScatteredSamples
+from dsbrdf.data.table_options import AS_WRITTEN
+from dsbrdf.errors import InvalidArgumentError, one_of
+from dsbrdf.fitting.metrics import METRICS
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.sample_errors import relative_rms
+from dsbrdf.model.environment import EnvironmentMap, read_environment
+from dsbrdf.model.image_metrics import displayed, exposure
+from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_normals
+from dsbrdf.output.figure_parts import IMAGE_FORMATS, encode_figure
+from dsbrdf.output.notebook import plot_fit
+from dsbrdf.output.parameter_figures import parameters_figure
+from dsbrdf.output.report_text import lobes_phrase
+from dsbrdf.output.sample_figures import samples_figure
+from dsbrdf.output.sphere_panels import compare_spheres, encode_png, side_by_side
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Look:
+    """How spheres are drawn.
+
+    Attributes
+    ----------
+    lighting
+        three_lights, environment, or a panorama of 360 by 180 degrees, .exr.
+    size
+        Of a sphere [pixels].
+    exposure
+        What radiance is multiplied by before it is clipped at 1 and gets the sRGB curve; by default the 99th percentile
+        of the whole material, or of the first source, becomes 1.
+    """
+
+    lighting: Annotated[str, Parameter(metavar="NAME|FILE")] = LIGHTINGS[0]
+    size: Annotated[int, Whole, Parameter(metavar="PIXELS")] = 256
+    component: ComponentName = None
+    exposure: Annotated[float | None, Parameter(metavar="FACTOR")] = None
+
+    def __post_init__(self) -> None:
+        if self.lighting not in LIGHTINGS and Path(self.lighting).suffix.lower() != ".exr":
+            raise InvalidArgumentError(
+                f"--lighting: must be {', '.join(LIGHTINGS)} or an .exr file, not {self.lighting!r}"
+            )
+        if self.exposure is not None and not 0.0 < self.exposure < float("inf"):
+            raise InvalidArgumentError(f"the exposure must be a positive number, not {self.exposure:g}")
+
+    def light(self) -> str | EnvironmentMap:
+        """Return the name of the lighting, or the panorama; an error names its file."""
+        if self.lighting in LIGHTINGS:
+            return self.lighting
+        with named_in_errors(Path(self.lighting)):
+            return read_environment(self.lighting)
+
+
+_USUAL = Look()
+
+
+def render(source: Path, /, *, output: OutputFile, look: Look = _USUAL, json: Json = False) -> None:
+    """Draw a lit sphere of a model or a measurement.
+
+    Parameters
+    ----------
+    source
+        A .json model, or a .binary or .bsdf measurement.
+    output
+        The file to write, a .png.
+    """
+    _check_png(output)
+    light, whole = look.light(), read_source(source)
+    if look.component is not None and isinstance(whole, Measurement):
+        raise InvalidArgumentError(f"{source}: a measurement has no components; fit it first")
+    part = whole if isinstance(whole, Measurement) else named_part(source, whole, look.component)
+    image = render_sphere(part, lighting=light, size=look.size)
+    factor = look.exposure
+    if factor is None:
+        of_whole = image if part is whole else render_sphere(whole, lighting=light, size=look.size)
+        factor = exposure(of_whole, sphere_normals(look.size)[1])
+    write_atomically(output, [encode_png(displayed(image, factor))])
+    if json:
+        print_json({"output": str(output), "lighting": look.lighting, "exposure": factor})
+    else:
+        print(f"{output}: {look.lighting}, radiance times {factor:.4g}, clipped at 1, sRGB curve")
+
+
+def _check_png(output: Path) -> None:
+    if output.suffix.lower() != ".png":
+        raise InvalidArgumentError(f"{output}: the picture's file must end in .png")
+
+
+def plot(
+    model: Path,
+    measurement: Path | None = None,
+    /,
+    *,
+    output: OutputFile,
+    lobes: bool = False,
+    json: Json = False,
+) -> None:
+    """Draw the fit of a measurement, or the parameters of a model.
+
+    Parameters
+    ----------
+    model
+        A .json file from dsbrdf fit.
+    measurement
+        What was fitted: draws its profiles, the fit and the components, or a table's samples beside the fit, and the
+        residual; without it, the parameters over theta_diff. It may also come first.
+    output
+        The file to write: .png, .svg or .pdf.
+    lobes
+        Draw the lobes of the model instead of its components.
+    """
+    image_format = output.suffix.lower().removeprefix(".")
+    if image_format not in IMAGE_FORMATS:
+        raise InvalidArgumentError(
+            f"{output}: the figure's file must end in {one_of([f'.{name}' for name in IMAGE_FORMATS])}"
+        )
+    if measurement is not None and model.suffix.lower() in MEASUREMENTS:
+        model, measurement = measurement, model
+    fitted, report = read_model(model)
+    if measurement is None:
+        what, figure = "parameters over theta_diff", parameters_figure(fitted, title=model.stem, model_lobes=lobes)
+    else:
+        options = FitOptions() if report is None else report.options
+        measured = read_measured(measurement, options)
+        is_table = isinstance(measured, ScatteredSamples)
+        what = "samples, fit and residual" if is_table else "profiles, fit and components"
+        figure = plot_fit(fitted, measured, options, model_lobes=lobes)
+    write_atomically(output, [encode_figure(figure, image_format)])
+    print_written(output, what, image_format, json=json)
+
+
+def compare(
+    first: SourceFile,
+    second: SourceFile,
+    /,
+    *,
+    output: OutputFile | None = None,
+    look: Look = _USUAL,
+    json: Json = False,
+) -> None:
+    """Compare two models or measurements, or a table of samples with a model.
+
+    Parameters
+    ----------
+    output
+        Write a picture, a .png file: both spheres with the exposure of the first, their difference and the components
+        of a fit; or the samples, the fit and the residual.
+    """
+    if output is not None:
+        _check_png(output)
+    if look.component is not None:
+        raise InvalidArgumentError("a comparison shows all components: leave --component out")
+    paths = (first, second)
+    reports = [read_model(path)[1] for path in paths if path.suffix.lower() not in MEASUREMENTS]
+    options = next((report.options for report in reports if report is not None), FitOptions())
+    sources, columns = zip(*(_source(path, options) for path in paths), strict=True)
+    tables = [source for source in sources if isinstance(source, ScatteredSamples)]
+    if tables:
+        model, _ = read_model(second if sources[0] is tables[0] else first)
+        (samples,) = tables
+        found_values = model.evaluate_directions(samples.omega_in, samples.omega_out)
+        error = relative_rms(found_values, samples.values, samples.weight)
+        likeness, sentence = {"relative_rms": error}, f"at the {len(samples.values)} samples: relative_rms {error:.4g}"
+        picture = None if output is None else encode_figure(samples_figure(samples, model))
+        shown = "samples, fit and residual"
+    else:
+        # Components are those of a fit beside what was measured, not those of one of two models.
+        parts = isinstance(sources[0], Measurement) and output is not None
+        found = compare_spheres(
+            *sources, with_components=parts, lighting=look.light(), size=look.size, factor=look.exposure
+        )
+        likeness = {"psnr": found.psnr if np.isfinite(found.psnr) else None, "ssim": found.ssim}
+        sentence = f"likeness of their lit spheres {found.light}: PSNR {found.psnr:.1f} dB, SSIM {found.ssim:.4f}"
+        picture = None if output is None else encode_png(side_by_side(found.panels))
+        shown = f"{', '.join(found.panels)}; radiance times {found.exposure:.4g}"
+    if output is not None and picture is not None:
+        write_atomically(output, [picture])
+    if json:
+        items = [{"file": str(path)} | column for path, column in zip(paths, columns, strict=True)]
+        print_json({"items": items, "likeness": likeness, "output": None if output is None else str(output)})
+        return
+    print(f"{'':<16}" + "".join(f"{path.stem[-20:]:>22}" for path in paths))
+    for name in columns[0]:
+        print(f"{name:<16}" + "".join(f"{_cell(column[name]):>22}" for column in columns))
+    print(sentence)
+    if output is not None:
+        print(f"{output}: {shown}")
+
+
+def _source(path: Path, options: FitOptions) -> tuple[Any, dict[str, Any]]:
+    """Read a model, or a measurement, a table with these options; return it with what is known of it."""
+    if path.suffix.lower() in MEASUREMENTS:
+        kind, chosen = ("samples", options) if is_table(path) else ("measurement", AS_WRITTEN)
+        measured = read_measured(path, chosen)
+        return measured, {"kind": kind, "numbers": None} | dict.fromkeys(METRICS)
+    model, report = read_model(path)
+    metrics = {name: None if report is None else report.metrics[name] for name in METRICS}
+    return model, {"kind": lobes_phrase(model), "numbers": model.n_numbers} | metrics
+
+
+def _cell(value: str | float | None) -> str:
+    return "" if value is None else value if isinstance(value, str) else f"{value:.4g}"
