@@ -108,9 +108,9 @@ def _wait_until_ready(engine: Engine) -> None:
     while True:
         try:
             return engine.check()
-        except RuntimeError as error:
+        except OSError:
             if time.monotonic() > deadline:
-                raise ConnectionError(str(error)) from error
+                raise
         time.sleep(0.1)
 
 

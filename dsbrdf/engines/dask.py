@@ -63,15 +63,11 @@ class DaskEngine(Processes):
         return self.call(compute_on_cluster, task, self._scheduler, self._fit_limits, on_progress=on_progress)
 
     def check(self) -> None:
-        """Raise RuntimeError if the cluster has no worker that can run fits, or no measurement can be read."""
+        """Raise OSError if the cluster has no worker that can run fits, or no measurement can be read."""
         if time.monotonic() - self._good_at > _FRESH:
             asyncio.run(_try(self._scheduler))
             self._good_at = time.monotonic()
         super().check()
-
-
-class NoClusterError(RuntimeError):
-    """There is no cluster that can run fits now."""
 
 
 @asynccontextmanager
@@ -96,9 +92,9 @@ async def _usable(client: Any, scheduler: str) -> set[str]:
             answers = await client.run(unusable_because, asdict(versions()), on_error="return")
     except Exception as error:
         reason = str(error).partition("\n")[0].rstrip(".") or type(error).__name__
-        raise NoClusterError(f"The Dask scheduler at {scheduler} cannot be reached: {reason}.") from error
+        raise ConnectionError(f"The Dask scheduler at {scheduler} cannot be reached: {reason}.") from error
     if not answers:
-        raise NoClusterError(f"The Dask cluster at {scheduler} has no workers.")
+        raise ConnectionError(f"The Dask cluster at {scheduler} has no workers.")
     why = "; ".join(
         f"{worker} {f'cannot run dsbrdf ({answer!r})' if isinstance(answer, Exception) else answer}"
         for worker, answer in sorted(answers.items())
@@ -106,7 +102,7 @@ async def _usable(client: Any, scheduler: str) -> set[str]:
     )
     usable = {worker for worker, answer in answers.items() if answer is None}
     if not usable:
-        raise NoClusterError(f"The Dask cluster at {scheduler} has no worker that can run fits: {why}.")
+        raise ConnectionError(f"The Dask cluster at {scheduler} has no worker that can run fits: {why}.")
     if why:
         logger.info("not all workers of the Dask cluster are used: %s", why)
     return usable
@@ -151,7 +147,7 @@ async def _fit(
                 if workers & (await client.scheduler.identity(n_workers=-1))["workers"].keys():
                     seen = time.monotonic()
             return answer.result() if answer.done() else None
-    except (NoClusterError, CancelledError, OSError) as error:
+    except (CancelledError, OSError) as error:
         logger.info("a fit is sent again: %r", error)
     return None
 

@@ -87,7 +87,7 @@ class Engine(Protocol):
         """
 
     def check(self) -> None:
-        """Get ready to run fits; raise RuntimeError with one sentence if none can run now."""
+        """Get ready to run fits; raise OSError with one sentence if none can run now."""
 
     def close(self) -> None:
         """Stop all fits, and return when their processes have ended."""

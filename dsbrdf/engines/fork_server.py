@@ -33,7 +33,7 @@ def context() -> Any:
 def start_fork_server() -> None:
     """Start the server, unless it runs or this system has none; Ctrl-C reaches neither it nor what it forks.
 
-    Raises RuntimeError if it cannot be started, or be reached because its socket has been removed.
+    Raises OSError if it cannot be started, or be reached because its socket has been removed.
     """
     if context().get_start_method() != "forkserver":
         return
@@ -44,9 +44,7 @@ def start_fork_server() -> None:
         signals = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             forkserver.ensure_running()
-        except OSError as error:
-            raise RuntimeError(f"no process can be started: {error}") from error
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, signals)
         if not any(Path(util.get_temp_dir()).glob("listener-*")):
-            raise RuntimeError("no process can be started: a socket has been removed; start this program again")
+            raise FileNotFoundError("no process can be started: a socket has been removed; start this program again")

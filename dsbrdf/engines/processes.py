@@ -24,11 +24,9 @@ from dsbrdf.engines.fork_server import START_LOCK, context, start_fork_server
 from dsbrdf.engines.worker import OUT_OF_MEMORY, run_in_worker
 
 _EXIT_TIMEOUT = 5.0  # seconds that a process has to end after it has sent its outcome
-# Exit codes of a process that an operator or the kernel ended, so that another attempt may succeed.
-_ENDED_FROM_OUTSIDE = [
-    -getattr(signal, name) for name in ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT") if hasattr(signal, name)
-]
-_UNKNOWN_EXIT = 255  # reported by multiprocessing when the fork server is gone
+_UNKNOWN_EXIT = 255  # code reported by multiprocessing when the fork server is gone
+# What an operator or the kernel does to a process, so that another attempt may succeed.
+_FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", f"exit code {_UNKNOWN_EXIT}")
 _NOTHING = object()  # instead of the outcome of a process that has died
 
 logger = logging.getLogger(__name__)
@@ -50,14 +48,18 @@ class Processes:
         The step is importable, and its arguments can be pickled. `Future.cancel` ends the process; the future is done
         when it has ended.
         """
-        call = _Call()
+        call = _Call(self._limits, on_progress, step, arguments)
         self._unfinished.add(call)
         call.add_done_callback(self._unfinished.discard)
-        self._threads.submit(copy_context().run, call.settle, self._limits, on_progress, step, arguments)
+        try:
+            self._threads.submit(copy_context().run, call.settle)
+        except RuntimeError:  # no thread can be started; another takes what waits
+            call.cancel()
+            raise
         return call
 
     def check(self) -> None:
-        """Start the server from which processes are forked, unless it runs; RuntimeError if it cannot be started."""
+        """Start the server from which processes are forked, unless it runs; OSError if it cannot be started."""
         start_fork_server()
 
     def close(self) -> None:
@@ -70,8 +72,9 @@ class Processes:
 class _Call(Future[Any]):
     """What a process computes; when it is cancelled, the process ends, and then the future is done."""
 
-    def __init__(self) -> None:
+    def __init__(self, limits: FitLimits, on_progress: OnProgress, step: Callable[..., Any], arguments: Any) -> None:
         super().__init__()
+        self._limits, self._on_progress, self._step, self._arguments = limits, on_progress, step, arguments
         self._stop: Callable[[], object] = lambda: None
         self._is_stopped = False
 
@@ -83,14 +86,12 @@ class _Call(Future[Any]):
             self._stop()
         return False
 
-    def settle(
-        self, limits: FitLimits, on_progress: OnProgress, step: Callable[..., Any], arguments: tuple[Any, ...]
-    ) -> None:
+    def settle(self) -> None:
         """Start the process, and give the future its outcome."""
         if not self.set_running_or_notify_cancel():
             return
         try:
-            outcome = self._run(limits, on_progress, step, arguments)
+            outcome = self._run()
             if self._is_stopped:
                 raise CancelledError  # noqa: TRY301 (as any error)
         except BaseException as error:  # the arguments cannot be sent, or who is told the progress fails
@@ -98,14 +99,11 @@ class _Call(Future[Any]):
         else:
             self.set_result(outcome)
 
-    def _run(
-        self, limits: FitLimits, on_progress: OnProgress, step: Callable[..., Any], arguments: tuple[Any, ...]
-    ) -> Any:
+    def _run(self) -> Any:
         """Start a process; hear it until its outcome comes, it dies or its time is up; return when it has ended."""
         ours, its = socket.socketpair()
-        process = context().Process(
-            target=run_in_worker, args=(its, limits, step, arguments), name="dsbrdf-fit", daemon=True
-        )
+        arguments = its, self._limits, self._step, self._arguments
+        process = context().Process(target=run_in_worker, args=arguments, name="dsbrdf-fit", daemon=True)
         self._stop = partial(ours.shutdown, socket.SHUT_RDWR)  # so that nothing more is heard
         with ours:
             try:
@@ -113,15 +111,15 @@ class _Call(Future[Any]):
                     start_fork_server()
                     with START_LOCK:
                         process.start()
-            except (OSError, EOFError, RuntimeError) as error:
+            except (OSError, EOFError) as error:
                 logger.exception("the process of a fit could not be started")
                 return Fault("system", NOT_STARTED, f"The fit's process could not be started: {error}.")
             patience = 0.0
             try:
-                outcome = _outcome(ours, limits.seconds, on_progress)
+                outcome = _outcome(ours, self._limits.seconds, self._on_progress)
                 patience = _EXIT_TIMEOUT
             except TimeoutError:
-                message = f"The fit took longer than the {limits.seconds:g} s that a fit may take."
+                message = f"The fit took longer than the {self._limits.seconds:g} s that a fit may take."
                 outcome = Fault("compute", "TimeLimit", message)
             finally:
                 code = _end(process, 0.0 if self._is_stopped else patience)
@@ -169,6 +167,6 @@ def _fault_of_exit(code: int | None) -> Fault:
     if code == OUT_OF_MEMORY:
         return MEMORY_LIMIT
     reason = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
-    if code in _ENDED_FROM_OUTSIDE or code == _UNKNOWN_EXIT:
+    if reason in _FROM_OUTSIDE:
         return Fault("system", "ProcessLost", f"The fit's process was ended from outside ({reason}).")
     return Fault("compute", "ProcessCrashed", f"The fit's process crashed ({reason}).")

@@ -48,7 +48,7 @@ def started(engine: Engine) -> Iterator[Engine]:
 def fault_of(engine: Engine) -> str | None:
     try:
         engine.check()
-    except RuntimeError as error:
+    except OSError as error:
         return str(error)
     return None
 

@@ -191,7 +191,7 @@ class Jobs:
         while True:
             try:
                 return await run_in_threadpool(self._engine.check)
-            except RuntimeError:  # of which the log is told by who asks whether the service is ready
+            except (OSError, RuntimeError):  # of which the log is told by who asks whether the service is ready
                 await asyncio.sleep(_READY_INTERVAL)
 
     async def _compute(self, row: FitRow) -> Outcome:
