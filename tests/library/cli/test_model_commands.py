@@ -22,7 +22,8 @@ from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.layers import SpecularLayer
 from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.serialize import from_json, layers_to_json, load
+from dsbrdf.output.export import export_model, part_of
+from dsbrdf.output.serialize import from_json, load
 from tests.support.command_line import FEW_LOBES, document, printed, run, sentence
 from tests.support.mixtures import samples_table, scattered_samples
 from tests.support.random_models import random_model
@@ -101,11 +102,6 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
         np.testing.assert_allclose(rows, np.transpose(shown), rtol=1e-3)
 
 
-def test_layers_are_exported(model_file: Path, tmp_path: Path) -> None:
-    run("export", model_file, "--component", "layers", "-o", tmp_path / "layers.json")
-    assert (tmp_path / "layers.json").read_text() == layers_to_json(decompose(load(model_file)).layers)
-
-
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:
     black = tmp_path / "black.json"
     dsbrdf.save(load(model_file).select((), with_delta=False), black)
@@ -181,30 +177,31 @@ def test_ring_lobe_is_printed_with_its_center(tmp_path: Path) -> None:
     assert line.count("°") == 4
 
 
-def test_export_without_loss(model_file: Path, tmp_path: Path) -> None:
-    model, report = from_json(model_file.read_text())
-    said = printed("export", model_file, "--format", "json", "-o", tmp_path / "model.json")
-    assert said.startswith(f"{tmp_path / 'model.json'}: the model and its report (")
-    assert from_json((tmp_path / "model.json").read_text()) == (model, report)
+@pytest.mark.parametrize(
+    ("words", "component", "file_format", "options"),
+    [
+        ("m.txt --format json", None, "json", {}),
+        ("layers.json --component layers", "layers", "json", {}),
+        ("paint.glsl --name paint --sampling", None, "glsl", {"name": "paint", "sampling": True}),
+        ("table.binary --component diffuse", "diffuse", "merl", {}),
+    ],
+)
+def test_exports_are_those_of_the_library(
+    words: str, component: str | None, file_format: str, options: dict[str, Any], model_file: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / words.split()[0]
+    about = document("export", model_file, "--json", "-o", output, *words.split()[1:])
+    (model, report), content = from_json(model_file.read_text()), output.read_bytes()
+    attached = report if component is None else None
+    assert content == export_model(part_of(model, component), file_format, attached, **options)
+    assert about == {"output": str(output), "format": file_format, "bytes": len(content)}
 
 
-def test_export_as_a_named_shader_that_samples(model_file: Path, tmp_path: Path, coarse_sampling: None) -> None:
-    shader = tmp_path / "paint.glsl"
-    run("export", model_file, "-o", shader, "--name", "paint", "--sampling")
-    assert "\nvec3 paint_sample(vec3 omega_out" in shader.read_text()
+def test_a_refused_export_writes_nothing_and_another_says_what_it_has_written(model_file: Path, tmp_path: Path) -> None:
     run("export", model_file, "-o", tmp_path / "paint.csv", "--name", "paint", code=2)
-    assert not (tmp_path / "paint.csv").exists()
-
-
-def test_export_as_a_table(model_file: Path, tmp_path: Path) -> None:
-    table = tmp_path / "table.binary"
-    command = ["export", str(model_file), "--format", "merl", "-o", str(table), "--component", "diffuse", "--json"]
-    assert document(*command) == {"output": str(table), "format": "merl", "bytes": 34_992_012}
-    measurement = read_merl(table)
-    part = decompose(load(model_file))["diffuse"]
-    # node (30, 20, 90): theta_half = (30 / 90)**2 * 90 = 10 degrees, theta_diff = 20 degrees
-    expected = part.evaluate(np.radians(10.0), np.radians(20.0))
-    np.testing.assert_allclose(measurement.values[:, 30, 20, 90], expected, rtol=1e-12)
+    said = printed("export", model_file, "-o", tmp_path / "model.json")
+    assert said.startswith(f"{tmp_path / 'model.json'}: the model and its report (")
+    assert list(tmp_path.iterdir()) == [tmp_path / "model.json"]
 
 
 def test_closed_output_pipe_is_no_error(model_file: Path) -> None:
@@ -267,24 +264,16 @@ def test_measurement_and_fit_are_compared_under_a_panorama(
     assert pixels_of(output).shape == (24, (3 + len(labels)) * 24, 3)
 
 
-def test_plot_writes_a_figure(model_file: Path, tmp_path: Path) -> None:
-    output = tmp_path / "figure.pdf"
-    about = document("plot", model_file, "-o", output, "--json")
-    content = output.read_bytes()
-    assert content.startswith(b"%PDF")
-    assert about == {"output": str(output), "format": "pdf", "bytes": len(content)}
-
-
-def test_plot_with_the_measurement_draws_its_profiles(model_file: Path, plastic_file: Path, tmp_path: Path) -> None:
-    """More than the parameters, and its lobes instead of its components if asked for."""
-    pictures = []
-    for arguments in ([], [str(plastic_file)], [str(plastic_file), "--lobes"]):
-        output = tmp_path / "figure.png"
-        run("plot", model_file, *arguments, "-o", output)
+def test_plot_draws_the_profiles_of_a_measurement_and_lobes_on_request(
+    model_file: Path, plastic_file: Path, tmp_path: Path
+) -> None:
+    output, pictures = tmp_path / "figure.png", []
+    for arguments in ([], [plastic_file], [plastic_file, "--lobes"]):
+        about = document("plot", model_file, *arguments, "-o", output, "--json")
         pictures.append(output.read_bytes())
+        assert about == {"output": str(output), "format": "png", "bytes": len(pictures[-1])}
     sizes = [struct.unpack(">II", picture[16:24]) for picture in pictures]
-    assert sizes[1] > sizes[0]
-    assert sizes[2] == sizes[1]
+    assert sizes[0] < sizes[1] == sizes[2]
     assert pictures[2] != pictures[1]
 
 

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -16,12 +15,11 @@ from dsbrdf import FitOptions
 from dsbrdf.cli import main as cli
 from dsbrdf.engines import batch, local
 from dsbrdf.engines.batch import FileFit, fit_files
-from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.local import LocalEngine
 from dsbrdf.output.serialize import load
 from tests.support import endless_fit
 from tests.support.crashing_tasks import compute_unless_named_one
-from tests.support.dask_cluster import DaskCluster, forked
+from tests.support.dask_cluster import forked
 from tests.support.processes import alive, short_folder, wait_until
 
 pytestmark = [
@@ -174,19 +172,6 @@ def test_batch_that_was_ended_resumes_where_it_stopped(files: list[Path], tmp_pa
     with closing(fit_files(files, QUICK, LocalEngine(1), out)) as items:
         assert [(item.file, item.resumed) for item in items][::2] == [(files[0], True), (files[2], False)]
     assert (out / "one.json").read_bytes() == before
-
-
-def test_batch_on_a_cluster_equals_the_local_one(files: list[Path], tmp_path: Path, cluster: DaskCluster) -> None:
-    asked, shares = [files[0], tmp_path / "none.binary"], list[float]()
-    there = fit_files(asked, QUICK, DaskEngine(cluster.address, 1), tmp_path / "out", progress=shares.append)
-    with closing(there), closing(fit_files(asked, QUICK, LocalEngine(1))) as here:
-        (missing, found), (_, expected) = there, here
-    assert missing.error == "No such file or directory"
-    assert found.result is not None
-    assert expected.result is not None
-    assert replace(found.result.report, timings={}) == replace(expected.result.report, timings={})
-    assert load(tmp_path / "out" / "one.json") == found.result.model == expected.result.model
-    assert shares[-1] == 2.0
 
 
 def test_unreachable_cluster_is_one_sentence(

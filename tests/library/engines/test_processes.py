@@ -4,6 +4,8 @@ import os
 import platform
 import resource
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -49,6 +51,7 @@ def test_end_of_a_process_is_told_while_others_start(processes: Processes) -> No
 
 
 def test_what_a_process_does_to_itself_is_a_crash(processes: Processes) -> None:
+    assert run_alone(do_nothing, memory_mb=1) == MEMORY_LIMIT  # but for one that has no memory to begin
     crash, end = processes.call(die, signal.SIGSEGV), processes.call(exit_with, 3)
     assert crash.result(PATIENCE) == Fault("compute", "ProcessCrashed", "The fit's process crashed (SIGSEGV).")
     assert end.result(PATIENCE) == Fault("compute", "ProcessCrashed", "The fit's process crashed (exit code 3).")
@@ -92,7 +95,6 @@ def test_process_whose_server_is_lost_is_ended_and_another_server_is_started(pro
     wait_until(lambda: not alive(victim))
 
 
-@pytest.mark.skipif(not hasattr(os, "nice"), reason="the system has no nice values")
 def test_a_process_gives_way_as_its_limits_say() -> None:
     assert run_alone(nice_value, niceness=3) == os.nice(0) + 3
 
@@ -112,11 +114,40 @@ def test_narrower_one_of_two_memory_limits_holds(outside: int, asked: int) -> No
             resource.prlimit(servers[0], resource.RLIMIT_AS, before)
 
 
-def test_process_without_memory_to_begin_is_at_its_limit() -> None:
-    assert run_alone(do_nothing, memory_mb=1) == MEMORY_LIMIT
-
-
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have a way of their own with memory")
 def test_freed_memory_is_reused() -> None:
     pages = run_alone(fill_and_free)
     assert 0 < pages < 10_000  # given back each time, it would be 51,200
+
+
+EIGHT_CHECKS = """
+import tempfile, time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Barrier
+from dsbrdf.engines.local import LocalEngine
+
+make_folder = tempfile.mkdtemp
+
+def make_folder_slowly(*arguments, **named):  # as on a slow disk
+    time.sleep(0.1)
+    return make_folder(*arguments, **named)
+
+tempfile.mkdtemp = make_folder_slowly
+engine, together = LocalEngine(1), Barrier(8)
+
+def check(_):
+    together.wait()
+    engine.check()
+
+with ThreadPoolExecutor(8) as pool:
+    list(pool.map(check, range(8)))
+print(len(list(Path(tempfile.gettempdir()).glob("pymp-*"))))
+engine.check()
+"""
+
+
+def test_threads_that_start_the_server_at_once_share_one_folder(tmp_path: Path) -> None:
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", EIGHT_CHECKS], env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "1", "")

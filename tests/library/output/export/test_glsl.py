@@ -84,7 +84,10 @@ def brdf_sections() -> dict[str, str]:
     """Sections of a .brdf file, read as that program does: a line of the kind first, then blocks."""
     text = export_model(MODELS["mixture"], "brdf").decode()
     assert text.splitlines()[0] == "analytic"
-    return dict(re.findall(r"^::begin (\w+)\n(.*?)^::end \1$", text, re.MULTILINE | re.DOTALL))
+    found = dict(re.findall(r"^::begin (\w+)\n(.*?)^::end \1$", text, re.MULTILINE | re.DOTALL))
+    assert re.fullmatch(r"float scale [\d.]+ [\d.]+ 1\n", found["parameters"])
+    assert "vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y)" in found["shader"]
+    return found
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -121,13 +124,6 @@ def test_webgl_draws_directions_with_that_density(name: str, values: dict[str, A
     for low, high in itertools.pairwise(edges):
         area = np.where((height > low) & (np.minimum(height, 1.0) <= high), inverse, 0.0)
         assert abs(area.mean() - 2.0 * np.pi * (high - low)) < 4.0 * area.std() / np.sqrt(area.size)
-
-
-def test_brdf_explorer_finds_a_parameter_and_a_function() -> None:
-    found = brdf_sections()
-    assert set(found) == {"parameters", "shader"}
-    assert re.fullmatch(r"float scale [\d.]+ [\d.]+ 1\n", found["parameters"])
-    assert "vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y)" in found["shader"]
 
 
 def test_brdf_explorer_gives_the_values_in_a_turned_frame(values: dict[str, Array]) -> None:
