@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
@@ -43,8 +43,6 @@ from dsbrdf.output.export.materialx import fit_openpbr
 from dsbrdf.output.export.mitsuba_bsdf import register
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from dsbrdf.output.serialize import save
-
-Array = NDArray[np.float64]
 
 SIZE, FINER = 96, 4
 ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])

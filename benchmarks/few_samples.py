@@ -14,9 +14,9 @@ import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
@@ -25,7 +25,6 @@ from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 
-Array = NDArray[np.float64]
 Pairs = tuple[Array, Array]
 Truth = Callable[[Array, Array], Array]
 

@@ -13,16 +13,14 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
-
-Array = NDArray[np.float64]
 
 STEP = float(np.radians(0.001))
 REACH = np.radians(np.linspace(-0.2, 0.2, 9))

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_measurements
 from benchmarks.paper.ggx import fit_ggx
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
@@ -32,8 +32,6 @@ from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness
 from dsbrdf.output.sphere_panels import compare_spheres
-
-Array = NDArray[np.float64]
 
 FIT, GGX, TABLE, PEER = "fit", "2 GGX", "phi means", "peer"
 WAYS = (FIT, GGX, TABLE, PEER)

@@ -12,14 +12,12 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf.arrays import Array
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
-
-Array = NDArray[np.float64]
 
 ANGLES = (0.0, 30.0, 60.0, 75.0, 80.0, 85.0, 87.0, 89.0)
 """theta_out [degrees]."""

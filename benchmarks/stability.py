@@ -12,17 +12,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf.arrays import Array
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-
-Array = NDArray[np.float64]
 
 NOISE = 0.01
 CUTOFF = 76.0  # degrees

@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.truth import drawn, load_truth, save_truth
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import spherical
 from tests.support.foreign_bsdfs import burley_diffuse, lambert, oren_nayar, principled_diffuse
 from tests.support.foreign_materials import CATALOGUE, Material
 from tests.support.foreign_truth import RULES, Truth, judged
-
-Array = NDArray[np.float64]
 
 OCHRE = (0.6, 0.4, 0.2)
 EACH_FORMULA = (

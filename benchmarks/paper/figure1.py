@@ -16,7 +16,6 @@ from dsbrdf.output.figure_parts import CHANNEL_COLOURS
 
 __all__ = ["FIGURE"]
 
-Array = NDArray[np.float64]
 
 PREFERRED = ("nickel", "specular-blue-phenolic", "satin_purple", "ilm_l3_37_matte", "acrylic_felt_pink")
 SIDES = ((-1.0, 90), (1.0, 0))  # sign of theta_half and phi_diff [degrees], which is also the column, as in the paper

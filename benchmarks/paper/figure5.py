@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from benchmarks.paper.materials import Computed, Material, Numbers, choose, fit_quietly
 from benchmarks.paper.paper_figure import DEFAULT_COLOUR, PAPER_COLOUR, Claim, PaperFigure, Row, Verdict, new_figure
 from benchmarks.paper.table_interpolation import guided_table_error, means_over_phi, table_error, thinned
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import FitError
@@ -19,7 +19,6 @@ from dsbrdf.model.dsbrdf import DSBRDF
 
 __all__ = ["FACTORS", "FIGURE", "won"]
 
-Array = NDArray[np.float64]
 
 FACTORS = (1, 2, 4, 8, 12, 16, 24)
 WAYS = ("default", "table", "paper", "table_of_means", "guided_table")

@@ -12,18 +12,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox, OffsetImage
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import spearmanr
 
 from benchmarks.paper.materials import Computed, Material, Numbers
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure, sphere, to_bytes
+from dsbrdf.arrays import Array
 from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.render import sphere_normals
 
 __all__ = ["FIGURE", "embedding", "features", "nearest"]
 
-Array = NDArray[np.float64]
 
 SPACES = ("theta_diff_0", "all_slices")
 _N_LOBES, _SIZE = 3, 64

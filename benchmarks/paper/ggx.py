@@ -19,11 +19,11 @@ from itertools import combinations_with_replacement
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares, nnls
 
 from benchmarks.paper.table_interpolation import used_nodes
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
@@ -31,7 +31,6 @@ from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 
 __all__ = ["FINE_STRIDE", "GGXModel", "Nodes", "Objective", "fit_ggx", "microfacet", "samples"]
 
-Array = NDArray[np.float64]
 Objective = Literal["plain", "log"]
 
 N_STARTS = 4

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from benchmarks.paper.materials import Computed, Material, Numbers, choose, fit_quietly
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
-from dsbrdf.arrays import Evaluate
+from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -24,7 +23,6 @@ from dsbrdf.model.render import sphere_normals
 
 __all__ = ["FIGURE", "between"]
 
-Array = NDArray[np.float64]
 
 PREFERRED = (
     "nickel",

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_samples
@@ -26,7 +27,6 @@ __all__ = [
     "used_nodes",
 ]
 
-Array = NDArray[np.float64]
 RowPredictor = Callable[[int], Array]
 
 _COORDINATES = (THETA_HALF, np.arange(float(GRID_SHAPE[0])))  # the angle, or its index: its square root

@@ -7,13 +7,11 @@ One slice of one channel at a time, on the raw samples: the E-step in NumPy, the
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-14
 

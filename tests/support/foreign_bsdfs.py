@@ -8,11 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
 
-Array = NDArray[np.float64]
 Part = Callable[[Array, Array], Array]
 Color = tuple[float, float, float]
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dsbrdf.arrays import Array
 from tests.support.foreign_bsdfs import (
-    Array,
     Color,
     Part,
     ashikhmin_shirley_diffuse,

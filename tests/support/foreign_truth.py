@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import dsbrdf
+from dsbrdf.arrays import Array
 from tests.support.foreign_materials import Material
-
-Array = NDArray[np.float64]
 
 ANGLES_DEG = (0.0, 40.0, 70.0)
 LEAST_F0 = 0.02  # of a channel, for a relative error

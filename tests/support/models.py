@@ -1,12 +1,9 @@
-"""Models and reports that several tests use."""
+"""A model of every magnitude, to be written and read."""
 
 from dataclasses import fields
 
 import numpy as np
 
-from dsbrdf.data.geometry import above_horizon
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import Profiles
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import LARGEST_CENTER
 from dsbrdf.model.splines import n_control_values
@@ -48,11 +45,3 @@ def assert_same_bits(got: DSBRDF, expected: DSBRDF) -> None:
         assert first.tobytes() == second.tobytes()
     for name in TEXTS:
         assert getattr(got, name) == getattr(expected, name)
-
-
-def curve_error(found: DSBRDF, truth: DSBRDF, data: Profiles) -> float:
-    """Weighted relative distance of the means over phi_diff of two models, up to 80 degrees from the normal."""
-    used = above_horizon(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF, DEFAULT_HORIZON_CUTOFF)
-    means = ((model.tabulate() * used).sum(axis=3) / np.maximum(used.sum(axis=2), 1) for model in (found, truth))
-    a, b = (mean.swapaxes(1, 2) for mean in means)
-    return float(np.sqrt(np.sum(data.weight * (a - b) ** 2) / np.sum(data.weight * b**2)))

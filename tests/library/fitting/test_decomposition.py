@@ -11,7 +11,7 @@ from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import Component, decompose
+from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.layers import SpecularLayer
@@ -38,11 +38,6 @@ def diffuse_albedo(albedo: float, reflectance: float) -> float:
     """Albedo at normal incidence of the diffuse term of `dsbrdf.data.synthetic`, by SciPy."""
     falls = quad(lambda cosine: cosine * (1.0 - (1.0 - cosine / 2.0) ** 5), 0.0, 1.0)[0]
     return 2.0 * np.pi * albedo * (1.0 - reflectance) * 28.0 / (23.0 * np.pi) * (1.0 - 0.5**5) * falls
-
-
-def present(component: Component | None) -> Component:
-    assert component is not None
-    return component
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +79,7 @@ def test_values_on_a_grid_and_of_directions_are_those_at_angles(paint_model: DSB
 def test_red_paint_has_a_neutral_highlight_on_a_red_ground(paint_model: DSBRDF) -> None:
     parts = decompose(paint_model)
     assert parts.labels == ("specular_spike", "diffuse")
-    spike, diffuse = present(parts.specular_spike), present(parts.diffuse)
+    spike, diffuse = parts["specular_spike"], parts["diffuse"]
     np.testing.assert_allclose(spike.color, 1.0, atol=0.05)
     assert spike.half_width == pytest.approx(np.arctan(ROUGHNESS * np.sqrt(np.sqrt(2.0) - 1.0)), rel=0.1)
     truth = [diffuse_albedo(albedo, reflectance) for albedo, reflectance in zip(RED, COAT, strict=True)]
@@ -93,7 +88,7 @@ def test_red_paint_has_a_neutral_highlight_on_a_red_ground(paint_model: DSBRDF) 
 
 
 def test_diffuse_part_has_no_dent_under_the_highlight(paint_model: DSBRDF) -> None:
-    diffuse = present(decompose(paint_model).diffuse)
+    diffuse = decompose(paint_model)["diffuse"]
     for theta_diff in np.radians([0.0, 30.0, 45.0]).tolist():
         under = diffuse.evaluate(np.radians(np.linspace(0.0, 12.0, 49)), theta_diff)
         around = diffuse.evaluate(np.radians(np.linspace(8.0, 40.0, 65)), theta_diff).max(axis=0)
@@ -133,7 +128,7 @@ def test_known_lobes_get_their_labels_and_come_back(groups: Any, labels: tuple[s
 def test_a_component_says_its_physical_parameters_with_ranges(paint_model: DSBRDF) -> None:
     parts = decompose(paint_model)
     assert parts.structure == "dielectric over diffuse"
-    spike, diffuse = present(parts.specular_spike), present(parts.diffuse)
+    spike, diffuse = parts["specular_spike"], parts["diffuse"]
     layer, ranges = spike.layer, spike.ranges
     assert isinstance(layer, SpecularLayer)
     assert layer.alpha == pytest.approx(ROUGHNESS, rel=0.05)
@@ -166,7 +161,7 @@ def test_absent_and_unknown_labels(paint_model: DSBRDF) -> None:
     black, parts = decompose(single_lobe(1.0, 1.0, 0.0)), decompose(paint_model)
     assert (list(black), len(black), black.labels, black.layers.layers) == ([], 0, (), ())
     assert (black.structure, black.remarks) == ("no light", ())
-    assert parts.specular_lobe is None
+    assert (parts.specular_lobe, parts.diffuse) == (None, parts["diffuse"])
     for found, label, words in (
         (black, "diffuse", "no component diffuse: it has no light"),
         (parts, "specular_lobe", "no component specular_lobe: it has specular_spike and diffuse"),

@@ -2,17 +2,15 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.fitting import em
 from tests.support.algorithm_1 import algorithm_1, plain_lobe, raw_slice
 from tests.support.soak import repeats
-
-Array = NDArray[np.float64]
 
 CUTOFF = float(np.radians(80.0))
 ITERATIONS = repeats(3, 6)  # of the plain version, each of which takes a tenth of a second

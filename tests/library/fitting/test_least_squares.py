@@ -4,16 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.structure import ELONGATION_BOUNDS, REACH_BOUNDS, Mixture, Structure, mixture_model
 from dsbrdf.model.lobe_families import FAMILIES
 from dsbrdf.model.lobes import half_width
-
-Array = NDArray[np.float64]
 
 ROWS, COLUMNS = np.arange(0, 80, 9), np.array([0, 6, 14, 22, 30, 45, 60, 75])
 KNOTS = np.radians([0.0, 40.0, 68.0])  # rows go beyond

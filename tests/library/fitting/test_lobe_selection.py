@@ -3,9 +3,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting import em
@@ -22,8 +23,6 @@ from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
 from tests.support.algorithm_1 import plain_lobe
-
-Array = NDArray[np.float64]
 
 ANGLES = THETA_HALF[OUTSIDE_CENTER]
 LOBES = np.array([[4.0, 1500.0], [1.5, 40.0], [0.3, 1.0]])

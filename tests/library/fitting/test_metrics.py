@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
@@ -21,8 +22,6 @@ from dsbrdf.fitting.metrics import (
 )
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
-
-Array = NDArray[np.float64]
 
 HALF, DIFF, PHI = np.meshgrid(THETA_HALF, THETA_DIFF, PHI_DIFF, indexing="ij")
 COS_IN = np.cos(HALF) * np.cos(DIFF) - np.sin(HALF) * np.sin(DIFF) * np.cos(PHI)

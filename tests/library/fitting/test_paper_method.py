@@ -3,8 +3,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
@@ -18,7 +18,6 @@ from dsbrdf.model.dsbrdf import DSBRDF
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 
 UNCONVERGED = pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
 

@@ -17,7 +17,9 @@ from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import DirectionalAlbedo, FitResult, KnotReport
 from dsbrdf.fitting.report_warnings import accuracy_warnings, fit_warnings
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobes import gamma_of_half_width
 from dsbrdf.model.render import render_sphere
+from tests.support.known_models import single_lobe
 from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow
@@ -31,14 +33,10 @@ def data(matte: Measurement) -> Profiles:
     return profiles(matte)
 
 
-def lobes(*half_widths: float, heights: tuple[float, ...]) -> DSBRDF:
-    """Model of lobes with these half widths [degrees] and heights [1/sr]."""
-    kappa = 2.0
-    gamma = np.log(np.log1p(np.expm1(kappa) / 2.0) / kappa) / np.log(np.cos(np.radians(half_widths)))
-    ones = np.ones((1, 1, len(half_widths)))
-    return DSBRDF(
-        np.zeros(1), np.array(heights) * np.ones((3, 1, 1)), kappa * ones, gamma * ones, interpolation="linear"
-    )
+def lobe(half_width_deg: float) -> DSBRDF:
+    """A grey lobe of 0.1/sr."""
+    gamma = gamma_of_half_width(np.radians(half_width_deg), np.array(2.0), "hemi_epd")
+    return single_lobe(2.0, float(gamma), 0.1)
 
 
 @pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"][: repeats(1, 3)])
@@ -58,19 +56,19 @@ def test_measured_materials_have_none(reference_files: dict[str, Path], name: st
 def test_measurement_that_does_not_reach_the_rim(matte: Measurement, kept: NDArray[np.bool_], end: str) -> None:
     valid = nodes_above_horizon() & kept[..., None]
     ended = profiles(Measurement.from_values(matte.values, valid))
-    (found,) = fit_warnings(lobes(80.0, heights=(0.1,)), ended, CONVERGED, MODERATE)
+    (found,) = fit_warnings(lobe(80.0), ended, CONVERGED, MODERATE)
     assert f"no valid samples beyond {end} degrees: the model is extrapolated there" in found
 
 
 def test_model_that_reflects_more_than_it_receives(data: Profiles) -> None:
     bright = replace(MODERATE, albedo=((0.3, 0.3, 0.3), (0.5, 1.2, 0.5)))
-    (found,) = fit_warnings(lobes(80.0, heights=(0.1,)), data, CONVERGED, bright)
+    (found,) = fit_warnings(lobe(80.0), data, CONVERGED, bright)
     assert "more light than it receives: its directional albedo is 1.200 at 57 degrees in the green channel" in found
-    assert not [*fit_warnings(lobes(80.0, heights=(0.1,)), data, CONVERGED, MODERATE)]
+    assert not [*fit_warnings(lobe(80.0), data, CONVERGED, MODERATE)]
 
 
 def test_split_that_is_open(data: Profiles) -> None:
-    model = lobes(45.0, heights=(0.1,))  # a rough metal, or a ground that looks nearly so
+    model = lobe(45.0)  # a rough metal, or a ground that looks nearly so
     (found,) = fit_warnings(model, data, CONVERGED, MODERATE)
     parts = decompose(model)
     assert found == parts.remarks[0]
@@ -82,7 +80,7 @@ def test_split_that_is_open(data: Profiles) -> None:
         f"The split into specular and diffuse light is open: the diffuse part has {low:.0%} to 100% of the light. "
     )
     assert parts.structure in found
-    assert not [*fit_warnings(lobes(80.0, heights=(0.1,)), data, CONVERGED, MODERATE)]
+    assert not [*fit_warnings(lobe(80.0), data, CONVERGED, MODERATE)]
 
 
 def test_noisy_measurement() -> None:

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import stats
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import directions, spherical
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -12,7 +12,6 @@ from tests.support.random_models import random_model
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 
 N_SAMPLES = 30_000
 PAIRS = [(name, angle) for name in MODELS for angle in (0.0, 21.0, 45.0, 69.9, 84.0, 88.9)]
