@@ -103,33 +103,27 @@ def test_repeated_signals_are_harmless(own_server: Callable[..., Server], data: 
     assert server.status(fit) in ("accepted", "running")
 
 
-def test_sigterm_to_all_processes_fails_no_fit(own_server: Callable[..., Server], data: bytes) -> None:
+def test_sigterm_to_all_processes_fails_no_fit_and_cuts_off_no_answer(
+    own_server: Callable[..., Server], data: bytes
+) -> None:
     """As a service manager does it that signals every process; an upload keeps the service from ending at once."""
     server = own_server(workers="2", fit_attempts="1", shutdown_seconds="3")
     fits = start_fits(server, data, 2)
     wait_until(lambda: len(server.workers()) == 2)
-    everyone = [*server.workers(), *server.helpers(), server.process.pid]
-    with upload_in_progress(server, data):
+    everyone, stored = [*server.workers(), *server.helpers(), server.process.pid], server.files()
+    with upload_in_progress(server, data) as connection:
         for pid in everyone:
             os.kill(pid, signal.SIGTERM)
-        assert server.process.wait(timeout=20) == 0
-    server.start()
-    for fit in fits:
-        assert server.status(fit) in ("accepted", "running", "succeeded")
-
-
-def test_unfinished_request_gets_503_at_shutdown(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(fits=False, shutdown_seconds="1")
-    with upload_in_progress(server, data) as connection:
-        server.process.send_signal(signal.SIGTERM)
-        answer = connection.makefile("rb").read()
-    head_of_answer, _, body = answer.partition(b"\r\n\r\n")
+        head_of_answer, _, body = connection.makefile("rb").read().partition(b"\r\n\r\n")
     assert head_of_answer.startswith(b"HTTP/1.1 503 ")
     assert json.loads(body)["type"] == "urn:dsbrdf:problem:shutting-down"
     assert server.process.wait(timeout=20) == 0
-    assert not server.files()
+    assert server.files() == stored
     assert all(json.loads(line) for line in server.log.read_text().splitlines())
     assert "Finished server process" in server.log.read_text()
+    server.start()
+    for fit in fits:
+        assert server.status(fit) in ("accepted", "running", "succeeded")
 
 
 def pipes(pid: int) -> int:
