@@ -147,17 +147,15 @@ def test_from_values_equals_reading_the_encoded_bytes() -> None:
     assert measurement.sha256 == hashlib.sha256(encode_merl(measurement)).hexdigest()
 
 
-@pytest.mark.parametrize(
-    ("values", "valid", "words"),
-    [
-        (np.zeros((90, 90, 180, 3)), None, r"have the shape \(.*; a measurement has \(3, 90, 90, 180\)"),
-        (np.ones((3, *GRID_SHAPE)), np.ones((90, 180, 90), bool), r"valid nodes have the shape \(90, 180, 90\)"),
-        (np.zeros((3, *GRID_SHAPE)), None, "Every valid node is zero"),
+def test_from_values_names_the_fault() -> None:
+    zeros, ones = np.zeros((3, *GRID_SHAPE)), np.ones((3, *GRID_SHAPE))
+    wrong: list[tuple[Any, Any, str]] = [
+        (np.moveaxis(zeros, 0, -1), None, r"have the shape \(.*; a measurement has \(3, 90, 90, 180\)"),
+        (ones, np.ones((90, 180, 90), bool), r"valid nodes have the shape \(90, 180, 90\)"),
+        (zeros, None, "Every valid node is zero"),
         (np.array([["a"]]), None, "must be real numbers"),
-        (np.where(np.arange(180) == 7, np.inf, np.ones((3, *GRID_SHAPE))), None, "^24300 of the values are NaN"),
-    ],
-    ids=["channels last", "nodes", "zeros", "text", "infinite"],
-)
-def test_from_values_names_the_fault(values: Any, valid: Any, words: str) -> None:
-    with pytest.raises(MeasurementFormatError, match=words):
-        Measurement.from_values(values, valid)
+        (np.where(np.arange(180) == 7, np.inf, ones), None, "^24300 of the values are NaN"),
+    ]
+    for values, valid, words in wrong:
+        with pytest.raises(MeasurementFormatError, match=words):
+            Measurement.from_values(values, valid)

@@ -4,7 +4,7 @@ import io
 import struct
 import sys
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -90,17 +90,20 @@ GOOD = spreadsheet(Data=[NAMES, *ROWS])
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (declared_longer(GOOD, 1 << 30), "The spreadsheet is longer than"),
-        (without(GOOD, "xl/_rels/workbook.xml.rels"), "The spreadsheet cannot be read; save its sheet as .csv."),
-        (without(GOOD, "xl/workbook.xml"), "a table, in a text or in a spreadsheet"),
-        (GOOD[:2000], "a table, in a text or in a spreadsheet"),
-        (spreadsheet(Data=[["x" * 32_000] * 2100]), "The sheet has more than"),
-        (spreadsheet(Data=[]), "The table is empty"),
+        (lambda: declared_longer(GOOD, 1 << 30), "The spreadsheet is longer than"),
+        (
+            lambda: without(GOOD, "xl/_rels/workbook.xml.rels"),
+            "The spreadsheet cannot be read; save its sheet as .csv.",
+        ),
+        (lambda: without(GOOD, "xl/workbook.xml"), "a table, in a text or in a spreadsheet"),
+        (lambda: GOOD[:2000], "a table, in a text or in a spreadsheet"),
+        (lambda: spreadsheet(Data=[["x" * 32_000] * 2100]), "The sheet has more than"),
+        (lambda: spreadsheet(Data=[]), "The table is empty"),
     ],
 )
-def test_a_spreadsheet_that_is_no_table_is_refused(content: bytes, words: str) -> None:
+def test_a_spreadsheet_that_is_no_table_is_refused(content: Callable[[], bytes], words: str) -> None:
     with pytest.raises(MeasurementFormatError) as caught:
-        parse_samples(content)
+        parse_samples(content())
     assert words in str(caught.value)
 
 
