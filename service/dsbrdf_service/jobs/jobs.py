@@ -33,7 +33,6 @@ Values = TypeVarTuple("Values")
 T = TypeVar("T")
 
 _RETRY_DELAY = 5.0  # seconds between attempts at what the machine does not allow now: to write, to start a process
-_READY_INTERVAL = 0.5  # seconds between two questions whether the engine can run fits
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)
 _MIN_POLL_INTERVAL = 0.05  # seconds between looks at a row that is ahead of this process, or behind it, by one step
 _LOST_DELAY = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
@@ -165,7 +164,6 @@ class Jobs:
 
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return whether it is over."""
-        await self._until_ready()
         row = await _write(self._store.start_fit, key)
         if row is None:
             return True
@@ -185,14 +183,6 @@ class Jobs:
                 return False
         await _write(self._record, row.key, outcome)
         return True
-
-    async def _until_ready(self) -> None:
-        """Wait as long as the engine can run no fit."""
-        while True:
-            try:
-                return await run_in_threadpool(self._engine.check)
-            except (OSError, RuntimeError):  # of which the log is told by who asks whether the service is ready
-                await asyncio.sleep(_READY_INTERVAL)
 
     async def _compute(self, row: FitRow) -> Outcome:
         """Run the fit of a row after checking its file; wait as long as no process can be started."""

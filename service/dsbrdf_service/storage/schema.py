@@ -96,8 +96,8 @@ class Caller:
     """Who asks, and how much they may have at once; rows are seen by their owner only."""
 
     owner: str = ""  # id of the key that was sent
-    stored_bytes: int | None = None  # None is no bound
-    queued_fits: int | None = None
+    stored_bytes: float = math.inf
+    queued_fits: float = math.inf
     metrics: bool = True  # whether they may see the totals of all
     requests_per_second: float = math.inf
 

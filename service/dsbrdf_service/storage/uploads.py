@@ -54,10 +54,8 @@ class Uploads:
             self._in_progress += Counter()  # without those that have none
 
     def _check_room(self, caller: Caller, in_progress: int) -> None:
-        if caller.stored_bytes is None:
-            return
         ((stored,),) = self._database.rows(_STORED, caller.owner, caller.owner)
-        if in_progress >= max(1, (caller.stored_bytes - stored) // FILE_SIZE):
+        if in_progress + 1 > max(1.0, (caller.stored_bytes - stored) / FILE_SIZE):
             uploads = f"{in_progress} upload{'s' if in_progress > 1 else ''} in progress"
             raise _full(caller.stored_bytes, stored, f" and {uploads}, which take the rest")
 
@@ -70,8 +68,6 @@ def check_key(db: sqlite3.Connection, caller: Caller) -> None:
 
 def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
     """Raise ProblemError if the caller has as many unfinished fits as it may have."""
-    if caller.queued_fits is None:
-        return
     query = f"SELECT count(*) FROM fits WHERE owner = ? AND {IS_UNFINISHED}"  # noqa: S608
     (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
     if unfinished >= caller.queued_fits:
@@ -81,14 +77,12 @@ def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
 
 def check_storage(db: sqlite3.Connection, caller: Caller, more: int) -> None:
     """Raise ProblemError if the caller has no room for `more` bytes, or for one at least."""
-    if caller.stored_bytes is None:
-        return
     (stored,) = db.execute(_STORED, (caller.owner, caller.owner)).fetchone()
     if stored + max(more, 1) > caller.stored_bytes:
         measurement = f" and the measurement has {more / 1e6:.1f} MB" if more else ""
         raise _full(caller.stored_bytes, stored, measurement)
 
 
-def _full(allowed: int, stored: int, more: str) -> ProblemError:
+def _full(allowed: float, stored: int, more: str) -> ProblemError:
     usage = f"this key has stored {stored / 1e6:.1f} of {allowed / 1e6:.1f} MB"
     return ProblemError("storage-quota", f"{usage}{more}; delete what is not needed any more.")

@@ -18,7 +18,7 @@ from dsbrdf.engines.engine import FitLimits
 from dsbrdf.fitting import decomposition
 from dsbrdf_service.access.authentication import CALLER_NAME
 from dsbrdf_service.jobs import steps
-from dsbrdf_service.jobs.computations import Computations, FairTurns
+from dsbrdf_service.jobs.computations import Computations
 from dsbrdf_service.routes import brdf, figures, fits, uploads
 from dsbrdf_service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
@@ -208,22 +208,6 @@ async def test_end_of_a_computation_that_was_given_up_leaves_the_next_one_shared
         await asyncio.gather(before, third)
     await computations.close()
     assert computed == ["values"]
-
-
-async def test_turn_of_a_cancelled_waiter_goes_to_the_next() -> None:
-    turns = FairTurns()
-
-    async def take() -> None:
-        async with turns.turn("a"):
-            await asyncio.sleep(0)
-
-    async with turns.turn("a"):
-        waits, granted = asyncio.create_task(take()), asyncio.create_task(take())
-        await asyncio.sleep(0)
-        waits.cancel()  # while it waits
-    granted.cancel()  # it has been given the turn, and has not run since
-    await asyncio.wait([waits, granted])
-    await asyncio.wait_for(take(), 60.0)
 
 
 def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[..., Server], data: bytes) -> None:

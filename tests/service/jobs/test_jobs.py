@@ -67,9 +67,6 @@ class Engine:
         self.begun: list[str] = []
         self.threads = ThreadPoolExecutor(2)
 
-    def check(self) -> None:
-        pass
-
     def submit(self, task: FitTask, on_progress: Callable[[float], None]) -> "Future[Outcome]":
         self.begun.append(task.fit_id)
         fit = StoppableFit()

@@ -7,8 +7,6 @@ from pathlib import Path
 import pytest
 
 from dsbrdf_service.client import Client
-from dsbrdf_service.storage.database import FILE_NAME
-from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
@@ -99,18 +97,3 @@ def test_download_of_a_file_that_changes_meanwhile_is_broken_off(used: tuple[Ser
     wait_until(lambda: "has changed while it was sent" in server.log.read_text())
     assert "Traceback" not in server.log.read_text()
     assert_problem(server.http.get(f"/v1/measurements/{sha256}"), 404, "measurement-damaged")
-
-
-def test_service_whose_log_of_the_database_is_gone_takes_nothing_more(
-    own_server: Callable[..., Server], data: bytes
-) -> None:
-    server = own_server(fits=False)
-    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    (server.data_dir / f"{FILE_NAME}-wal").unlink()
-    assert_problem(server.http.post("/v1/measurements", content=with_value(data, 0.5)), 503, "not-ready")
-    wait_until(lambda: server.http.get("/health/ready").status_code == 503)
-    assert server.http.get(f"/v1/measurements/{sha256}").content == data
-    server.stop()
-    server.start()  # a clean end has written the log into the database
-    assert [row["sha256"] for row in server.http.get("/v1/measurements").json()["items"]] == [sha256]
-    assert server.http.post("/v1/measurements", content=with_value(data, 0.5)).status_code == 201
