@@ -12,11 +12,10 @@ import resource
 import socket
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any, cast
 
 import uvicorn
@@ -37,6 +36,7 @@ from .routes.dependencies import Context
 from .settings import Settings
 from .storage.store import Store
 
+_CONNECTIONS = 8  # for each request that may be in progress: many are idle
 _CLEANUP_SECONDS = 5.0  # for what has to be closed after the open requests have ended
 
 logger = logging.getLogger(__name__)
@@ -79,6 +79,7 @@ def _serve(given: Mapping[str, Any]) -> int:
     _keep_temporary_files_in(store.running)
     logs.configure(settings)
     return_freed_memory()
+    _raise_descriptor_limit()
     return _run(settings, store)
 
 
@@ -89,7 +90,7 @@ def _run(settings: Settings, store: Store) -> int:
         host=settings.host,
         port=settings.port,
         http=Connection,
-        limit_concurrency=_most_connections(settings),
+        limit_concurrency=_CONNECTIONS * settings.limit_concurrency,
         timeout_graceful_shutdown=settings.shutdown_seconds,
         server_header=False,
         # Only where the operator names the proxies that are trusted: otherwise anyone could send that header.
@@ -101,28 +102,26 @@ def _run(settings: Settings, store: Store) -> int:
         callback_notify=partial(to_thread.run_sync, trim_memory),
         timeout_notify=60,
     )
-    # When it has shut down, uvicorn raises the signal that stopped it once more: an ordinary exit then.
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, _exit)
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as under nohup
-        signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
     server = _Server(config)
     logger.info("dsbrdf %s serves the data folder %s", app.version, settings.data_dir.resolve())
-    try:
-        server.run()
-    except SystemExit as stop:
-        return 1 if stop.code else 0
-    finally:
-        _ignore_signals()
+    server.run()
     return 0 if server.started else 1
 
 
 class _Server(uvicorn.Server):
     """Releases the requests that wait for a fit or follow one before it waits for requests to end."""
 
-    def handle_exit(self, sig: int, frame: FrameType | None) -> None:  # noqa: ARG002 (uvicorn's signature)
-        """Begin to end; a second Ctrl-C does not break that off, which takes some seconds at most."""
-        super().handle_exit(signal.SIGTERM, frame)
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Begin to end at a signal; further ones do not break that off, which takes some seconds at most."""
+
+        def end(*_: object) -> None:
+            self.should_exit = True
+
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+                signal.signal(number, end)
+        yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to serve, and tell a person at a terminal where."""
@@ -143,17 +142,6 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def _exit(*_: Any) -> None:
-    _ignore_signals()
-    sys.exit(0)
-
-
-def _ignore_signals() -> None:
-    """Let no second signal interrupt the end."""
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
-
-
 def _refuse(reason: str) -> int:
     print_error(reason)
     return BAD_INPUT
@@ -169,17 +157,11 @@ def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
     return validation_sentence(faults)
 
 
-def _most_connections(settings: Settings) -> int:
-    """Raise the limit of open files to the largest allowed; return how many connections there may be.
-
-    Many of them are idle, and some descriptors are for files.
-    """
+def _raise_descriptor_limit() -> None:
+    """Raise the limit of open files to the largest allowed; the usual one is below the number of connections."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(OSError, ValueError):  # some systems report more than they allow
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-    descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    most = 8 * settings.limit_concurrency
-    return most if descriptors == resource.RLIM_INFINITY else min(most, descriptors // 2)
 
 
 def _keep_temporary_files_in(folder: Path) -> None:

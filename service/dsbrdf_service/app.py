@@ -72,7 +72,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     to_thread.current_default_thread_limiter().total_tokens = _THREADS
     sys.setswitchinterval(_SWITCH_INTERVAL)
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
-    store = app.state.store or await run_in_threadpool(Store, settings.data_dir)
+    store: Store = app.state.store
     try:
         engine = make_engine(settings)
         models = ModelCache(store, settings.model_cache)
@@ -106,10 +106,7 @@ def make_engine(settings: Settings) -> Engine:
 
 
 def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
-    """Return the application for `settings`.
-
-    It closes `store`, the open store of its data folder; without one, it opens that folder when it starts.
-    """
+    """Return the application for `settings`, which closes the `store`; without one it can only say what it has."""
     app = _Application(
         title="dsbrdf",
         version=dsbrdf.__version__,

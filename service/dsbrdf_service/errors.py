@@ -78,19 +78,14 @@ class MeasurementDamagedError(ProblemError):
         super().__init__("measurement-damaged", f"The stored measurement is damaged ({damage}); upload it again.")
 
 
-def plain_words(message: str) -> str:
-    """Return what pydantic says of a value in plain words: "must be at most 5" or "is missing"."""
-    for pattern, words in _PLAIN_WORDS.items():
-        message = re.sub(pattern, words, message)
-    return message
-
-
 def validation_sentence(errors: Sequence[Mapping[str, Any]]) -> str:
     """Return pydantic's list of errors as one sentence, with what was given instead."""
     parts = []
     for error in errors[:3]:
         place = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "path"))
-        message = plain_words(error["msg"])
+        message = error["msg"]
+        for pattern, words in _PLAIN_WORDS.items():
+            message = re.sub(pattern, words, message)
         if isinstance(error["input"], str | int | float) and message.startswith("must "):
             message += f", not {repr(error['input'])[:60]}"
         if message.startswith(("must ", "is ")):
