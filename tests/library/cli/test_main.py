@@ -1,6 +1,5 @@
 """The command ``dsbrdf``: how it starts, its help, and the sentence that each mistake gets."""
 
-import json
 import os
 import pty
 import re
@@ -17,7 +16,7 @@ from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
 from dsbrdf.output.serialize import save
-from tests.support.command_line import QUICK, Capture, printed, run, sentence
+from tests.support.command_line import QUICK, printed, run, sentence
 from tests.support.commands import start_in_vain
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 
@@ -108,15 +107,6 @@ def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch: 
     assert "\x1b[36m" in printed("eval", "--help")  # cyan
     monkeypatch.setenv("NO_COLOR", "1")
     assert "\x1b[36m" not in printed("eval", "--help")
-
-
-def test_progress_goes_to_a_terminal_only(plastic_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    for is_terminal in (False, True):
-        monkeypatch.setattr(sys.stderr, "isatty", lambda known=is_terminal: known, raising=False)
-        assert cli.main(["fit", str(plastic_file), "--json", *QUICK]) == 0
-        captured = capsys.readouterr()
-        assert "1 of 1 files" in captured.err if is_terminal else captured.err == ""
-        assert json.loads(captured.out)["status"] == "succeeded"
 
 
 def test_progress_is_gone_when_the_last_result_is_printed(plastic_file: Path, tmp_path: Path) -> None:

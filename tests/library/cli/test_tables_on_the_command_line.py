@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dsbrdf.data.merl import read_merl
 from dsbrdf.data.sample_names import VECTORS
-from dsbrdf.output.serialize import load_result
+from dsbrdf.output.serialize import load, load_result
 from tests.library.data.test_layouts import LAYOUTS, MIRROR_60, REFUSED
 from tests.support.command_line import document, printed, run
 from tests.support.mixtures import mixture, scattered_samples
@@ -16,7 +17,8 @@ pytestmark = pytest.mark.slow
 
 
 def test_the_options_of_a_table_are_flags(tmp_path: Path) -> None:
-    samples = scattered_samples(mixture(2, 0), 60)
+    felt = mixture(1, 0)
+    samples = scattered_samples(felt, 60)
     values = np.where(np.arange(60)[:, None] % 9 == 0, -999.0, 100.0 * samples.values * samples.omega_out[:, 2:])
     rows = np.hstack([samples.omega_in * [-1.0, -1.0, 1.0], samples.omega_out, values])
     odd = tmp_path / "odd.csv"
@@ -24,12 +26,16 @@ def test_the_options_of_a_table_are_flags(tmp_path: Path) -> None:
     flags = ("--columns", "blue=azure", "--missing", "-999", "--scale", "0.01", "--cosine", "out", "--phi", "mirror")
     found = document("fit", odd, "-o", tmp_path, "--n-lobes", "1", "--ring-lobes", "0", *flags, "--json")
     error = found["report"]["metrics"]["relative_rms"]
-    stored = load_result(tmp_path / "odd.json").report.options
+    model, stored = load(tmp_path / "odd.json"), load_result(tmp_path / "odd.json").report.options
+    angles = np.radians(10.0), np.radians(30.0)
+    np.testing.assert_allclose(model.evaluate(*angles), felt.evaluate(*angles), rtol=0.02)
     assert (stored.columns, stored.missing, stored.scale, stored.phi) == (("blue=azure",), (-999.0,), 0.01, "mirror")
     assert "samples, fit and residual" in printed("plot", tmp_path / "odd.json", odd, "-o", tmp_path / "odd.png")
     compared = document("compare", tmp_path / "odd.json", odd, "--json")
     assert compared["likeness"]["relative_rms"] == pytest.approx(error, rel=0.05)  # which leaves grazing angles out
     assert "error of the fit " in printed("convert", odd, tmp_path / "odd.binary", *flags)
+    at_node = read_merl(tmp_path / "odd.binary").values[:, 30, 30, 90]  # theta_half 10, theta_diff 30 degrees
+    np.testing.assert_allclose(at_node, felt.evaluate(*angles), rtol=0.05)
 
 
 def test_layouts_of_instruments_are_fitted_to_their_truth(tmp_path: Path) -> None:
