@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass
-from functools import cache
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +26,7 @@ from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
 from dsbrdf.model.layers import LayeredModel
 from dsbrdf.output.component_documents import component_document
+from dsbrdf.output.typed_json import check_keys, typed
 
 FORMAT, LAYERS_FORMAT = "dsbrdf", "dsbrdf-layers"
 VERSION = 2
@@ -162,7 +160,7 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
     """
     document = _document(text)
     model, report = _model_and_report(document)
-    stored: _Components = _typed(_Components, document.get("components"), "components")
+    stored: _Components = typed(_Components, document.get("components"), "components")
     in_order = stored.labels == tuple(label for label in LABELS if label in stored.labels)
     if not in_order or len(stored.ranges) != len(stored.labels):
         raise ModelFormatError("The stored model has no components in order, with ranges for each.")
@@ -245,7 +243,7 @@ def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
     Raises ModelFormatError if a key is missing or unknown, or a value has the wrong shape, is not finite or out of
     range.
     """
-    _check_keys("model", content, (*ARRAYS, *TEXTS))
+    check_keys("model", content, (*ARRAYS, *TEXTS))
     parameters: dict[str, Any] = {name: _numbers(name, content[name]) for name in ARRAYS}
     for name in TEXTS:
         if not isinstance(content[name], str):
@@ -263,50 +261,10 @@ def report_from_dict(content: Mapping[str, Any]) -> FitReport:
     Raises ModelFormatError if a key is missing or unknown, a value is of the wrong kind, or the options are not valid.
     """
     try:
-        report: FitReport = _typed(FitReport, content, "report")
+        report: FitReport = typed(FitReport, content, "report")
     except InvalidArgumentError as error:
         raise ModelFormatError(f"The options in the stored report are not valid: {error}") from None
     return report
-
-
-def _typed(kind: Any, value: Any, place: str) -> Any:
-    """Return a JSON value as what the annotation ``kind`` says: a mapping as a dataclass, a list as a tuple."""
-    origin, arguments = get_origin(kind), get_args(kind)
-    if isinstance(kind, type) and is_dataclass(kind):
-        hints = _hints(kind)
-        _check_keys(place, value, tuple(hints))
-        return kind(**{name: _typed(hint, value[name], f"{place}.{name}") for name, hint in hints.items()})
-    if origin in (Union, UnionType):
-        return _typed(next((choice for choice in arguments if _fits(choice, value)), arguments[0]), value, place)
-    if not _fits(kind, value):
-        raise ModelFormatError(f"The stored {place} is of the wrong kind, {type(value).__name__}.")
-    if origin is tuple:
-        kinds = arguments[:1] * len(value) if arguments[-1] is ... else arguments
-        if len(kinds) != len(value):
-            raise ModelFormatError(f"The stored {place} has {len(value)} values, not {len(kinds)}.")
-        return tuple(_typed(item, part, place) for item, part in zip(kinds, value, strict=True))
-    if origin is dict:
-        return {name: _typed(arguments[1], part, f"{place}.{name}") for name, part in value.items()}
-    return value
-
-
-def _fits(kind: Any, value: Any) -> bool:
-    """Whether a JSON value can be of a kind, what it contains apart."""
-    origin = get_origin(kind)
-    if is_dataclass(kind) and isinstance(kind, type):
-        return isinstance(value, Mapping) and set(value) == set(_hints(kind))
-    if origin is Literal:
-        return isinstance(value, str) and value in get_args(kind)
-    if origin is tuple:
-        return isinstance(value, list)
-    if origin is dict:
-        return isinstance(value, dict)
-    if kind is float:  # JSON does not tell 1 from 1.0, and an exponent that is too large reads as infinity
-        return type(value) in (int, float) and abs(value) <= sys.float_info.max
-    return type(value) is kind
-
-
-_hints = cache(get_type_hints)
 
 
 def _numbers(name: str, value: Any) -> Array:
@@ -317,14 +275,3 @@ def _numbers(name: str, value: Any) -> Array:
     if array.dtype.kind not in "fi":
         raise ModelFormatError(f"The stored model's {name} is not an array of real numbers.")
     return array.astype(np.float64)
-
-
-def _check_keys(what: str, content: Any, wanted: tuple[str, ...]) -> None:
-    if not isinstance(content, Mapping):
-        raise ModelFormatError(f"The stored {what} must be a mapping of names to values.")
-    missing = [key for key in wanted if key not in content]
-    if missing:
-        raise ModelFormatError(f"The stored {what} lacks the key {missing[0]!r}.")
-    unknown = [key for key in content if key not in wanted]
-    if unknown:
-        raise ModelFormatError(f"The stored {what} has the unknown key {unknown[0]!r}.")

@@ -10,15 +10,12 @@ difference of the directions, the polynomials are in Bernstein's form, in which 
 the rational reductions and polynomials of Cephes.
 
 Layers, and the division of a model among its components, are in `dsbrdf.output.export.glsl_layers`.
-
-Formulas and names of the sampling are those of `dsbrdf.model.sampling`.
 """
 
 import re
 
 import numpy as np
 
-from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.decomposition import Component
@@ -26,9 +23,10 @@ from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.layers import LayeredModel
 from dsbrdf.model.lobes import GRAZING_COSINE
-from dsbrdf.model.sampling import ANGLES, DirectionSampler, direction_sampler
+from dsbrdf.model.sampling import direction_sampler
 from dsbrdf.output.export.glsl_layers import layered_function, shares_function
-from dsbrdf.output.export.single_precision import bernstein_pieces, filled, literal
+from dsbrdf.output.export.glsl_sampling import HEADER_OF_SAMPLING, sampling_functions
+from dsbrdf.output.export.single_precision import bernstein_pieces, constant, constant_array, filled, literal
 from dsbrdf.version import __version__
 
 NAME = "dsbrdf"
@@ -77,9 +75,9 @@ def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *
             "the name of a GLSL function must begin with a letter, have at most 64 letters and digits with single "
             f"underscores between them, and be no word of GLSL, unlike {name!r}"
         )
-    parts = [_HEADER, _HEADER_OF_SAMPLING if sampling else "", _FRAME]
+    parts = [_HEADER, HEADER_OF_SAMPLING if sampling else "", _FRAME]
     if isinstance(source, LayeredModel):
-        parts = [_HEADER_OF_SAMPLING if sampling else "", layered_function(source), _ANGLE if sampling else ""]
+        parts = [HEADER_OF_SAMPLING if sampling else "", layered_function(source), _ANGLE if sampling else ""]
     elif isinstance(source, DSBRDF):
         parts += [_PRECISION, _MATH, _ANGLE, _ANGLES, _model_function(source), _WHOLE]
     else:
@@ -89,16 +87,8 @@ def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *
         parts.append(_ONE_COMPONENT.replace("WEIGHTS", weights))
     if sampling:
         sampler = direction_sampler(source.evaluate_unmasked) if isinstance(source, Component) else source.sampler
-        parts.append(_sampling_functions(sampler))
+        parts.append(sampling_functions(sampler))
     return f"// Written by dsbrdf {__version__}.\n" + "".join(parts).replace("dsbrdf", name)
-
-
-def _sampling_functions(sampler: DirectionSampler) -> str:
-    """Return ``vec3 dsbrdf_sample(vec3, vec3)`` and ``float dsbrdf_pdf(vec3, vec3)``; they need `_ANGLE`."""
-    share = np.diff(sampler.cumulative, axis=1, prepend=0.0)[:, :-1]
-    parts = np.stack([sampler.along, sampler.across, share], axis=-1)
-    text = _SAMPLING.replace("PARTS", str(parts.shape[1])).replace("LAST", str(ANGLES.size - 1))
-    return "\n" + _constant("STEP", float(ANGLES[1])) + _array("vec3", "dsbrdf_MIXTURE", parts.reshape(-1, 3)) + text
 
 
 def _model_function(model: DSBRDF) -> str:
@@ -139,20 +129,9 @@ def _parameter_rows(model: DSBRDF, table: str) -> tuple[str, int]:
     later = " + ".join(f"int(held >= {literal(at)})" for at in breaks[1:-1].tolist()) or "0"
     ends = {"FIRST": literal(breaks[0]), "LAST": literal(breaks[-1]), "LATER": later}
     functions = filled(_ROWS, ends | {"PIECES": breaks.size - 1, "COUNT": len(coefficients)})
-    constants = _array("float", "dsbrdf_table_BREAKS", breaks[:, np.newaxis])
-    constants += _array("vec4", "dsbrdf_table_TERMS", coefficients.reshape(-1, 4))
+    constants = constant_array("float", "dsbrdf_table_BREAKS", breaks[:, np.newaxis])
+    constants += constant_array("vec4", "dsbrdf_table_TERMS", coefficients.reshape(-1, 4))
     return (constants + functions).replace("dsbrdf_table", table), len(coefficients)
-
-
-def _array(kind: str, name: str, values: Array) -> str:
-    """Return a constant array of numbers or vectors (n, k)."""
-    items = (f"{kind}({', '.join(map(literal, row))})" for row in values.tolist())
-    return f"const {kind} {name}[{len(values)}] = {kind}[{len(values)}](\n  " + ",\n  ".join(items) + ");\n"
-
-
-def _constant(name: str, value: float) -> str:
-    """Return a constant number."""
-    return f"const float dsbrdf_{name} = {literal(value)};\n"
 
 
 _HEADER = """\
@@ -161,16 +140,6 @@ _HEADER = """\
 //   vec3 dsbrdf(vec3 omega_in, vec3 omega_out)
 //
 // returns the BRDF in 1/sr for red, green and blue (linear), without the cosine. Below the horizon it is 0.
-//
-"""
-
-_HEADER_OF_SAMPLING = """\
-//   vec3 dsbrdf_sample(vec3 omega_out, vec3 random)
-//   float dsbrdf_pdf(vec3 omega_in, vec3 omega_out)
-//
-// draw a direction omega_in with three independent numbers from 0 to 1, and return its density in 1/sr: the weight of
-// a sample is dsbrdf(omega_in, omega_out) * omega_in.z / dsbrdf_pdf(omega_in, omega_out). The density of a direction
-// below the horizon, which some samples at grazing angles are, is 0: such a sample is black.
 //
 """
 
@@ -200,8 +169,8 @@ precision highp int;
 """
 
 _MATH = (
-    _constant("GRAZING_FOURTH", GRAZING_COSINE**4)
-    + _constant("DELTA_TANGENT", float(np.tan(CENTER_CUTOFF)))
+    constant("GRAZING_FOURTH", GRAZING_COSINE**4)
+    + constant("DELTA_TANGENT", float(np.tan(CENTER_CUTOFF)))
     + """
 float dsbrdf_log1p(float x) {
   float s = x / (2.0 + x), t = s * s;
@@ -359,55 +328,5 @@ vec3 dsbrdf(vec3 omega_in, vec3 omega_out) {
 _ONE_COMPONENT = """\
 vec3 dsbrdf(vec3 omega_in, vec3 omega_out) {
   return dsbrdf_shown(omega_in, omega_out, vec3(WEIGHTS));
-}
-"""
-
-_SAMPLING = """
-// The first part of the mixture for a direction.
-int dsbrdf_mixture(vec3 omega_out) {
-  return PARTS * clamp(int(dsbrdf_angle(length(omega_out.xy), omega_out.z) / dsbrdf_STEP + 0.5), 0, LAST);
-}
-
-vec2 dsbrdf_heading(vec3 omega_out) {
-  float radius = length(omega_out.xy);
-  return radius > 0.0 ? omega_out.xy / radius : vec2(1.0, 0.0);
-}
-
-vec3 dsbrdf_sample(vec3 omega_out, vec3 random) {
-  int first = dsbrdf_mixture(omega_out);
-  vec2 heading = dsbrdf_heading(omega_out);
-  vec2 turn = vec2(cos(6.2831853 * random.z), sin(6.2831853 * random.z));
-  turn /= length(turn);  // cosine and sine may be as coarse as 1e-3
-  for (int i = 0; i < PARTS; ++i) {
-    vec3 part = dsbrdf_MIXTURE[first + i];
-    if (random.x < part.z) {  // omega_out mirrored at a normal that it sees
-      vec2 seen = vec2(part.x * length(omega_out.xy), omega_out.z);
-      seen /= length(seen);
-      float z = (1.0 - random.y) * (1.0 + seen.y) - seen.y, radius = sqrt(max(1.0 - z * z, 0.0));
-      float toward = part.x * (radius * turn.x + seen.x), aside = part.y * radius * turn.y;
-      vec3 normal = vec3(toward * heading + aside * vec2(-heading.y, heading.x), z + seen.y);
-      return 2.0 * dot(normal, omega_out) / dot(normal, normal) * normal - omega_out;
-    }
-    random.x -= part.z;
-  }
-  return vec3(sqrt(random.y) * turn, sqrt(max(1.0 - random.y, 0.0)));
-}
-
-float dsbrdf_pdf(vec3 omega_in, vec3 omega_out) {
-  if (omega_in.z <= 0.0 || omega_out.z <= 0.0) return 0.0;
-  int first = dsbrdf_mixture(omega_out);
-  vec2 heading = dsbrdf_heading(omega_out);
-  vec3 total = omega_in + omega_out;
-  float toward = dot(heading, total.xy), aside = heading.x * total.y - heading.y * total.x;
-  float mirrored = 0.0, cosine_share = 1.0;
-  for (int i = 0; i < PARTS; ++i) {
-    vec3 part = dsbrdf_MIXTURE[first + i];
-    float along = toward / part.x, across = aside / part.y, stretched = part.x * length(omega_out.xy);
-    float slopes = dot(total, total) / (total.z * total.z + along * along + across * across);
-    float visible = omega_out.z + sqrt(omega_out.z * omega_out.z + stretched * stretched);
-    mirrored += part.z * slopes * slopes / (part.x * part.y * visible);
-    cosine_share -= part.z;
-  }
-  return mirrored / 6.2831853 + cosine_share * omega_in.z / 3.14159265;
 }
 """

@@ -21,6 +21,17 @@ def literal(value: float) -> str:
     return text if "." in text or "e" in text else text + ".0"
 
 
+def constant_array(kind: str, name: str, values: Array) -> str:
+    """Return a constant array of numbers or vectors (n, k) in GLSL."""
+    items = (f"{kind}({', '.join(map(literal, row))})" for row in values.tolist())
+    return f"const {kind} {name}[{len(values)}] = {kind}[{len(values)}](\n  " + ",\n  ".join(items) + ");\n"
+
+
+def constant(name: str, value: float) -> str:
+    """Return a constant number in GLSL."""
+    return f"const float dsbrdf_{name} = {literal(value)};\n"
+
+
 def filled(text: str, words: Mapping[str, str | int]) -> str:
     """Return a template with its words in capitals replaced."""
     for word, value in words.items():

@@ -16,7 +16,8 @@ from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.sampling import ANGLES
 from dsbrdf.output.export import mitsuba_bsdf
-from dsbrdf.output.export.mitsuba_bsdf import PARAMETERS, register
+from dsbrdf.output.export.mitsuba_bsdf import register
+from dsbrdf.output.export.mitsuba_model import PARAMETERS
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
 from tests.support.known_models import MODELS, pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
