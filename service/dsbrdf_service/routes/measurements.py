@@ -130,8 +130,6 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     With `Accept: application/json` the answer is its document: name, size, time of the upload and fits.
     """
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
-    if row is None:
-        raise MeasurementNotFoundError(sha256)
     if prefers(request, JSON, BINARY):  # who accepts anything gets the file
         fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
         return tagged_reply(request, from_row(MeasurementDetails, row, fits=fits), headers=_VARY)

@@ -28,7 +28,6 @@ from .schema import (
     FitKey,
     FitRow,
     MeasurementRow,
-    Status,
     checksum,
     columns,
 )
@@ -103,10 +102,11 @@ class Store:
             self.blobs.place(incoming)
         return MeasurementRow(*row), new
 
-    def measurement(self, owner: str, sha256: str) -> MeasurementRow | None:
-        """Return a measurement's row."""
-        rows = self.database.rows(f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}", owner, sha256)
-        return MeasurementRow(*rows[0]) if rows else None
+    def measurement(self, owner: str, sha256: str) -> MeasurementRow:
+        """Return a measurement's row; raise MeasurementNotFoundError if there is no such measurement."""
+        for row in self.database.rows(f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}", owner, sha256):
+            return MeasurementRow(*row)
+        raise MeasurementNotFoundError(sha256)
 
     def measurement_file(
         self, owner: str, sha256: str, *, drawn: Literal["grid", "samples", "any"] | None = None
@@ -118,13 +118,10 @@ class Store:
         Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if it is damaged,
         and ProblemError if it is to be `drawn` as what it is not: as a grid or as samples.
         """
-        found, damage = self.measurement(owner, sha256), None
-        if found is not None:
-            damage = self.blobs.damage(sha256, found.size if drawn else None)
         row = self.measurement(owner, sha256)
-        if row is None:  # or it has been deleted meanwhile, file and row
-            raise MeasurementNotFoundError(sha256)
+        damage = self.blobs.damage(sha256, row.size if drawn else None)
         if damage is not None:
+            self.measurement(owner, sha256)  # raises if it has been deleted meanwhile, file and row
             logger.error("the file of the measurement %s is damaged: %s", sha256, damage)
             raise MeasurementDamagedError(damage)
         if drawn == "grid" and not row.on_grid:
@@ -198,18 +195,16 @@ class Store:
 
     def fit(self, key: FitKey) -> FitRow:
         """Return a fit's row; raise FitNotFoundError if there is no such fit."""
-        row = _first(self.database.rows(f"{_SELECT_FIT} {_WHERE_FIT}", *key))
-        if row is None:
-            raise FitNotFoundError(key.id)
-        return row
+        for row in self.database.rows(f"{_SELECT_FIT} {_WHERE_FIT}", *key):
+            return FitRow.from_values(row)
+        raise FitNotFoundError(key.id)
 
     def rename_fit(self, key: FitKey, name: str | None) -> FitRow:
         """Give a fit another name, or none; raises FitNotFoundError."""
         with self.database.transaction() as db:
-            rows = db.execute(_NAME_FIT, (name, *key)).fetchall()
-        if not rows:
-            raise FitNotFoundError(key.id)
-        return FitRow.from_values(rows[0])
+            for row in db.execute(_NAME_FIT, (name, *key)).fetchall():
+                return FitRow.from_values(row)
+        raise FitNotFoundError(key.id)
 
     def fits(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[FitRow]:
         """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""
@@ -258,7 +253,7 @@ class Store:
     def start_fit(self, key: FitKey) -> FitRow | None:
         """Set a fit running, also after the loss of its process; None if it has ended already."""
         change = "status = 'running', attempts = attempts + 1, started = ?"
-        return self._advance(change, (time.time(),), key, UNFINISHED)
+        return self._advance(change, (time.time(),), key)
 
     def complete_fit(
         self, key: FitKey, document: str, metrics: Mapping[str, float | None], thumbnail: bytes | None = None
@@ -268,16 +263,16 @@ class Store:
         content, written = document.encode(), json.dumps(metrics)
         size = ROW_SIZE + len(content) + len(thumbnail or b"")
         values = (time.time(), written, document, thumbnail, size, checksum(written, content))
-        return self._advance(change, values, key, ("running",))
+        return self._advance(change, values, key, "status = 'running'")
 
     def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> FitRow | None:
         """Write a fit's error and its state; None if it has ended already."""
         change = "status = 'failed', finished = ?, error = ?"
-        return self._advance(change, (time.time(), json.dumps(error)), key, UNFINISHED)
+        return self._advance(change, (time.time(), json.dumps(error)), key)
 
     def cancel_fit(self, key: FitKey) -> FitRow | None:
         """Mark an unfinished fit as cancelled; None if it has ended already."""
-        return self._advance("status = 'cancelled', finished = ?", (time.time(),), key, UNFINISHED)
+        return self._advance("status = 'cancelled', finished = ?", (time.time(),), key)
 
     def remove_fit(self, key: FitKey) -> bool:
         """Remove a fit that has ended; return whether there was one."""
@@ -303,14 +298,12 @@ class Store:
             db.execute(f"PRAGMA user_version = {VERSION}")  # writing the same value is a write too
 
     def _advance(
-        self, change: str, values: tuple[object, ...], key: FitKey, states: tuple[Status, ...]
+        self, change: str, values: tuple[object, ...], key: FitKey, condition: str = IS_UNFINISHED
     ) -> FitRow | None:
-        """Apply `change` to a fit that is in one of `states`."""
-        marks = ", ".join("?" * len(states))
-        query = f"UPDATE fits SET {change} {_WHERE_FIT} AND status IN ({marks}) RETURNING {columns(FitRow)}"  # noqa: S608
+        """Apply `change` to a fit in the right state."""
+        query = f"UPDATE fits SET {change} {_WHERE_FIT} AND {condition} RETURNING {columns(FitRow)}"  # noqa: S608
         with self.database.transaction() as db:
-            rows = db.execute(query, (*values, *key, *states)).fetchall()
-        return _first(rows)
+            return _first(db.execute(query, (*values, *key)).fetchall())
 
     def _page(self, select: str, owner: str, limit: int, before: int | None, name: str | None) -> list[tuple[Any, ...]]:
         conditions = {"owner = ?": owner, "seq < ?": before, "name = ?": name}
