@@ -1,6 +1,6 @@
 // What a view shows stands in its address, after #: each field that is not as the view has it at first.
 
-const fields = () => /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("main input[name]")]).filter((field) => !field.closest(".options"));
+const fields = () => /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("main :is(input, select)[name]")]).filter((field) => !field.closest(".options"));
 
 /** Sets the fields as the address says. */
 export function readAddress() {
@@ -8,18 +8,17 @@ export function readAddress() {
   for (const field of fields()) {
     const value = given.get(field.name);
     if (value === null) continue;
-    if (field.type === "radio") field.checked ||= field.value === value;
-    else if (field.type === "checkbox") field.checked = value === "1";
-    else field.value = value;
+    if (field.type === "checkbox") field.checked = value === "1";
+    else if (!(field instanceof HTMLSelectElement) || field.querySelector(`[value=${CSS.escape(value)}]`)) field.value = value;
   }
 }
 
 function write() {
   const changed = new URLSearchParams();
-  for (const { type, name, value, checked, defaultValue, defaultChecked } of fields()) {
-    if (type === "checkbox" && checked !== defaultChecked) changed.set(name, String(Number(checked)));
-    else if (type === "radio" && checked && !defaultChecked) changed.set(name, value);
-    else if (type !== "radio" && type !== "checkbox" && value !== defaultValue) changed.set(name, value);
+  for (const field of fields()) {
+    const usual = field instanceof HTMLSelectElement ? field.options[0].value : field.defaultValue;
+    if (field.type === "checkbox" && field.checked !== field.defaultChecked) changed.set(field.name, String(Number(field.checked)));
+    else if (field.type !== "checkbox" && field.value !== usual) changed.set(field.name, field.value);
   }
   const hash = changed.size ? `#${changed.toString().replaceAll("%2C", ",")}` : "";
   history.replaceState(null, "", location.pathname + location.search + hash);

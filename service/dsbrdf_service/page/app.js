@@ -16,12 +16,6 @@ export class Problem extends Error {
   }
 }
 
-/** The header that names the key, which is sent in ASCII. @returns {Record<string, string>} */
-export function keyHeader() {
-  const key = sessionStorage.getItem(STORED);
-  return key ? { Authorization: `Bearer ${encodeURI(key)}` } : {};
-}
-
 /**
  * Asks the service, with the key if there is one; asks for a key where one is needed, waits where it is told to.
  * @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @returns {Promise<Response>}
@@ -29,39 +23,41 @@ export function keyHeader() {
 export async function request(path, options = {}) {
   for (let tries = 1; ; tries += 1) {
     const key = sessionStorage.getItem(STORED);
-    const sent = { ...options, headers: { ...options.headers, ...keyHeader() }, credentials: /** @type {const} */ ("omit") };
-    const answer = await fetch(new URL(path, root), sent).catch(() => { throw new Problem(UNREACHABLE); });
+    const headers = { ...options.headers, ...(key && { Authorization: `Bearer ${encodeURI(key)}` }) };
+    const answer = await fetch(new URL(path, root), { ...options, headers, credentials: "omit" }).catch(() => {
+      throw new Problem(options.signal?.aborted ? "The upload was cancelled." : UNREACHABLE);
+    });
     if (answer.ok) return answer;
     if (answer.status === 401) await signedIn(key);
     else if (answer.status === 429 && tries < MOST_TRIES) await pause(1000 * Number(answer.headers.get("Retry-After") ?? 1));
-    else throw problemOf(await answer.json().catch(() => null), answer.status);
+    else {
+      const { detail = `The service answered ${answer.status}.`, title } = await answer.json().catch(() => ({}));
+      throw new Problem(detail, title ?? "Something is wrong", answer.status);
+    }
   }
 }
 
-/** @param {{detail: string, title: string} | null} said @param {number} status */
-export const problemOf = (said, status) => new Problem(said?.detail ?? `The service answered ${status}.`, said?.title ?? "Something is wrong", status);
-
-/** @param {string} path @returns {Promise<any>} */
-export async function json(path) {
-  return (await request(path, { headers: { Accept: "application/json" } })).json();
-}
-
-/** Sends JSON. @param {string} path @param {string} method @param {unknown} content @returns {Promise<any>} */
-export async function sendJson(path, method, content) {
-  const headers = { "Content-Type": "application/json", Prefer: "respond-async" };
+/** The JSON that the service answers, with JSON that it is sent, if any. @param {string} path @param {string} [method] @param {unknown} [content] @returns {Promise<any>} */
+export async function json(path, method = "GET", content) {
+  const headers = { Accept: "application/json", ...(content !== undefined && { "Content-Type": "application/json", Prefer: "respond-async" }) };
   return (await request(path, { method, headers, body: JSON.stringify(content) })).json();
 }
 
-/** @type {Promise<any> | null} */
-let described = null;
-/** The OpenAPI document. @returns {Promise<any>} */
-export function openapi() {
-  described ??= json("openapi.json").catch((error) => { described = null; throw error; });
-  return described;
+/** The array that the service answers, in the order of its memory; float16 as the bits. @param {string} path @returns {Promise<any>} */
+export async function askArray(path) {
+  const file = await (await request(path)).arrayBuffer();
+  const [low, high] = new Uint8Array(file, 8, 2);
+  const start = 10 + low + 256 * high;
+  const type = /'descr': '<f(\d)'/.exec(new TextDecoder("latin1").decode(file.slice(10, start)))?.[1];
+  return type === "2" ? new Uint16Array(file, start) : new Float32Array(file, start);
 }
 
-/** A sentence without its default, which stands elsewhere, and in the words of the form. @param {string} description */
-export const sentenceOf = (description) => description.replace(/ Default: \S+$/, "").replaceAll("`", "").replaceAll("None", "none");
+/** The OpenAPI document. @returns {Promise<any>} */
+export const openapi = () => json("openapi.json");
+/** What the document says of each option of a fit. @param {any} document @returns {Record<string, any>} */
+export const optionsOf = (document) => document.components.schemas.FitRequest.properties.options.properties;
+/** A sentence of it in the words of the form. @param {string} description */
+export const sentenceOf = (description) => description.replaceAll("`", "").replaceAll("None", "none");
 
 /** @param {number} milliseconds */
 export const pause = (milliseconds) => new Promise((resolve) => { setTimeout(resolve, milliseconds); });
@@ -72,31 +68,19 @@ let asking = null;
 async function signedIn(refused) {
   if (sessionStorage.getItem(STORED) !== refused) return;
   const dialog = find(document, "#sign-in", HTMLDialogElement);
-  const [form, input] = [find(dialog, "form"), find(dialog, "input", HTMLInputElement)];
+  const input = find(dialog, "input", HTMLInputElement);
   find(dialog, ".fault").hidden = !refused;
   asking ??= new Promise((resolve) => {
-    dialog.oncancel = (event) => event.preventDefault();
     dialog.showModal();
-    form.onsubmit = (event) => {
-      event.preventDefault();
+    dialog.onclose = () => {
       sessionStorage.setItem(STORED, input.value.trim());
       input.value = "";
       asking = null;
-      dialog.close();
       resolve();
     };
   });
   await asking;
-  showSignOut();
-}
-
-function showSignOut() {
-  const button = find(document, "#sign-out");
-  button.hidden = !sessionStorage.getItem(STORED);
-  button.onclick = () => {
-    sessionStorage.removeItem(STORED);
-    location.assign(root);
-  };
+  find(document, "#sign-out").hidden = false;
 }
 
 /**
@@ -154,22 +138,29 @@ export function say(text, wrong = false) {
 
 /** Calls once, when an element is about to be seen. @param {Element} element @param {() => unknown} call */
 export function whenSeen(element, call) {
-  const observer = new IntersectionObserver(async (entries) => {
+  new IntersectionObserver(async (entries, observer) => {
     if (!entries.some((entry) => entry.isIntersecting)) return;
     observer.disconnect();
     await call();
-  });
-  observer.observe(element);
+  }).observe(element);
 }
 
-/** Calls when a folded box is opened, again if that has failed. @param {HTMLElement} part of the box @param {() => Promise<unknown>} show */
+/** Calls whenever a folded box is opened. @param {HTMLElement} part of the box @param {() => Promise<unknown>} show */
 export function whenOpened(part, show) {
   const details = /** @type {HTMLDetailsElement} */ (part.closest("details"));
-  let shown = false;
-  details.addEventListener("toggle", async () => {
-    if (details.open && !shown) await show();
-    shown ||= details.open;
-  });
+  details.addEventListener("toggle", () => details.open && show());
+}
+
+/** A function that is done once at a time; of the calls meanwhile, the last one is done afterwards. @param {() => Promise<unknown>} work */
+export function oneAtATime(work) {
+  let turns = 0;
+  /** @type {Promise<unknown>} */
+  let before = Promise.resolve();
+  return async () => {
+    const turn = turns += 1;
+    await before.catch(() => undefined);
+    if (turn === turns) await (before = work());
+  };
 }
 
 /** Shows a picture of the service. @param {HTMLImageElement} image @param {string} path */
@@ -181,9 +172,9 @@ export async function showPicture(image, path) {
 /** Saves a file of the service under its name. @param {string} path */
 export async function download(path) {
   const answer = await request(path);
-  const [, , encoded, plain] = /filename(\*=UTF-8''([^;]+)|="([^"]+)")/.exec(answer.headers.get("Content-Disposition") ?? "") ?? [];
+  const [, name] = /filename\*?=(?:UTF-8''|")([^;"]+)/.exec(answer.headers.get("Content-Disposition") ?? "") ?? [];
   const address = URL.createObjectURL(await answer.blob());
-  make("a", { href: address, download: encoded ? decodeURIComponent(encoded) : plain }).click();
+  make("a", { href: address, download: decodeURIComponent(name) }).click();
   setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }
 
@@ -194,12 +185,15 @@ export async function share() {
   say(copied ? "The link is copied; it shows this view." : `The link is the address of this page: ${location.href}`);
 }
 
-/** Deletes after a question, and goes to the list. @param {string} path @param {string} question */
-export async function remove(path, question) {
+/** Deletes after a question, and goes to the list. @param {string} path @param {string} question @param {() => unknown} [then] */
+export async function remove(path, question, then = () => location.assign(root)) {
   if (!confirm(question)) return;
   await request(path, { method: "DELETE" });
-  location.assign(root);
+  then();
 }
+
+/** @param {Fit} fit @param {() => unknown} [then] */
+export const removeFit = (fit, then) => remove(`v1/fits/${fit.id}?only=delete`, `Delete this fit of ${nameOf(fit)}? Its measurement stays.`, then);
 
 /** A fit as it goes on, until it has ended. @param {Fit} fit @returns {AsyncGenerator<Fit>} */
 export async function* follow(fit) {
@@ -222,6 +216,10 @@ export function stateOf({ status, progress, likeness, metrics }) {
   const error = metrics?.relative_rms_left_out; // of a table of samples
   return likeness ?? (error ? `${(100 * error).toPrecision(2)} % off` : `${STATES[status]}${status === "running" ? `, ${Math.round(100 * progress)} %` : ""}`);
 }
+/** @param {{size: number}} file */
+export const sizeOf = ({ size }) => size.toLocaleString("en", { notation: "compact", style: "unit", unit: "byte", unitDisplay: "narrow", maximumSignificantDigits: 3 });
+/** @param {string} label of a component, or a word of ours */
+export const words = (label) => label.replace("_", " ");
 /** @param {string} created */
 export const dateOf = (created) => `${created.slice(0, 16).replace("T", " ")} UTC`;
 /** @param {string} name */
@@ -234,7 +232,7 @@ export async function open() {
   const view = { "": "list", fits: "fit", measurements: "measurement", compare: "compare" }[name];
   try {
     // What these views consist of is fetched at once, not one after the other.
-    if (name) for (const part of ["address", "light", "said", "sphere", "shader", "npy"]) document.head.append(make("link", { rel: "modulepreload", href: new URL(`page/${part}.js`, root) }));
+    if (name) for (const part of ["address", "light", "said", "sphere", "shader"]) document.head.append(make("link", { rel: "modulepreload", href: new URL(`page/${part}.js`, root) }));
     if (!view) throw new Problem(`There is nothing at ${location.pathname}.`, "There is no such page", 404);
     await (await import(`./${view}.js`)).show(main, id);
   } catch (error) {
@@ -251,5 +249,9 @@ addEventListener("unhandledrejection", (event) => {
   if (lost || event.reason instanceof Problem) event.preventDefault();
   say(lost ? UNREACHABLE : event.reason.message, true);
 });
-showSignOut();
+find(document, "#sign-out").hidden = !sessionStorage.getItem(STORED);
+find(document, "#sign-out").onclick = () => {
+  sessionStorage.removeItem(STORED);
+  location.assign(root);
+};
 open();

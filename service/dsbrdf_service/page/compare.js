@@ -1,50 +1,35 @@
 // Two fits side by side, under one light.
 import { dateOf, fill, find, json, nameOf, Problem, setTitle, showPicture, template } from "./app.js";
-import { keepInAddress } from "./address.js";
-import { startSpheres } from "./light.js";
-import { componentTable, followPlots, place, placePlots, showMetrics, showWarnings, subjectOf, verdict } from "./said.js";
-import { Sphere } from "./sphere.js";
+import { place, showSide, showSpheres, storedOf, subjectOf } from "./said.js";
+import { running } from "./sphere.js";
 
 /** @param {HTMLElement} main */
 export async function show(main) {
   const ids = new URLSearchParams(location.search).getAll("fit");
-  if (ids.length !== 2) throw new Problem(`Two fits are compared at a time, not ${ids.length}: tick two in the list.`, "Nothing to compare", 422);
+  if (ids.length !== 2) throw new Problem(`Two fits are compared at a time, not ${ids.length}: tick two in the list.`, "Nothing to compare");
   main.replaceChildren(template("compare", { names: "Two fits" }));
-  find(main, "#seen").prepend(template("sphere-controls"));
-  placePlots(find(main, "#plots"), true);
   /** @type {Fit[]} */
   const fits = await Promise.all(ids.map((id) => json(`v1/fits/${id}`)));
   const unfinished = fits.find((fit) => fit.status !== "succeeded");
-  if (unfinished) throw new Problem(`The fit of ${nameOf(unfinished)} is ${unfinished.status}: there is nothing to compare yet.`, "Nothing to compare", 409);
+  if (unfinished) throw new Problem(`The fit of ${nameOf(unfinished)} is ${unfinished.status}: there is nothing to compare yet.`, "Nothing to compare");
   const names = fits.map(nameOf).join(" and ");
   setTitle(names);
   fill(main, { names });
-  const stored = await Promise.all(fits.map((fit) => json(`v1/measurements/${fit.measurement}`).catch(() => null)));
-  const spheres = fits.map((fit, i) => new Sphere(side(find(main, ".two"), fit), subjectOf(fit, stored[i])));
-  keepInAddress();
-  followPlots(find(main, "#plots"), spheres.map(({ subject }) => subject));
-  const all = await startSpheres(spheres, async ({ figure, subject }) => {
-    const image = find(figure, ".fallback", HTMLImageElement);
-    image.hidden = false;
-    await showPicture(image, `v1/fits/${subject.fit}/figures/sphere.png?size=256`);
+  const stored = await Promise.all(fits.map(storedOf));
+  const figures = fits.map((fit) => {
+    const made = find(template("compared", { name: nameOf(fit), about: dateOf(fit.created) }, { fit: `fits/${fit.id}` }), "section");
+    find(main, ".two").append(made);
+    showSide(find(made, ".side"), fit);
+    return place(made);
   });
-  find(main, "#between").hidden = !all;
-  if (all) compare(spheres[0], spheres[1]);
+  const subjects = fits.map((fit, i) => subjectOf(fit, stored[i]));
+  await showSpheres(main, figures, subjects, { instead: ({ figure, subject }) => showPicture(find(figure, ".fallback", HTMLImageElement), `v1/fits/${subject.fit}/figures/sphere.png?size=256`) });
+  find(main, "#between").hidden = running.length < 2;
+  if (running.length === 2) compare(running);
 }
 
-/** @param {HTMLElement} box @param {Fit} fit */
-function side(box, fit) {
-  const made = find(template("side", { name: nameOf(fit), about: dateOf(fit.created), verdict: verdict(fit) }, { fit: `fits/${fit.id}` }), "section");
-  made.setAttribute("aria-label", nameOf(fit));
-  showWarnings(find(made, ".warnings"), fit.warnings);
-  showMetrics(find(made, ".metrics"), fit);
-  find(made, ".components-place").append(componentTable(fit));
-  box.append(made);
-  return place(find(made, ".place"));
-}
-
-/** Difference of what two spheres show, four times, and its peak signal-to-noise ratio over their pixels. @param {Sphere} first @param {Sphere} second */
-function compare(first, second) {
+/** Difference of what two spheres show, four times, and its peak signal-to-noise ratio over their pixels. @param {import("./sphere.js").Sphere[]} spheres */
+function compare([first, second]) {
   const canvas = find(document, "#between canvas", HTMLCanvasElement);
   const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { willReadFrequently: true }));
   first.onpaint = second.onpaint = () => {

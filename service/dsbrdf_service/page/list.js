@@ -1,33 +1,29 @@
 // The list of all fits, and where files are dropped.
-import { act, fill, find, follow, make, nameOf, request, root, showPicture, stateOf, template, whenOpened, whenSeen } from "./app.js";
-
-const ORDERS = /** @type {Record<string, (a: HTMLElement, b: HTMLElement) => number>} */ ({
-  newest: (a, b) => Number(a.dataset.place) - Number(b.dataset.place),
-  name: (a, b) => String(a.dataset.name).localeCompare(String(b.dataset.name)),
-  likeness: (a, b) => Number(b.dataset.psnr) - Number(a.dataset.psnr),
-});
+import { act, fill, find, follow, nameOf, removeFit, request, root, showPicture, stateOf, template, whenOpened, whenSeen } from "./app.js";
 
 /** @param {HTMLElement} main */
 export async function show(main) {
-  const given = new URLSearchParams(location.search);
-  const [name, cursor] = [given.get("name") ?? "", given.get("cursor")];
   main.replaceChildren(template("list"));
   takeFiles(main);
-  const answer = await request(`v1/fits?${new URLSearchParams({ ...(name && { name }), ...(cursor && { cursor }) })}`);
+  const answer = await request(`v1/fits${location.search}`);
   /** @type {Fit[]} */
   const fits = (await answer.json()).items;
+  const name = new URLSearchParams(location.search).get("name") ?? "";
   const isNew = !fits.length && !name;
   fill(main, { heading: isNew ? "Fit your first material" : "Your materials" });
   find(main, "#fits").hidden = isNew;
   find(main, "#example").hidden = !isNew;
   const cards = fits.map((fit, place) => card(fit, place, fits.filter((other) => other.name === fit.name)));
   find(main, ".cards").append(...cards);
-  const next = /[?&]cursor=(\d+)[^>]*>; rel="next"/.exec(answer.headers.get("Link") ?? "")?.[1];
-  find(main, "#older").hidden = !next;
-  fill(main, {}, { older: `?${new URLSearchParams({ ...(name && { name }), cursor: next ?? "" })}` });
+  const [, older] = /(\?[^>]*)>; rel="next"/.exec(answer.headers.get("Link") ?? "") ?? [];
+  find(main, "#older").hidden = !older;
+  fill(main, {}, { older: `./${older}` });
   search(main, cards, name);
   const order = find(main, "#sort", HTMLSelectElement);
-  order.onchange = () => find(main, ".cards").append(...cards.filter((item) => item.isConnected).sort(ORDERS[order.value]));
+  order.onchange = () => {
+    const textOf = (/** @type {HTMLElement} */ { dataset }) => dataset[order.value] ?? "";
+    find(main, ".cards").append(...cards.filter((item) => item.isConnected).sort((a, b) => textOf(a).localeCompare(textOf(b), "en", { numeric: true })));
+  };
   compare(main, cards);
 }
 
@@ -36,14 +32,10 @@ function card(fit, place, same) {
   const differing = Object.entries(fit.options).filter(([name, value]) => same.some((other) => String(other.options[name]) !== String(value)));
   const options = differing.map(([name, value]) => `${name} = ${value ?? "none"}`).join(", ");
   const item = find(template("card", { name: ` ${nameOf(fit)}`, options }, { fit: `fits/${fit.id}` }), "li");
-  find(item, ".card-name").append(...nameOf(fit).split(/(?<=_)/).flatMap((part) => [part, make("wbr")]));
-  Object.assign(item.dataset, { name: nameOf(fit), place });
+  find(item, ".card-name").textContent = nameOf(fit);
+  Object.assign(item.dataset, { name: nameOf(fit), newest: place });
   find(item, "input", HTMLInputElement).value = fit.id;
-  act(item, "delete", async () => {
-    if (!confirm(`Delete this fit of ${nameOf(fit)}? Its measurement stays.`)) return;
-    await request(`v1/fits/${fit.id}?only=delete`, { method: "DELETE" });
-    item.remove();
-  });
+  act(item, "delete", () => removeFit(fit, () => item.remove()));
   update(item, fit);
   return item;
 }
@@ -53,7 +45,7 @@ async function update(item, fit) {
   for await (const now of follow(fit)) {
     const { id, status, metrics } = now;
     fill(item, { state: stateOf(now) });
-    item.dataset.psnr = String(metrics?.psnr ?? -1);
+    item.dataset.likeness = (1000 - (metrics?.psnr ?? 0)).toFixed(6); // the best first
     find(item, ".pick").hidden = status !== "succeeded";
     find(item, "[data-act=delete]").hidden = status === "accepted" || status === "running";
     const image = find(item, "img", HTMLImageElement);
@@ -69,44 +61,33 @@ function takeFiles(main) {
     if (files.length && !find(main, ".drop-main").hidden) await (await import("./upload.js")).take(main, files);
   };
   whenOpened(options, async () => (await import("./options.js")).showForm(options));
-  form.onsubmit = (event) => event.preventDefault();
   chosen.onchange = () => take([...(chosen.files ?? [])]);
   find(main, "#example").onclick = async () => {
     const [{ sendAll }, { examplePaint }, { chosen }] = await Promise.all([import("./upload.js"), import("./example.js"), import("./options.js")]);
     await sendAll(main, [examplePaint()], chosen(options));
   };
-  let depth = 0;
-  /** @param {DragEvent} event @param {number} now how many elements the pointer is in */
-  const over = (event, now) => {
-    event.preventDefault();
-    depth = now;
-    form.classList.toggle("over", depth > 0);
-  };
-  addEventListener("dragenter", (event) => over(event, depth + 1));
-  addEventListener("dragleave", (event) => over(event, depth - 1));
-  addEventListener("dragover", (event) => event.preventDefault());
-  addEventListener("drop", (event) => {
-    over(event, 0);
-    return take([...(event.dataTransfer?.files ?? [])]);
-  });
+  for (const kind of ["dragover", "dragleave", "drop"]) {
+    addEventListener(kind, async (event) => {
+      const { relatedTarget, dataTransfer } = /** @type {DragEvent} */ (event);
+      event.preventDefault();
+      form.classList.toggle("over", kind === "dragover" || (kind === "dragleave" && relatedTarget !== null)); // it may be over another part now
+      if (kind === "drop") await take([...(dataTransfer?.files ?? [])]);
+    });
+  }
 }
 
-/** Filters the list by name while one types; Enter finds the fits of this name. @param {HTMLElement} main @param {HTMLElement[]} cards @param {string} name */
+/** Filters the list by name while one types; at first by that of the address. @param {HTMLElement} main @param {HTMLElement[]} cards @param {string} name */
 function search(main, cards, name) {
   const field = find(main, "#search", HTMLInputElement);
   const filter = () => {
     const wanted = field.value.trim();
     for (const item of cards) item.hidden = !String(item.dataset.name).toLowerCase().includes(wanted.toLowerCase());
     fill(main, { wanted });
-    find(main, "#no-match").hidden = cards.some((item) => !item.hidden) || !wanted;
+    find(main, "#no-match").hidden = !wanted || cards.some((item) => !item.hidden);
   };
   field.value = name;
   field.oninput = filter;
   filter();
-  find(main, ".search").onsubmit = (event) => {
-    event.preventDefault();
-    location.assign(new URL(field.value ? `?${new URLSearchParams({ name: field.value })}` : ".", root));
-  };
 }
 
 /** Lets two fits be ticked for comparison; the address may have ticked one. @param {HTMLElement} main @param {HTMLElement[]} cards */

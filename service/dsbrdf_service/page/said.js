@@ -1,13 +1,13 @@
-// What is said of a fit beside its sphere: components, metrics, options, downloads; and where its plots are.
-import { download, fill, find, make, nameOf, openapi, sentenceOf, template, whenOpened, whenSeen } from "./app.js";
-import { LABELS } from "./sphere.js";
+// What is said of a fit beside its sphere: components, metrics, options, downloads; and where spheres and plots are.
+import { download, find, json, make, nameOf, openapi, optionsOf, sentenceOf, stateOf, template, whenOpened, whenSeen, words } from "./app.js";
+import { keepInAddress } from "./address.js";
+import { startSpheres } from "./light.js";
+import { LABELS, Sphere } from "./sphere.js";
 
 /** @param {number} share */
 const percent = (share) => `${Number((100 * share).toPrecision(3))} %`;
 /** @param {number} value */
 const three = (value) => String(Number(value.toPrecision(3)));
-/** @param {string} label */
-export const words = (label) => label.replace("_", " ");
 
 // Name, title, how the value is written, what it means; the most telling first.
 /** @type {[string, string, (value: number) => string, string][]} */
@@ -23,89 +23,53 @@ const METRICS = [
   ["ssim", "structure", (value) => value.toFixed(4), "Structural similarity of the two spheres; 1 is equal."],
 ];
 
-// Name, what it means, its values and their ranges.
-/** @type {[string, string, (part: Component) => (number | null)[], (part: Component) => (Interval | null)[], (value: number) => string][]} */
+// Of a component: property, title, how a value is written.
+/** @type {[string, string, (value: number) => string][]} */
 const NUMBERS = [
-  ["light", "Its share of all light at normal incidence.", (part) => [part.light_share], ({ ranges }) => [ranges.light_share], (value) => `${Math.round(100 * value)} %`],
-  ["colour", "Red, green and blue of the albedo, over the largest.", (part) => part.color, ({ ranges }) => ranges.color, (value) => value.toFixed(2)],
-  ["albedo", "Share of light at normal incidence that it reflects.", (part) => part.albedo, ({ ranges }) => ranges.albedo, (value) => value.toFixed(3)],
-  ["alpha", "Roughness of its surface, that of GGX.", (part) => [part.alpha], ({ ranges }) => [ranges.alpha], three],
-  ["half width", "The θ_half at which slopes of its surface are half as frequent as at θ_half = 0.", (part) => [part.half_width_deg], ({ ranges }) => [ranges.half_width_deg], (value) => `${three(value)}°`],
-  ["kappa", "How fast its tail falls: 2 is GGX, a smaller number falls more slowly, a large one is Beckmann's distribution.", (part) => [part.kappa], () => [], three],
-  ["F0", "Reflectance of its surface at normal incidence.", (part) => part.f0 ?? [null], ({ ranges }) => ranges.f0 ?? [], three],
-  ["height in 1/sr", "Its value at θ_half = 0, at normal incidence.", (part) => part.lobe.height[0], () => [], three],
+  ["light_share", "light", (value) => `${Math.round(100 * value)} %`],
+  ["color", "colour", (value) => value.toFixed(2)],
+  ["albedo", "albedo", (value) => value.toFixed(3)],
+  ["alpha", "alpha", three],
+  ["half_width_deg", "half width", (value) => `${three(value)}°`],
+  ["kappa", "kappa", three],
+  ["f0", "F0", three],
+  ["height", "height in 1/sr", three],
 ];
-const RANGES = "The components add up to the fit: each has a share of its values. alpha, kappa and F0 are those of a component's brightest layer. "
-  + "With a probability of 90 %, a number lies in the range in brackets; hold the pointer over a colour to see its range.";
 
 /** @param {(string | HTMLElement)[]} title @param {string} value @param {string} meaning */
 function row(title, value, meaning) {
   return make("div", {}, make("dt", {}, make("span", {}, ...title), make("strong", {}, value)), make("dd", {}, meaning));
 }
 
-/** Fills a list with the metrics of a fit. @param {HTMLElement} list @param {Fit} fit */
-export function showMetrics(list, { metrics }) {
-  const known = METRICS.flatMap(([name, title, write, meaning]) => {
-    const value = metrics?.[name] ?? null;
-    return value === null ? [] : [row([`${title} `, make("code", {}, name)], write(value), meaning)];
-  });
-  list.replaceChildren(...(known.length ? known : [row(["This fit has no metrics."], "", "")]));
+/** A row of a table whose first cell is its head, or a row of heads. @param {(Node | string | number)[]} cells @param {boolean} [heads] */
+export const tableRow = (cells, heads = false) => make("tr", {}, ...cells.map((cell, i) => {
+  const isHead = cell !== "" && (heads || i === 0);
+  return make(isHead ? "th" : "td", isHead ? { scope: heads ? "col" : "row" } : {}, cell instanceof Node ? cell : String(cell));
+}));
+
+/** Fills the table of the components. @param {HTMLElement} table @param {Component[]} components */
+function showComponents(table, components) {
+  if (!components.length) return table.append(tableRow(["There are none: the fit reflects no light."]));
+  const heads = components.map(({ label }) => make("span", { className: `name c-part-${LABELS.indexOf(label)}` }, words(label)));
+  const rows = NUMBERS.map(([property, title, write]) => [title, ...components.map((part) => {
+    const values = [Object({ ...part, height: part.lobe.height[0] })[property]].flat();
+    const ranges = [Object(part.ranges)[property]].flat(values.length > 1 ? 1 : 0);
+    const cells = values.map((value, i) => numberCell(value, ranges[i], values.length, write));
+    const swatch = make("span", { className: "swatch", style: `background: color(srgb-linear ${part.color.join(" ")})` });
+    return make("span", {}, ...(property === "color" ? [swatch] : []), ...cells.flatMap((cell) => [cell, " "]));
+  })]);
+  return table.append(tableRow(["", ...heads], true), ...rows.map((cells) => tableRow(cells)));
 }
 
-/** The quality of a fit in words. @param {Fit} fit */
-export function verdict({ likeness, metrics }) {
-  const error = metrics?.relative_rms_left_out;
-  if (!likeness && error) return `${percent(error)} off at samples that the fit did not see`;
-  return likeness ? likeness[0].toUpperCase() + likeness.slice(1) : "How good it is";
-}
-
-/** The table of the components, with what its numbers mean. @param {Fit} fit */
-export function componentTable(fit) {
-  const { components } = fit;
-  if (!components.length) return make("p", { className: "note" }, "There are none: the fit reflects no light.");
-  const made = find(template("components"), "div");
-  const heads = components.map(({ label }) => make("th", { scope: "col", className: `c-part-${LABELS.indexOf(label)}` }, make("span", { className: "name" }, words(label))));
-  const rows = NUMBERS.map(([title, , valuesOf, rangesOf, write]) => make("tr", {}, make("th", { scope: "row" }, title), ...components.map((part) => {
-    const cells = valuesOf(part).map((value, i) => numberCell(value, rangesOf(part), i, write));
-    return make("td", {}, ...(title === "colour" ? [swatch(part.color)] : []), ...cells.flatMap((cell) => [cell, " "]));
-  })));
-  find(made, ".scroll").setAttribute("aria-label", `Components of ${nameOf(fit)}`);
-  find(made, "table").append(make("thead", {}, make("tr", {}, make("td"), ...heads)), make("tbody", {}, ...rows));
-  find(made, ".metrics").append(...NUMBERS.map(([title, meaning]) => row([title], "", meaning)));
-  const remarks = components.flatMap((part) => part.remarks ?? []).map((remark) => make("p", { className: "note" }, remark));
-  find(made, ".scroll").after(...remarks);
-  fill(made, { ranges: RANGES });
-  return made;
-}
-
-/** A number with its range: beside it, or under the pointer where there are several. @param {number | null} value @param {(Interval | null)[]} ranges @param {number} i @param {(value: number) => string} write */
-function numberCell(value, ranges, i, write) {
-  const range = value === null ? null : ranges[i];
+/** A number with its range: beside it, or under the pointer where there are several. @param {number | null} value @param {Interval | null | undefined} range @param {number} several @param {(value: number) => string} write */
+function numberCell(value, range, several, write) {
+  if (value === null) return "–";
   const text = range ? `${write(range[0])} to ${write(range[1])}` : "";
-  const beside = range && ranges.length === 1 ? [make("small", {}, ` (${text})`)] : [];
-  return make("span", { title: text && `${text} with a probability of 90 %` }, value === null ? "–" : write(value), ...beside);
+  return make("span", { title: text && `${text} with a probability of 90 %` }, write(value), ...(text && several === 1 ? [make("small", {}, ` (${text})`)] : []));
 }
 
-/** A square of a linear colour, as a screen shows it. @param {number[]} color */
-function swatch(color) {
-  const made = make("span", { className: "swatch", "aria-hidden": "true" });
-  const encoded = color.map((value) => Math.round(255 * (value <= 0.0031308 ? 12.92 * value : 1.055 * value ** (1 / 2.4) - 0.055)));
-  made.style.background = `rgb(${encoded.join()})`;
-  return made;
-}
-
-/** Fills a list with the options of a fit when it is opened. @param {HTMLElement} list @param {Fit} fit */
-export function showOptions(list, { options }) {
-  whenOpened(list, async () => {
-    const described = (await openapi()).components.schemas.FitRequest.properties.options.properties;
-    list.replaceChildren(...Object.entries(options).map(([name, value]) => row([make("code", {}, name)], String(value ?? "none"), sentenceOf(described[name].description))));
-  });
-}
-
-/** Shows sentences that matter before a fit is used. @param {HTMLElement} box @param {string[]} sentences */
-export function showWarnings(box, sentences) {
-  box.replaceChildren(...sentences.map((sentence) => make("p", { className: "warning" }, sentence)));
-}
+/** Sentences that matter before a fit is used. @param {string[]} sentences */
+export const warningsOf = (sentences) => sentences.map((sentence) => make("p", { className: "warning" }, sentence));
 
 /** Fills the list of downloads from the formats that the API has. @param {HTMLElement} list @param {string} path of the fit */
 export async function showDownloads(list, path) {
@@ -115,18 +79,16 @@ export async function showDownloads(list, path) {
   const purposes = [...String(schema.description).matchAll(/`([\w-]+)`: (.*?)(?=; `|\.$)/g)];
   list.replaceChildren(...purposes.map(([, format, purpose]) => {
     const button = make("button", { className: "button", type: "button" }, format);
-    const about = make("span", { className: "note" }, purpose);
     button.onclick = async () => {
       button.disabled = true;
-      about.textContent = "It is being made…";
-      await download(`${path}/export?format=${format}`).finally(() => {
-        button.disabled = false;
-        about.textContent = purpose;
-      });
+      await download(`${path}/export?format=${format}`).finally(() => { button.disabled = false; });
     };
-    return make("li", {}, button, about);
+    return make("li", {}, button, make("span", { className: "note" }, purpose));
   }));
 }
+
+/** The measurement of a fit, if it is still stored. @param {Fit} fit @returns {Promise<Measurement | null>} */
+export const storedOf = ({ measurement }) => json(`v1/measurements/${measurement}`).catch((error) => (error.status === 404 ? null : Promise.reject(error)));
 
 /** What a sphere and the plots show of a fit. @param {Fit} fit @param {Measurement | null} stored @returns {Subject} */
 export function subjectOf(fit, stored) {
@@ -134,34 +96,68 @@ export function subjectOf(fit, stored) {
   return { name: nameOf(fit), fit: fit.id, measured: onGrid ? fit.measurement : null, samples: stored && !onGrid ? `v1/fits/${fit.id}/samples.npy?` : null, parts: fit.components };
 }
 
-// Of each plot its id, the name of its slider in the address, and what begins the names of its choices there.
-const PLOTS = [
-  { id: "profiles", slider: "theta-diff", lead: "", title: "Profiles", axis: "θ_diff", last: "89", step: "1", first: "0", line: "Mean over φ_diff, plotted over θ_half." },
-  { id: "plane", slider: "theta-in", lead: "polar-", title: "Plane of incidence", axis: "θ_in", last: "85", step: "5", first: "45", line: "The light comes from the dashed line." },
-];
-
-/** Puts the plots into a box, before the address is read. @param {HTMLElement} box @param {boolean} [both] whether it is for two fits */
-export function placePlots(box, both = false) {
-  for (const { id, slider, lead, title, axis, last, step, first, line } of both ? PLOTS.slice(0, 1) : PLOTS) {
-    const panel = find(template("plot", { title, axis, line }), "section");
-    panel.id = id;
-    for (const radio of panel.querySelectorAll("input")) radio.name = lead + radio.name;
-    Object.assign(find(panel, "input[type=range]", HTMLInputElement), { name: slider, max: last, step, defaultValue: first, ariaLabel: `${slider.replace("-", "_")} in degrees` });
-    find(panel, ".range").hidden = id === "plane";
-    find(panel, "[value=all]").closest("label")?.toggleAttribute("hidden", both);
-    if (both) find(panel, "[value='0']", HTMLInputElement).defaultChecked = true;
-    box.append(panel);
-  }
+/** A sphere's place in a part of a view. @param {HTMLElement} part */
+export function place(part) {
+  find(part, ".place").prepend(template("sphere"));
+  return find(part, "figure.sphere");
 }
 
-/** Draws the plots in a box when it is about to be seen. @param {HTMLElement} box @param {Subject[]} subjects */
-export function followPlots(box, subjects) {
-  for (const label of box.querySelectorAll(".wide")) find(label, "output").textContent = `${find(label, "input", HTMLInputElement).value}°`;
+/** @type {Plot[]} */
+export const PLOTS = [{
+  id: "profiles", name: "theta-diff", lead: "", title: "Profiles", axis: "θ_diff", line: "Mean over φ_diff, plotted over θ_half.",
+  slider: { max: 89, step: 1, defaultValue: 0 }, along: "half", start: 0, about: "over theta_half at theta_diff",
+}, {
+  id: "plane", name: "theta-in", lead: "polar-", title: "Plane of incidence", axis: "θ_in", line: "The light comes from the dashed line.",
+  slider: { max: 85, step: 5, defaultValue: 45 }, along: "out", start: -90, about: "in the plane of incidence for light at",
+}];
+
+/** Puts plots into a view, as the address says, and draws them when they are about to be seen. @param {HTMLElement} main @param {Subject[]} subjects one, or two with one plot */
+export function showPlots(main, subjects) {
+  const box = find(main, "#plots");
+  box.replaceChildren();
+  for (const { id, name, lead, title, axis, line, slider } of PLOTS.slice(0, 3 - subjects.length)) {
+    const panel = find(template("plot", { title, axis, line }), "section");
+    panel.id = id;
+    Object.assign(find(panel, "input", HTMLInputElement), { ...slider, name, ariaLabel: `${name.replace("-", "_")} in degrees` });
+    for (const choice of panel.querySelectorAll("select")) choice.name = lead + choice.name;
+    find(panel, ".range").hidden = id === "plane";
+    if (subjects.length > 1) find(panel, "[value=all]", HTMLOptionElement).remove(); // one channel of both
+    box.append(panel);
+  }
+  keepInAddress();
   whenSeen(box, async () => (await import("./plots.js")).startPlots(box, subjects));
 }
 
-/** A sphere's place in a view. @param {HTMLElement} box */
-export function place(box) {
-  box.prepend(template("sphere"));
-  return find(box, "figure");
+/**
+ * Shows spheres in their places, which share the light, and their plots. GLSL of the fit may be on its way; where there is
+ * no WebGL 2, `instead` shows what there is.
+ * @param {HTMLElement} main @param {HTMLElement[]} figures @param {Subject[]} subjects
+ * @param {{source?: Promise<string | undefined>, instead?: (sphere: Sphere) => Promise<unknown>}} [given]
+ */
+export async function showSpheres(main, figures, subjects, { source, instead = async () => undefined } = {}) {
+  find(main, "#seen").append(template("sphere-controls"));
+  showPlots(main, subjects);
+  await startSpheres(figures.map((figure, i) => new Sphere(figure, subjects[i], source)), instead);
+}
+
+/** Says what is known of a fit beside its sphere. @param {HTMLElement} box @param {Fit} fit */
+export function showSide(box, fit) {
+  box.append(template("side", { verdict: stateOf(fit) }));
+  const known = METRICS.filter(([name]) => typeof fit.metrics?.[name] === "number");
+  const metrics = known.map(([name, title, write, meaning]) => row([`${title} `, make("code", {}, name)], write(Number(fit.metrics?.[name])), meaning));
+  find(box, ".metrics").append(...(known.length ? metrics : [row(["This fit has no metrics."], "", "")]));
+  find(box, ".warnings").append(...warningsOf(fit.warnings));
+  showComponents(find(box, ".components"), fit.components);
+  find(box, ".scroll").setAttribute("aria-label", `Components of ${nameOf(fit)}`);
+  find(box, ".remarks").append(...fit.components.flatMap((part) => part.remarks ?? []).map((remark) => make("p", { className: "note" }, remark)));
+  const [options, meanings] = [find(box, ".fitted-by"), find(box, ".meanings")];
+  whenOpened(options, async () => {
+    const described = optionsOf(await openapi());
+    options.replaceChildren(...Object.entries(fit.options).map(([name, value]) => row([make("code", {}, name)], String(value ?? "none"), sentenceOf(described[name].description))));
+  });
+  whenOpened(meanings, async () => {
+    const { ComponentDocument, ComponentLobe } = (await openapi()).components.schemas;
+    const described = { ...ComponentDocument.properties, ...ComponentLobe.properties };
+    meanings.replaceChildren(...NUMBERS.map(([property, title]) => row([title], "", described[property].description)));
+  });
 }

@@ -3,19 +3,17 @@
 
 import { pause } from "./app.js";
 
-/** @typedef {{program: WebGLProgram, at: (name: string) => WebGLUniformLocation | null}} Program */
-
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 const HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\n";
-// The view is along -z, x to the right and y up; the normal of a pixel is the z axis of the function's frame. With the
-// exposure 0 three spheres beside each other have the radiance of a channel each: its logarithm, in 24 bits.
+// The view is along -z, x to the right and y up; the normal of a pixel is the z axis of the function's frame.
 const MAIN = `
 uniform float size, exposure, wipe, zoom;
 uniform int count, show;
 uniform bool surrounded;
 uniform vec2 highlight;
-uniform vec3 towards[3], irradiance[3];
+uniform vec3 towards[3];
+uniform float irradiance[3];
 uniform highp sampler3D table;
 uniform sampler2D around, around_measured;
 out vec4 colour;
@@ -40,24 +38,19 @@ vec3 seen(vec2 at, bool real) {
     if (omega_in.z <= 0.0) continue;
     radiance += (real ? measured(omega_in, omega_out) : material(omega_in, omega_out)) * omega_in.z * irradiance[light];
   }
-  if (exposure == 0.0) return radiance;
   vec3 linear = clamp(radiance * exposure, 0.0, 1.0);
   vec3 curved = 1.055 * pow(max(linear, 0.0031308), vec3(1.0 / 2.4)) - 0.055;
   return mix(curved, 12.92 * linear, vec3(lessThanEqual(linear, vec3(0.0031308))));
 }
 void main() {
-  float channel = floor(gl_FragCoord.x / size);
-  vec2 on_screen = gl_FragCoord.xy * 2.0 / size - vec2(1.0 + 2.0 * channel, 1.0);
+  vec2 on_screen = gl_FragCoord.xy * 2.0 / size - 1.0;
   vec2 at = highlight + (on_screen - highlight) / zoom;
   if (dot(at, at) >= 1.0) { colour = vec4(0.0); return; }
   bool real = show == 1 || (show == 2 && on_screen.x < wipe);
   vec3 one = vec3(0.0);
   // One call, in a loop: what it calls is long, and would be compiled for each.
   for (int side = 0; side < (show == 3 ? 2 : 1); ++side) one = abs(one - seen(at, real != (side == 1)));
-  if (exposure == 0.0) {
-    float level = floor(16777215.0 * (log2(max(one[int(channel)], 1e-9)) / 64.0 + 0.5));
-    one = mod(floor(level / vec3(65536.0, 256.0, 1.0)), 256.0) / 255.0;
-  } else if (show == 3) one *= 4.0;
+  if (show == 3) one *= 4.0;
   else if (show == 2 && abs(on_screen.x - wipe) < 2.0 / size) one = vec3(1.0);
   colour = vec4(one, 1.0);
 }`;
@@ -124,24 +117,10 @@ export async function finished(gl) {
   gl.deleteSync(fence);
 }
 
-/** The radiance that the shader has drawn with the exposure 0. @param {WebGL2RenderingContext} gl @param {number} width @param {number} height */
-export async function radianceIn(gl, width, height) {
-  const pixels = new Uint8Array(4 * width * height);
-  const buffer = gl.createBuffer(); // pixels that are read into it hold up nothing
-  gl.bindBuffer(gl.PIXEL_PACK_BUFFER, buffer);
-  gl.bufferData(gl.PIXEL_PACK_BUFFER, pixels.length, gl.STREAM_READ);
-  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, 0);
-  await finished(gl);
-  gl.getBufferSubData(gl.PIXEL_PACK_BUFFER, 0, pixels);
-  gl.deleteBuffer(buffer);
-  const levels = Array.from({ length: pixels.length / 4 }, (_, i) => pixels.subarray(4 * i, 4 * i + 4)).filter((pixel) => pixel[3]);
-  return levels.map(([high, middle, low]) => 2 ** (64 * ((65536 * high + 256 * middle + low) / 16777215 - 0.5)));
-}
-
-/** The factor that takes the 99th percentile of what is seen to 1. @param {ArrayLike<number>} values */
-export function exposureOf(values) {
-  const sorted = Float64Array.from(values).sort();
-  const place = 0.99 * (sorted.length - 1);
-  const below = sorted[Math.floor(place)];
-  return 1 / (below + (place % 1) * (sorted[Math.ceil(place)] - below) || 1);
+/** The factor that takes the 99th percentile of what is seen of a sphere to 1. @param {Float32Array} picture */
+export function exposureOf(picture) {
+  const side = Math.sqrt(picture.length / 3);
+  const centred = (/** @type {number} */ i) => ((i % side) + 0.5) / side - 0.5;
+  const sorted = picture.filter((_, i) => Math.hypot(centred(Math.floor(i / 3)), centred(Math.floor(i / 3 / side))) < 0.5).sort();
+  return 1 / (sorted[Math.round(0.99 * (sorted.length - 1))] || 1);
 }

@@ -1,13 +1,7 @@
 // What the service understands of a table of samples, before it is fitted.
 import { fill, find, make, request, template } from "./app.js";
 import { chosen, showForm } from "./options.js";
-import { showWarnings } from "./said.js";
-
-/** A row whose first cell is its head, or a row of heads. @param {(string | number)[]} cells @param {boolean} [heads] */
-const row = (cells, heads = false) => make("tr", {}, ...cells.map((cell, i) => {
-  const isHead = cell !== "" && (heads || i === 0);
-  return make(isHead ? "th" : "td", isHead ? { scope: heads ? "col" : "row" } : {}, String(cell));
-}));
+import { tableRow, warningsOf } from "./said.js";
 
 /** @param {number} value */
 const short = (value) => Number(value.toPrecision(4));
@@ -49,12 +43,12 @@ function describe(box, table) {
   const light = table.angles_of_incidence ? `The light comes at ${table.angles_of_incidence.join("°, ")}°.` : "";
   const plane = `${Math.round(100 * table.in_plane_of_incidence)} % of the samples lie in the plane of incidence.`;
   fill(box, { about: `${table.n_rows} rows, ${table.n_samples} samples. ${light} ${plane}` });
-  showWarnings(find(box, ".warnings"), table.warnings);
+  find(box, ".warnings").replaceChildren(...warningsOf(table.warnings));
   const columns = table.columns.map(({ name, read_as, unit }) => [name, read_as ?? "not read", unit || "none"]);
-  find(box, ".columns").replaceChildren(row(["Column", "Read as", "Unit"], true), ...columns.map((cells) => row(cells)));
+  find(box, ".columns").replaceChildren(tableRow(["Column", "Read as", "Unit"], true), ...columns.map((cells) => tableRow(cells)));
   const ranges = Object.entries(table.ranges);
   const names = ranges.map(([name], i) => `${name.replace("phi_out - phi_in", "phi_out − phi_in")} in ${i < 3 ? "degrees" : "1/sr"}`);
-  const ends = ["Smallest", "Largest"].map((word, i) => row([word, ...ranges.map(([, range]) => short(range[i]))]));
-  const first = table.first.map((values, i) => row([`Sample ${i + 1}`, ...values.map(short)]));
-  find(box, ".samples").replaceChildren(row(["", ...names], true), ...ends, ...first);
+  const ends = ["Smallest", "Largest"].map((word, i) => tableRow([word, ...ranges.map(([, range]) => short(range[i]))]));
+  const first = table.first.map((values, i) => tableRow([`Sample ${i + 1}`, ...values.map(short)]));
+  find(box, ".samples").replaceChildren(tableRow(["", ...names], true), ...ends, ...first);
 }

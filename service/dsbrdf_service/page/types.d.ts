@@ -31,3 +31,16 @@ type Channels = (number | null)[][];
 // Of all that a plot shows along x; measured values may be at places of their own.
 interface Values { x: number[]; fit: Channels | null; parts: Channels[]; measured: Channels | null; at: number[] }
 interface Curve { label: string; colour: string; x: number[]; y: (number | null)[]; dash?: string; points?: boolean; part?: boolean; band?: Interval }
+// Of a table: angles in degrees; theta_out is negative on the side of the light, `aside` is the way out of the plane of incidence.
+interface Sample { half: number; diff: number; light: number; out: number; aside: number; values: number[] }
+
+// A plot: its id; what its slider is called in the address, and begins the names of its choices; what it draws along which angle.
+interface Plot {
+  id: string; name: string; lead: string; title: string; axis: string; line: string; about: string;
+  slider: { max: number; step: number; defaultValue: number }; along: "half" | "out"; start: number;
+}
+// What a plot draws, and how it is to look.
+interface Drawing { all: Values[]; subjects: Subject[]; place: number; channel: string; axis: string; range: string }
+// What the form of controls says; the highlight is the point of the sphere where the light's reflection is seen.
+interface Look { show: string; lighting: string; stops: number; zoom: number; wipe: number; highlight: number[] }
+interface Program { program: WebGLProgram; at: (name: string) => WebGLUniformLocation | null }

@@ -1,9 +1,9 @@
 // Sends files: first the SHA-256 of a file, the file itself only if the service does not have it. A table is shown before.
-import { find, keyHeader, Problem, problemOf, request, root, say, sendJson } from "./app.js";
-import { chosen, inJson } from "./options.js";
+import { find, request, root, say, sizeOf } from "./app.js";
+import { chosen, fitStored } from "./options.js";
 
 const TABLE = /\.(csv|tsv|txt|astm|xlsx)$/i;
-/** @type {XMLHttpRequest | null} */
+/** @type {AbortController | null} */
 let sending = null;
 addEventListener("beforeunload", (event) => sending && event.preventDefault());
 
@@ -18,54 +18,46 @@ export async function take(main, files) {
   return showTable(box, files[0], options, { fit: send });
 }
 
-/** Shows how far an upload is, or that there is none. @param {HTMLElement} main @param {string} text @param {number} [share] */
-function tell(main, text, share) {
+/** Says what goes on with a file, or shows again where files are dropped. @param {HTMLElement} main @param {string} text */
+function tell(main, text) {
   find(main, ".drop-main").hidden = Boolean(text);
   find(main, "#sending").hidden = !text;
   find(main, "#sending-title").textContent = text;
-  const bar = find(main, "#sending-bar", HTMLProgressElement);
-  if (share === undefined) bar.removeAttribute("value");
-  else bar.value = share;
 }
 
 /** Sends files one after the other and leads to the fit, or to the list of several; one with a fault holds up no other. @param {HTMLElement} main @param {File[]} files @param {[string, string][]} options */
 export async function sendAll(main, files, options) {
   const fits = [];
   const faults = [];
-  find(main, "#cancel-upload").onclick = () => sending?.abort();
   for (const file of files) {
+    const { signal } = sending = new AbortController();
+    find(main, "#cancel-upload").onclick = () => sending?.abort();
     try {
-      fits.push((await submit(main, file, options)).id);
+      fits.push((await submit(main, file, options, signal)).id);
     } catch (error) {
       const { message } = /** @type {Error} */ (error);
       faults.push(files.length > 1 ? `${file.name}: ${message}` : message);
     }
   }
+  sending = null;
   if (!faults.length) return location.assign(new URL(files.length > 1 ? "." : `fits/${fits[0]}`, root));
   tell(main, "");
   find(main, "#file", HTMLInputElement).value = "";
   return say([...faults, ...(fits.length ? [`Sent: ${fits.length} of ${files.length}.`] : [])].join(" "), true);
 }
 
-/** @param {HTMLElement} main @param {File} file @param {[string, string][]} options @returns {Promise<Fit>} */
-async function submit(main, file, options) {
+/** @param {HTMLElement} main @param {File} file @param {[string, string][]} options @param {AbortSignal} signal @returns {Promise<Fit>} */
+async function submit(main, file, options, signal) {
   tell(main, `Reading ${file.name}`);
-  const hash = await sha256(file);
-  const isKnown = hash && await request(`v1/measurements/${hash}`, { method: "HEAD" }).then(() => true, (error) => {
-    if (error.status === 404) return false;
-    throw error;
+  const measurement = await sha256(file);
+  const known = measurement && await fitStored(file.name.replace(/(?<=.)\.\w+$/, ""), measurement, options).catch((error) => {
+    if (error.status !== 404) throw error;
   });
-  if (isKnown) {
-    tell(main, "The service has this file");
-    const name = new URLSearchParams({ name: file.name.replace(/(?<=.)\.\w+$/, "") });
-    return sendJson(`v1/fits?${name}`, "POST", { measurement: hash, options: inJson(options) });
-  }
-  tell(main, `Sending ${file.name}`, 0);
+  if (known) return known;
+  tell(main, `Sending ${file.name}, ${sizeOf(file)}`);
   const query = new URLSearchParams([["name", file.name.replace(/\.binary$/, "") || file.name], ...options]);
-  return send(`v1/fits?${query}`, file, ({ loaded, total }) => {
-    if (loaded < total) tell(main, `Sending ${file.name}`, loaded / total);
-    else tell(main, "Checking the file");
-  });
+  const headers = { "Content-Type": "application/octet-stream", Prefer: "respond-async" };
+  return (await request(`v1/fits?${query}`, { method: "POST", headers, body: file, signal })).json();
 }
 
 /** @param {File} file */
@@ -73,21 +65,4 @@ async function sha256(file) {
   if (!globalThis.crypto?.subtle) return null; // browsers hash on https and localhost only
   const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
   return Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
-}
-
-/** Sends a file, with a word about its progress, which `fetch` does not give. @param {string} path @param {File} file @param {(event: ProgressEvent) => void} onprogress @returns {Promise<Fit>} */
-function send(path, file, onprogress) {
-  const upload = sending = new XMLHttpRequest();
-  upload.open("POST", new URL(path, root));
-  upload.responseType = "json";
-  const headers = { ...keyHeader(), "Content-Type": "application/octet-stream", Prefer: "respond-async" };
-  for (const [name, value] of Object.entries(headers)) upload.setRequestHeader(name, value);
-  upload.upload.onprogress = onprogress;
-  return new Promise((resolve, reject) => {
-    upload.onabort = () => reject(new Problem("The upload was cancelled."));
-    upload.onerror = () => reject(new Problem("The service cannot be reached, or it has ended the upload."));
-    upload.onload = () => (upload.status < 300 ? resolve(upload.response) : reject(problemOf(upload.response, upload.status)));
-    upload.onloadend = () => { sending = null; };
-    upload.send(file);
-  });
 }

@@ -1,8 +1,5 @@
-// Values of a fit, its components and its measurement along the lines of the plots.
-import { Problem, request } from "./app.js";
-import { fromNpy, toNpy } from "./npy.js";
-
-/** Angles in degrees; theta_out is negative on the side of the light, `aside` is the way out of the plane of incidence. @typedef {{half: number, diff: number, light: number, out: number, aside: number, values: number[]}} Sample */
+// Values of a fit, its components and its measurement along the lines of the plots, and at a point of a sphere.
+import { askArray, json } from "./app.js";
 
 /** Samples so near to the place of a slider are shown [degrees]. */
 export const NEAR = 3;
@@ -12,57 +9,36 @@ const AROUND = [15, 45, 75, 105, 135, 165]; // phi_diff [degrees]
 const IN_PLANE = Array.from({ length: 179 }, (_, i) => i - 89); // of the viewer, negative on the light's side [degrees]
 const rad = Math.PI / 180;
 
-/** The directions of half and difference angles [degrees]: six numbers. @param {number} half @param {number} diff @param {number} phi */
-export function directions(half, diff, phi) {
-  const [a, b, c] = [half * rad, diff * rad, phi * rad];
-  const about = [Math.sin(b) * Math.cos(c), Math.sin(b) * Math.sin(c), Math.cos(b)]; // the light, as the half vector sees it
-  const into = [Math.cos(a) * about[0] + Math.sin(a) * about[2], about[1], Math.cos(a) * about[2] - Math.sin(a) * about[0]];
-  const out = [2 * about[2] * Math.sin(a) - into[0], -into[1], 2 * about[2] * Math.cos(a) - into[2]];
-  return [...into, ...out];
+/** @param {number} sine @param {number} cosine */
+const degrees = (sine, cosine) => Math.atan2(sine, cosine) / rad;
+
+/** The cosines of both directions to the normal. @param {number[]} point theta_half, theta_diff, phi_diff [degrees] */
+export function cosines([half, diff, phi]) {
+  const along = Math.cos(half * rad) * Math.cos(diff * rad);
+  const across = Math.sin(half * rad) * Math.sin(diff * rad) * Math.cos(phi * rad);
+  return [along - across, along + across];
 }
 
-/** Mean values at places with some points each, NaN left out. @param {string} path @param {number[][][]} points six numbers each @returns {Promise<Channels>} */
-async function meansAt(path, points) {
-  const flat = Float64Array.from(points.flat(2));
-  const headers = { "Content-Type": "application/x-npy", Accept: "application/x-npy" };
-  const answer = await request(path, { method: "POST", headers, body: toNpy([flat.length / 6, 6], flat) });
-  const values = fromNpy(await answer.arrayBuffer());
+/** Mean values at places, of the points of each that are above the horizon. @param {string} path @param {number[][][]} places theta_half, theta_diff, phi_diff of points [degrees] @returns {Promise<Channels>} */
+async function meansAt(path, places) {
+  const points = places.flat();
+  const [theta_half_deg, theta_diff_deg, phi_diff_deg] = [0, 1, 2].map((i) => points.map((point) => point[i]));
+  const { values } = await json(path, "POST", { theta_half_deg, theta_diff_deg, phi_diff_deg });
   return [0, 1, 2].map((channel) => {
     let at = 0;
-    return points.map((some) => {
-      const known = some.map(() => values[3 * at++ + channel]).filter((value) => !Number.isNaN(value));
+    return places.map((some) => {
+      const known = some.map(() => values[at++]?.[channel]).filter((value) => value !== undefined);
       return known.length ? known.reduce((sum, value) => sum + value, 0) / known.length : null;
     });
   });
 }
 
-/** Values of all that a plot shows along x; components add up to the fit. @param {Subject} subject @param {number[]} x @param {number[][][]} points by place @param {boolean} withParts @returns {Promise<Values>} */
-async function valuesOf({ fit, measured, parts }, x, points, withParts) {
-  const shown = withParts ? parts : [];
-  /** @param {unknown} error a measurement may be deleted while its fit is looked at */
-  const gone = (error) => (error instanceof Problem && error.status === 404 ? null : Promise.reject(error));
-  const [ofMeasurement, ofFit, ...ofParts] = await Promise.all([
-    measured ? meansAt(`v1/measurements/${measured}/brdf`, points).catch(gone) : null,
-    fit && !shown.length ? meansAt(`v1/fits/${fit}/brdf`, points) : null,
-    ...shown.map(({ label }) => meansAt(`v1/fits/${fit}/components/${label}/brdf`, points)),
-  ]);
-  const all = /** @type {Channels[]} */ (ofParts);
-  const sum = [0, 1, 2].map((channel) => points.map((some, i) => (some.length ? all.reduce((total, part) => total + Number(part[channel][i]), 0) : null)));
-  return { x, at: x, measured: ofMeasurement, fit: ofFit ?? (fit ? sum : null), parts: all };
-}
+/** Samples of a table, of many some. @param {string} path @returns {Promise<Sample[]>} */
+export const samplesOf = async (path) => anglesOf(await askArray(`${path}most=${MOST_SAMPLES}`));
 
-/** @type {Map<string, Promise<Sample[]>>} */
-const tables = new Map();
-/** The samples of a table. @param {string} path */
-function samplesOf(path) {
-  if (!tables.has(path)) tables.set(path, request(`${path}most=${MOST_SAMPLES}`).then(async (answer) => anglesOf(fromNpy(await answer.arrayBuffer()))));
-  return /** @type {Promise<Sample[]>} */ (tables.get(path));
-}
-
-/** Where most samples are, in steps of five degrees. @param {string} path @param {"half" | "out"} along */
-export async function mostAt(path, along) {
-  const found = await samplesOf(path);
-  const counts = Array.from({ length: 18 }, (_, i) => found.filter((one) => isNear(one, along, 5 * i)).length);
+/** Where most samples are, in steps of five degrees. @param {Sample[]} samples @param {"half" | "out"} along */
+export function mostAt(samples, along) {
+  const counts = Array.from({ length: 18 }, (_, i) => samples.filter((one) => isNear(one, along, 5 * i)).length);
   return 5 * counts.indexOf(Math.max(...counts));
 }
 
@@ -73,34 +49,54 @@ function isNear(one, along, place) {
 
 /** @param {ArrayLike<number>} table nine numbers each @returns {Sample[]} */
 function anglesOf(table) {
-  /** @param {number} sine @param {number} cosine */
-  const degrees = (sine, cosine) => Math.atan2(sine, cosine) / rad;
   return Array.from({ length: table.length / 9 }, (_, i) => {
     const [a, b, c, d, e, f, ...values] = Array.from({ length: 9 }, (_, k) => table[9 * i + k]);
-    const sum = Math.hypot(a + d, b + e, c + f);
     const flat = Math.hypot(a, b);
     const along = flat > 1e-6 ? a * d + b * e : -d || -e; // above 0 on the light's side; of light from the normal on that of phi = 180
     const out = degrees(Math.hypot(d, e), f) * (along > 0 ? -1 : 1);
     const aside = flat > 1e-6 ? Math.abs(degrees((b * d - a * e) / flat, Math.hypot(f, along / flat))) : 0;
-    return { half: degrees(Math.hypot(a + d, b + e), c + f), diff: degrees(Math.hypot(a - d, b - e, c - f), sum), light: degrees(flat, c), out, aside, values };
+    return { ...halfAndDifference([a, b, c], [d, e, f]), light: degrees(flat, c), out, aside, values };
   });
 }
 
-/** Puts the samples near a place into values. @param {Values} values @param {Subject} subject @param {"half" | "out"} along @param {number} place @returns {Promise<Values>} */
-async function withSamples(values, { samples }, along, place) {
-  if (!samples) return values;
-  const near = (await samplesOf(samples)).filter((one) => isNear(one, along, place)).sort((a, b) => a[along] - b[along]);
-  return { ...values, at: near.map((one) => one[along]), measured: [0, 1, 2].map((channel) => near.map((one) => one.values[channel])) };
+/** The angles theta_half and theta_diff of directions [degrees]. @param {number[]} first @param {number[]} second */
+function halfAndDifference(first, second) {
+  const [x, y, z] = first.map((value, i) => value + second[i]);
+  const apart = Math.hypot(...first.map((value, i) => value - second[i]));
+  return { half: degrees(Math.hypot(x, y), z), diff: degrees(apart, Math.hypot(x, y, z)) };
 }
 
-/** Over theta_half at one theta_diff [degrees]: means over phi_diff, of what is above the horizon; samples near it. @param {Subject} subject @param {number} diff @param {boolean} withParts */
-export async function profile(subject, diff, withParts) {
-  const points = NODES.map((half) => AROUND.map((phi) => directions(half, diff, phi)).filter((pair) => pair[2] > 0 && pair[5] > 0));
-  return withSamples(await valuesOf(subject, NODES, points, withParts), subject, "half", diff);
+/**
+ * What a plot shows at a place of its slider [degrees]: over theta_half at one theta_diff, means over phi_diff; or over the
+ * viewer's angle in the plane of incidence, for one angle of the light.
+ * @param {Subject} subject @param {Sample[] | null} samples those near the place are shown @param {"half" | "out"} along
+ * @param {number} place @param {boolean} withParts @returns {Promise<Values>}
+ */
+export async function valuesAt({ fit, measured, parts }, samples, along, place, withParts) {
+  const x = along === "half" ? NODES : IN_PLANE;
+  const places = along === "half"
+    ? NODES.map((half) => AROUND.map((phi) => [half, place, phi]).filter((point) => Math.min(...cosines(point)) > 0))
+    : IN_PLANE.map((out) => [[Math.abs(out - place) / 2, Math.abs(out + place) / 2, 0]]);
+  const near = samples?.filter((one) => isNear(one, along, place)).sort((a, b) => a[along] - b[along]);
+  const [ofMeasurement, ofFit, ...ofParts] = await Promise.all([
+    measured ? meansAt(`v1/measurements/${measured}/brdf`, places) : null,
+    fit ? meansAt(`v1/fits/${fit}/brdf`, places) : null,
+    ...(withParts ? parts : []).map(({ label }) => meansAt(`v1/fits/${fit}/components/${label}/brdf`, places)),
+  ]);
+  const ofSamples = near && [0, 1, 2].map((channel) => near.map((one) => one.values[channel]));
+  return { x, at: near?.map((one) => one[along]) ?? x, measured: ofSamples ?? ofMeasurement, fit: ofFit, parts: /** @type {Channels[]} */ (ofParts) };
 }
 
-/** Over the viewer's angle in the plane of incidence, for one angle of the light [degrees]. @param {Subject} subject @param {number} light @param {boolean} withParts */
-export async function planeOfIncidence(subject, light, withParts) {
-  const points = IN_PLANE.map((out) => [[-light, out].flatMap((angle) => [Math.sin(angle * rad), 0, Math.cos(angle * rad)])]);
-  return withSamples(await valuesOf(subject, IN_PLANE, points, withParts), subject, "out", light);
+/** The angles and values at a point of a sphere from above. @param {Subject} subject @param {number[]} point @param {number[]} light its direction */
+export async function valuesBelow({ fit, measured }, [x, y], light) {
+  const normal = [x, y, Math.sqrt(1 - x * x - y * y)];
+  const flat = Math.hypot(normal[0], normal[2]);
+  const along = [normal[2] / flat, 0, -normal[0] / flat];
+  const aside = [normal[1] * along[2], normal[2] * along[0] - normal[0] * along[2], -normal[1] * along[0]];
+  const [omega_in, omega_out] = [light, [0, 0, 1]].map((vector) => [along, aside, normal].map((axis) => axis.reduce((sum, value, i) => sum + value * vector[i], 0)));
+  if (!(omega_in[2] > 0)) return "The light does not reach this point.";
+  const { values: [value] } = await json(`v1/${fit ? `fits/${fit}` : `measurements/${measured}`}/brdf`, "POST", { omega_in: [omega_in], omega_out: [omega_out] });
+  const { half, diff } = halfAndDifference(omega_in, omega_out);
+  const said = value?.map((/** @type {number} */ one) => one.toPrecision(3)).join(", ");
+  return `θ_half ${half.toFixed(1)}°, θ_diff ${diff.toFixed(1)}°: ${said ? `${said} 1/sr` : "not measured"}`;
 }

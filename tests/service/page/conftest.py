@@ -1,7 +1,7 @@
 """One browser, one service that wants keys, one key with two fits: for all tests of the pages."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
@@ -51,8 +51,8 @@ class Site:
         return from_json(self.read(f"/v1/fits/{fit}/export?format=json").text)[0]
 
     def exposure(self, fit: str) -> float:
-        """What the page multiplies the radiance of a fit by: its sphere of 128 pixels gives it."""
-        return exposure(render_sphere(self.model(fit), size=128), sphere_normals(128)[1])
+        """What the page multiplies the radiance of a fit by: its sphere of 64 pixels gives it."""
+        return exposure(render_sphere(self.model(fit), size=64), sphere_normals(64)[1])
 
     def submit(self, data: bytes, name: str, *, prefer: str = "wait=60", **options: Any) -> str:
         headers = {**self.header, "Content-Type": "application/octet-stream", "Prefer": prefer}
@@ -61,7 +61,7 @@ class Site:
         return fit
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def site(guarded: Guarded, data: bytes) -> Site:
     made = Site(guarded.server.http, guarded.new_key("page"), {})
     for name, options in (("glossy", {"n_lobes": 2}), ("rough", {"method": "paper", "n_lobes": 1})):
@@ -69,13 +69,13 @@ def site(guarded: Guarded, data: bytes) -> Site:
     return made
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def browser() -> "Iterator[Browser]":
     with running_browser() as running:
         yield running
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def signed_in(browser: "Browser", site: Site) -> "Mapping[bool, BrowserContext]":
     """The user's browser with WebGL and without; the user looks at all pages in it, each picture is drawn once."""
     contexts = {webgl: new_context(browser, site.address, site.key) for webgl in (True, False)}
@@ -87,16 +87,20 @@ def signed_in(browser: "Browser", site: Site) -> "Mapping[bool, BrowserContext]"
 def visit(
     browser: "Browser", site: Site, signed_in: "Mapping[bool, BrowserContext]"
 ) -> "Iterator[Callable[..., Visitor]]":
-    """Open a page, for a key or with options of its own in a browser with storage of its own.
+    """Open a page, for a header or with options of its own in a browser with storage of its own.
 
     Afterwards nothing may have gone wrong.
     """
     visitors: list[Visitor] = []
 
-    def open_page(path: str, *, key: str | None = site.key, webgl: bool = True, **options: Any) -> "Visitor":
+    def open_page(
+        path: str, *, header: dict[str, str] | None = site.header, webgl: bool = True, **options: Any
+    ) -> "Visitor":
         context = signed_in[webgl]
-        if key != site.key or options:
-            context = new_context(browser, site.address, key, **options)
+        if header != site.header or options:
+            context = new_context(
+                browser, site.address, replace(site, header=header).key if header else None, **options
+            )
             if not webgl:
                 context.add_init_script(NO_WEBGL)
             context.route("**/figures/*.svg", lambda route: route.fulfill(body=NO_FIGURE, content_type="image/svg+xml"))
