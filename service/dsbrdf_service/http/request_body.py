@@ -1,12 +1,8 @@
-"""Request bodies and their one encoding, gzip: measurements as a stream, other bodies whole.
-
-A decoder is given the body in pieces and passes decoded pieces of at most `PIECE` bytes to a sink, which raises as
-soon as it has enough: a small body that decodes to a huge one costs no more memory or time than the limit.
-"""
+"""Request bodies and their one encoding, gzip: measurements as a stream, other bodies whole."""
 
 import zlib
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from starlette.concurrency import run_in_threadpool
@@ -14,8 +10,6 @@ from starlette.requests import Request
 
 from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
-
-Sink = Callable[[bytes], None]
 
 PIECE = 1 << 18
 _MOST_HELD = 64_000_000  # bytes of bodies that one caller may have in memory
@@ -48,97 +42,60 @@ class Bodies:
     async def received(self, request: Request, limit: int) -> AsyncIterator[bytes]:
         """Yield the decoded body of a request, of at most `limit` bytes; it counts until the end of the block.
 
-        Raises ProblemError if it is longer, its encoding is unknown or damaged, or it is too much with the caller's
-        other bodies.
+        Raises ProblemError as `decoded`, or if it is too much with the caller's other bodies.
         """
-        encoding, caller, content = encoding_of(request), request.scope[CALLER_NAME], bytearray()
-
-        def keep(data: bytes) -> None:
-            if len(content) + len(data) > limit:
-                raise _too_large(limit)
-            if self._held[caller] + len(data) > _MOST_HELD:
-                most = f"{_MOST_HELD // 10**6} MB, the most allowed"
-                detail = f"Bodies of this caller's requests take {most}; wait for some to be answered."
-                raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
-            self._held[caller] += len(data)
-            content.extend(data)
-
-        feed, finish = decoder(encoding, keep, limit)
-        declared = request.headers.get("content-length", "")
-        if declared.isdecimal() and int(declared) > _most_encoded(limit):
-            raise _too_large(limit)
+        caller, content = request.scope[CALLER_NAME], bytearray()
         try:
-            async for piece in request.stream():
-                if encoding:  # few bytes can decode to many
-                    await run_in_threadpool(feed, piece)
-                else:
-                    feed(piece)
-            if encoding:
-                await run_in_threadpool(finish)
+            async for piece in decoded(request, limit):
+                if len(content) + len(piece) > limit:
+                    raise _too_large(limit)
+                if self._held[caller] + len(piece) > _MOST_HELD:
+                    most = f"{_MOST_HELD // 10**6} MB, the most allowed"
+                    detail = f"Bodies of this caller's requests take {most}; wait for some to be answered."
+                    raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
+                self._held[caller] += len(piece)
+                content += piece
             yield bytes(content)
         finally:
             self._held[caller] -= len(content)
             self._held += Counter()  # without those that have none
 
 
-def _most_encoded(limit: int) -> int:
-    """Return the most bytes that `limit` bytes may have when they are encoded; compressors add less."""
-    return limit + limit // 64 + 1024
+async def decoded(request: Request, limit: int) -> AsyncIterator[bytes]:
+    """Yield what the body decodes to, in pieces of at most `PIECE` bytes if it is encoded: few bytes can be very many.
+
+    Raises ProblemError if its encoding is unknown, it is damaged, or it is longer than an encoding can make `limit`
+    bytes. The caller looks at the length of what it decodes to.
+    """
+    names = ",".join(request.headers.getlist("content-encoding")).lower().split(",")
+    encoding = ", ".join(name for part in names if (name := part.strip()) not in ("", "identity"))
+    if encoding not in ("", "gzip", "x-gzip"):
+        detail = f"The content encoding {encoding[:40]!r} is not supported; send the body as it is, or as gzip."
+        raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": "gzip"})
+    member, left = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS), limit + limit // 64 + 1024
+    async for piece in request.stream():
+        left -= len(piece)
+        if left < 0:  # what decodes to nothing could go on
+            raise _too_large(limit)
+        if not encoding:
+            yield piece
+            continue
+        while piece:
+            if member.eof:
+                raise _damaged("it goes on after its end")
+            try:
+                content = await run_in_threadpool(member.decompress, piece, PIECE)
+            except zlib.error as error:
+                raise _damaged(str(error)) from None
+            yield content
+            piece = member.unconsumed_tail or member.unused_data
+    if encoding and not member.eof:
+        raise _damaged("it is cut off")
 
 
 def _too_large(limit: int) -> ProblemError:
     return ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
 
 
-def decoder(content_encoding: str, sink: Sink, limit: int) -> tuple[Sink, Callable[[], None]]:
-    """Return what takes a body with this ``Content-Encoding`` in pieces, and what takes its end.
-
-    Raises ProblemError if it is not one that the service decodes. What it returns does so if the body is damaged, or
-    longer than `limit` bytes can be when they are encoded; the `sink` looks at those that are decoded.
-    """
-    if not content_encoding:
-        return sink, lambda: None
-    if content_encoding not in ("gzip", "x-gzip"):
-        detail = f"The content encoding {content_encoding[:40]!r} is not supported; send the body as it is, or as gzip."
-        raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": "gzip"})
-    member = _GzipDecoder(sink, limit)
-    return member.feed, member.finish
-
-
-class _GzipDecoder:
-    """Decodes one gzip member (RFC 1952)."""
-
-    def __init__(self, sink: Sink, limit: int) -> None:
-        self._sink = sink
-        self._limit = limit
-        self._n_encoded = 0
-        self._member = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
-
-    def feed(self, data: bytes) -> None:
-        self._n_encoded += len(data)
-        if self._n_encoded > _most_encoded(self._limit):  # what decodes to nothing could go on
-            raise _too_large(self._limit)
-        while data:
-            if self._member.eof:
-                raise _damaged("it goes on after its end")
-            try:
-                decoded = self._member.decompress(data, PIECE)
-            except zlib.error as error:
-                raise _damaged(str(error)) from None
-            if decoded:
-                self._sink(decoded)
-            data = self._member.unconsumed_tail or self._member.unused_data
-
-    def finish(self) -> None:
-        if not self._member.eof:
-            raise _damaged("it is cut off")
-
-
 def _damaged(reason: str) -> ProblemError:
     return ProblemError("bad-encoding", f"The body is not valid gzip: {reason[:200]}.")
-
-
-def encoding_of(request: Request) -> str:
-    """Return the ``Content-Encoding`` of the body, for `decoder`; empty if there is none."""
-    given = ",".join(request.headers.getlist("content-encoding")).lower().split(",")
-    return ", ".join(name for part in given if (name := part.strip()) not in ("", "identity"))

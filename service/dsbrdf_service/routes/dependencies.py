@@ -11,6 +11,7 @@ from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.options import FitOptions
 
 from ..access.authentication import CALLER
 from ..access.keys import Keys
@@ -26,6 +27,7 @@ from ..operations.readiness import Readiness
 from ..settings import Settings
 from ..storage.schema import Caller, FitKey, FitRow
 from ..storage.store import Store
+from ..wire.fit_options import DEFAULTS, from_query
 from ..wire.inputs import FIT_ID, SHA256
 from ..wire.names import given_name
 
@@ -115,6 +117,13 @@ TheMeasurement = Annotated[StoredMeasurement, Depends(_measurement)]
 def name_of(request: Request) -> str | None:
     """Return the name that a request gives to what it sends."""
     return given_name(request.query_params.get("name"), request.headers.get("content-disposition", ""))
+
+
+async def _options_in(request: Request) -> FitOptions:
+    return from_query((name, text) for name, text in request.query_params.multi_items() if name in DEFAULTS)
+
+
+TheOptions = Annotated[FitOptions, Depends(_options_in)]
 
 
 async def check_query(request: Request) -> None:

@@ -26,10 +26,10 @@ from ..jobs.steps import (
     spheres_step,
     table_step,
 )
-from ..wire.fit_options import from_query, from_wire
+from ..wire.fit_options import from_wire
 from ..wire.inputs import Figure, FitPicture, FitSphere, Picture, Plain, Sphere
 from ..wire.points import NPY, panorama_from_npy
-from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement
+from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement, TheOptions
 from .uploads import TABLE_PARAMETERS
 
 _Route = TypeVar("_Route", bound=Callable[..., Any])
@@ -212,13 +212,12 @@ async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
 
 @_get("/measurements/{sha256}/samples.npy", "Samples of a table", formats=("npy",), parameters=TABLE_PARAMETERS)
 async def get_samples(
-    request: Request, draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, most: _Most = 5000
+    draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, options: TheOptions, most: _Most = 5000
 ) -> Response:
     """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random.
 
     The options of a table tell how it is read, as for its fit.
     """
-    options = from_query((name, text) for name, text in request.query_params.multi_items() if name != "most")
     stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
     return await draw(samples_step, stored, options.of_table(), most)
 

@@ -23,10 +23,10 @@ from ..jobs.steps import export_step
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow
 from ..wire import inputs, schemas
-from ..wire.fit_options import canonical, from_query, from_wire
+from ..wire.fit_options import canonical, from_wire
 from ..wire.names import check_name, content_disposition
 from ..wire.points import JSON
-from .dependencies import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, name_of
+from .dependencies import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheOptions, name_of
 from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLES, receive_upload
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
@@ -59,7 +59,7 @@ _EXPORTED = {name: openapi.file(name) for name in _MEDIA_TYPES} | {JSON: {"schem
     | openapi.problems("not-found", "invalid-argument", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
     openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
 )
-async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -> Response:
+async def submit_fit(request: Request, context: TheContext, caller: TheCaller, chosen: TheOptions) -> Response:
     """Fit the measurement that is the body, or a stored one.
 
     Answers when the fit has ended: 201, or 200 if the same request was made before. A fit that failed is
@@ -68,14 +68,12 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller) -
     `Location` tells where to ask again.
     """
     name = name_of(request)
-    given = [(parameter, text) for parameter, text in request.query_params.multi_items() if parameter != "name"]
     media_type = media_type_of(request, BINARY, JSON, *TABLES)
     if media_type != JSON:
-        chosen = from_query(given)
-        stored, _ = await receive_upload(request, context, caller, media_type, chosen)
+        stored, _ = await receive_upload(request, context, caller, name, media_type, chosen)
         sha256, options, name = stored.sha256, canonical(chosen), name and stored.name
     else:
-        if given:
+        if request.query_params.keys() - {"name"}:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
         async with context.bodies.received(request, _MAX_JSON) as body:
             document = inputs.parse_document(inputs.FitRequest, body)

@@ -9,7 +9,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
 from dsbrdf.data.sample_tables import table_suffix
-from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 
 from ..errors import MeasurementNotFoundError
 from ..http import openapi
@@ -28,13 +27,21 @@ from ..http.responses import (
 from ..jobs.computations import MadeFile
 from ..jobs.steps import understood_step
 from ..storage.database import in_write_thread
-from ..wire.fit_options import from_query
 from ..wire.inputs import Page
 from ..wire.names import content_disposition
 from ..wire.points import JSON
 from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, TableDocument, from_row
-from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext
-from .uploads import CONTENT, MOST_CONVERTED, PARAMETERS, TABLE_PARAMETERS, TABLES, UPLOADED, receive_upload
+from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheOptions, name_of
+from .uploads import (
+    CONTENT,
+    MOST_CONVERTED,
+    PARAMETERS,
+    TABLE_PARAMETERS,
+    TABLES,
+    UPLOADED,
+    read_table,
+    receive_upload,
+)
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=CHECKED_QUERY)
 tables = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=CHECKED_QUERY)
@@ -57,7 +64,7 @@ _ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document in
         **openapi.body("A MERL file, an RGL .bsdf file, or a table of scattered samples.", CONTENT),
     },
 )
-async def upload_measurement(request: Request, context: TheContext, caller: TheCaller) -> Response:
+async def upload_measurement(request: Request, context: TheContext, caller: TheCaller, options: TheOptions) -> Response:
     """Store the measurement that is the body: 201, or 200 if the same is stored already.
 
     A MERL file and a table of samples are stored byte for byte. An RGL file, by `.bsdf` at the end of its name, is
@@ -65,8 +72,7 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     it is read; they are not stored, a fit is given them again.
     """
     media_type = media_type_of(request, *UPLOADED)
-    given = [(name, text) for name, text in request.query_params.multi_items() if name != "name"]
-    row, new = await receive_upload(request, context, caller, media_type, from_query(given))
+    row, new = await receive_upload(request, context, caller, name_of(request), media_type, options)
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
     return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
 
@@ -81,19 +87,15 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
         **openapi.body("A table of scattered samples.", {name: CONTENT[name] for name in TABLES}),
     },
 )
-async def describe_table(request: Request, context: TheContext, caller: TheCaller) -> Response:
+async def describe_table(request: Request, context: TheContext, caller: TheCaller, options: TheOptions) -> Response:
     """Return columns, units, ranges, planes, warnings and the first samples of the table that is the body.
 
     Nothing is stored: so a table can be looked at, and the right options found, before it is uploaded.
     """
     media_type_of(request, *TABLES)
-    options = from_query(request.query_params.multi_items()).of_table()
     async with context.bodies.received(request, MOST_CONVERTED) as content:
         key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
-        try:
-            found = await context.computations.run_in_process(request, key, understood_step, content, options)
-        except InvalidArgumentError as error:  # as every fault of a step's arguments
-            raise MeasurementFormatError(str(error)) from None
+        found = await read_table(request, context, key, understood_step, content, options.of_table())
     return json_reply(TableDocument(**found))
 
 

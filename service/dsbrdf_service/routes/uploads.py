@@ -4,7 +4,7 @@ They are hashed and checked while they are written; a body is never held whole, 
 wrong with it.
 """
 
-from functools import partial
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.openapi import BINARY
-from ..http.request_body import Sink, decoder, encoding_of
+from ..http.request_body import decoded
 from ..jobs.steps import Kind, conversion_step
 from ..storage.blobs import Incoming
 from ..storage.schema import Caller, MeasurementRow
@@ -26,7 +26,7 @@ from ..storage.uploads import in_thread
 from ..wire.fit_options import OF_TABLES
 from ..wire.inputs import OPTIONS_SCHEMA
 from ..wire.names import MAX_LENGTH
-from .dependencies import Context, name_of
+from .dependencies import Context
 
 TABLES = (
     *("text/csv", "text/tab-separated-values", "text/plain"),
@@ -57,93 +57,92 @@ MOST_CONVERTED = 1 << 23
 
 
 async def receive_upload(
-    request: Request, context: Context, caller: Caller, media_type: str, options: TableOptions
+    request: Request,
+    context: Context,
+    caller: Caller,
+    name: str | None,
+    media_type: str,
+    options: TableOptions,
 ) -> tuple[MeasurementRow, bool]:
     """Store the measurement that is the body; the flag says whether it is new to the caller.
 
-    A table is read with the options, which are not stored. Raises InvalidArgumentError if it is none and they are used.
-    Raises MeasurementFormatError if it is not an acceptable measurement of its kind. Raises ProblemError if it is too
-    long, it does not decode, or the caller may not store it.
+    The end of its `name` can tell the kind of file. A table is read with the options, which are not stored. Raises
+    InvalidArgumentError if it is none and they are used. Raises MeasurementFormatError if it is not an acceptable
+    measurement of its kind. Raises ProblemError if it is too long, it does not decode, or the caller may not store it.
     """
-    name = name_of(request)
     kind = _SUFFIXES.get(Path(name or "").suffix.lower())
     if name is not None and kind is not None:
         name = Path(name).stem
     kind = "samples" if media_type in TABLES else kind
     if kind is None:
         options.refuse_on_grid()
-    declared = request.headers.get("content-length", "")
-    length = int(declared) if declared.isdecimal() and not encoding_of(request) else None
-    if kind is not None:
-        _check_longest(length or 0, kind)
     with context.metrics.stages["upload"].time():
         async with context.store.uploads.incoming(caller) as incoming:
             if kind is None:
-                await _write_merl(request, incoming, length)
+                await _receive_merl(request, incoming)
             else:
-                await _write(request, partial(_write_convertible, incoming, kind))
-            await in_thread(incoming.close)
-            if kind is not None:
-                await _convert(request, context, incoming, kind, options)
+                await _receive_other(request, context, incoming, kind, options)
             return await in_thread(context.store.add_measurement, caller, incoming, name)
 
 
-async def _write_merl(request: Request, incoming: Incoming, length: int | None) -> None:
-    """Write and check the MERL file that the body decodes to.
+async def _receive_merl(request: Request, incoming: Incoming) -> None:
+    """Write and check the MERL file that is the body; a wrong length that is declared is refused by the first bytes."""
+    checker, length = MerlChecker(), request.headers.get("content-length", "")
+    is_known = length.isdecimal() and "content-encoding" not in request.headers
 
-    A wrong `length` that is declared is refused by the first bytes, with the sentence that the whole would get.
-    """
-    checker = MerlChecker()
+    def write(piece: bytes) -> None:
+        _check_longest(incoming.size + len(piece))
+        checker.update(piece)
+        if is_known and checker.n_bytes >= HEADER_SIZE:
+            _check_longest(int(length))
+            check_length(int(length))
+        incoming.write(piece)
 
-    def write(data: bytes) -> None:
-        _check_longest(incoming.size + len(data), None)
-        checker.update(data)
-        if length is not None and checker.n_bytes >= HEADER_SIZE:
-            _check_longest(length, None)
-            check_length(length)
-        incoming.write(data)
-
-    await _write(request, write)
+    async for piece in _pieces(request):
+        await in_thread(write, piece)
     incoming.valid_nodes = int((await in_thread(checker.finish)).sum())
+    await in_thread(incoming.close)
 
 
-def _write_convertible(incoming: Incoming, kind: Kind, data: bytes) -> None:
-    """Write a part of a file of which nothing is known but its largest length."""
-    _check_longest(incoming.size + len(data), kind)
-    incoming.write(data)
-
-
-async def _convert(request: Request, context: Context, incoming: Incoming, kind: Kind, options: TableOptions) -> None:
-    """Check a file that is no MERL file, and replace that of RGL by a MERL table."""
+async def _receive_other(
+    request: Request, context: Context, incoming: Incoming, kind: Kind, options: TableOptions
+) -> None:
+    """Write a file that is no MERL file; check it when it is complete, and replace that of RGL by a MERL table."""
+    async for piece in _pieces(request):
+        if incoming.size + len(piece) > MOST_CONVERTED:
+            most = f"A .bsdf file or a table has at most {MOST_CONVERTED} bytes here, and this one is longer."
+            raise ProblemError("measurement-too-large", most)
+        await in_thread(incoming.write, piece)
+    await in_thread(incoming.close)
     key, arguments = ("upload", incoming.path), (incoming.path, kind, options.of_table())
-    run = context.computations.run_in_process
+    incoming.sha256, incoming.size, incoming.valid_nodes = await read_table(
+        request, context, key, conversion_step, *arguments, place="long"
+    )
+
+
+async def read_table(request: Request, context: Context, *arguments: Any, **named: Any) -> Any:
+    """Return as `Computations.run_in_process`; what is wrong with a file is no argument's fault."""
     try:
-        found = await run(request, key, conversion_step, *arguments, place="long")
-    except InvalidArgumentError as error:  # as every fault of a step's arguments
+        return await context.computations.run_in_process(request, *arguments, **named)
+    except InvalidArgumentError as error:
         raise MeasurementFormatError(str(error)) from None
-    incoming.sha256, incoming.size, incoming.valid_nodes = found
 
 
-async def _write(request: Request, write: Sink) -> None:
-    """Write what the body decodes to: the header at once, as it may be wrong, and then in larger pieces."""
-    feed, finish = decoder(encoding_of(request), write, FILE_SIZE)
+async def _pieces(request: Request) -> AsyncIterator[bytes]:
+    """Yield what the body decodes to: a MERL header at once, as it may be wrong, and then larger pieces."""
     piece, enough = bytearray(), HEADER_SIZE
-    async for part in request.stream():
+    async for part in decoded(request, FILE_SIZE):
         piece += part
         if len(piece) >= enough:
-            await in_thread(feed, bytes(piece))
+            yield bytes(piece)
             piece, enough = bytearray(), _PIECE
-    await in_thread(feed, bytes(piece))
-    await in_thread(finish)
+    yield bytes(piece)
 
 
-def _check_longest(n_bytes: int, kind: Kind | None) -> None:
-    """Raise ProblemError if a file of a kind, None being MERL, may not have so many bytes."""
-    if kind is not None and n_bytes > MOST_CONVERTED:
-        most = f"A .bsdf file or a table has at most {MOST_CONVERTED} bytes here, and this one is longer."
-        raise ProblemError("measurement-too-large", most)
+def _check_longest(n_bytes: int) -> None:
+    """Raise ProblemError, with the library's sentence, if a MERL file would be too long."""
     if n_bytes > FILE_SIZE:
         try:
             check_length(n_bytes)
-        except MeasurementFormatError as error:  # the library's sentence, with a kind of its own
+        except MeasurementFormatError as error:
             raise ProblemError("measurement-too-large", str(error)) from None

@@ -1,17 +1,20 @@
 """Decoders of request bodies: what comes in any pieces, and however damaged, is decoded right or refused."""
 
+import asyncio
 import gzip
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from starlette.requests import Request
+from starlette.types import Message
 
 from dsbrdf_service.errors import ProblemError
-from dsbrdf_service.http.request_body import PIECE, decoder
+from dsbrdf_service.http.request_body import PIECE, decoded
 from tests.support.strategies import examples
 
-LIMIT = 1 << 20  # what the sink of these tests takes
+LIMIT = 1 << 20  # what these tests take
 # Each part of a body: a few bytes and how often they are repeated.
 contents = st.lists(
     st.builds(bytes.__mul__, st.binary(max_size=60), st.one_of(st.integers(0, 5), st.integers(1, 30_000))), max_size=4
@@ -19,28 +22,27 @@ contents = st.lists(
 steps = st.one_of(st.integers(1, 40), st.integers(1, 1 << 21))
 
 
-def decoded(body: bytes, step: int) -> bytes | str:
+def decoded_in_steps(body: bytes, step: int) -> bytes | str:
     """What a body decodes to when it comes in pieces of `step` bytes, or the sentence that refuses it."""
+    starts = iter(range(0, len(body) + 1, step))
     parts: list[bytes] = []
-    seen = 0
 
-    def sink(data: bytes) -> None:
-        nonlocal seen
-        assert len(data) <= PIECE
-        seen += len(data)
-        if seen > LIMIT:
-            raise ProblemError("too-large", "The body is too long.")
-        parts.append(data)
+    async def receive() -> Message:
+        start = next(starts)
+        return {"type": "http.request", "body": body[start : start + step], "more_body": start + step <= len(body)}
+
+    async def decode() -> None:
+        scope = {"type": "http", "headers": [(b"content-encoding", b"gzip")]}
+        async for part in decoded(Request(scope, receive), 100 * LIMIT):
+            assert len(part) <= PIECE
+            parts.append(part)
+            if sum(map(len, parts)) > LIMIT:  # no more is decoded than the first piece that is too much
+                raise ProblemError("too-large", "The body is too long.")
 
     try:
-        feed, finish = decoder("gzip", sink, 100 * LIMIT)
-        for start in range(0, len(body), step):
-            feed(body[start : start + step])
-        finish()
+        asyncio.run(decode())
     except ProblemError as error:
         return error.detail
-    finally:
-        assert seen <= LIMIT + PIECE  # no more is decoded than the first piece that is too much
     return b"".join(parts)
 
 
@@ -50,27 +52,27 @@ def test_body_decodes_or_exceeds_the_limit(parts: list[bytes], step: int) -> Non
     whole = b"".join(parts)
     body = gzip.compress(whole, 1)
     expected = "The body is too long." if len(whole) > LIMIT else whole
-    assert decoded(body, max(step, len(body) // 2000)) == expected
+    assert decoded_in_steps(body, max(step, len(body) // 2000)) == expected
 
 
 @pytest.mark.parametrize("size", [PIECE - 1, PIECE, PIECE + 1, LIMIT])
 def test_large_member_decodes_completely(size: int) -> None:
     content = np.random.default_rng(0).integers(0, 4, size, dtype=np.uint8).tobytes()
     for flat in (bytes(size), content):
-        assert decoded(gzip.compress(flat, 1), 1 << 20) == flat
+        assert decoded_in_steps(gzip.compress(flat, 1), 1 << 20) == flat
 
 
 @examples(3)
 @given(content=st.binary(max_size=400), cut=st.floats(0, 1, exclude_max=True), step=st.integers(1, 500))
 def test_truncated_body_is_refused(content: bytes, cut: float, step: int) -> None:
     body = gzip.compress(content)
-    assert "is not valid" in str(decoded(body[: int(cut * len(body))], step))
+    assert "is not valid" in str(decoded_in_steps(body[: int(cut * len(body))], step))
 
 
 @examples(3)
 @given(content=st.binary(max_size=100), garbage=st.binary(min_size=1, max_size=40), step=st.integers(1, 500))
 def test_what_comes_after_the_end_is_refused(content: bytes, garbage: bytes, step: int) -> None:
-    assert "is not valid" in str(decoded(gzip.compress(content) + garbage, step))
+    assert "is not valid" in str(decoded_in_steps(gzip.compress(content) + garbage, step))
 
 
 @examples(5)
@@ -86,7 +88,7 @@ def test_damaged_body_gets_one_result_in_any_chunks(
     for place, content in changes:
         start = int(place * len(body))
         body[start : start + len(content)] = content
-    whole = decoded(bytes(body), len(body) + 1)
-    assert decoded(bytes(body), max(step, len(body) // 2000)) == whole
+    whole = decoded_in_steps(bytes(body), len(body) + 1)
+    assert decoded_in_steps(bytes(body), max(step, len(body) // 2000)) == whole
     if isinstance(whole, bytes):
         assert whole == gzip.decompress(bytes(body))
