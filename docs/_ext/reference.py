@@ -95,7 +95,7 @@ def _answers(answers: Iterable[Answer]) -> str:
 
 def _operation(name: str, operation: Document, everywhere: Set[Answer]) -> Iterator[str]:
     yield f"### `{name}`"
-    yield f"**{operation['summary']}.** {operation.get('description', '')}".replace("?.**", "?**")
+    yield operation["description"]
     if parameters := operation.get("parameters"):
         rows = [(f"`{one['name']}`", one["in"], _type(one["schema"]), one.get("description", "")) for one in parameters]
         yield _table(("parameter", "in", "type", ""), rows)

@@ -31,7 +31,7 @@ _KEY = {
     "description": "An API key, made with `dsbrdf keys add`. A service that listens on loopback needs none, unless it "
     "is set to require one; on any other address everyone needs one. A key that is sent is always checked.",
 }
-_EVERYWHERE = ("bad-request", "head-too-long", "internal", "overloaded", "shutting-down")
+_EVERYWHERE = ("bad-request", "head-too-long", "invalid-argument", "internal", "overloaded", "shutting-down")
 _BEHIND_A_KEY = ("unauthorized", "foreign-origin", "misdirected", "rate-limited", "too-many-at-once")
 BODY_PROBLEMS = ("request-timeout", "bad-encoding", "unsupported-media-type")
 UPLOAD_PROBLEMS = ("storage-quota", "measurement-too-large", "measurement-format", "disk-full", *BODY_PROBLEMS)
@@ -121,8 +121,6 @@ def document_of(app: FastAPI) -> dict[str, Any]:
     schemas = document["components"]["schemas"]
     _, described = models_json_schema([(model, "validation") for model in _REFERENCED], ref_template=_REFERENCE)
     schemas.update(described["$defs"])
-    for name in ("HTTPValidationError", "ValidationError"):
-        schemas.pop(name, None)
     document["components"]["securitySchemes"] = {"key": _KEY}
     for path, methods in document["paths"].items():
         for operation in methods.values():
@@ -151,9 +149,7 @@ def _enumerated(part: Any) -> Any:
 
 def _complete(operation: dict[str, Any]) -> None:
     """Add the examples to an operation, and remove what FastAPI adds of its own accord."""
-    # A bad id in the path is answered with 404 here, and the schema of a stream's items is no part of version 3.1.
-    if "HTTPValidationError" in str(operation["responses"].get("422")):
-        del operation["responses"]["422"]
+    # The schema of a stream's items is no part of version 3.1.
     for part in (operation.get("requestBody", {}), *operation["responses"].values()):
         part.get("content", {}).get("text/event-stream", {}).pop("itemSchema", None)
         described = part.get("content", {}).get(JSON, {})

@@ -16,23 +16,13 @@ from .dependencies import CHECKED_QUERY, TheCaller, TheContext
 router = APIRouter(tags=["health"], dependencies=CHECKED_QUERY)
 
 
-@router.get(
-    "/health/live",
-    response_model=Health,
-    summary="Is the process alive?",
-    responses=openapi.problems(behind_a_key=False),
-)
+@router.get("/health/live", response_model=Health, responses=openapi.problems(behind_a_key=False))
 async def get_live() -> Response:
     """Answer whenever the process answers at all."""
     return json_reply(Health(status="live", version=dsbrdf.__version__))
 
 
-@router.get(
-    "/health/ready",
-    response_model=Health,
-    summary="Can it take work?",
-    responses=openapi.problems("not-ready", behind_a_key=False),
-)
+@router.get("/health/ready", response_model=Health, responses=openapi.problems("not-ready", behind_a_key=False))
 async def get_ready(context: TheContext) -> Response:
     """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
 
@@ -44,12 +34,7 @@ async def get_ready(context: TheContext) -> Response:
     return json_reply(Health(status="ready", version=dsbrdf.__version__))
 
 
-@router.get(
-    "/metrics",
-    response_class=PlainTextResponse,
-    summary="Counts and times",
-    responses=openapi.problems("not-found"),
-)
+@router.get("/metrics", response_class=PlainTextResponse, responses=openapi.problems("not-found"))
 async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
     """Return requests, fits, times and sizes of all in Prometheus' text format; an API key has to be made for that."""
     if not caller.metrics:

@@ -7,13 +7,11 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Path, Request
 from fastapi.routing import APIRoute
-from numpy.lib import format as npy_format
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 
@@ -24,16 +22,10 @@ from ..http.request_body import media_type_of
 from ..http.responses import prefers, tagged_reply
 from ..jobs.steps import StoredMeasurement, measured_step
 from ..storage.schema import FitKey
-from ..wire.points import FORMS, JSON, NPY, Points, batch_step, from_json, from_npy, from_query
+from ..wire.inputs import Label
+from ..wire.points import FORMS, JSON, NPY, Array, Points, batch_step, from_json, from_npy, from_query
 from ..wire.schemas import ComponentList, MeasuredValues, Values
-from .dependencies import (
-    CHECKED_QUERY,
-    Context,
-    TheContext,
-    TheFit,
-    TheMeasurement,
-    check_query,
-)
+from .dependencies import CHECKED_QUERY, Context, TheContext, TheFit, TheMeasurement, check_query
 
 
 class _DirectRoute(APIRoute):
@@ -57,10 +49,7 @@ class _DirectRoute(APIRoute):
 router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"], route_class=_DirectRoute)
 measured = APIRouter(prefix="/v1/measurements/{sha256}/brdf", tags=["values"])
 components = APIRouter(prefix="/v1/fits/{fit_id}/components", tags=["components"], dependencies=CHECKED_QUERY)
-Label = Annotated[
-    str,
-    Path(pattern=f"^({'|'.join(LABELS)})$", description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]]),
-]
+_Component = Annotated[Label, Path(description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]])]
 
 _MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
 _BLOCK = 4096  # points that are evaluated at a time
@@ -92,35 +81,32 @@ _QUERY = {
 _BATCH = openapi.body(
     "Points, in degrees or as unit vectors.",
     {
-        JSON: {
-            "schema": {"oneOf": [openapi.reference(form) for form in FORMS]},
-            "examples": openapi.EXAMPLE_POINTS,
-        },
+        JSON: {"schema": {"oneOf": [openapi.reference(form) for form in FORMS]}, "examples": openapi.EXAMPLE_POINTS},
         NPY: openapi.file(NPY),
     },
 ) | {"parameters": [openapi.ENCODING]}
-_GET_PROBLEMS = openapi.problems("not-found", "fit-not-finished", "invalid-argument")
+_GET_PROBLEMS = openapi.problems("not-found", "fit-not-finished")
 _POST_RESPONSES = openapi.response("One RGB triple for each point.", {NPY: openapi.file(NPY)}) | openapi.problems(
-    "not-found", "fit-not-finished", "too-large", "invalid-argument", *openapi.BODY_PROBLEMS
+    "not-found", "fit-not-finished", "too-large", *openapi.BODY_PROBLEMS
 )
-_OF_MEASUREMENT = openapi.problems("not-found", "measurement-damaged", "invalid-argument")
+_OF_MEASUREMENT = openapi.problems("not-found", "measurement-damaged")
 _get = partial(router.get, response_model=Values, responses=_GET_PROBLEMS, openapi_extra=_QUERY)
 _post = partial(router.post, response_model=Values, responses=_POST_RESPONSES, openapi_extra=_BATCH)
 
 
-@_get("/brdf", summary="Values at some points")
+@_get("/brdf")
 async def get_values(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the fit's values; parameters repeat for several points."""
     return await _values(request, context, fit, None)
 
 
-@_get("/components/{label}/brdf", summary="A component's values at some points")
-async def get_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
+@_get("/components/{label}/brdf")
+async def get_component_values(request: Request, context: TheContext, fit: TheFit, label: _Component) -> Response:
     """Return one component's values; those of all components add up to the fit's. One without light is not found."""
     return await _values(request, context, fit, label)
 
 
-@_post("/brdf", summary="Values at many points")
+@_post("/brdf")
 async def post_values(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the fit's values at a batch of points, JSON or .npy in, by `Accept` JSON or .npy out.
 
@@ -131,15 +117,13 @@ async def post_values(request: Request, context: TheContext, fit: TheFit) -> Res
     return await _values(request, context, fit, None)
 
 
-@_post("/components/{label}/brdf", summary="A component's values at many points")
-async def post_component_values(request: Request, context: TheContext, fit: TheFit, label: Label) -> Response:
+@_post("/components/{label}/brdf")
+async def post_component_values(request: Request, context: TheContext, fit: TheFit, label: _Component) -> Response:
     """Return one component's values at a batch of points, as for the whole fit."""
     return await _values(request, context, fit, label)
 
 
-@measured.get(
-    "", response_model=MeasuredValues, summary="A measurement's values", responses=_OF_MEASUREMENT, openapi_extra=_QUERY
-)
+@measured.get("", response_model=MeasuredValues, responses=_OF_MEASUREMENT, openapi_extra=_QUERY)
 async def get_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
     """Return the measurement's own values, interpolated between its nodes; parameters repeat for several points.
 
@@ -148,23 +132,14 @@ async def get_measured_values(request: Request, context: TheContext, stored: The
     return await _measured_values(request, context, stored)
 
 
-@measured.post(
-    "",
-    response_model=MeasuredValues,
-    summary="A measurement's values at many points",
-    responses=_OF_MEASUREMENT | _POST_RESPONSES,
-    openapi_extra=_BATCH,
-)
+@measured.post("", response_model=MeasuredValues, responses=_OF_MEASUREMENT | _POST_RESPONSES, openapi_extra=_BATCH)
 async def post_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
     """Return the measurement's own values at a batch of points, as for a fit; NaN in .npy stands for null."""
     return await _measured_values(request, context, stored)
 
 
 @components.get(
-    "",
-    response_model=ComponentList,
-    summary="The components of a fit",
-    responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "fit-not-finished"),
+    "", response_model=ComponentList, responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "fit-not-finished")
 )
 async def get_components(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
@@ -176,29 +151,20 @@ async def get_components(request: Request, context: TheContext, fit: TheFit) -> 
 
 
 async def _values(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
-    """Return the values of a fit or of a component: a few at once, more in a turn.
-
-    What is wrong with the fit or the label goes before what is wrong with the points.
-    """
-    loaded = await context.models.get(fit)
-    if label not in (None, *LABELS):
-        raise InvalidArgumentError(f"The component must be one of {', '.join(LABELS)}, not {str(label)[:40]!r}.")
+    """Return the values of a fit or of a component: a few at once, more in a turn."""
+    model = (await context.models.get(fit)).part(label)
     points, media_type = await _points(request, context)
-    model = loaded.part(label)
     if points.theta_half.size <= _MAX_INLINE and media_type == JSON:
         return Response(to_json({"values": model.evaluate(*points).tolist()}), media_type=JSON)
-    compute = partial(_content, model, points, media_type)
-    return Response(await context.computations.run(request, object(), compute), media_type=media_type)
+    content = await context.computations.run(request, object(), lambda: _encoded(_in_blocks(model, points), media_type))
+    return Response(content, media_type=media_type)
 
 
 async def _measured_values(request: Request, context: Context, stored: StoredMeasurement) -> Response:
     """Return a measurement's values, which a process of its own interpolates."""
     points, media_type = await _points(request, context)
     values = await context.in_process(request, object(), measured_step, stored, *points)
-    if media_type == NPY:
-        return Response(_npy_head(len(values)) + values.tobytes(), media_type=NPY)
-    triples = [None if np.isnan(triple[0]) else triple for triple in values.tolist()]
-    return Response(await run_in_threadpool(to_json, {"values": triples}), media_type=JSON)
+    return Response(await run_in_threadpool(_encoded, values, media_type), media_type=media_type)
 
 
 async def _points(request: Request, context: Context) -> tuple[Points, str]:
@@ -222,20 +188,24 @@ async def _points(request: Request, context: Context) -> tuple[Points, str]:
     return points, NPY if prefers(request, NPY, JSON) else JSON
 
 
-def _npy_head(n_points: int) -> bytes:
-    header = BytesIO()
-    npy_format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (n_points, 3)})
-    return header.getvalue()
+def _in_blocks(model: ReflectanceModel, points: Points) -> Array:
+    """Return a model's values, computed in blocks, which take less memory."""
+    starts = range(0, points.theta_half.size, _BLOCK)
+    values = [model.evaluate(*(angle[start : start + _BLOCK] for angle in points)) for start in starts]
+    return np.concatenate([*values, np.empty((0, 3))])
 
 
-def _content(model: ReflectanceModel, points: Points, media_type: str) -> bytes:
-    """Return a model's values as .npy or JSON, computed in blocks so that other threads have their turn.
+def _encoded(values: Array, media_type: str) -> bytes:
+    """Return values as .npy or JSON, where null stands for NaN; JSON in blocks so that other threads have their turn.
 
     pydantic's encoder takes a ninth of the time of Python's, and all other threads wait for it.
     """
-    n_points = points.theta_half.size
-    blocks = [slice(start, start + _BLOCK) for start in range(0, n_points, _BLOCK)]
-    values = (model.evaluate(*(angle[block] for angle in points)) for block in blocks)
     if media_type == NPY:
-        return b"".join((_npy_head(n_points), *(block.tobytes() for block in values)))
-    return b'{"values":[%b]}' % b",".join(to_json(block.tolist())[1:-1] for block in values)
+        file = BytesIO()
+        np.save(file, values)
+        return file.getvalue()
+    triples: list[list[float] | None] = values.tolist()
+    for row in np.flatnonzero(np.isnan(values[:, 0])):
+        triples[row] = None
+    blocks = (to_json(triples[start : start + _BLOCK]) for start in range(0, len(triples), _BLOCK))
+    return b'{"values":[%b]}' % b",".join(block[1:-1] for block in blocks)

@@ -1,8 +1,9 @@
 """Pictures of fits and of measurements."""
 
 import hashlib
-from collections.abc import Callable, Hashable, Sequence
-from typing import Annotated, Any, TypeVar
+from collections.abc import Callable, Hashable
+from functools import partial
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from fastapi import APIRouter, Depends, Path, Query, Request
@@ -12,22 +13,15 @@ from starlette.responses import Response
 
 import dsbrdf
 from dsbrdf.extras import require
+from dsbrdf.model.render import LIGHTINGS
 
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
 from ..http.responses import not_modified, tag_of, tagged_reply
-from ..jobs.steps import (
-    FIGURES,
-    figure_step,
-    radiance_step,
-    samples_step,
-    sphere_step,
-    spheres_step,
-    table_step,
-)
+from ..jobs.steps import FIGURES, figure_step, radiance_step, samples_step, sphere_step, spheres_step, table_step
 from ..wire.fit_options import from_wire
-from ..wire.inputs import Figure, FitPicture, FitSphere, Picture, Plain, Sphere
+from ..wire.inputs import Label
 from ..wire.points import NPY, panorama_from_npy
 from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement, TheOptions
 from .uploads import TABLE_PARAMETERS
@@ -37,34 +31,39 @@ _Route = TypeVar("_Route", bound=Callable[..., Any])
 router = APIRouter(prefix="/v1", tags=["figures"], dependencies=CHECKED_QUERY)
 
 _MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml", "npy": NPY}
-_IMAGES = ("png", "svg")
 _MAX_PANORAMA = 16_000_000  # bytes
-_Figure = Annotated[
-    str,
-    Path(pattern=f"^({'|'.join(FIGURES)})$", description=f"One of {', '.join(FIGURES)}.", examples=["components"]),
+_Size = Annotated[int, Query(ge=8, le=256, description="Pixels along a side.")]
+_Lighting = Annotated[
+    Literal[*LIGHTINGS],  # type: ignore[valid-type]
+    Query(description="Three lights, or a sky with sun and window."),
 ]
-_Most = Annotated[int, Query(ge=1, le=100_000, description="So many at most."), Plain]
-_ImageFormat = Annotated[str, Path(pattern=f"^({'|'.join(_IMAGES)})$", description="`png` or `svg`.", examples=["svg"])]
+_Component = Annotated[Label | None, Query(description="One component instead of the whole fit.")]
+_Most = Annotated[int, Query(ge=1, le=100_000, description="So many at most.")]
+_Figure = Annotated[
+    Literal[*FIGURES],  # type: ignore[valid-type]
+    Path(description=f"One of {', '.join(FIGURES)}.", examples=["components"]),
+]
+_ImageFormat = Annotated[Literal["png", "svg"], Path(description="`png` or `svg`.", examples=["svg"])]
 
 
-def _get(
-    path: str, summary: str, *problems: str, formats: tuple[str, ...] = ("png",), parameters: Sequence[Any] = ()
+def _draws(
+    path: str, *problems: str, formats: tuple[str, ...] = ("png",), method: str = "GET", **declared: Any
 ) -> Callable[[_Route], _Route]:
     """Return the decorator of a route that answers with what it draws, in one of these formats."""
     content = {_MEDIA_TYPES[name]: openapi.file(_MEDIA_TYPES[name]) for name in formats}
     responses = openapi.response("What is drawn.", content) | openapi.NOT_MODIFIED
-    responses |= openapi.problems("not-found", "measurement-damaged", "invalid-argument", *problems)
-    more = {"parameters": [*parameters]}
-    return router.get(path, response_class=Response, summary=summary, responses=responses, openapi_extra=more)
+    responses |= openapi.problems("not-found", "measurement-damaged", *problems)
+    about: dict[str, Any] = {"response_class": Response, "responses": responses, "openapi_extra": declared}
+    return router.api_route(path, methods=[method], **about)
 
 
-def _post_panorama(path: str, summary: str, *problems: str) -> Callable[[_Route], _Route]:
-    """Return the decorator of a route that lights a sphere by the panorama in the body."""
-    responses = openapi.response("The array.", {NPY: openapi.file(NPY)}) | openapi.problems(
-        "not-found", "measurement-damaged", "invalid-argument", "too-large", *openapi.BODY_PROBLEMS, *problems
-    )
-    body = openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {NPY: openapi.file(NPY)})
-    return router.post(path, response_class=Response, summary=summary, responses=responses, openapi_extra=body)
+_draws_npy = partial(_draws, formats=("npy",))
+_draws_by_panorama = partial(
+    _draws_npy,
+    method="POST",
+    **openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {NPY: openapi.file(NPY)}),
+)
+_OF_PANORAMA = ("too-large", *openapi.BODY_PROBLEMS)
 
 
 class _Drawing:
@@ -98,20 +97,20 @@ async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[n
 _Panorama = Annotated[tuple[NDArray[np.float32], bytes], Depends(_panorama_in)]
 
 
-@_get("/fits/{fit_id}/figures/sphere.png", "A lit sphere of a fit", "fit-not-finished")
-async def draw_sphere(draw: Draw, fit: TheLoadedFit, wanted: Annotated[FitSphere, Query()]) -> Response:
+@_draws("/fits/{fit_id}/figures/sphere.png", "fit-not-finished")
+async def draw_sphere(
+    draw: Draw, fit: TheLoadedFit, size: _Size = 128, lighting: _Lighting = LIGHTINGS[0], component: _Component = None
+) -> Response:
     """Return a picture of a sphere of the fit, or of one component, with the exposure of the fit.
 
     The 99th percentile of that whole sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
     """
-    part = None if wanted.component is None else fit.part(wanted.component)
-    return await draw(sphere_step, fit.model, part, wanted.lighting, wanted.size)
+    part = None if component is None else fit.part(component)
+    return await draw(sphere_step, fit.model, part, lighting, size)
 
 
-@_get("/fits/{fit_id}/figures/spheres.png", "Spheres of a fit side by side", "fit-not-finished")
-async def draw_spheres(
-    draw: Draw, context: TheContext, key: TheFit, fit: TheLoadedFit, wanted: Annotated[Picture, Query()]
-) -> Response:
+@_draws("/fits/{fit_id}/figures/spheres.png", "fit-not-finished")
+async def draw_spheres(draw: Draw, context: TheContext, key: TheFit, fit: TheLoadedFit, size: _Size = 128) -> Response:
     """Return one picture of spheres under three lights: measured, fit, their difference times 4, then each component.
 
     All have the exposure of the measurement; where none is stored on a grid, the first is the fit, with its own.
@@ -122,10 +121,10 @@ async def draw_spheres(
     except ProblemError as error:
         if error.kind != "not-found":  # it is deleted, or a table of samples
             raise
-    return await draw(spheres_step, fit.model, parts, stored, wanted.size, of=stored and stored.sha256)
+    return await draw(spheres_step, fit.model, parts, stored, size, of=stored and stored.sha256)
 
 
-@_get("/fits/{fit_id}/figures/thumbnail.png", "A small picture of a fit", "fit-not-finished")
+@_draws("/fits/{fit_id}/figures/thumbnail.png", "fit-not-finished")
 async def get_thumbnail(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return a small sphere under three lights: the fit, and on the left its measurement if that is on a grid.
 
@@ -135,28 +134,24 @@ async def get_thumbnail(request: Request, context: TheContext, fit: TheFit) -> R
     return tagged_reply(request, kept, _MEDIA_TYPES["png"])
 
 
-@_get("/fits/{fit_id}/figures/sphere.npy", "Radiance of a lit sphere of a fit", "fit-not-finished", formats=("npy",))
-async def light_fit(draw: Draw, fit: TheLoadedFit, wanted: Annotated[FitSphere, Query()]) -> Response:
+@_draws_npy("/fits/{fit_id}/figures/sphere.npy", "fit-not-finished")
+async def light_fit(
+    draw: Draw, fit: TheLoadedFit, size: _Size = 128, lighting: _Lighting = LIGHTINGS[0], component: _Component = None
+) -> Response:
     """Return the linear RGB radiance of a sphere of the fit or a component: float32 (size, size, 3), from the top."""
-    return await draw(radiance_step, fit.part(wanted.component), wanted.lighting, wanted.size)
+    return await draw(radiance_step, fit.part(component), lighting, size)
 
 
-@_post_panorama("/fits/{fit_id}/figures/sphere.npy", "Radiance of a sphere of a fit in a panorama", "fit-not-finished")
+@_draws_by_panorama("/fits/{fit_id}/figures/sphere.npy", "fit-not-finished", *_OF_PANORAMA)
 async def light_fit_by_panorama(
-    draw: Draw, fit: TheLoadedFit, wanted: Annotated[FitPicture, Query()], panorama: _Panorama
+    draw: Draw, fit: TheLoadedFit, panorama: _Panorama, size: _Size = 128, component: _Component = None
 ) -> Response:
     """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
     pixels, digest = panorama
-    return await draw(radiance_step, fit.part(wanted.component), pixels, wanted.size, of=digest)
+    return await draw(radiance_step, fit.part(component), pixels, size, of=digest)
 
 
-@_get(
-    "/fits/{fit_id}/figures/{figure}.{image_format}",
-    "A figure of a fit",
-    "fit-not-finished",
-    "not-installed",
-    formats=_IMAGES,
-)
+@_draws("/fits/{fit_id}/figures/{figure}.{image_format}", "fit-not-finished", "not-installed", formats=("png", "svg"))
 async def draw_figure(
     draw: Draw,
     context: TheContext,
@@ -164,7 +159,7 @@ async def draw_figure(
     fit: TheLoadedFit,
     figure: _Figure,
     image_format: _ImageFormat,
-    wanted: Annotated[Figure, Query()],
+    dark: Annotated[bool, Query(description="For a dark background.")] = False,
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
@@ -176,32 +171,35 @@ async def draw_figure(
     row = await context.fit_row(key)
     stored = await context.stored_measurement(key.owner, row.measurement, row.name, "any")
     require("plot", "matplotlib", purpose="figures")
-    options = from_wire(row.options)
-    return await draw(figure_step, figure, image_format, fit.model, stored, options, wanted.dark, of=row.name)
+    return await draw(figure_step, figure, image_format, fit.model, stored, from_wire(row.options), dark, of=row.name)
 
 
-@_get("/measurements/{sha256}/figures/sphere.png", "A lit sphere of a measurement")
-async def draw_measurement(draw: Draw, stored: TheMeasurement, wanted: Annotated[Sphere, Query()]) -> Response:
+@_draws("/measurements/{sha256}/figures/sphere.png")
+async def draw_measurement(
+    draw: Draw, stored: TheMeasurement, size: _Size = 128, lighting: _Lighting = LIGHTINGS[0]
+) -> Response:
     """Return a picture of a sphere of the measurement, which is interpolated, with an exposure of its own."""
-    return await draw(sphere_step, stored, None, wanted.lighting, wanted.size)
+    return await draw(sphere_step, stored, None, lighting, size)
 
 
-@_get("/measurements/{sha256}/figures/sphere.npy", "Radiance of a lit sphere of a measurement", formats=("npy",))
-async def light_measurement(draw: Draw, stored: TheMeasurement, wanted: Annotated[Sphere, Query()]) -> Response:
+@_draws_npy("/measurements/{sha256}/figures/sphere.npy")
+async def light_measurement(
+    draw: Draw, stored: TheMeasurement, size: _Size = 128, lighting: _Lighting = LIGHTINGS[0]
+) -> Response:
     """Return the linear RGB radiance of a sphere of the measurement: float32 (size, size, 3), top row first."""
-    return await draw(radiance_step, stored, wanted.lighting, wanted.size)
+    return await draw(radiance_step, stored, lighting, size)
 
 
-@_post_panorama("/measurements/{sha256}/figures/sphere.npy", "Radiance of a sphere of a measurement in a panorama")
+@_draws_by_panorama("/measurements/{sha256}/figures/sphere.npy", *_OF_PANORAMA)
 async def light_measurement_by_panorama(
-    draw: Draw, stored: TheMeasurement, wanted: Annotated[Picture, Query()], panorama: _Panorama
+    draw: Draw, stored: TheMeasurement, panorama: _Panorama, size: _Size = 128
 ) -> Response:
     """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
     pixels, digest = panorama
-    return await draw(radiance_step, stored, pixels, wanted.size, of=digest)
+    return await draw(radiance_step, stored, pixels, size, of=digest)
 
 
-@_get("/measurements/{sha256}/table.npy", "A measurement at all nodes, without gaps", formats=("npy",))
+@_draws_npy("/measurements/{sha256}/table.npy")
 async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
     """Return ln(value + 1e-6) at the nodes of the MERL grid: float16 (theta_half, theta_diff, phi_diff, RGB), 8.7 MB.
 
@@ -210,7 +208,7 @@ async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
     return await draw(table_step, stored)
 
 
-@_get("/measurements/{sha256}/samples.npy", "Samples of a table", formats=("npy",), parameters=TABLE_PARAMETERS)
+@_draws_npy("/measurements/{sha256}/samples.npy", parameters=TABLE_PARAMETERS)
 async def get_samples(
     draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, options: TheOptions, most: _Most = 5000
 ) -> Response:
@@ -222,7 +220,7 @@ async def get_samples(
     return await draw(samples_step, stored, options.of_table(), most)
 
 
-@_get("/fits/{fit_id}/samples.npy", "Samples that were fitted", formats=("npy",))
+@_draws_npy("/fits/{fit_id}/samples.npy")
 async def get_fitted_samples(draw: Draw, context: TheContext, key: TheFit, most: _Most = 5000) -> Response:
     """Return the same of the table of a fit, read with the options of the fit: values are those of the BRDF in 1/sr."""
     row = await context.fit_row(key)

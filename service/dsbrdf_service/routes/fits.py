@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterable
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
@@ -33,6 +33,13 @@ router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
 exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=CHECKED_QUERY)
 
 _MAX_JSON = 1 << 16
+_Wait = Annotated[
+    float, Query(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s].")
+]
+_Only = Annotated[
+    Literal["cancel", "delete"] | None,
+    Query(description="`cancel` refuses a fit that has ended, `delete` one that has not; otherwise what applies."),
+]
 _PREFER = openapi.header_parameter(
     "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait."
 )
@@ -52,11 +59,10 @@ _EXPORTED = {name: openapi.file(name) for name in _MEDIA_TYPES} | {JSON: {"schem
     "",
     status_code=201,
     response_model=schemas.FitDocument,
-    summary="Fit a measurement",
     response_description="The fit has ended; `Location` is its address.",
     responses=openapi.response("The same request was made before; its fit has ended.", model=schemas.FitDocument)
     | openapi.response("The fit has not ended; ask again at `Location`.", status=202, model=schemas.FitDocument)
-    | openapi.problems("not-found", "invalid-argument", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
+    | openapi.problems("not-found", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
     openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
 )
 async def submit_fit(request: Request, context: TheContext, caller: TheCaller, chosen: TheOptions) -> Response:
@@ -88,12 +94,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, c
     return json_reply(fit, 202, {**headers, "Retry-After": "1"})
 
 
-@router.get(
-    "",
-    response_model=schemas.FitList,
-    summary="List the fits",
-    responses=openapi.problems("invalid-argument"),
-)
+@router.get("", response_model=schemas.FitList, responses=openapi.problems())
 async def list_fits(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[inputs.Page, Query()]
 ) -> Response:
@@ -106,20 +107,11 @@ async def list_fits(
 
 
 @router.get(
-    "/{fit_id}",
-    response_model=schemas.FitDocument,
-    summary="Look a fit up",
-    responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "invalid-argument"),
+    "/{fit_id}", response_model=schemas.FitDocument, responses=openapi.NOT_MODIFIED | openapi.problems("not-found")
 )
-async def get_fit(
-    request: Request,
-    context: TheContext,
-    caller: TheCaller,
-    fit: TheFit,
-    waiting: Annotated[inputs.Waiting, Query()],
-) -> Response:
+async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit: TheFit, wait: _Wait = 0.0) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
-    row = await _wait(request, context, caller, fit, min(waiting.wait, context.settings.max_wait))
+    row = await _wait(request, context, caller, fit, min(wait, context.settings.max_wait))
     document = await _document(context, row)
     headers = {} if row.ended else {"Retry-After": "1"}
     return tagged_reply(request, document, headers=headers)
@@ -128,8 +120,7 @@ async def get_fit(
 @router.patch(
     "/{fit_id}",
     response_model=schemas.FitDocument,
-    summary="Rename a fit",
-    responses=openapi.problems("not-found", "invalid-argument", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
+    responses=openapi.problems("not-found", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
     openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(inputs.NewName)}}),
 )
 async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Response:
@@ -144,17 +135,16 @@ async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Resp
 @router.delete(
     "/{fit_id}",
     response_model=schemas.RemovedFit,
-    summary="Cancel or delete a fit",
-    responses=openapi.problems("not-found", "invalid-argument", "fit-ended", "fit-not-finished", "disk-full"),
+    responses=openapi.problems("not-found", "fit-ended", "fit-not-finished", "disk-full"),
 )
-async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[inputs.Removal, Query()]) -> Response:
+async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> Response:
     """Cancel an unfinished fit, which stays in the list, or delete one that has ended; the answer says which.
 
     `only` asks for one of them alone: a fit may end just before it is to be cancelled.
     """
-    if wanted.only != "delete" and await context.jobs.cancel(fit) is not None:
+    if only != "delete" and await context.jobs.cancel(fit) is not None:
         return json_reply(schemas.RemovedFit(id=fit.id, status="cancelled"))
-    if wanted.only != "cancel" and await in_write_thread(context.store.remove_fit, fit):
+    if only != "cancel" and await in_write_thread(context.store.remove_fit, fit):
         return json_reply(schemas.RemovedFit(id=fit.id, status="deleted"))
     row = await context.fit_row(fit)
     if row.ended:
@@ -167,9 +157,8 @@ async def delete_fit(context: TheContext, fit: TheFit, wanted: Annotated[inputs.
 @exports.get(
     "/{fit_id}/export",
     response_class=Response,
-    summary="A fit for another program",
     responses=openapi.response("The file; `Content-Disposition` names it.", _EXPORTED)
-    | openapi.problems("not-found", "fit-not-finished", "invalid-argument"),
+    | openapi.problems("not-found", "fit-not-finished"),
 )
 async def export_fit(
     request: Request, context: TheContext, fit: TheFit, wanted: Annotated[inputs.Export, Query()]
@@ -187,14 +176,7 @@ async def export_fit(
     key, place = ("export", fit, *wanted.model_dump().values()), FORMATS[wanted.format].time
     if place != "short":
         made = await context.computations.make_file(
-            request,
-            key,
-            export_step,
-            model,
-            wanted.format,
-            name,
-            folder=context.store.blobs.temporary,
-            place=place,
+            request, key, export_step, model, wanted.format, name, folder=context.store.blobs.temporary, place=place
         )
         return OpenFileResponse(made.descriptor, made, headers)
     report = loaded.report if wanted.component is None else None
@@ -211,7 +193,6 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
 @router.get(
     "/{fit_id}/events",
     response_class=EventSourceResponse,
-    summary="Follow a fit",
     responses=openapi.response(
         "Events until the fit has ended; the data of each is a `Progress` document.",
         {"text/event-stream": {"example": openapi.EXAMPLE_EVENTS}},

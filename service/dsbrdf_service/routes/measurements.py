@@ -15,15 +15,7 @@ from ..http import openapi
 from ..http.openapi import BINARY
 from ..http.request_body import media_type_of
 from ..http.request_log import IS_HEAD
-from ..http.responses import (
-    OpenFileResponse,
-    json_reply,
-    next_page,
-    not_modified,
-    prefers,
-    prefix_of,
-    tagged_reply,
-)
+from ..http.responses import OpenFileResponse, json_reply, next_page, not_modified, prefers, prefix_of, tagged_reply
 from ..jobs.computations import MadeFile
 from ..jobs.steps import understood_step
 from ..storage.database import in_write_thread
@@ -32,16 +24,7 @@ from ..wire.names import content_disposition
 from ..wire.points import JSON
 from ..wire.schemas import MeasurementDetails, MeasurementDocument, MeasurementList, TableDocument, from_row
 from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheOptions, name_of
-from .uploads import (
-    CONTENT,
-    MOST_CONVERTED,
-    PARAMETERS,
-    TABLE_PARAMETERS,
-    TABLES,
-    UPLOADED,
-    read_table,
-    receive_upload,
-)
+from .uploads import CONTENT, MOST_CONVERTED, PARAMETERS, TABLE_PARAMETERS, TABLES, UPLOADED, read_table, receive_upload
 
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=CHECKED_QUERY)
 tables = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=CHECKED_QUERY)
@@ -55,10 +38,9 @@ _ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document in
     "",
     status_code=201,
     response_model=MeasurementDocument,
-    summary="Upload a measurement",
     response_description="The measurement is stored; `Location` is its address.",
     responses=openapi.response("The measurement was stored before.", model=MeasurementDocument)
-    | openapi.problems("invalid-argument", *openapi.UPLOAD_PROBLEMS),
+    | openapi.problems(*openapi.UPLOAD_PROBLEMS),
     openapi_extra={
         "parameters": [*PARAMETERS, *TABLE_PARAMETERS],
         **openapi.body("A MERL file, an RGL .bsdf file, or a table of scattered samples.", CONTENT),
@@ -80,8 +62,7 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
 @tables.post(
     "",
     response_model=TableDocument,
-    summary="Say what is understood of a table",
-    responses=openapi.problems("invalid-argument", "too-large", "measurement-format", *openapi.BODY_PROBLEMS),
+    responses=openapi.problems("too-large", "measurement-format", *openapi.BODY_PROBLEMS),
     openapi_extra={
         "parameters": [*TABLE_PARAMETERS, openapi.ENCODING],
         **openapi.body("A table of scattered samples.", {name: CONTENT[name] for name in TABLES}),
@@ -99,12 +80,7 @@ async def describe_table(request: Request, context: TheContext, caller: TheCalle
     return json_reply(TableDocument(**found))
 
 
-@router.get(
-    "",
-    response_model=MeasurementList,
-    summary="List the measurements",
-    responses=openapi.problems("invalid-argument"),
-)
+@router.get("", response_model=MeasurementList, responses=openapi.problems())
 async def list_measurements(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
 ) -> Response:
@@ -117,7 +93,6 @@ async def list_measurements(
 @router.get(
     "/{sha256}",
     response_class=FileResponse,
-    summary="Download a measurement",
     responses=openapi.response(
         "The file, byte for byte as it was uploaded; or what is known of it.",
         {BINARY: openapi.file(BINARY), JSON: {"schema": openapi.reference(MeasurementDetails)}},
@@ -154,7 +129,6 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     "/{sha256}",
     status_code=204,
     response_class=Response,
-    summary="Delete a measurement",
     responses=openapi.response("The measurement is deleted.", status=204)
     | openapi.problems("not-found", "measurement-in-use", "disk-full"),
 )

@@ -57,12 +57,7 @@ MOST_CONVERTED = 1 << 23
 
 
 async def receive_upload(
-    request: Request,
-    context: Context,
-    caller: Caller,
-    name: str | None,
-    media_type: str,
-    options: TableOptions,
+    request: Request, context: Context, caller: Caller, name: str | None, media_type: str, options: TableOptions
 ) -> tuple[MeasurementRow, bool]:
     """Store the measurement that is the body; the flag says whether it is new to the caller.
 

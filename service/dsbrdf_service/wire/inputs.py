@@ -5,41 +5,21 @@ Angles in degrees (``_deg``), RGB order.
 
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    TypeAdapter,
-    ValidationError,
-    WithJsonSchema,
-    model_validator,
-)
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, WithJsonSchema
 
 from dsbrdf.data.table_options import sentences_of
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.model.render import LIGHTINGS
 from dsbrdf.output.export import FORMATS, LAYERS, PARTS
 
 from ..errors import validation_sentence
 from .fit_options import DEFAULTS
 from .names import MAX_LENGTH
 
-_Given = TypeVar("_Given")
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"
 Label = Literal[*LABELS]  # type: ignore[valid-type]
-_Component = Annotated[Label | None, Field(description="One component instead of the whole fit.")]
-
-
-def _check_plain(text: _Given) -> _Given:
-    """Return what is given; raise ValueError if it is a text that only Python takes for a number."""
-    if isinstance(text, str) and ("_" in text or not text.isascii()):
-        raise ValueError(f"{text[:40]!r} is no number")
-    return text
 
 
 def _or_one(schema: dict[str, Any]) -> None:
@@ -47,8 +27,6 @@ def _or_one(schema: dict[str, Any]) -> None:
     schema["anyOf"] = [{"type": schema.pop("type"), "items": schema["items"]}, schema.pop("items")]
 
 
-Plain = BeforeValidator(_check_plain)
-"""Stands after the limits of a number in a query or a path, and refuses what only Python reads as one: 1_000."""
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Angle = Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)]
 _Angles = Annotated[list[_Angle], Field(json_schema_extra=_or_one)]
@@ -63,14 +41,6 @@ class Input(BaseModel):
     """A document that clients send: what it does not know is an error, not ignored."""
 
     model_config = ConfigDict(extra="forbid")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_unknown_members(cls, given: Any) -> Any:
-        if isinstance(given, dict) and (unknown := given.keys() - cls.model_fields.keys()):
-            told = {"name": repr(str(min(unknown))[:60]), "known": ", ".join(cls.model_fields)}
-            raise PydanticCustomError("unknown", "Unknown {name}; known are {known}", told)
-        return given
 
 
 def _options_schema() -> dict[str, Any]:
@@ -143,7 +113,7 @@ class DirectionsRequest(Input):
 class Page(Input):
     """Which part of a list."""
 
-    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer."), Plain] = 50
+    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer.")] = 50
     cursor: Annotated[
         str | None, Field(pattern=r"^[0-9]{1,18}$", description="From the `Link` of the page before.")
     ] = None
@@ -153,25 +123,6 @@ class Page(Input):
     def before(self) -> int | None:
         """Number of the row from which the page goes on."""
         return None if self.cursor is None else int(self.cursor)
-
-
-class Waiting(Input):
-    """How long to wait for a fit."""
-
-    wait: Annotated[
-        float,
-        Field(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."),
-        Plain,
-    ] = 0.0
-
-
-class Removal(Input):
-    """What a DELETE of a fit is to do."""
-
-    only: Annotated[
-        Literal["cancel", "delete"] | None,
-        Field(description="`cancel` refuses a fit that has ended, `delete` one that has not; otherwise what applies."),
-    ] = None
 
 
 class Export(Input):
@@ -192,39 +143,6 @@ class Export(Input):
         str | None, Field(description="Of the function in `glsl`; all other names in the file begin with it.")
     ] = None
     sampling: Annotated[bool, Field(description="Add functions to `glsl` that draw directions.")] = False
-
-
-class Picture(Input):
-    """How large to draw."""
-
-    size: Annotated[int, Field(ge=8, le=256, description="Pixels along a side."), Plain] = 128
-
-
-class FitPicture(Picture):
-    """What of a fit to draw, and how large."""
-
-    component: _Component = None
-
-
-class Sphere(Picture):
-    """What to draw."""
-
-    lighting: Annotated[
-        Literal[*LIGHTINGS],  # type: ignore[valid-type]
-        Field(description="Three lights, or a sky with sun and window."),
-    ] = "three_lights"
-
-
-class FitSphere(Sphere):
-    """What of a fit to draw."""
-
-    component: _Component = None
-
-
-class Figure(Input):
-    """How to draw a figure."""
-
-    dark: Annotated[bool, Field(description="For a dark background.")] = False
 
 
 class NewName(Input):

@@ -97,7 +97,7 @@ def test_angles_of_both_directions_equal_the_library(server: Server, url: str, m
     close(server.http.get(url, params={"theta_in_deg": 35, "theta_out_deg": 35}), mirror)
     close(server.http.post(url, json={"theta_out_deg": 35, "theta_in_deg": [35]}), mirror)
     problem = server.http.get(url, params={"theta_in_deg": 35, "theta_diff_deg": 35}).json()
-    assert "'theta_diff_deg'; known are theta_in_deg, theta_out_deg" in problem["detail"]
+    assert problem["detail"] == "theta_out_deg is missing; theta_diff_deg is not known here."
 
 
 def test_value_below_the_horizon_is_0_and_fails_no_batch(server: Server, url: str) -> None:
@@ -211,9 +211,9 @@ def test_batch_has_a_hundred_thousand_points_however_many_bytes_they_take(
         ("theta_half_deg=1", ["theta_diff_deg is missing"]),
         (
             "theta_half_deg=1&theta_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1",
-            ["'omega_in'", "theta_half_deg, theta_diff_deg"],
+            ["omega_in is not known here"],
         ),
-        ("theta_half_deg=1&omega_out=0,0,1", ["'omega_out'", "theta_half_deg, theta_diff_deg"]),
+        ("theta_half_deg=1&omega_out=0,0,1", ["theta_diff_deg is missing", "omega_out is not known here"]),
         (
             "&".join(["theta_half_deg=1"] * 2 + ["theta_diff_deg=1"] * 3),
             ["2 values of theta_half_deg", "3 values of theta_diff_deg", "one for all"],
@@ -227,13 +227,12 @@ def test_batch_has_a_hundred_thousand_points_however_many_bytes_they_take(
         ("omega_in=0,0,1&omega_out=0,1", ["omega_out", "at least 3 items"]),
         ("omega_in=a,b,c&omega_out=0,0,1", ["omega_in.0.0", "'a'"]),
         ("omega_in=0,0,1.1&omega_out=0,0,1", ["omega_in", "unit"]),
-        ("phi_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["'omega_in'", "theta_half_deg, theta_diff_deg"]),
+        ("phi_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["theta_diff_deg is missing", "omega_in is not known here"]),
         ("phi_diff_deg=1&theta_half_deg=1", ["theta_diff_deg is missing"]),
         (
             "&".join(["theta_half_deg=1"] * 3 + ["theta_diff_deg=1", "phi_diff_deg=1", "phi_diff_deg=2"]),
             ["2 values of phi_diff_deg"],
         ),
-        ("theta_half_deg=1_0&theta_diff_deg=1", ["theta_half_deg", "'1_0'"]),
         ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=nan", ["phi_diff_deg", "finite"]),
         ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=x", ["phi_diff_deg", "'x'"]),
         ("omega_in=nan,0,1&omega_out=0,0,1", ["omega_in", "'nan'"]),

@@ -73,12 +73,14 @@ def test_a_component_without_light_is_not_found(server: Server, stored: str) -> 
     url, point = f"/v1/fits/{fit['id']}", {"theta_half_deg": 5, "theta_diff_deg": 20}
     for answer in (
         server.http.get(f"{url}/components/{absent}/brdf", params=point),
+        server.http.get(f"{url}/components/{absent}/brdf", params={"theta_half_deg": "x"}),
         server.http.post(f"{url}/components/{absent}/brdf", json=POINTS),
         server.http.get(f"{url}/export", params={"format": "merl", "component": absent}),
         server.http.get(f"{url}/figures/sphere.png", params={"component": absent}),
     ):
         detail = assert_problem(answer, 404, "not-found")
         assert detail == f"The fit has no component {absent}: it has {there}."
+    assert_problem(server.http.get(f"{url}/components/specular%20lobe/brdf", params=point), 404, "not-found")
 
 
 def test_the_layers_are_exported_as_a_model(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:

@@ -11,14 +11,9 @@ from tests.support.server import Server, assert_problem
 # Targets, in which {fit} is the path of a fit, and what the sentence has that refuses them.
 OF_LISTS = ["limit=0", "limit=201", "limit=x", "cursor=x", "cursor=-1", "cursor=99999999999999999999", "page=2"]
 OF_WAITS = ["wait=-1", "wait=x", "wait=nan", "wait=inf", "waiting=1"]
-WITH_NUMBERS = ["/v1/fits?limit", "{fit}?wait", "{fit}/figures/sphere.png?size", "{fit}/brdf?theta_half_deg"]
-LABELS = ["spike", "4", "layers", "specular%20lobe"]
 TARGETS = [(f"/v1/fits?{query}", query.partition("=")[0]) for query in OF_LISTS]
 TARGETS += [(f"/v1/measurements?{query}", query.partition("=")[0]) for query in OF_LISTS]
 TARGETS += [(f"{{fit}}?{query}", "wait") for query in OF_WAITS]
-# What only Python takes for a number is none.
-TARGETS += [(f"{name}={number}", name.partition("?")[2]) for name in WITH_NUMBERS for number in ("1_0", "%D9%A1%D9%A0")]
-TARGETS += [(f"{{fit}}/components/{label}/brdf", "specular_spike, specular_lobe, diffuse") for label in LABELS]
 TARGETS += [(f"{{fit}}/export?component=diffuse&format={name}", "merl & layers") for name in ("json", "csv")]
 TARGETS += [
     ("{fit}/export?component=diffuse&format=materialx", "merl & layers"),
