@@ -27,13 +27,12 @@ from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outco
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.output.serialize import result_from_json
 
-from .wire.fit_options import from_wire, table_query, to_wire
+from .wire.fit_options import OF_TABLES, from_wire, to_wire
 from .wire.names import check_name
 
 Source = str | os.PathLike[str] | bytes | Measurement
 
-_POLL = 20.0  # seconds that one request waits for a fit
-_PROGRESS_POLL = 0.5  # seconds, where the progress is asked for
+_POLL, _POLL_FOR_PROGRESS = 20.0, 0.5  # seconds that one request waits for a fit
 _LIBRARY_ERRORS: dict[str, type[Exception]] = {
     "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
     "urn:dsbrdf:problem:measurement-too-large": MeasurementFormatError,
@@ -46,13 +45,12 @@ class ServiceError(Exception):
     """The service could not do what was asked, for a reason other than the measurement or the options.
 
     `problem` is the problem document, or what is known of the fault under the same names: its ``status`` is 401 if the
-    service wants another key, 429 if the key has reached a limit. `retry_after` is the time after which it is worth
-    asking again [s]; None if waiting does not help.
+    service wants another key, 429 if the key has reached a limit.
     """
 
-    def __init__(self, problem: Mapping[str, Any], retry_after: float | None = None) -> None:
-        super().__init__(problem.get("detail") or problem.get("title") or "the service failed")
-        self.problem, self.retry_after = dict(problem), retry_after
+    def __init__(self, problem: Mapping[str, Any]) -> None:
+        super().__init__(problem.get("detail") or problem["title"])
+        self.problem = dict(problem)
 
 
 @dataclass(frozen=True)
@@ -84,24 +82,17 @@ class Client:
     key : str, optional
         API key; by default that of the environment variable ``DSBRDF_KEY``, if there is one.
     timeout : float
-        Longest time without an answer, other than while waiting for a fit [s].
-    patience : float
-        A request that the service refuses for now is repeated after the time that the service names; this is the
-        longest sum of those times [s].
+        Longest time without an answer, other than while waiting for a fit [s]. In this time a request that the service
+        refuses for now is repeated, after the pauses that the service names.
     """
 
     def __init__(
-        self,
-        base_url: str = "http://127.0.0.1:8000",
-        *,
-        key: str | None = None,
-        timeout: float = 30.0,
-        patience: float = 30.0,
+        self, base_url: str = "http://127.0.0.1:8000", *, key: str | None = None, timeout: float = 30.0
     ) -> None:
         key = os.environ.get("DSBRDF_KEY") if key is None else key
         if key and not (key.isascii() and key.isprintable() and " " not in key):
             raise ValueError("the API key has characters that no key has; it is what dsbrdf keys add has printed")
-        self._patience = patience
+        self._timeout = timeout
         self._http = httpx.Client(
             base_url=base_url,
             headers={"Authorization": f"Bearer {key}"} if key else {},
@@ -156,23 +147,23 @@ class Client:
         options = options or FitOptions()
         document = {"measurement": self.upload(measurement, options, name=name), "options": to_wire(options)}
         headers = {"Prefer": "respond-async"}
-        return _fit(self._call("POST", "/v1/fits", json=document, headers=headers, name=name).json())
+        return _fit(self._call("POST", "/v1/fits", {"name": name}, json=document, headers=headers).json())
 
     def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
         """Return a fit, after at most `wait` seconds or when it has ended."""
-        return _fit(self._call("GET", f"/v1/fits/{fit_id}", wait=str(wait)).json())
+        return _fit(self._call("GET", f"/v1/fits/{fit_id}", {"wait": wait}).json())
 
     def wait(self, fit: Fit, progress: Callable[[float], None] | None = None) -> Fit:
         """Return a fit when it has ended; parameters and errors as `fit`."""
         while not fit.ended:
             if progress is not None:
                 progress(fit.progress)
-            fit = self.get(fit.id, wait=_POLL if progress is None else _PROGRESS_POLL)
+            fit = self.get(fit.id, wait=_POLL if progress is None else _POLL_FOR_PROGRESS)
         if fit.status != "succeeded":
-            error = fit.error or {"origin": "system", "type": "Cancelled", "message": "The fit was cancelled."}
+            error = fit.error or {"origin": "system", "message": "The fit was cancelled."}
             if error["origin"] == "input":
                 raise FitError(error["message"])
-            raise ServiceError({**error, "title": error["type"], "detail": error["message"]})
+            raise ServiceError({**error, "detail": error["message"]})
         if progress is not None:
             progress(1.0)
         return fit
@@ -183,19 +174,19 @@ class Client:
 
     def document(self, fit_id: str) -> str:
         """Return that result as the text of a file that `dsbrdf.load_result` reads."""
-        return self._call("GET", f"/v1/fits/{fit_id}/export", format="json").text
+        return self._call("GET", f"/v1/fits/{fit_id}/export", {"format": "json"}).text
 
     def upload(self, measurement: Source, options: TableOptions = AS_WRITTEN, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; parameters and errors as `fit`.
 
         The options of a table tell how to read it; the service checks that it can be.
         """
-        media_type, own_name = "application/octet-stream", None
+        headers, own_name = {"Content-Type": "application/octet-stream"}, None
         if isinstance(measurement, str | os.PathLike):
             path = Path(measurement)
             own_name = path.stem
             if is_table(path):
-                media_type = "text/csv"
+                headers = {"Content-Type": "text/csv"}
             is_rgl = path.suffix.lower() == ".bsdf" and not is_table(path)
             measurement = read_rgl(path).measurement() if is_rgl else path.read_bytes()
         if isinstance(measurement, Measurement):
@@ -204,30 +195,31 @@ class Client:
         try:
             self._call("GET", f"/v1/measurements/{sha256}", headers={"If-None-Match": f'"{sha256}"'})
         except ServiceError as error:
-            if error.problem.get("status") != 404:
+            if error.problem["status"] != 404:
                 raise
-            if not name and own_name is not None:
+            if own_name is not None:
                 with suppress(InvalidArgumentError):  # one that the service would not take
-                    name = check_name(own_name)
-            headers, chosen = {"Content-Type": media_type}, table_query(options)
-            self._call("POST", "/v1/measurements", content=measurement, headers=headers, name=name, **chosen)
+                    name = name or check_name(own_name)
+            values = {option: getattr(options, option) for option in OF_TABLES}
+            params = {
+                option: ",".join(map(str, value)) if isinstance(value, tuple) else value
+                for option, value in values.items()
+                if value != getattr(AS_WRITTEN, option)
+            }
+            self._call("POST", "/v1/measurements", {"name": name, **params}, content=measurement, headers=headers)
         return sha256
 
-    def _call(self, method: str, url: str, **request: Any) -> httpx.Response:
+    def _call(self, method: str, url: str, params: Mapping[str, Any] | None = None, **request: Any) -> httpx.Response:
         """Return a response that is a success, after repeating what is refused for now; None is no parameter."""
-        names = request.keys() - {"content", "json", "headers"}
-        params = {name: value for name in names if (value := request.pop(name)) is not None} or None
-        left = self._patience
-        while True:
-            answer = self._http.request(method, url, params=params, **request)
-            if answer.is_success or answer.status_code == 304:
-                return answer
-            seconds = answer.headers.get("retry-after", "")
-            retry_after = float(seconds) if seconds.isdecimal() else None
-            if answer.status_code not in (429, 503) or retry_after is None or retry_after > left:
-                raise _error(answer, retry_after)
-            left -= retry_after
-            time.sleep(retry_after)
+        given = {name: value for name, value in (params or {}).items() if value is not None}
+        left = self._timeout
+        while (answer := self._http.request(method, url, params=given, **request)).status_code >= 400:
+            pause = answer.headers.get("retry-after", "")
+            if answer.status_code not in (429, 503) or not pause.isdecimal() or int(pause) > left:
+                raise _error(answer)
+            left -= int(pause)
+            time.sleep(int(pause))
+        return answer
 
 
 class ClientEngine:
@@ -283,10 +275,9 @@ def _fit(document: Mapping[str, Any]) -> Fit:
     return Fit(**{**given, "options": from_wire(document["options"])})
 
 
-def _error(answer: httpx.Response, retry_after: float | None) -> Exception:
-    try:
-        problem = answer.json()
-    except json.JSONDecodeError:  # from a proxy
-        problem = {"status": answer.status_code, "title": f"{answer.status_code} {answer.reason_phrase}"}
+def _error(answer: httpx.Response) -> Exception:
+    problem: dict[str, Any] = {"status": answer.status_code, "title": f"{answer.status_code} {answer.reason_phrase}"}
+    with suppress(json.JSONDecodeError):  # from a proxy
+        problem |= answer.json()
     kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
-    return ServiceError(problem, retry_after) if kind is None else kind(problem["detail"])
+    return ServiceError(problem) if kind is None else kind(problem["detail"])

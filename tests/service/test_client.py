@@ -86,13 +86,12 @@ def test_client_sends_its_key_and_raises_what_was_refused(
 ) -> None:
     url = str(guarded.server.http.base_url)
     key = guarded.new_key("client", queued_fits=0)["Authorization"].removeprefix("Bearer ")
-    with Client(url, key=key, patience=4.9) as client:
+    with Client(url, key=key, timeout=4.9) as client:
         sha256 = client.upload(data)
         assert sha256 == hashlib.sha256(data).hexdigest()
         with pytest.raises(ServiceError, match="unfinished") as limited:
             client.submit(data)
         assert limited.value.problem["status"] == 429
-        assert limited.value.retry_after == 5.0
         with pytest.raises(ServiceError, match="There is no fit"):
             client.get("0" * 32)
     monkeypatch.setenv("DSBRDF_KEY", key)
@@ -111,7 +110,7 @@ def test_client_sends_its_key_and_raises_what_was_refused(
     small = guarded.new_key("small", stored_mb=1)["Authorization"].removeprefix("Bearer ")
     with Client(url, key=small) as client, pytest.raises(ServiceError, match="stored") as full:
         client.upload(data)
-    assert full.value.retry_after is None
+    assert full.value.problem["status"] == 403
     with pytest.raises(ValueError, match="key"):
         Client(url, key="clé")
 
@@ -153,11 +152,6 @@ def note(begun: list[int], number: int, _: float) -> None:
     begun.append(number)
 
 
-def refused(status: int, retry_after: str | None = None) -> httpx.Response:
-    headers = {} if retry_after is None else {"Retry-After": retry_after}
-    return httpx.Response(status, headers=headers, json={"detail": f"refused with {status}"})
-
-
 @pytest.fixture
 def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """How long the client has slept each time, in no time."""
@@ -166,46 +160,45 @@ def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return seconds
 
 
-def upload(patience: float, *answers: httpx.Response) -> list[str]:
-    """Upload a measurement to a service with prepared answers; return the methods of the requests."""
+def upload(timeout: float, *answers: tuple[int, str | None]) -> list[str]:
+    """Upload a measurement to a service with prepared statuses and Retry-After; return the methods of the requests."""
     prepared, asked = list(answers), list[str]()
 
     def answer(request: httpx.Request) -> httpx.Response:
         asked.append(request.method)
         assert request.method == "GET" or request.read() == b"measurement"
-        return prepared.pop(0)
+        status, retry_after = prepared.pop(0)
+        headers = {} if retry_after is None else {"Retry-After": retry_after}
+        return httpx.Response(status, headers=headers, json={"detail": f"refused with {status}"})
 
-    client = Client(patience=patience)
+    client = Client(timeout=timeout)
     client._http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(answer))
     assert client.upload(b"measurement") == hashlib.sha256(b"measurement").hexdigest()
     return asked
 
 
 def test_measurement_that_the_service_has_is_not_sent() -> None:
-    assert upload(0.0, httpx.Response(200)) == ["GET"]
+    assert upload(0.0, (304, None)) == ["GET"]
 
 
 def test_request_is_repeated_after_the_time_that_the_service_names(slept: list[float]) -> None:
-    for_now = refused(503, "5"), refused(429, "1")
-    asked = upload(6.0, refused(429, "2"), httpx.Response(404), *for_now, httpx.Response(201))
+    asked = upload(6.0, (429, "2"), (404, None), (503, "5"), (429, "1"), (201, None))
     assert slept == [2.0, 5.0, 1.0]
     assert asked == ["GET"] * 2 + ["POST"] * 3
 
 
 @pytest.mark.parametrize(
-    ("answer", "retry_after"),
+    "answer",
     [
-        (refused(429, "7"), 7.0),  # more than the patience that is left
-        (refused(429), None),  # without an end
-        (refused(503, "soon"), None),
-        (refused(507, "1"), 1.0),  # it takes someone to free the disk
-        (refused(401), None),
+        (429, "7"),  # more than the time that is left
+        (429, None),  # without an end
+        (503, "soon"),
+        (507, "1"),  # it takes someone to free the disk
+        (401, None),
     ],
 )
-def test_request_is_not_repeated_beyond_reason(
-    slept: list[float], answer: httpx.Response, retry_after: float | None
-) -> None:
-    with pytest.raises(ServiceError, match=f"refused with {answer.status_code}") as error:
-        upload(12.0, httpx.Response(404), refused(429, "6"), answer)
-    assert error.value.retry_after == retry_after
+def test_request_is_not_repeated_beyond_reason(slept: list[float], answer: tuple[int, str | None]) -> None:
+    with pytest.raises(ServiceError, match=f"refused with {answer[0]}") as error:
+        upload(12.0, (404, None), (429, "6"), answer)
+    assert error.value.problem["status"] == answer[0]
     assert slept == [6.0]

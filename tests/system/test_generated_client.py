@@ -109,9 +109,9 @@ def test_every_export_is_bytes(call: Callable[..., Any], fit: Any, name: str) ->
 
 
 def test_pictures_and_arrays_are_bytes(call: Callable[..., Any], fit: Any) -> None:
-    picture = call("figures.draw_sphere", fit.id, size=16).parsed.payload.read()
+    picture = call("figures.draw_sphere", fit.id, model("DrawSphereFileFormat").PNG, size=16).parsed.payload.read()
     assert picture.startswith(b"\x89PNG")
-    array = np.load(call("figures.light_fit", fit.id, size=16).parsed.payload)
+    array = np.load(call("figures.draw_sphere", fit.id, model("DrawSphereFileFormat").NPY, size=16).parsed.payload)
     assert array.shape == (16, 16, 3)
 
 

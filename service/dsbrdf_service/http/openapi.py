@@ -11,11 +11,10 @@ from pydantic.json_schema import models_json_schema
 
 import dsbrdf
 
-from ..access.authentication import HEALTH
 from ..wire.fit_options import DEFAULTS
 from ..wire.inputs import FitRequest, NewName
 from ..wire.points import FORMS, JSON
-from ..wire.schemas import MeasurementDetails, Problem, Progress
+from ..wire.schemas import MeasurementDetails, Problem
 from . import problems as table
 
 BINARY = "application/octet-stream"
@@ -24,7 +23,7 @@ Responses = dict[int | str, dict[str, Any]]
 
 _REFERENCE = "#/components/schemas/{model}"
 # FastAPI does not find these itself.
-_REFERENCED: tuple[type[BaseModel], ...] = (Problem, FitRequest, NewName, *FORMS, MeasurementDetails, Progress)
+_REFERENCED: tuple[type[BaseModel], ...] = (Problem, FitRequest, NewName, *FORMS, MeasurementDetails)
 _KEY = {
     "type": "http",
     "scheme": "bearer",
@@ -62,21 +61,7 @@ _EXAMPLES: dict[str, dict[str, Any]] = {
     "NewName": {"name": "brushed nickel"},
     "Health": {"status": "live", "version": dsbrdf.__version__},
 }
-EXAMPLE_EVENTS = (
-    f'event: running\ndata: {{"id":"{EXAMPLE_FIT}","status":"running","progress":0.42,"error":null}}\n\n'
-    f'event: succeeded\ndata: {{"id":"{EXAMPLE_FIT}","status":"succeeded","progress":1.0,"error":null}}\n\n'
-)
-
-
-def response(
-    description: str,
-    content: dict[str, Any] | None = None,
-    status: int = 200,
-    model: type[BaseModel] | None = None,
-) -> Responses:
-    """Return a response that FastAPI cannot tell from the route's types; `content` by media type, or a `model`."""
-    given = {"description": description, "content": content, "model": model}
-    return {status: {name: value for name, value in given.items() if value is not None}}
+EXAMPLE_EVENTS = f"event: succeeded\ndata: {json.dumps(_FIT)}\n\n"
 
 
 def problems(*kinds: str, behind_a_key: bool = True) -> Responses:
@@ -117,45 +102,32 @@ def file(media_type: str, **schema: Any) -> dict[str, Any]:
 
 def document_of(app: FastAPI) -> dict[str, Any]:
     """Return the complete OpenAPI document of `app`."""
-    document = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
-    schemas = document["components"]["schemas"]
-    _, described = models_json_schema([(model, "validation") for model in _REFERENCED], ref_template=_REFERENCE)
-    schemas.update(described["$defs"])
-    document["components"]["securitySchemes"] = {"key": _KEY}
-    for path, methods in document["paths"].items():
-        for operation in methods.values():
-            operation["security"] = [] if path in HEALTH else [{}, {"key": []}]
-            _complete(operation)
-    document["tags"] = [{"name": name} for name in _TAGS]
     # Readers and generated pages begin where the work does.
-    document["paths"] = dict(sorted(document["paths"].items(), key=lambda item: _place(item[1])))
-    enumerated: dict[str, Any] = _enumerated(document)
-    return enumerated
+    routes = sorted((route for route in app.routes if getattr(route, "tags", None)), key=_place)
+    document = get_openapi(title=app.title, version=app.version, description=app.description, routes=routes)
+    _, described = models_json_schema([(model, "validation") for model in _REFERENCED], ref_template=_REFERENCE)
+    document["components"]["schemas"].update(described["$defs"])
+    document["components"]["securitySchemes"] = {"key": _KEY}
+    document["security"] = [{}, {"key": []}]
+    document["tags"] = [{"name": name} for name in _TAGS]
+    for methods in document["paths"].values():
+        for operation in methods.values():
+            for part in (operation.get("requestBody", {}), *operation["responses"].values()):
+                _complete(part.get("content", {}))
+    return document
 
 
-def _place(methods: dict[str, Any]) -> int:
-    return min(_TAGS.index(operation["tags"][0]) for operation in methods.values())
+def _place(route: Any) -> int:
+    return _TAGS.index(route.tags[0])
 
 
-def _enumerated(part: Any) -> Any:
-    """Return a part of the document with each `const` as an `enum` of one, which more generators of clients know."""
-    if isinstance(part, list):
-        return [_enumerated(item) for item in part]
-    if not isinstance(part, dict):
-        return part
-    renamed = {name: _enumerated(value) for name, value in part.items() if name != "const"}
-    return renamed | ({"enum": [part["const"]]} if "const" in part else {})
-
-
-def _complete(operation: dict[str, Any]) -> None:
-    """Add the examples to an operation, and remove what FastAPI adds of its own accord."""
-    # The schema of a stream's items is no part of version 3.1.
-    for part in (operation.get("requestBody", {}), *operation["responses"].values()):
-        part.get("content", {}).get("text/event-stream", {}).pop("itemSchema", None)
-        described = part.get("content", {}).get(JSON, {})
-        model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
-        if model in _EXAMPLES:
-            described["example"] = _EXAMPLES[model]
+def _complete(content: dict[str, Any]) -> None:
+    """Add the example to a body or an answer; remove what FastAPI adds of its own accord."""
+    content.get("text/event-stream", {}).pop("itemSchema", None)  # which is no part of version 3.1
+    described = content.get(JSON, {})
+    model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
+    if model in _EXAMPLES:
+        described["example"] = _EXAMPLES[model]
 
 
 def option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:

@@ -22,12 +22,8 @@ def media_type_of(request: Request, *supported: str) -> str:
     """
     media_type = request.headers.get("content-type", supported[0]).partition(";")[0].strip().lower()
     if media_type not in supported:
-        detail = f"The content type {media_type[:60]!r} is not supported; send {' or '.join(supported)}."
-        if media_type.startswith("multipart/"):
-            detail = (
-                f"A form is not supported; send the file alone as the body, as {' or '.join(supported)}: with curl, "
-                "--data-binary @FILE instead of --form."
-            )
+        alone = f"send the file or document alone as the body (curl --data-binary @FILE), as {' or '.join(supported)}"
+        detail = f"The content type {media_type[:60]!r} is not supported; {alone}."
         raise ProblemError("unsupported-media-type", detail, {"Accept-Post": ", ".join(supported)})
     return media_type
 

@@ -1,12 +1,9 @@
 """Responses: JSON documents with strong ETags, files, and links to the next page."""
 
 import hashlib
-import json
-import logging
 import os
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 from urllib.parse import urlencode
 
 from pydantic import BaseModel
@@ -15,11 +12,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
+from ..jobs.computations import MadeFile
 from ..storage.schema import FitRow, MeasurementRow
 from ..wire.inputs import Page
 from ..wire.points import JSON
-
-logger = logging.getLogger(__name__)
 
 _PIECE = 1 << 18  # bytes of a file that are read at a time
 _WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)
@@ -36,22 +32,15 @@ def prefix_of(request: Request) -> str:
     return given if _PREFIX.fullmatch(given) else ""
 
 
-def json_reply(document: BaseModel, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
-    """Return `document` as a JSON response."""
-    return Response(document.model_dump_json(), status, dict(headers or {}), JSON)
-
-
 def tagged_reply(
     request: Request,
-    content: bytes | BaseModel | dict[str, Any],
+    content: bytes | BaseModel,
     media_type: str = JSON,
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Return bytes, a document or JSON's types with their hash as a strong ETag, or 304 if the client has them."""
+    """Return bytes or a document with their hash as a strong ETag, or 304 if the client has them."""
     if isinstance(content, BaseModel):
         content = content.model_dump_json().encode()
-    elif isinstance(content, dict):
-        content = json.dumps(content, allow_nan=False).encode()
     tagged = {**(headers or {}), "ETag": tag_of(content)}
     return not_modified(request, tagged) or Response(content, 200, tagged, media_type)
 
@@ -69,29 +58,20 @@ def not_modified(request: Request, headers: Mapping[str, str]) -> Response | Non
 
 
 class OpenFileResponse(Response):
-    """An open file, which is sent to its end even if it is deleted meanwhile; nobody gets a part of it.
+    """An open file, which is sent to its end even if it is deleted meanwhile."""
 
-    `keeps` is what closes it when nobody has it any more. If it has not the digest `sha256`, its last piece is kept
-    back, which breaks the connection: the client learns that it has not got what the ETag says.
-    """
-
-    def __init__(self, descriptor: int, keeps: object, headers: Mapping[str, str], sha256: str | None = None) -> None:
-        self._descriptor, self._keeps, self._sha256 = descriptor, keeps, sha256
-        self._size = os.fstat(descriptor).st_size
+    def __init__(self, file: MadeFile, headers: Mapping[str, str]) -> None:
+        self._file, self._size = file, os.fstat(file.descriptor).st_size
         super().__init__(headers={**headers, "Content-Length": str(self._size)})
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:  # noqa: ARG002 (ASGI's signature)
         """Send the file."""
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-        digest, n_sent, is_last = hashlib.sha256(), 0, False
+        n_sent, is_last = 0, False
         while not is_last:
-            piece = await run_in_threadpool(os.pread, self._descriptor, _PIECE, n_sent)
-            digest.update(piece)
+            piece = await run_in_threadpool(os.pread, self._file.descriptor, _PIECE, n_sent)
             n_sent += len(piece)
             is_last = n_sent >= self._size or not piece
-            if is_last and self._sha256 not in (None, digest.hexdigest()):
-                logger.error("the file of the measurement %s has changed while it was sent", self._sha256)
-                return
             await send({"type": "http.response.body", "body": piece, "more_body": not is_last})
 
 

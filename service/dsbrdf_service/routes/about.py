@@ -9,21 +9,20 @@ import dsbrdf
 
 from ..errors import ProblemError
 from ..http import openapi
-from ..http.responses import json_reply
 from ..wire.schemas import Health
 from .dependencies import CHECKED_QUERY, TheCaller, TheContext
 
 router = APIRouter(tags=["health"], dependencies=CHECKED_QUERY)
 
 
-@router.get("/health/live", response_model=Health, responses=openapi.problems(behind_a_key=False))
-async def get_live() -> Response:
+@router.get("/health/live", responses=openapi.problems(behind_a_key=False))
+async def get_live() -> Health:
     """Answer whenever the process answers at all."""
-    return json_reply(Health(status="live", version=dsbrdf.__version__))
+    return Health(status="live", version=dsbrdf.__version__)
 
 
-@router.get("/health/ready", response_model=Health, responses=openapi.problems("not-ready", behind_a_key=False))
-async def get_ready(context: TheContext) -> Response:
+@router.get("/health/ready", responses=openapi.problems("not-ready", behind_a_key=False))
+async def get_ready(context: TheContext) -> Health:
     """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
 
     The answer comes within 3 s.
@@ -31,7 +30,7 @@ async def get_ready(context: TheContext) -> Response:
     fault = await context.readiness.fault()
     if fault is not None:
         raise ProblemError("not-ready", fault)
-    return json_reply(Health(status="ready", version=dsbrdf.__version__))
+    return Health(status="ready", version=dsbrdf.__version__)
 
 
 @router.get("/metrics", response_class=PlainTextResponse, responses=openapi.problems("not-found"))

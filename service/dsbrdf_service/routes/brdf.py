@@ -86,9 +86,10 @@ _BATCH = openapi.body(
     },
 ) | {"parameters": [openapi.ENCODING]}
 _GET_PROBLEMS = openapi.problems("not-found", "fit-not-finished")
-_POST_RESPONSES = openapi.response("One RGB triple for each point.", {NPY: openapi.file(NPY)}) | openapi.problems(
-    "not-found", "fit-not-finished", "too-large", *openapi.BODY_PROBLEMS
-)
+_POST_RESPONSES = {
+    200: {"description": "One RGB triple for each point.", "content": {NPY: openapi.file(NPY)}},
+    **openapi.problems("not-found", "fit-not-finished", "too-large", *openapi.BODY_PROBLEMS),
+}
 _OF_MEASUREMENT = openapi.problems("not-found", "measurement-damaged")
 _get = partial(router.get, response_model=Values, responses=_GET_PROBLEMS, openapi_extra=_QUERY)
 _post = partial(router.post, response_model=Values, responses=_POST_RESPONSES, openapi_extra=_BATCH)

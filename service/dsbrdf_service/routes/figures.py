@@ -43,6 +43,7 @@ _Figure = Annotated[
     Literal[*FIGURES],  # type: ignore[valid-type]
     Path(description=f"One of {', '.join(FIGURES)}.", examples=["components"]),
 ]
+_SphereFormat = Annotated[Literal["png", "npy"], Path(description="`png` or `npy`.", examples=["png"])]
 _ImageFormat = Annotated[Literal["png", "svg"], Path(description="`png` or `svg`.", examples=["svg"])]
 
 
@@ -51,8 +52,8 @@ def _draws(
 ) -> Callable[[_Route], _Route]:
     """Return the decorator of a route that answers with what it draws, in one of these formats."""
     content = {_MEDIA_TYPES[name]: openapi.file(_MEDIA_TYPES[name]) for name in formats}
-    responses = openapi.response("What is drawn.", content) | openapi.NOT_MODIFIED
-    responses |= openapi.problems("not-found", "measurement-damaged", *problems)
+    responses = openapi.NOT_MODIFIED | openapi.problems("not-found", "measurement-damaged", *problems)
+    responses[200] = {"description": "What is drawn.", "content": content}
     about: dict[str, Any] = {"response_class": Response, "responses": responses, "openapi_extra": declared}
     return router.api_route(path, methods=[method], **about)
 
@@ -97,15 +98,23 @@ async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[n
 _Panorama = Annotated[tuple[NDArray[np.float32], bytes], Depends(_panorama_in)]
 
 
-@_draws("/fits/{fit_id}/figures/sphere.png", "fit-not-finished")
+@_draws("/fits/{fit_id}/figures/sphere.{file_format}", "fit-not-finished", formats=("png", "npy"))
 async def draw_sphere(
-    draw: Draw, fit: TheLoadedFit, size: _Size = 128, lighting: _Lighting = LIGHTINGS[0], component: _Component = None
+    draw: Draw,
+    fit: TheLoadedFit,
+    file_format: _SphereFormat,
+    size: _Size = 128,
+    lighting: _Lighting = LIGHTINGS[0],
+    component: _Component = None,
 ) -> Response:
-    """Return a picture of a sphere of the fit, or of one component, with the exposure of the fit.
+    """Return a lit sphere of the fit, or of one component: a picture, or its linear RGB radiance.
 
-    The 99th percentile of that whole sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
+    The radiance is float32 (size, size, 3), from the top. The picture has the exposure of the fit: the 99th percentile
+    of that whole sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
     """
     part = None if component is None else fit.part(component)
+    if file_format == "npy":
+        return await draw(radiance_step, part or fit.model, lighting, size)
     return await draw(sphere_step, fit.model, part, lighting, size)
 
 
@@ -134,19 +143,11 @@ async def get_thumbnail(request: Request, context: TheContext, fit: TheFit) -> R
     return tagged_reply(request, kept, _MEDIA_TYPES["png"])
 
 
-@_draws_npy("/fits/{fit_id}/figures/sphere.npy", "fit-not-finished")
-async def light_fit(
-    draw: Draw, fit: TheLoadedFit, size: _Size = 128, lighting: _Lighting = LIGHTINGS[0], component: _Component = None
-) -> Response:
-    """Return the linear RGB radiance of a sphere of the fit or a component: float32 (size, size, 3), from the top."""
-    return await draw(radiance_step, fit.part(component), lighting, size)
-
-
 @_draws_by_panorama("/fits/{fit_id}/figures/sphere.npy", "fit-not-finished", *_OF_PANORAMA)
 async def light_fit_by_panorama(
     draw: Draw, fit: TheLoadedFit, panorama: _Panorama, size: _Size = 128, component: _Component = None
 ) -> Response:
-    """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
+    """Return the radiance in a panorama, its first row straight up, its middle column behind the sphere."""
     pixels, digest = panorama
     return await draw(radiance_step, fit.part(component), pixels, size, of=digest)
 
@@ -174,20 +175,18 @@ async def draw_figure(
     return await draw(figure_step, figure, image_format, fit.model, stored, from_wire(row.options), dark, of=row.name)
 
 
-@_draws("/measurements/{sha256}/figures/sphere.png")
+@_draws("/measurements/{sha256}/figures/sphere.{file_format}", formats=("png", "npy"))
 async def draw_measurement(
-    draw: Draw, stored: TheMeasurement, size: _Size = 128, lighting: _Lighting = LIGHTINGS[0]
+    draw: Draw,
+    stored: TheMeasurement,
+    file_format: _SphereFormat,
+    size: _Size = 128,
+    lighting: _Lighting = LIGHTINGS[0],
 ) -> Response:
-    """Return a picture of a sphere of the measurement, which is interpolated, with an exposure of its own."""
+    """Return the same of the measurement, which is interpolated; the picture has an exposure of its own."""
+    if file_format == "npy":
+        return await draw(radiance_step, stored, lighting, size)
     return await draw(sphere_step, stored, None, lighting, size)
-
-
-@_draws_npy("/measurements/{sha256}/figures/sphere.npy")
-async def light_measurement(
-    draw: Draw, stored: TheMeasurement, size: _Size = 128, lighting: _Lighting = LIGHTINGS[0]
-) -> Response:
-    """Return the linear RGB radiance of a sphere of the measurement: float32 (size, size, 3), top row first."""
-    return await draw(radiance_step, stored, lighting, size)
 
 
 @_draws_by_panorama("/measurements/{sha256}/figures/sphere.npy", *_OF_PANORAMA)

@@ -17,7 +17,7 @@ from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
 from ..http.openapi import BINARY
 from ..http.request_body import media_type_of
-from ..http.responses import OpenFileResponse, json_reply, next_page, preferred_wait, prefix_of, tagged_reply
+from ..http.responses import OpenFileResponse, next_page, preferred_wait, prefix_of, tagged_reply
 from ..jobs.computations import departure
 from ..jobs.steps import export_step
 from ..storage.database import in_write_thread
@@ -58,14 +58,17 @@ _EXPORTED = {name: openapi.file(name) for name in _MEDIA_TYPES} | {JSON: {"schem
 @router.post(
     "",
     status_code=201,
-    response_model=schemas.FitDocument,
     response_description="The fit has ended; `Location` is its address.",
-    responses=openapi.response("The same request was made before; its fit has ended.", model=schemas.FitDocument)
-    | openapi.response("The fit has not ended; ask again at `Location`.", status=202, model=schemas.FitDocument)
-    | openapi.problems("not-found", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
+    responses={
+        200: {"description": "The same was asked before; its fit has ended.", "model": schemas.FitDocument},
+        202: {"description": "The fit has not ended; ask again at `Location`.", "model": schemas.FitDocument},
+        **openapi.problems("not-found", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
+    },
     openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
 )
-async def submit_fit(request: Request, context: TheContext, caller: TheCaller, chosen: TheOptions) -> Response:
+async def submit_fit(
+    request: Request, response: Response, context: TheContext, caller: TheCaller, chosen: TheOptions
+) -> schemas.FitDocument:
     """Fit the measurement that is the body, or a stored one.
 
     Answers when the fit has ended: 201, or 200 if the same request was made before. A fit that failed is
@@ -88,22 +91,23 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, c
     if not row.ended:
         wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
         row = await _wait(request, context, caller, row.key, wait)
-    fit, headers = await _document(context, row), {"Location": f"{prefix_of(request)}/v1/fits/{row.id}"}
-    if row.ended:
-        return json_reply(fit, 201 if new else 200, headers)
-    return json_reply(fit, 202, {**headers, "Retry-After": "1"})
+    response.headers["Location"] = f"{prefix_of(request)}/v1/fits/{row.id}"
+    if not row.ended:
+        response.status_code, response.headers["Retry-After"] = 202, "1"
+    elif not new:
+        response.status_code = 200
+    return await _document(context, row)
 
 
-@router.get("", response_model=schemas.FitList, responses=openapi.problems())
+@router.get("", responses=openapi.problems())
 async def list_fits(
-    request: Request, context: TheContext, caller: TheCaller, page: Annotated[inputs.Page, Query()]
-) -> Response:
+    request: Request, response: Response, context: TheContext, caller: TheCaller, page: Annotated[inputs.Page, Query()]
+) -> schemas.FitList:
     """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
     rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit + 1, page.before, page.name)
-    items = [
-        schemas.from_row(schemas.FitSummary, row, progress=context.jobs.progress(row)) for row in rows[: page.limit]
-    ]
-    return json_reply(schemas.FitList(items=items), headers=next_page(request, page, rows))
+    response.headers.update(next_page(request, page, rows))
+    shown = [(row, context.jobs.progress(row)) for row in rows[: page.limit]]
+    return schemas.FitList(items=[schemas.from_row(schemas.FitSummary, row, progress=share) for row, share in shown])
 
 
 @router.get(
@@ -119,46 +123,42 @@ async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit:
 
 @router.patch(
     "/{fit_id}",
-    response_model=schemas.FitDocument,
     responses=openapi.problems("not-found", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
     openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(inputs.NewName)}}),
 )
-async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Response:
+async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> schemas.FitDocument:
     """Give a fit another name, or none; nothing else of it can be changed."""
     media_type_of(request, JSON)
     async with context.bodies.received(request, _MAX_JSON) as body:
         given = inputs.parse_document(inputs.NewName, body)
     name = None if given.name is None else check_name(given.name)
-    return json_reply(await _document(context, await in_write_thread(context.store.rename_fit, fit, name)))
+    return await _document(context, await in_write_thread(context.store.rename_fit, fit, name))
 
 
-@router.delete(
-    "/{fit_id}",
-    response_model=schemas.RemovedFit,
-    responses=openapi.problems("not-found", "fit-ended", "fit-not-finished", "disk-full"),
-)
-async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> Response:
+@router.delete("/{fit_id}", responses=openapi.problems("not-found", "fit-ended", "fit-not-finished", "disk-full"))
+async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> schemas.RemovedFit:
     """Cancel an unfinished fit, which stays in the list, or delete one that has ended; the answer says which.
 
     `only` asks for one of them alone: a fit may end just before it is to be cancelled.
     """
     if only != "delete" and await context.jobs.cancel(fit) is not None:
-        return json_reply(schemas.RemovedFit(id=fit.id, status="cancelled"))
+        return schemas.RemovedFit(id=fit.id, status="cancelled")
     if only != "cancel" and await in_write_thread(context.store.remove_fit, fit):
-        return json_reply(schemas.RemovedFit(id=fit.id, status="deleted"))
+        return schemas.RemovedFit(id=fit.id, status="deleted")
     row = await context.fit_row(fit)
     if row.ended:
-        raise ProblemError(
-            "fit-ended", f"The fit has ended as {row.status}, there is nothing to cancel; only=delete deletes it."
-        )
+        ended = f"The fit has ended as {row.status}, there is nothing to cancel; only=delete deletes it."
+        raise ProblemError("fit-ended", ended)
     raise ProblemError("fit-not-finished", f"The fit is {row.status}; only=cancel cancels it.")
 
 
 @exports.get(
     "/{fit_id}/export",
     response_class=Response,
-    responses=openapi.response("The file; `Content-Disposition` names it.", _EXPORTED)
-    | openapi.problems("not-found", "fit-not-finished"),
+    responses={
+        200: {"description": "The file; `Content-Disposition` names it.", "content": _EXPORTED},
+        **openapi.problems("not-found", "fit-not-finished"),
+    },
 )
 async def export_fit(
     request: Request, context: TheContext, fit: TheFit, wanted: Annotated[inputs.Export, Query()]
@@ -178,7 +178,7 @@ async def export_fit(
         made = await context.computations.make_file(
             request, key, export_step, model, wanted.format, name, folder=context.store.blobs.temporary, place=place
         )
-        return OpenFileResponse(made.descriptor, made, headers)
+        return OpenFileResponse(made, headers)
     report = loaded.report if wanted.component is None else None
     export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
     return Response(await context.computations.run(request, key, export), 200, headers)
@@ -193,11 +193,11 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
 @router.get(
     "/{fit_id}/events",
     response_class=EventSourceResponse,
-    responses=openapi.response(
-        "Events until the fit has ended; the data of each is a `Progress` document.",
-        {"text/event-stream": {"example": openapi.EXAMPLE_EVENTS}},
-    )
-    | openapi.problems("not-found"),
+    response_description="Events until the fit has ended; the data of each is a `FitSummary`.",
+    responses={
+        200: {"content": {"text/event-stream": {"example": openapi.EXAMPLE_EVENTS}}},
+        **openapi.problems("not-found"),
+    },
 )
 async def follow_fit(
     context: TheContext, caller: TheCaller, fit: Annotated[FitKey, Depends(_existing_fit)]
@@ -206,7 +206,7 @@ async def follow_fit(
     async for row in context.jobs.watch(fit):
         if not context.keys.allows(caller):
             return
-        event = schemas.from_row(schemas.Progress, row, progress=context.jobs.progress(row))
+        event = schemas.from_row(schemas.FitSummary, row, progress=context.jobs.progress(row))
         yield ServerSentEvent(data=event, event=row.status)
 
 

@@ -15,7 +15,7 @@ from ..http import openapi
 from ..http.openapi import BINARY
 from ..http.request_body import media_type_of
 from ..http.request_log import IS_HEAD
-from ..http.responses import OpenFileResponse, json_reply, next_page, not_modified, prefers, prefix_of, tagged_reply
+from ..http.responses import OpenFileResponse, next_page, not_modified, prefers, prefix_of, tagged_reply
 from ..jobs.computations import MadeFile
 from ..jobs.steps import understood_step
 from ..storage.database import in_write_thread
@@ -37,16 +37,19 @@ _ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document in
 @router.post(
     "",
     status_code=201,
-    response_model=MeasurementDocument,
     response_description="The measurement is stored; `Location` is its address.",
-    responses=openapi.response("The measurement was stored before.", model=MeasurementDocument)
-    | openapi.problems(*openapi.UPLOAD_PROBLEMS),
+    responses={
+        200: {"description": "The measurement was stored before.", "model": MeasurementDocument},
+        **openapi.problems(*openapi.UPLOAD_PROBLEMS),
+    },
     openapi_extra={
         "parameters": [*PARAMETERS, *TABLE_PARAMETERS],
         **openapi.body("A MERL file, an RGL .bsdf file, or a table of scattered samples.", CONTENT),
     },
 )
-async def upload_measurement(request: Request, context: TheContext, caller: TheCaller, options: TheOptions) -> Response:
+async def upload_measurement(
+    request: Request, response: Response, context: TheContext, caller: TheCaller, options: TheOptions
+) -> MeasurementDocument:
     """Store the measurement that is the body: 201, or 200 if the same is stored already.
 
     A MERL file and a table of samples are stored byte for byte. An RGL file, by `.bsdf` at the end of its name, is
@@ -55,20 +58,22 @@ async def upload_measurement(request: Request, context: TheContext, caller: TheC
     """
     media_type = media_type_of(request, *UPLOADED)
     row, new = await receive_upload(request, context, caller, name_of(request), media_type, options)
-    headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}", "ETag": f'"{row.sha256}"'}
-    return json_reply(from_row(MeasurementDocument, row), 201 if new else 200, headers)
+    response.status_code = 201 if new else 200
+    response.headers["Location"] = f"{prefix_of(request)}/v1/measurements/{row.sha256}"
+    return from_row(MeasurementDocument, row)
 
 
 @tables.post(
     "",
-    response_model=TableDocument,
     responses=openapi.problems("too-large", "measurement-format", *openapi.BODY_PROBLEMS),
     openapi_extra={
         "parameters": [*TABLE_PARAMETERS, openapi.ENCODING],
         **openapi.body("A table of scattered samples.", {name: CONTENT[name] for name in TABLES}),
     },
 )
-async def describe_table(request: Request, context: TheContext, caller: TheCaller, options: TheOptions) -> Response:
+async def describe_table(
+    request: Request, context: TheContext, caller: TheCaller, options: TheOptions
+) -> TableDocument:
     """Return columns, units, ranges, planes, warnings and the first samples of the table that is the body.
 
     Nothing is stored: so a table can be looked at, and the right options found, before it is uploaded.
@@ -77,28 +82,28 @@ async def describe_table(request: Request, context: TheContext, caller: TheCalle
     async with context.bodies.received(request, MOST_CONVERTED) as content:
         key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
         found = await read_table(request, context, key, understood_step, content, options.of_table())
-    return json_reply(TableDocument(**found))
+    return TableDocument(**found)
 
 
-@router.get("", response_model=MeasurementList, responses=openapi.problems())
+@router.get("", responses=openapi.problems())
 async def list_measurements(
-    request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
-) -> Response:
+    request: Request, response: Response, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
+) -> MeasurementList:
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
     rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, page.before, page.name)
-    items = [from_row(MeasurementDocument, row) for row in rows[: page.limit]]
-    return json_reply(MeasurementList(items=items), headers=next_page(request, page, rows))
+    response.headers.update(next_page(request, page, rows))
+    return MeasurementList(items=[from_row(MeasurementDocument, row) for row in rows[: page.limit]])
 
 
 @router.get(
     "/{sha256}",
     response_class=FileResponse,
-    responses=openapi.response(
-        "The file, byte for byte as it was uploaded; or what is known of it.",
-        {BINARY: openapi.file(BINARY), JSON: {"schema": openapi.reference(MeasurementDetails)}},
-    )
-    | openapi.NOT_MODIFIED
-    | openapi.problems("not-found", "measurement-damaged"),
+    response_description="The file, byte for byte as it was uploaded; or what is known of it.",
+    responses={
+        200: {"content": {BINARY: openapi.file(BINARY), JSON: {"schema": openapi.reference(MeasurementDetails)}}},
+        **openapi.NOT_MODIFIED,
+        **openapi.problems("not-found", "measurement-damaged"),
+    },
     openapi_extra={"parameters": [_ACCEPT]},
 )
 async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
@@ -119,8 +124,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     try:
         suffix = ".binary" if row.on_grid else await run_in_threadpool(table_suffix, path)
         headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
-        file = MadeFile(os.open(path, os.O_RDONLY))
-        return OpenFileResponse(file.descriptor, file, headers | {"Content-Type": BINARY}, sha256)
+        return OpenFileResponse(MadeFile(os.open(path, os.O_RDONLY)), headers | {"Content-Type": BINARY})
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
 
@@ -129,8 +133,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     "/{sha256}",
     status_code=204,
     response_class=Response,
-    responses=openapi.response("The measurement is deleted.", status=204)
-    | openapi.problems("not-found", "measurement-in-use", "disk-full"),
+    responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),
 )
 async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Delete the file; finished fits of it stay, unfinished ones forbid it (409)."""

@@ -52,17 +52,6 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
     return from_wire({name: value(text) for name, text in items})
 
 
-def table_query(options: TableOptions) -> dict[str, str]:
-    """Return the options of a table that are not the usual ones as parameters of a query."""
-    chosen = {field.name: getattr(options, field.name) for field in fields(TableOptions)}
-    usual = {field.name: field.default for field in fields(TableOptions)}
-    return {
-        name: ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-        for name, value in chosen.items()
-        if value != usual[name]
-    }
-
-
 def canonical(options: FitOptions) -> dict[str, Any]:
     """Return the wire form with the method's own choices filled in: options that give the same fit become equal."""
     paper = options.method == "paper"

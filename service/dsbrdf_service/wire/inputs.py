@@ -53,6 +53,9 @@ def _options_schema() -> dict[str, Any]:
     for name, default in DEFAULTS.items():
         schema = declared[name]
         del schema["title"]
+        for choice in schema.get("anyOf", ()):
+            if "const" in choice:  # which fewer generators of clients know
+                choice["enum"] = [choice.pop("const")]
         properties[name] = {**schema, "default": default, "description": sentences[name]}
     description = "Options of a fit; what is not given is the default."
     head = {"type": "object", "title": "FitOptions", "description": description, "additionalProperties": False}

@@ -213,15 +213,6 @@ class MeasuredValues(BaseModel):
     values: list[Rgb | None]
 
 
-class Progress(BaseModel):
-    """A server-sent event of a fit."""
-
-    id: str
-    status: Status
-    progress: Share
-    error: FitFault | None
-
-
 class Health(BaseModel):
     """The state of the service."""
 
