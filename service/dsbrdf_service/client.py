@@ -10,7 +10,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -229,7 +229,7 @@ class ClientEngine:
     """
 
     def __init__(self, url: str, count: int) -> None:
-        self._url, self._client, self._closed = url, Client(url), False
+        self._url, self._client = url, Client(url)
         self._threads = ThreadPoolExecutor(count)
 
     def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
@@ -245,18 +245,12 @@ class ClientEngine:
 
     def close(self) -> None:
         """Give up what is asked for, and close the connections."""
-        self._closed = True
-        self._threads.shutdown(cancel_futures=True)
         self._client.close()
+        self._threads.shutdown(cancel_futures=True)
 
     def _fit(self, task: FitTask, on_progress: OnProgress) -> Outcome:
-        def progress(share: float) -> None:
-            if self._closed:
-                raise CancelledError
-            on_progress(share)
-
         try:
-            fit = self._client.wait(self._client.submit(task.path, task.options), progress)
+            fit = self._client.wait(self._client.submit(task.path, task.options), on_progress)
             return FitDocument(self._client.document(fit.id), fit.metrics or {})
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))

@@ -26,7 +26,7 @@ class Connection(HttpToolsProtocol):
 
 
 def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
-    """Raise ProblemError if a request's head is too long, or does not say clearly whom it is for and where it ends.
+    """Raise ProblemError if a request's head is too long, or does not say clearly whom it is for.
 
     `headers` are those of `scope` by name.
     """
@@ -40,9 +40,6 @@ def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
     if len(scope["path"]) + len(scope["query_string"]) > _MAX_LINE:
         detail = f"An address has at most {_MAX_LINE} bytes; many points are sent with POST."
         raise ProblemError("head-too-long", detail, _CLOSE)
-    if b"transfer-encoding" in headers and b"content-length" in headers:  # a proxy may see another end than this server
-        detail = "Content-Length and Transfer-Encoding both say where the body ends; send one of them."
-        raise ProblemError("bad-request", detail, _CLOSE)
     twice = len(headers) < len(sent) and any(sum(name == once for name, _ in sent) > 1 for once in _ONCE)
     if twice or (b"host" not in headers and scope["http_version"] == "1.1"):
         raise ProblemError("bad-request", "A request has exactly one Host, and at most one Origin.", _CLOSE)

@@ -79,15 +79,26 @@ class StoredMeasurement:
         return replace(map_merl(self.path, self.sha256), name=self.name or self.sha256[:12])
 
 
+Material = ReflectanceModel | StoredMeasurement
+
+
 def sphere_step(
-    whole: ReflectanceModel | StoredMeasurement, part: ReflectanceModel | None, lighting: str, size: int, _: OnProgress
+    file_format: str, whole: Material, part: Material, light: str | NDArray[np.float32], size: int, _: OnProgress
 ) -> bytes:
-    """Return the PNG of a sphere of a model, of a `part` of it, or of a measurement, with the exposure of the whole."""
-    shown = whole.mapped() if isinstance(whole, StoredMeasurement) else whole
-    image = render_sphere(shown, lighting=lighting, size=size)
-    factor = exposure(image, sphere_normals(size)[1])
-    if part is not None:
-        image = render_sphere(part, lighting=lighting, size=size)
+    """Return a lit sphere of a `part` of a model, or of all of it, or of a measurement; the light may be a panorama.
+
+    It is a .png with the exposure of the `whole`, or a .npy of linear RGB radiance, float32 rows from the top.
+    """
+    around = light if isinstance(light, str) else EnvironmentMap.from_pixels(light)
+
+    def sphere(material: Material) -> Array:
+        shown = material.mapped() if isinstance(material, StoredMeasurement) else material
+        return render_sphere(shown, lighting=around, size=size)
+
+    image = sphere(part)
+    if file_format == "npy":
+        return _npy(image.astype("<f4"))
+    factor = exposure(image if part is whole else sphere(whole), sphere_normals(size)[1])
     return encode_png(displayed(image, factor))
 
 
@@ -123,15 +134,6 @@ def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:
     channels = zip(known.measurement.stored, known.measurement.scale, cycle(known.source), strict=False)
     tables = [np.log(values.ravel()[source] * scale + _DARKEST) for values, scale, source in channels]
     return _npy(np.stack(tables, axis=-1).reshape(*known.measurement.stored.shape[1:], 3).astype("<f2"))
-
-
-def radiance_step(
-    source: ReflectanceModel | StoredMeasurement, lighting: str | NDArray[np.float32], size: int, _: OnProgress
-) -> bytes:
-    """Return a .npy of a sphere's linear RGB radiance, float32 rows from the top; the light may be a panorama."""
-    shown = source.mapped() if isinstance(source, StoredMeasurement) else source
-    around = lighting if isinstance(lighting, str) else EnvironmentMap.from_pixels(lighting)
-    return _npy(render_sphere(shown, lighting=around, size=size).astype("<f4"))
 
 
 def _npy(array: NDArray[Any]) -> bytes:

@@ -19,7 +19,7 @@ from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
 from ..http.responses import not_modified, tag_of, tagged_reply
-from ..jobs.steps import FIGURES, figure_step, radiance_step, samples_step, sphere_step, spheres_step, table_step
+from ..jobs.steps import FIGURES, figure_step, samples_step, sphere_step, spheres_step, table_step
 from ..wire.fit_options import from_wire
 from ..wire.inputs import Label
 from ..wire.points import NPY, panorama_from_npy
@@ -59,8 +59,9 @@ def _draws(
 
 
 _draws_npy = partial(_draws, formats=("npy",))
+_draws_sphere = partial(_draws, formats=("png", "npy"))
 _draws_by_panorama = partial(
-    _draws_npy,
+    _draws_sphere,
     method="POST",
     **openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {NPY: openapi.file(NPY)}),
 )
@@ -98,7 +99,7 @@ async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[n
 _Panorama = Annotated[tuple[NDArray[np.float32], bytes], Depends(_panorama_in)]
 
 
-@_draws("/fits/{fit_id}/figures/sphere.{file_format}", "fit-not-finished", formats=("png", "npy"))
+@_draws_sphere("/fits/{fit_id}/figures/sphere.{file_format}", "fit-not-finished")
 async def draw_sphere(
     draw: Draw,
     fit: TheLoadedFit,
@@ -112,10 +113,7 @@ async def draw_sphere(
     The radiance is float32 (size, size, 3), from the top. The picture has the exposure of the fit: the 99th percentile
     of that whole sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
     """
-    part = None if component is None else fit.part(component)
-    if file_format == "npy":
-        return await draw(radiance_step, part or fit.model, lighting, size)
-    return await draw(sphere_step, fit.model, part, lighting, size)
+    return await draw(sphere_step, file_format, fit.model, fit.part(component), lighting, size)
 
 
 @_draws("/fits/{fit_id}/figures/spheres.png", "fit-not-finished")
@@ -143,13 +141,18 @@ async def get_thumbnail(request: Request, context: TheContext, fit: TheFit) -> R
     return tagged_reply(request, kept, _MEDIA_TYPES["png"])
 
 
-@_draws_by_panorama("/fits/{fit_id}/figures/sphere.npy", "fit-not-finished", *_OF_PANORAMA)
-async def light_fit_by_panorama(
-    draw: Draw, fit: TheLoadedFit, panorama: _Panorama, size: _Size = 128, component: _Component = None
+@_draws_by_panorama("/fits/{fit_id}/figures/sphere.{file_format}", "fit-not-finished", *_OF_PANORAMA)
+async def draw_sphere_in_panorama(
+    draw: Draw,
+    fit: TheLoadedFit,
+    file_format: _SphereFormat,
+    panorama: _Panorama,
+    size: _Size = 128,
+    component: _Component = None,
 ) -> Response:
-    """Return the radiance in a panorama, its first row straight up, its middle column behind the sphere."""
+    """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
     pixels, digest = panorama
-    return await draw(radiance_step, fit.part(component), pixels, size, of=digest)
+    return await draw(sphere_step, file_format, fit.model, fit.part(component), pixels, size, of=digest)
 
 
 @_draws("/fits/{fit_id}/figures/{figure}.{image_format}", "fit-not-finished", "not-installed", formats=("png", "svg"))
@@ -175,7 +178,7 @@ async def draw_figure(
     return await draw(figure_step, figure, image_format, fit.model, stored, from_wire(row.options), dark, of=row.name)
 
 
-@_draws("/measurements/{sha256}/figures/sphere.{file_format}", formats=("png", "npy"))
+@_draws_sphere("/measurements/{sha256}/figures/sphere.{file_format}")
 async def draw_measurement(
     draw: Draw,
     stored: TheMeasurement,
@@ -184,18 +187,16 @@ async def draw_measurement(
     lighting: _Lighting = LIGHTINGS[0],
 ) -> Response:
     """Return the same of the measurement, which is interpolated; the picture has an exposure of its own."""
-    if file_format == "npy":
-        return await draw(radiance_step, stored, lighting, size)
-    return await draw(sphere_step, stored, None, lighting, size)
+    return await draw(sphere_step, file_format, stored, stored, lighting, size)
 
 
-@_draws_by_panorama("/measurements/{sha256}/figures/sphere.npy", *_OF_PANORAMA)
-async def light_measurement_by_panorama(
-    draw: Draw, stored: TheMeasurement, panorama: _Panorama, size: _Size = 128
+@_draws_by_panorama("/measurements/{sha256}/figures/sphere.{file_format}", *_OF_PANORAMA)
+async def draw_measurement_in_panorama(
+    draw: Draw, stored: TheMeasurement, file_format: _SphereFormat, panorama: _Panorama, size: _Size = 128
 ) -> Response:
     """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
     pixels, digest = panorama
-    return await draw(radiance_step, stored, pixels, size, of=digest)
+    return await draw(sphere_step, file_format, stored, stored, pixels, size, of=digest)
 
 
 @_draws_npy("/measurements/{sha256}/table.npy")

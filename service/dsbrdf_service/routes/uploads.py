@@ -82,15 +82,17 @@ async def receive_upload(
 
 async def _receive_merl(request: Request, incoming: Incoming) -> None:
     """Write and check the MERL file that is the body; a wrong length that is declared is refused by the first bytes."""
-    checker, length = MerlChecker(), request.headers.get("content-length", "")
-    is_known = length.isdecimal() and "content-encoding" not in request.headers
+    checker, declared = MerlChecker(), request.headers.get("content-length", "")
+    length = int(declared) if declared.isdecimal() and "content-encoding" not in request.headers else FILE_SIZE
 
     def write(piece: bytes) -> None:
-        _check_longest(incoming.size + len(piece))
-        checker.update(piece)
-        if is_known and checker.n_bytes >= HEADER_SIZE:
-            _check_longest(int(length))
-            check_length(int(length))
+        try:
+            checker.update(piece)
+            check_length(length)
+        except MeasurementFormatError as error:
+            if max(checker.n_bytes, length) > FILE_SIZE:
+                raise ProblemError("measurement-too-large", str(error)) from None
+            raise
         incoming.write(piece)
 
     async for piece in _pieces(request):
@@ -132,12 +134,3 @@ async def _pieces(request: Request) -> AsyncIterator[bytes]:
             yield bytes(piece)
             piece, enough = bytearray(), _PIECE
     yield bytes(piece)
-
-
-def _check_longest(n_bytes: int) -> None:
-    """Raise ProblemError, with the library's sentence, if a MERL file would be too long."""
-    if n_bytes > FILE_SIZE:
-        try:
-            check_length(n_bytes)
-        except MeasurementFormatError as error:
-            raise ProblemError("measurement-too-large", str(error)) from None

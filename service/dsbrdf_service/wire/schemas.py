@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, computed_field
 
+from dsbrdf.engines.engine import Fault
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.output.report_text import likeness
 from dsbrdf.output.table_summary import ANGLE_NAMES
@@ -30,21 +31,6 @@ class Problem(BaseModel):
     status: int
     detail: Annotated[str, Field(description="One sentence: what is wrong and what would be right.")]
     instance: str
-
-
-class FitFault(BaseModel):
-    """Why a fit failed."""
-
-    origin: Annotated[
-        Literal["input", "compute", "system"],
-        Field(
-            description="`input`: the measurement or the options do not allow a fit. `compute`: the computation broke "
-            "or met its time or memory limit. `system`: its process was lost. The same request runs again unless the "
-            "origin is `input`."
-        ),
-    ]
-    type: str
-    message: str
 
 
 class ComponentLobe(BaseModel):
@@ -107,7 +93,7 @@ class FitSummary(BaseModel):
     measurement: Annotated[str, Field(pattern=SHA256)]
     options: Options
     metrics: Metrics | None
-    error: FitFault | None
+    error: Annotated[Fault | None, Field(description="The same request runs again unless `origin` is `input`.")]
     created: datetime
     started: datetime | None
     finished: datetime | None

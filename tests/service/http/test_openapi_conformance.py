@@ -88,7 +88,7 @@ include-operation-id = [
 checks.positive_data_acceptance.expected-statuses = ["2xx", "400", "404", "422"]
 
 [[operations]]
-include-operation-id = ["light_fit_by_panorama", "light_measurement_by_panorama"]
+include-operation-id = ["draw_sphere_in_panorama", "draw_measurement_in_panorama"]
 checks.positive_data_acceptance.expected-statuses = ["2xx", "404", "422"]
 """
 # A .npy body is bytes, as that of any other file.

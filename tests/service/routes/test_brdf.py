@@ -175,33 +175,19 @@ def test_accept_chooses_the_kind_of_answer(server: Server, url: str, accept: str
     assert values.shape == (2, 3)
 
 
-def test_leading_white_space_of_a_batch_is_ignored(server: Server, url: str, model: dsbrdf.DSBRDF) -> None:
-    body = b" " * 200 + b'\n{ "omega_out": [[0, 0, 1]],\n "omega_in": [[0, 0, 1]] }'
-    answer = server.http.post(url, content=body, headers={"Content-Type": "application/json"})
-    assert answer.json()["values"] == [model.evaluate(0.0, 0.0).tolist()]
-
-
-@pytest.mark.parametrize("digits", [0, 15])
 def test_batch_has_a_hundred_thousand_points_however_many_bytes_they_take(
-    server: Server, url: str, model: dsbrdf.DSBRDF, digits: int
+    server: Server, url: str, model: dsbrdf.DSBRDF
 ) -> None:
-    omega_in, omega_out = pairs_of_directions(100_000) if digits else np.tile([0.0, 0.0, 1.0], (2, 100_000, 1))
-
-    def send(count: int, **kind: str) -> httpx.Response:
-        first, second = (np.resize(omega, (count, 3)) for omega in (omega_in, omega_out))
-        if kind:
-            return server.http.post(url, content=npy(np.stack([first, second], axis=1)), headers={**NPY_BOTH_WAYS})
-        document = {"omega_in": first.tolist(), "omega_out": second.tolist()}
-        return server.http.post(url, json=document, headers={"Accept": NPY})
-
-    for kind in ({}, {"as": NPY}):
-        values = np.load(io.BytesIO(send(100_000, **kind).content))
-        np.testing.assert_array_equal(values[::999], model.evaluate_directions(omega_in[::999], omega_out[::999]))
-        assert "100001 points" in assert_problem(send(100_001, **kind), 413, "too-large")
-    short = json.dumps(dict.fromkeys(("theta_half_deg", "theta_diff_deg"), [1] * 600_000), separators=(",", ":"))
-    assert "600000 points" in assert_problem(
-        server.http.post(url, content=short, headers={"Content-Type": "application/json"}), 413, "too-large"
+    omega_in, omega_out = pairs_of_directions(100_000)
+    answer = server.http.post(
+        url, json={"omega_in": omega_in.tolist(), "omega_out": omega_out.tolist()}, headers={"Accept": NPY}
     )
+    values = np.load(io.BytesIO(answer.content))
+    np.testing.assert_array_equal(values[::999], model.evaluate_directions(omega_in[::999], omega_out[::999]))
+    short = json.dumps(dict.fromkeys(("theta_half_deg", "theta_diff_deg"), [1] * 100_001), separators=(",", ":"))
+    for content, media_type in ((short.encode(), "application/json"), (npy(np.ones((100_001, 2))), NPY)):
+        answer = server.http.post(url, content=content, headers={"Content-Type": media_type})
+        assert "100001 points" in assert_problem(answer, 413, "too-large")
 
 
 @pytest.mark.parametrize(
@@ -227,15 +213,7 @@ def test_batch_has_a_hundred_thousand_points_however_many_bytes_they_take(
         ("omega_in=0,0,1&omega_out=0,1", ["omega_out", "at least 3 items"]),
         ("omega_in=a,b,c&omega_out=0,0,1", ["omega_in.0.0", "'a'"]),
         ("omega_in=0,0,1.1&omega_out=0,0,1", ["omega_in", "unit"]),
-        ("phi_diff_deg=1&omega_in=0,0,1&omega_out=0,0,1", ["theta_diff_deg is missing", "omega_in is not known here"]),
-        ("phi_diff_deg=1&theta_half_deg=1", ["theta_diff_deg is missing"]),
-        (
-            "&".join(["theta_half_deg=1"] * 3 + ["theta_diff_deg=1", "phi_diff_deg=1", "phi_diff_deg=2"]),
-            ["2 values of phi_diff_deg"],
-        ),
         ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=nan", ["phi_diff_deg", "finite"]),
-        ("theta_half_deg=1&theta_diff_deg=1&phi_diff_deg=x", ["phi_diff_deg", "'x'"]),
-        ("omega_in=nan,0,1&omega_out=0,0,1", ["omega_in", "'nan'"]),
     ],
 )
 def test_invalid_points_are_named(server: Server, fitted: str, query: str, words: Sequence[str]) -> None:
@@ -249,15 +227,11 @@ def bad_npy() -> dict[str, bytes]:
     good = npy(np.ones((3, 2)))
     huge = good.replace(b"(3, 2)", b"(9999999999, 2)"[:6])
     return {
-        "nothing": b"",
         "cut header": good[:40],
         "cut values": good[:-1],
         "one byte more": good + b"\0",
-        "version 3": good[:6] + b"\x03" + good[7:],
         "objects": npy(np.array([[{}, {}]], dtype=object)),
         "integers": npy(np.ones((3, 2), dtype=int)),
-        "text": npy(np.array([["1", "2"]])),
-        "records": npy(np.zeros(3, dtype=[("a", "f8"), ("b", "f8")])),
         "shape of a vector": npy(np.ones(6)),
         "four columns": npy(np.ones((3, 4))),
         "promises more": huge,
@@ -283,20 +257,13 @@ def test_invalid_npy_is_refused(server: Server, fitted: str, fault: str) -> None
     [
         b"",
         b"{}",
-        b'{"theta_half_deg": [1]}',
         b'{"theta_half_deg": [1, 2, 3], "theta_diff_deg": [1, 2]}',
-        b'{"theta_half_deg": [NaN], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": ["1"], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": [true], "theta_diff_deg": [1]}',
         b'{"omega_in": [["0", 0, 1]], "omega_out": [[0, 0, 1]]}',
         b'{"theta_half_deg": [91], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": true, "theta_diff_deg": [1]}',
-        b'{"theta_half_deg": "1", "theta_diff_deg": [1]}',
-        b'{"theta_half_deg": [1], "theta_diff_deg": [1, 2, 3], "phi_diff_deg": [1, 2]}',
-        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_diff_deg": ["1"]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_half_deg": [1]}',
-        b'{"theta_half_deg": [1], "theta_diff_deg": [1], "omega_in": [[0, 0, 1]], "omega_out": [[0, 0, 1]]}',
-        b'{"omega_in": [[0, 0, 1]], "omega_out": [[0, 0]]}',
         b'{"omega_in": [[0, 0, 1e999]], "omega_out": [[0, 0, 1]]}',
         b'{"theta_half_deg": ' + b"[" * 30_000,
     ],

@@ -194,17 +194,6 @@ def test_what_is_wrong_is_told_soon_and_nothing_is_stored(server: Server, bsdf: 
     assert sorted(server.files()) == before
 
 
-def test_a_long_body_without_a_length_is_refused_while_it_arrives(server: Server) -> None:
-    def pieces() -> object:
-        for _ in range(10_000):
-            yield b"#" * 100_000
-
-    before = sorted(server.files())
-    answer = server.http.post("/v1/measurements?name=a.csv", content=pieces())  # type: ignore[arg-type]
-    assert_problem(answer, 413, "measurement-too-large")
-    assert sorted(server.files()) == before
-
-
 def test_the_options_of_a_table_are_those_of_its_upload_and_its_fit(server: Server, table: bytes) -> None:
     odd = table.replace(b"blue", b"azure", 1) + b"0,0,1,0,0,1,-9,-9,-9\n"
     chosen = {"columns": "blue=azure", "missing": "-9", "scale": "0.5", "cosine": "out", "phi": "mirror"}

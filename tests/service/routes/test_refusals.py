@@ -9,8 +9,8 @@ from dsbrdf_service.http.responses import preferred_wait
 from tests.support.server import Server, assert_problem
 
 # Targets, in which {fit} is the path of a fit, and what the sentence has that refuses them.
-OF_LISTS = ["limit=0", "limit=201", "limit=x", "cursor=x", "cursor=-1", "cursor=99999999999999999999", "page=2"]
-OF_WAITS = ["wait=-1", "wait=x", "wait=nan", "wait=inf", "waiting=1"]
+OF_LISTS = ["limit=0", "limit=201", "limit=x", "cursor=-1", "cursor=99999999999999999999", "page=2"]
+OF_WAITS = ["wait=-1", "wait=nan", "wait=inf", "waiting=1"]
 TARGETS = [(f"/v1/fits?{query}", query.partition("=")[0]) for query in OF_LISTS]
 TARGETS += [(f"/v1/measurements?{query}", query.partition("=")[0]) for query in OF_LISTS]
 TARGETS += [(f"{{fit}}?{query}", "wait") for query in OF_WAITS]
