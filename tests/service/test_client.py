@@ -92,8 +92,6 @@ def test_client_sends_its_key_and_raises_what_was_refused(
         with pytest.raises(ServiceError, match="unfinished") as limited:
             client.submit(data)
         assert limited.value.problem["status"] == 429
-        with pytest.raises(ServiceError, match="There is no fit"):
-            client.get("0" * 32)
     monkeypatch.setenv("DSBRDF_KEY", key)
     with Client(url) as client:
         assert client.upload(data) == sha256

@@ -101,6 +101,10 @@ async def fit_key(caller: TheCaller, fit_id: FitId) -> FitKey:
 TheFit = Annotated[FitKey, Depends(fit_key)]
 
 
+async def _fit_row(context: TheContext, fit: TheFit) -> FitRow:
+    return await context.fit_row(fit)
+
+
 async def _loaded_fit(context: TheContext, fit: TheFit) -> LoadedFit:
     return await context.models.get(fit)
 
@@ -109,6 +113,7 @@ async def _measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -
     return await context.stored_measurement(caller.owner, sha256)
 
 
+TheRow = Annotated[FitRow, Depends(_fit_row)]
 TheLoadedFit = Annotated[LoadedFit, Depends(_loaded_fit)]
 TheMeasurement = Annotated[StoredMeasurement, Depends(_measurement)]
 

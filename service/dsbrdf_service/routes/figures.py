@@ -23,7 +23,7 @@ from ..jobs.steps import FIGURES, figure_step, samples_step, sphere_step, sphere
 from ..wire.fit_options import from_wire
 from ..wire.inputs import Label
 from ..wire.points import NPY, panorama_from_npy
-from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheFit, TheLoadedFit, TheMeasurement, TheOptions
+from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheLoadedFit, TheMeasurement, TheOptions, TheRow
 from .uploads import TABLE_PARAMETERS
 
 _Route = TypeVar("_Route", bound=Callable[..., Any])
@@ -117,14 +117,14 @@ async def draw_sphere(
 
 
 @_draws("/fits/{fit_id}/figures/spheres.png", "fit-not-finished")
-async def draw_spheres(draw: Draw, context: TheContext, key: TheFit, fit: TheLoadedFit, size: _Size = 128) -> Response:
+async def draw_spheres(draw: Draw, context: TheContext, fit: TheLoadedFit, row: TheRow, size: _Size = 128) -> Response:
     """Return one picture of spheres under three lights: measured, fit, their difference times 4, then each component.
 
     All have the exposure of the measurement; where none is stored on a grid, the first is the fit, with its own.
     """
     parts, stored = list(fit.decomposition), None
     try:
-        stored = await context.stored_measurement(key.owner, (await context.fit_row(key)).measurement)
+        stored = await context.stored_measurement(row.owner, row.measurement)
     except ProblemError as error:
         if error.kind != "not-found":  # it is deleted, or a table of samples
             raise
@@ -132,12 +132,12 @@ async def draw_spheres(draw: Draw, context: TheContext, key: TheFit, fit: TheLoa
 
 
 @_draws("/fits/{fit_id}/figures/thumbnail.png", "fit-not-finished")
-async def get_thumbnail(request: Request, context: TheContext, fit: TheFit) -> Response:
+async def get_thumbnail(request: Request, context: TheContext, row: TheRow) -> Response:
     """Return a small sphere under three lights: the fit, and on the left its measurement if that is on a grid.
 
     It is drawn with the fit, and kept as long as it.
     """
-    kept = await run_in_threadpool(context.store.thumbnail, fit)
+    kept = await run_in_threadpool(context.store.thumbnail, row.key)
     return tagged_reply(request, kept, _MEDIA_TYPES["png"])
 
 
@@ -159,8 +159,8 @@ async def draw_sphere_in_panorama(
 async def draw_figure(
     draw: Draw,
     context: TheContext,
-    key: TheFit,
     fit: TheLoadedFit,
+    row: TheRow,
     figure: _Figure,
     image_format: _ImageFormat,
     dark: Annotated[bool, Query(description="For a dark background.")] = False,
@@ -172,8 +172,7 @@ async def draw_figure(
     components' own lobes over theta_diff; `residual` the relative difference over theta_half and theta_diff.
     Of a table of samples, `profiles` and `residual` have the samples; there are no `components` and `lobes`.
     """
-    row = await context.fit_row(key)
-    stored = await context.stored_measurement(key.owner, row.measurement, row.name, "any")
+    stored = await context.stored_measurement(row.owner, row.measurement, row.name, "any")
     require("plot", "matplotlib", purpose="figures")
     return await draw(figure_step, figure, image_format, fit.model, stored, from_wire(row.options), dark, of=row.name)
 
@@ -221,8 +220,7 @@ async def get_samples(
 
 
 @_draws_npy("/fits/{fit_id}/samples.npy")
-async def get_fitted_samples(draw: Draw, context: TheContext, key: TheFit, most: _Most = 5000) -> Response:
+async def get_fitted_samples(draw: Draw, context: TheContext, row: TheRow, most: _Most = 5000) -> Response:
     """Return the same of the table of a fit, read with the options of the fit: values are those of the BRDF in 1/sr."""
-    row = await context.fit_row(key)
-    stored = await context.stored_measurement(key.owner, row.measurement, kind="samples")
+    stored = await context.stored_measurement(row.owner, row.measurement, kind="samples")
     return await draw(samples_step, stored, from_wire(row.options), most)

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterable
 from functools import partial
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
@@ -26,7 +26,7 @@ from ..wire import inputs, schemas
 from ..wire.fit_options import canonical, from_wire
 from ..wire.names import check_name, content_disposition
 from ..wire.points import JSON
-from .dependencies import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheOptions, name_of
+from .dependencies import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheOptions, TheRow, name_of
 from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLES, receive_upload
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
@@ -161,19 +161,18 @@ async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> sc
     },
 )
 async def export_fit(
-    request: Request, context: TheContext, fit: TheFit, wanted: Annotated[inputs.Export, Query()]
+    request: Request, context: TheContext, row: TheRow, wanted: Annotated[inputs.Export, Query()]
 ) -> Response:
     """Return the model, one component, or the layers of all components, for another program."""
-    loaded = await context.models.get(fit)
+    loaded = await context.models.get(row.key)
     check_shader_options(wanted.format, wanted.name, sampling=wanted.sampling)
     if wanted.component not in (None, LAYERS):
         check_holds_component(wanted.format)
-    row = await context.fit_row(fit)
-    name = "-".join(part for part in (row.name or fit.id, wanted.component) if part)
+    name = "-".join(part for part in (row.name or row.id, wanted.component) if part)
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
     headers["Content-Type"] = FORMATS[wanted.format].media_type
     model = loaded.decomposition.layers if wanted.component == LAYERS else loaded.part(wanted.component)
-    key, place = ("export", fit, *wanted.model_dump().values()), FORMATS[wanted.format].time
+    key, place = ("export", row.key, *wanted.model_dump().values()), FORMATS[wanted.format].time
     if place != "short":
         made = await context.computations.make_file(
             request, key, export_step, model, wanted.format, name, folder=context.store.blobs.temporary, place=place
@@ -182,12 +181,6 @@ async def export_fit(
     report = loaded.report if wanted.component is None else None
     export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
     return Response(await context.computations.run(request, key, export), 200, headers)
-
-
-async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
-    """Look the fit up before the stream begins, while the answer can still be 404."""
-    await context.fit_row(fit)
-    return fit
 
 
 @router.get(
@@ -199,11 +192,9 @@ async def _existing_fit(context: TheContext, fit: TheFit) -> FitKey:
         **openapi.problems("not-found"),
     },
 )
-async def follow_fit(
-    context: TheContext, caller: TheCaller, fit: Annotated[FitKey, Depends(_existing_fit)]
-) -> AsyncIterable[ServerSentEvent]:
+async def follow_fit(context: TheContext, caller: TheCaller, begin: TheRow) -> AsyncIterable[ServerSentEvent]:
     """Send an event at every step of a fit; the event's name is the fit's status, the last one tells its end."""
-    async for row in context.jobs.watch(fit):
+    async for row in context.jobs.watch(begin.key):
         if not context.keys.allows(caller):
             return
         event = schemas.from_row(schemas.FitSummary, row, progress=context.jobs.progress(row))

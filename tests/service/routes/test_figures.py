@@ -1,6 +1,7 @@
 """Pictures of fits are those of the library."""
 
 from io import BytesIO
+from typing import Any
 
 import httpx
 import numpy as np
@@ -11,10 +12,13 @@ from starlette.requests import Request
 
 import dsbrdf
 from dsbrdf.extras import MissingExtraError, require
+from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import sphere_normals
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
 from dsbrdf_service.http.problems import KINDS, problem_of
+from dsbrdf_service.wire.points import NPY
+from tests.support.points import npy
 from tests.support.server import QUICK, Server, assert_problem
 
 pytestmark = pytest.mark.slow
@@ -26,24 +30,29 @@ def assert_shows(answer: httpx.Response, expected: NDArray[np.float64]) -> None:
         assert np.abs(np.asarray(image) / 255.0 - expected).max() < 0.003
 
 
-@pytest.mark.parametrize("component", [None, "diffuse"])
-def test_a_sphere_is_drawn_with_the_exposure_of_the_fit(
-    server: Server, fitted: str, model: dsbrdf.DSBRDF, component: str | None
+def test_a_sphere_is_that_of_the_library_as_a_picture_and_as_radiance_in_any_light(
+    server: Server, fitted: str, stored: str, model: dsbrdf.DSBRDF, plastic: dsbrdf.Measurement
 ) -> None:
-    query = {"size": "32", "lighting": "environment"} | ({} if component is None else {"component": component})
-    answer = server.http.get(f"/v1/fits/{fitted}/figures/sphere.png", params=query)
-    shown = model if component is None else dsbrdf.decompose(model)[component]
-    whole, part = (dsbrdf.render_sphere(one, lighting="environment", size=32) for one in (model, shown))
-    assert_shows(answer, displayed(part, exposure(whole, sphere_normals(32)[1])))
-
-
-def test_the_sphere_of_a_measurement_has_its_own_exposure(
-    server: Server, stored: str, plastic: dsbrdf.Measurement
-) -> None:
-    url = f"/v1/measurements/{stored}/figures/sphere.png"
-    answer = server.http.get(url, params={"size": "32"})
-    picture = dsbrdf.render_sphere(plastic, size=32)
-    assert_shows(answer, displayed(picture, exposure(picture, sphere_normals(32)[1])))
+    light = np.random.default_rng(3).uniform(0.0, 2.0, (16, 32, 3)).astype(np.float32)
+    around = EnvironmentMap.from_pixels(light)
+    of_fit, of_measurement = f"/v1/fits/{fitted}/figures", f"/v1/measurements/{stored}/figures"
+    mask = sphere_normals(24)[1]
+    for figures, query, whole, part in (
+        (of_fit, {}, model, model),
+        (of_fit, {"component": "diffuse"}, model, dsbrdf.decompose(model)["diffuse"]),
+        (of_measurement, {}, plastic, plastic),
+    ):
+        for lighting in ("three_lights", "environment", around):
+            asked: dict[str, Any] = {"method": "POST", "content": npy(light), "headers": {"Content-Type": NPY}}
+            if isinstance(lighting, str):
+                asked = {"method": "GET", "params": {"lighting": lighting}}
+            asked["params"] = {"size": "24", **query, **asked.get("params", {})}
+            image, exposed = (dsbrdf.render_sphere(shown, lighting=lighting, size=24) for shown in (part, whole))
+            radiance = server.http.request(url=f"{figures}/sphere.npy", **asked)
+            assert radiance.headers["content-type"] == NPY
+            assert np.load(BytesIO(radiance.content)) == pytest.approx(image, rel=1e-5, abs=1e-7)
+            picture = server.http.request(url=f"{figures}/sphere.png", **asked)
+            assert_shows(picture, displayed(image, exposure(exposed, mask)))
     assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/figures/sphere.png"), 404, "not-found")
 
 

@@ -27,11 +27,6 @@ def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, s
     assert again.headers["location"] == url
 
 
-def test_a_part_of_a_measurement_is_not_to_be_had(server: Server, data: bytes, stored: str) -> None:
-    answer = server.http.get(f"/v1/measurements/{stored}", headers={"Range": "bytes=0-11"})
-    assert (answer.status_code, answer.content) == (200, data)
-
-
 def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, matte: dsbrdf.Measurement) -> None:
     sha256 = server.http.post("/v1/measurements", content=encode_merl(matte)).json()["sha256"]
     url = f"/v1/measurements/{sha256}"

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import dsbrdf
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import parse_merl
-from dsbrdf.model.environment import EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json
@@ -119,26 +117,6 @@ def test_thumbnail_is_the_fit_and_on_the_left_its_measurement(server: Server, da
     mask = sphere_normals(size)[1]
     expected = displayed(np.hstack([measured[:, :half], fitted[:, half:]]), exposure(fitted, mask))
     np.testing.assert_allclose(shown[mask], expected[mask], atol=0.51 / 255)
-
-
-def test_radiance_is_that_of_the_library(
-    server: Server, fitted: str, stored: str, model: dsbrdf.DSBRDF, data: bytes
-) -> None:
-    measurement = parse_merl(data)
-    diffuse = dsbrdf.decompose(model)["diffuse"]
-    light = np.random.default_rng(3).uniform(0.0, 2.0, (16, 32, 3)).astype(np.float32)
-    around = EnvironmentMap.from_pixels(light)
-    for path, shown in (
-        (f"/v1/fits/{fitted}/figures/sphere.npy?size=24", model),
-        (f"/v1/fits/{fitted}/figures/sphere.npy?size=24&component=diffuse", diffuse),
-        (f"/v1/measurements/{stored}/figures/sphere.npy?size=24", measurement),
-    ):
-        for lighting in ("three_lights", "environment"):
-            expected = render_sphere(shown, lighting=lighting, size=24)
-            found = array(server.http.get(f"{path}&lighting={lighting}"))
-            assert found == pytest.approx(expected, rel=1e-5, abs=1e-7)
-        found = array(server.http.post(path, content=npy(light), headers=NPY))
-        assert found == pytest.approx(render_sphere(shown, lighting=around, size=24), rel=1e-5, abs=1e-7)
 
 
 @pytest.mark.parametrize(
