@@ -48,11 +48,14 @@ _ImageFormat = Annotated[Literal["png", "svg"], Path(description="`png` or `svg`
 
 
 def _draws(
-    path: str, *problems: str, formats: tuple[str, ...] = ("png",), method: str = "GET", **declared: Any
+    path: str, *problems: str, formats: tuple[str, ...] = ("png",), **declared: Any
 ) -> Callable[[_Route], _Route]:
     """Return the decorator of a route that answers with what it draws, in one of these formats."""
+    kinds, method = ("not-found", "measurement-damaged", *problems), "GET"
+    if "requestBody" in declared:
+        kinds, method = (*kinds, "too-large", *openapi.BODY_PROBLEMS), "POST"
     content = {_MEDIA_TYPES[name]: openapi.file(_MEDIA_TYPES[name]) for name in formats}
-    responses = openapi.NOT_MODIFIED | openapi.problems("not-found", "measurement-damaged", *problems)
+    responses = openapi.NOT_MODIFIED | openapi.problems(*kinds)
     responses[200] = {"description": "What is drawn.", "content": content}
     about: dict[str, Any] = {"response_class": Response, "responses": responses, "openapi_extra": declared}
     return router.api_route(path, methods=[method], **about)
@@ -60,12 +63,7 @@ def _draws(
 
 _draws_npy = partial(_draws, formats=("npy",))
 _draws_sphere = partial(_draws, formats=("png", "npy"))
-_draws_by_panorama = partial(
-    _draws_sphere,
-    method="POST",
-    **openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {NPY: openapi.file(NPY)}),
-)
-_OF_PANORAMA = ("too-large", *openapi.BODY_PROBLEMS)
+_PANORAMA = openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {NPY: openapi.file(NPY)})
 
 
 class _Drawing:
@@ -141,7 +139,7 @@ async def get_thumbnail(request: Request, context: TheContext, row: TheRow) -> R
     return tagged_reply(request, kept, _MEDIA_TYPES["png"])
 
 
-@_draws_by_panorama("/fits/{fit_id}/figures/sphere.{file_format}", "fit-not-finished", *_OF_PANORAMA)
+@_draws_sphere("/fits/{fit_id}/figures/sphere.{file_format}", "fit-not-finished", **_PANORAMA)
 async def draw_sphere_in_panorama(
     draw: Draw,
     fit: TheLoadedFit,
@@ -189,7 +187,7 @@ async def draw_measurement(
     return await draw(sphere_step, file_format, stored, stored, lighting, size)
 
 
-@_draws_by_panorama("/measurements/{sha256}/figures/sphere.{file_format}", *_OF_PANORAMA)
+@_draws_sphere("/measurements/{sha256}/figures/sphere.{file_format}", **_PANORAMA)
 async def draw_measurement_in_panorama(
     draw: Draw, stored: TheMeasurement, file_format: _SphereFormat, panorama: _Panorama, size: _Size = 128
 ) -> Response:

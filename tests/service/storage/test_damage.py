@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from dsbrdf_service.client import Client
-from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
 pytestmark = pytest.mark.slow
