@@ -177,7 +177,7 @@ async def export_fit(
         made = await context.computations.make_file(
             request, key, export_step, model, wanted.format, name, folder=context.store.blobs.temporary, place=place
         )
-        return OpenFileResponse(made, headers)
+        return OpenFileResponse(made.descriptor, made, headers)
     report = loaded.report if wanted.component is None else None
     export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
     return Response(await context.computations.run(request, key, export), 200, headers)

@@ -124,7 +124,8 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     try:
         suffix = ".binary" if row.on_grid else await run_in_threadpool(table_suffix, path)
         headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
-        return OpenFileResponse(MadeFile(os.open(path, os.O_RDONLY)), headers | {"Content-Type": BINARY})
+        file = MadeFile(os.open(path, os.O_RDONLY))
+        return OpenFileResponse(file.descriptor, file, headers | {"Content-Type": BINARY})
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
 
