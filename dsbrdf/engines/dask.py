@@ -22,7 +22,7 @@ from typing import Any
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.engines.engine import NO_LIMITS, Fault, FitLimits, FitTask, OnProgress, Outcome, rising
+from dsbrdf.engines.engine import NO_LIMITS, Fault, FitLimits, FitTask, OnProgress, Outcome
 from dsbrdf.engines.fork_server import start_fork_server
 from dsbrdf.engines.local import document_of, fit_quietly, measurement_of
 from dsbrdf.engines.processes import Processes
@@ -34,7 +34,6 @@ from dsbrdf.version import versions
 
 _TOPIC = "dsbrdf-progress"  # of Dask's, to which workers send the progress of a fit: {its key: its share}
 # Times in seconds.
-_PROGRESS_INTERVAL = 0.5  # between two messages of a fit; each costs time on three machines
 _POLL_INTERVAL = 0.1  # between two looks of a worker at whether its fit is wanted
 _LOOK_INTERVAL = 0.5  # between two looks at the cluster
 _TIMEOUT = 2.5  # for the scheduler to answer
@@ -141,11 +140,11 @@ async def _fit(
         async with _cluster(scheduler) as (client, workers):
             fit = client.submit(fit_on_worker, reduced, options, limits, workers=[*workers], retries=3, pure=False)
             client.subscribe_topic(_TOPIC, lambda event: on_progress(event[1].get(fit.key, 0.0)))
-            answer, seen = asyncio.create_task(_answer(fit)), time.monotonic()
-            while not answer.done() and time.monotonic() - seen < _LOST_TIMEOUT:
-                await asyncio.wait([answer], timeout=_LOOK_INTERVAL)
-                if workers & (await client.scheduler.identity(n_workers=-1))["workers"].keys():
-                    seen = time.monotonic()
+            answer = asyncio.create_task(_answer(fit))
+            while not (await asyncio.wait([answer], timeout=_LOOK_INTERVAL))[0]:
+                if not workers & (await client.scheduler.identity(n_workers=-1))["workers"].keys():
+                    await asyncio.wait([answer], timeout=_LOST_TIMEOUT)
+                    break
             return answer.result() if answer.done() else None
     except (CancelledError, OSError) as error:
         logger.info("a fit is sent again: %r", error)
@@ -195,13 +194,12 @@ def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, lim
         state = worker.state.tasks.get(key)
         return state is None or state.state != "executing" or worker.status in (Status.closing, Status.closed)
 
-    on_progress = rising(lambda share: worker.log_event(_TOPIC, {key: share}), _PROGRESS_INTERVAL)
     memory: int | None = worker.memory_manager.memory_limit
     if memory is not None:  # the fit's share of it: all threads of the worker use it
         share = memory // worker.state.nthreads >> 20
         limits = replace(limits, memory_mb=share if limits.memory_mb is None else min(share, limits.memory_mb))
     with closing(Processes(1, limits)) as here:
-        fit = here.call(fit_quietly, reduced, options, on_progress=on_progress)
+        fit = here.call(fit_quietly, reduced, options, on_progress=lambda share: worker.log_event(_TOPIC, {key: share}))
         while not wait([fit], _POLL_INTERVAL).done:
             if stopped():
                 fit.cancel()

@@ -8,7 +8,6 @@ does not affect the others, and no process outlives its engine.
 import errno
 import logging
 import math
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -91,20 +90,6 @@ class Engine(Protocol):
 
     def close(self) -> None:
         """Stop all fits, and return when their processes have ended."""
-
-
-def rising(on_progress: OnProgress, seconds: float) -> OnProgress:
-    """Return a function that passes on shares which rise, one at most in so many seconds; the last, 1, always."""
-    last, then = 0.0, -math.inf
-
-    def filtered(share: float) -> None:
-        nonlocal last, then
-        now = time.monotonic()
-        if share > last and (now - then >= seconds or share >= 1.0):
-            last, then = float(share), now
-            on_progress(last)
-
-    return filtered
 
 
 def run_step(step: Callable[..., Any], *arguments: Any) -> Any:

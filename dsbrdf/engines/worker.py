@@ -5,15 +5,18 @@ happens.
 """
 
 import logging
+import math
 import mmap
 import os
 import pickle  # nosec B403
 import signal
 import socket
+import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from dsbrdf.engines.engine import FitLimits, rising, run_step
+from dsbrdf.engines.engine import FitLimits, OnProgress, run_step
 from dsbrdf.process_settings import end_with_parent, keep_freed_memory, reserve_blas_memory
 
 try:
@@ -24,7 +27,7 @@ except ImportError:  # pragma: no cover (no such limits outside POSIX)
 OUT_OF_MEMORY = 75
 """Exit code of a process that could not send its outcome."""
 
-_PROGRESS_INTERVAL = 0.1  # seconds between two messages of progress, at least
+_PROGRESS_INTERVAL = 0.25  # seconds between two messages of progress, at least
 _LEAST_MEMORY = 4 << 20  # bytes without which a step is not begun
 
 
@@ -38,12 +41,26 @@ def run_in_worker(pipe: socket.socket, limits: FitLimits, step: Callable[..., An
     try:
         _prepare(limits)
         logging.basicConfig(handlers=[_LogToParent(send)], level=logging.INFO, force=True)
-        send("outcome", run_step(step, *arguments, rising(lambda share: send("progress", share), _PROGRESS_INTERVAL)))
+        send("outcome", run_step(step, *arguments, _rising(partial(send, "progress"))))
     except (MemoryError, RuntimeError) as error:  # there is not even enough to begin, or to send the outcome
         limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
         if isinstance(error, MemoryError) or limited:  # else a thread is refused for another reason
             os._exit(OUT_OF_MEMORY)
         raise
+
+
+def _rising(on_progress: OnProgress) -> OnProgress:
+    """Return a function that passes on shares which rise, of those that come soon after another only the last, 1."""
+    last, then = 0.0, -math.inf
+
+    def filtered(share: float) -> None:
+        nonlocal last, then
+        now = time.monotonic()
+        if share > last and (now - then >= _PROGRESS_INTERVAL or share >= 1.0):
+            last, then = float(share), now
+            on_progress(last)
+
+    return filtered
 
 
 def _prepare(limits: FitLimits) -> None:
