@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg.blas import dsymv as symv
 from scipy.linalg.lapack import dgesv as gesv
 from scipy.linalg.lapack import dpotrf as potrf
-from scipy.linalg.lapack import dpotrs as potrs
+from scipy.linalg.lapack import dtrtrs as trtrs
 
 from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
@@ -89,11 +89,11 @@ class FitData:
 
     @cached_property
     def rows(self) -> tuple[Array, Array]:
-        """Values and square roots of their weights, row by row, shape (R, 3, N * P)."""
+        """Values and their weights, row by row, shape (R, 3, N * P)."""
         mean, weight = (
             part.transpose(1, 0, 2, 3).reshape(len(self.theta_diff), 3, -1) for part in (self.mean, self.weight)
         )
-        return mean, np.sqrt(weight)
+        return mean, weight
 
     @cached_property
     def squared_tangents(self) -> tuple[Array, Array]:
@@ -104,8 +104,9 @@ class FitData:
     @cached_property
     def slices(self) -> list[slice]:
         """The rows, so few at a time that what is found of them stays in a processor's cache."""
-        size = max(1, _SAMPLES_AT_ONCE // self.cos2_phi[0].size)
-        return [slice(start, start + size) for start in range(0, len(self.theta_diff), size)]
+        count = len(self.theta_diff)
+        size = -(-count // max(1, round(self.cos2_phi.size / _SAMPLES_AT_ONCE)))
+        return [slice(start, start + size) for start in range(0, count, size)]
 
     @cached_property
     def blocks(self) -> list["Block"]:
@@ -125,7 +126,7 @@ class Block:
 
     rows: slice  # which of all rows
     mean: Array  # (r, 3, n)
-    root: Array  # square root of the weight, (r, 3, n)
+    weight: Array  # (r, 3, n)
     along: Array  # tan(theta_half)**2 cos(phi_diff)**2, (r, 1, n)
     across: Array  # tan(theta_half)**2 sin(phi_diff)**2, (r, 1, n)
 
@@ -150,6 +151,11 @@ class MixtureProblem:
     ) -> None:
         self.data, self.structure, self._prior = data, structure, prior
         self.bases = structure.bases(data.theta_diff)
+        self._pairs = {
+            (i, j): (self.bases[i][:, :, None] * self.bases[j][:, None, :]).reshape(len(data.theta_diff), -1).T
+            for i in range(3)
+            for j in range(i + 1)
+        }
         self._log_cos = log_cosine(data.theta_diff)[:, None, None]
         self._pulls = [
             data.signal * share * roughness(basis.shape[1]) for basis, share in zip(self.bases, smoothing, strict=True)
@@ -183,28 +189,28 @@ class MixtureProblem:
             curves, kinds = self._lobes(parameters, block.rows, block.along, block.across)
             residual = parameters[0][block.rows] @ curves
             residual -= block.mean
-            residual *= block.root
-            cost += float(np.vdot(residual, residual))
+            cost += float(np.vdot(residual, residual * block.weight))
             parts.append((block, curves, kinds, residual))
         return Evaluation(unknowns, cost, parameters[0], parts, pull)
 
     def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
         """Lower triangle of the Gauss-Newton matrix (U, U), and half the gradient (U,) of the cost."""
-        k, n_rows, count = self.structure.n_lobes, len(at.amplitude), self._lobe_of.size
-        products, slopes = np.empty((n_rows, 3, count, count)), np.empty((n_rows, 3, count, 1))
+        k, count = self.structure.n_lobes, self._lobe_of.size
+        products = np.empty((len(at.amplitude), 3, count, count + 1))
         for block, curves, kinds, residual in at.parts:
-            columns = [(slice(0, k), curves), *(column for kind in kinds for column in self._slopes(block, kind))]
-            weighted = np.empty((len(curves), count, curves.shape[2]))
+            columns = np.empty((len(curves), count + 1, curves.shape[2]))  # derivatives, then the residual
+            columns[:, :k] = curves
+            for place, values in (column for kind in kinds for column in self._slopes(block, kind)):
+                columns[:, place] = values
             for channel in range(3):
-                root = block.root[:, channel, None]
-                for place, values in columns:
-                    np.multiply(values, root, out=weighted[:, place])
-                np.matmul(weighted, weighted.transpose(0, 2, 1), out=products[block.rows, channel])
-                np.matmul(weighted, residual[:, channel, :, None], out=slopes[block.rows, channel])
+                columns[:, count] = residual[:, channel]
+                weighted = columns[:, :count] * block.weight[:, channel, None]
+                np.matmul(weighted, columns.transpose(0, 2, 1), out=products[block.rows, channel])
         scale = at.amplitude[:, :, self._lobe_of]
         products *= scale[..., None]
-        products *= scale[..., None, :]
-        matrix, gradient = self._assemble(products, slopes[..., 0] * scale)
+        slopes = products[..., count].copy()
+        products = products[..., :count] * scale[..., None, :]
+        matrix, gradient = self._assemble(products, slopes)
         self.structure.chain(at.unknowns, matrix, gradient)
         for part, pull in zip(self.structure.parts, self._pulls, strict=True):
             square = matrix[part, part].reshape(len(pull), -1, len(pull), (part.stop - part.start) // len(pull))
@@ -218,7 +224,7 @@ class MixtureProblem:
         k, first = self.structure.n_lobes, self.structure.parts[0]
         q = 2 * k + self.structure.n_rings
         matrix = np.zeros((self.structure.n_unknowns, self.structure.n_unknowns))
-        own = _spread(self.bases[0], self.bases[0], products[:, :, :k, :k])
+        own = self._spread(0, 0, products[:, :, :k, :k])
         into = matrix[first, first].reshape(len(own), 3, k, len(own), 3, k)
         for channel in range(3):
             into[:, channel, :, :, channel] = own[:, :, channel].transpose(0, 2, 1, 3)
@@ -231,11 +237,16 @@ class MixtureProblem:
             (2, 1, shared[:, q:, :q]),
             (2, 2, shared[:, q:, q:]),
         ):
-            spread = _spread(self.bases[i], self.bases[j], block).transpose(0, 2, 1, 3)
+            spread = self._spread(i, j, block).transpose(0, 2, 1, 3)
             matrix[self.structure.parts[i], self.structure.parts[j]].reshape(spread.shape)[...] = spread
         by_shared = slopes[:, :, k:].sum(axis=1)
         rows = slopes[:, :, :k].reshape(len(slopes), -1), by_shared[:, :q], by_shared[:, q:]
         return matrix, np.concatenate([(basis.T @ part).ravel() for basis, part in zip(self.bases, rows, strict=True)])
+
+    def _spread(self, i: int, j: int, blocks: Array) -> Array:
+        """Sum over rows of first basis x second basis x block, shape (D, E, ...) for blocks (R, ...)."""
+        spread = self._pairs[i, j] @ blocks.reshape(len(blocks), -1)
+        return spread.reshape(self.bases[i].shape[1], self.bases[j].shape[1], *blocks.shape[1:])
 
     def _pull(self, off: Array) -> Array:
         """Half the gradient of the cost of smoothing and prior, at a distance from the prior's target."""
@@ -292,7 +303,7 @@ class Evaluation:
     unknowns: Array  # (U,)
     cost: float  # weighted squared error plus the pull towards smooth parameters
     amplitude: Array  # (R, 3, K)
-    parts: list[tuple[Block, Array, list[_Kind], Array]]  # of each block lobes (r, K, n), weighted residual (r, 3, n)
+    parts: list[tuple[Block, Array, list[_Kind], Array]]  # of each block lobes (r, K, n) and residual (r, 3, n)
     pull: Array  # half the gradient of the pull (U,)
 
 
@@ -321,21 +332,22 @@ def minimize(
     `on_iteration` is called with the number of each. The unknowns that are `fixed` keep the value they start from.
     """
     at = problem.evaluate(problem.structure.limit(start))
-    matrix, gradient = problem.linearize(at)
-    damping, growth, stalled = _FIRST_DAMPING, 2.0, 0
+    damping, growth, stalled, is_new = _FIRST_DAMPING, 2.0, 0, True
     for number in range(1, iterations + 1):
         if on_iteration is not None:
             on_iteration(number)
+        if is_new:
+            matrix, gradient = problem.linearize(at)
         step = _step(problem.structure, at.unknowns, matrix, gradient, damping, fixed)
         predicted = -float(2.0 * gradient @ step + step @ symv(1.0, matrix.T, step))
         proposed = problem.evaluate(at.unknowns + step) if predicted > 0.0 else at
         gain = (at.cost - proposed.cost) / predicted if predicted > 0.0 else -1.0
-        if gain > 0.0:
+        is_new = gain > 0.0
+        if is_new:
             stalled = stalled + 1 if at.cost - proposed.cost < tolerance * at.cost else 0
             at, damping, growth = proposed, damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
             if stalled >= _STALLED_STEPS:
                 return Solution(at.unknowns, at.cost, True, number)
-            matrix, gradient = problem.linearize(at)
         else:
             damping, growth = damping * growth, growth * 2.0
             if damping > _LARGEST_DAMPING:
@@ -371,25 +383,20 @@ def _step(
     factor, failed = potrf(damped.T, overwrite_a=True, clean=False)
     if failed:  # singular to rounding: no step, so that the damping grows
         return np.zeros_like(gradient)
-    solved = unlimited = potrs(factor, np.where(held, 0.0, -gradient))[0]
+    half = trtrs(factor, np.where(held, 0.0, -gradient), trans=1)[0]  # solved with the first of the two triangles
+    solved, places, columns = trtrs(factor, half)[0], np.zeros(0, np.intp), np.zeros((held.size, 0))
     stopped = np.zeros(held.size, bool)
     for _ in range(_LIMIT_PASSES):
         step = structure.limit(unknowns + np.minimum(np.maximum(solved, -_LARGEST_STEP), _LARGEST_STEP)) - unknowns
-        newly = ~stopped & ~held & (np.abs(step - solved) > _SMALLEST_CHANGE)
-        if not newly.any():
+        newly = np.flatnonzero(~stopped & ~held & (np.abs(step - solved) > _SMALLEST_CHANGE))
+        if not newly.size:
             break
-        stopped |= newly
-        places = np.flatnonzero(stopped)
-        columns = np.zeros((held.size, places.size), order="F")
-        columns[places, np.arange(places.size)] = 1.0
-        response = potrs(factor, columns, overwrite_b=True)[0]
-        solved = unlimited + response @ gesv(response[places], step[places] - unlimited[places])[2]
+        stopped[newly] = True
+        places = np.concatenate([places, newly])
+        unit = np.zeros((held.size, newly.size), order="F")
+        unit[newly, np.arange(newly.size)] = 1.0
+        columns = np.concatenate([columns, trtrs(factor, unit, trans=1, overwrite_b=True)[0]], axis=1)
+        force = gesv(columns.T @ columns, step[places] - columns.T @ half)[2]
+        solved = trtrs(factor, half + columns @ force)[0]
         solved[places] = step[places]  # to the last bit: an unknown at its bound stays there
     return step
-
-
-def _spread(first: Array, second: Array, blocks: Array) -> Array:
-    """Sum over rows of first x second x block, shape (D, E, ...) for blocks (R, ...)."""
-    outer = (first[:, :, None] * second[:, None, :]).reshape(len(first), -1)
-    spread = outer.T @ blocks.reshape(len(blocks), -1)
-    return spread.reshape(first.shape[1], second.shape[1], *blocks.shape[1:])

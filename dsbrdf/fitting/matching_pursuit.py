@@ -271,8 +271,8 @@ def _project(data: FitData, mixture: Mixture, dictionary: _Dictionary) -> tuple[
 
     There the amplitudes of these answer to it, row by row; beside it the amplitude (n, 3, R), where they stay.
     """
-    (mean, root), k = data.rows, mixture.structure.n_lobes
-    weight, others, residual = root**2, np.zeros((len(mean), 0, mean.shape[2])), mean
+    (mean, weight), k = data.rows, mixture.structure.n_lobes
+    root, others, residual = np.sqrt(weight), np.zeros((len(mean), 0, mean.shape[2])), mean
     if k:
         problem = MixtureProblem(data, mixture.structure)
         others = problem.curves(mixture.unknowns)

@@ -163,24 +163,21 @@ class Structure:
         Of the matrix, only the lower triangle counts.
         """
         shape, k, part = self.split(unknowns)[1], self.n_lobes, self.parts[1]
-        by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))[..., None]
+        size, kappa, ring = shape.shape[1], np.arange(k), np.arange(2 * k, shape.shape[1])
+        turn = np.zeros((len(shape), size, size))  # of one derivative by another, at each control value
+        turn[:, kappa, kappa] = turn[:, ring, ring] = 1.0
+        turn[:, kappa, k + kappa] = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))
+        turn[:, k + kappa, k + kappa] = -1.0
         reach, offset = self._of_rings(unknowns)
-        is_cusp = offset.min(initial=0.0) < 0.0
-        if is_cusp:
+        if offset.min(initial=0.0) < 0.0:
             limit, slope = self._cusp_limit(reach)
             saturation = np.minimum(offset, 0.0) / limit
-            by_offset = np.exp(saturation)[..., None]
-            by_reach = (slope * (np.expm1(saturation) - saturation * np.exp(saturation)))[..., None]
+            turn[:, ring, ring] = np.exp(saturation)
+            turn[:, ring - self.n_rings, ring] = slope * (np.expm1(saturation) - saturation * np.exp(saturation))
         rows = matrix[part, : part.stop].reshape(*shape.shape, -1)
         columns = matrix[part.start :, part].reshape(-1, *shape.shape).transpose(1, 2, 0)
         for found in (gradient[part].reshape(*shape.shape, 1), rows, columns):
-            by_log_reach = found[:, k : 2 * k]
-            found[:, :k] += by_kappa * by_log_reach
-            by_log_reach *= -1.0
-            if is_cusp:
-                by_center = found[:, 2 * k :]
-                by_log_reach[:, k - self.n_rings :] += by_reach * by_center
-                by_center *= by_offset
+            found[...] = turn @ found
 
     def _of_rings(self, unknowns: Array) -> tuple[Array, Array]:
         """Views on log reach and offset of the ring lobes, shape (S, rings) each."""
