@@ -24,7 +24,7 @@ from scipy.optimize import nnls
 from dsbrdf.arrays import Array
 from dsbrdf.fitting.layer_structures import STRUCTURES, LayerStructure
 from dsbrdf.model.layer_points import Points
-from dsbrdf.model.layers import LayeredModel, SpecularLayer
+from dsbrdf.model.layers import LayeredModel, Linearized, SpecularLayer
 
 TEMPERATURE = 4.0
 """Evidence by which a structure's weight falls to 1 / e."""
@@ -126,7 +126,7 @@ class _Descent:
 
     def __post_init__(self) -> None:
         self.unknowns = np.clip(self.unknowns, *self.structure.bounds)
-        self._linearize()
+        self._linearize(self._layers(self.unknowns))
 
     @property
     def prospect(self) -> float:
@@ -168,7 +168,8 @@ class _Descent:
             tried = self.unknowns.copy()
             tried[free] -= np.clip(move, -_LARGEST_STEP, _LARGEST_STEP)
             tried = np.clip(tried, lower, upper)
-            there = _cost(self._squared_error(tried), is_first=self.is_first) + self._penalty(tried)
+            layers = self._layers(tried)
+            there = _cost(self._squared_error(layers), is_first=self.is_first) + self._penalty(tried)
             if there < here:
                 break
             self.damping *= 5.0
@@ -178,29 +179,34 @@ class _Descent:
         self._stalled = self._stalled + 1 if here - there < _TOLERANCE else 0
         self.unknowns, self.damping = tried, max(self.damping / 4.0, 1e-5)
         self.done = not self.is_first and self._stalled >= _STALLED
-        self._linearize()
+        self._linearize(layers)
 
-    def _squared_error(self, unknowns: Array) -> float:
-        values = self.structure.model(unknowns).layer_values(self.data.points).sum(axis=0)
+    def _layers(self, unknowns: Array) -> list[Linearized]:
+        parts = zip(self.structure.layers, self.structure.slices, strict=True)
+        return [prior.kind.linearize(self.data.points, unknowns[part]) for prior, part in parts]
+
+    def _squared_error(self, layers: list[Linearized]) -> float:
+        values = sum(layer.values for layer in layers)
         return float(np.sum((values * self.data.root_weight - self.data.weighted) ** 2))
 
-    def _linearize(self) -> None:
+    def _linearize(self, layers: list[Linearized]) -> None:
         """Find C and its normal equations, which are those of each channel's own unknowns."""
-        parts = zip(self.structure.layers, self.structure.slices, strict=True)
-        layers = [prior.kind.linearize(self.data.points, self.unknowns[part]) for prior, part in parts]
         size = self.unknowns.size
         self._error, self._matrix, self._gradient = 0.0, np.zeros((size, size)), np.zeros(size)
         for channel, places in enumerate(self.structure.of_channel):
-            root, rows = self.data.root_weight[channel], []
+            rows = []
             for layer in layers:
                 rows.append(layer.own[channel][np.newaxis])
                 rows += [] if layer.grazing is None else [layer.grazing[np.newaxis]]
                 rows.append(layer.relative * layer.values[channel])
-            derivatives = np.concatenate(rows) * root
-            residual = sum(layer.values[channel] for layer in layers) * root - self.data.weighted[channel]
-            self._error += float(residual @ residual)
-            self._matrix[np.ix_(places, places)] += derivatives @ derivatives.T
-            self._gradient[places] += derivatives @ residual
+            rows.append(np.sum([layer.values[channel] for layer in layers], axis=0, keepdims=True))
+            columns = np.concatenate(rows)  # derivatives, then the residual
+            columns *= self.data.root_weight[channel]
+            columns[-1] -= self.data.weighted[channel]
+            products = columns[:-1] @ columns.T
+            self._error += float(columns[-1] @ columns[-1])
+            self._matrix[places[:, np.newaxis], places] += products[:, :-1]
+            self._gradient[places] += products[:, -1]
 
     def _system(self, *, is_first: bool) -> tuple[Array, Array]:
         """Half of the Hessian and of the gradient of the cost, about."""
