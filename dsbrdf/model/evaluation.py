@@ -79,19 +79,19 @@ class Evaluator:
         phi_diff = phi_diff[:1] if self._round else phi_diff
         amplitude, kappa, gamma, center, elongation = self.parameters(theta_diff)
         factors = _stretch(elongation.T[:, :, None], theta_diff[:, None], phi_diff)
+        values = np.empty((theta_diff.size, self._n_shapes, self._n_lobes, phi_diff.size))
         for angle in theta_half.tolist():
             squared = min(np.tan(angle), _LARGEST_TANGENT) ** 2
-            total = np.zeros((3, theta_diff.size, phi_diff.size))
             for lobe, factor in enumerate(factors):
                 at = squared * factor
                 for channel in range(self._n_shapes):
                     ring = center[:, channel, lobe, None] if self._is_ring[lobe] else None
-                    value = lobe_values(
+                    values[:, channel, lobe] = lobe_values(
                         at, kappa[:, channel, lobe, None], gamma[:, channel, lobe, None], ring, self._family
                     )
-                    into = slice(None) if self._n_shapes == 1 else slice(channel, channel + 1)
-                    total[into] += amplitude[:, into, lobe].T[..., None] * value
-            yield np.broadcast_to(total, shape)
+            # By channel: the same shapes for all of them, or each one's own.
+            total = amplitude.reshape(theta_diff.size, self._n_shapes, 3 // self._n_shapes, self._n_lobes) @ values
+            yield np.broadcast_to(total.reshape(theta_diff.size, 3, phi_diff.size).transpose(1, 0, 2), shape)
 
     def _fill(self, result: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> None:
         """Write the values of one block, piece by piece."""

@@ -42,7 +42,10 @@ def _power(log_power: Array) -> Array:
 
 def _log1p(number: Array, plus_one: Array) -> Array:
     """Logarithm of ``plus_one``, which is 1 + number but for its rounding; half as long as `numpy.log1p` takes."""
-    return np.log(plus_one) + (number - (plus_one - 1.0)) / plus_one
+    lost = number - (plus_one - 1.0)
+    lost /= plus_one
+    lost += np.log(plus_one)
+    return lost
 
 
 def _hemi_epd_fall(kappa: Array) -> Array:
@@ -61,14 +64,17 @@ def _hemi_epd_curve(square: Array, kappa: Array, gamma: Array, top: Array | None
         fall_to_top = per_log * np.log1p(top)
         fall -= fall_to_top
         largest = kappa * _power(fall_to_top)
-    exponent, scale = largest * _power(fall), 1.0 / np.expm1(largest)
+    exponent, scale = _power(fall), 1.0 / np.expm1(largest)
+    exponent *= largest
     grown = np.expm1(exponent)
     value = grown * scale
 
     def slopes() -> tuple[Array, Array, Array, Array]:
-        by_fall = (exponent * scale) * (grown + 1.0)
+        by_fall = exponent * scale
+        by_fall *= grown + 1.0
         per_value = largest * (scale + 1.0)
-        by_log_kappa = by_fall - value * per_value
+        by_log_kappa = value * -per_value
+        by_log_kappa += by_fall
         by_log_gamma, by_square = by_fall * fall, by_fall * (per_log / plus_one)
         if top is None:
             return by_log_kappa, by_log_gamma, by_square, np.zeros(())
