@@ -2,6 +2,7 @@
 
 import platform
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 
 __version__ = version("dsbrdf")
@@ -21,6 +22,7 @@ class Versions:
     python: str
 
 
+@cache
 def versions() -> Versions:
     """Return the versions of this process."""
     return Versions(
