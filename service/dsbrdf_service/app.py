@@ -4,13 +4,12 @@ import asyncio
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
+from functools import cache, partial
 
 from anyio import to_thread
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
-from starlette.types import ASGIApp
 
 import dsbrdf
 from dsbrdf.data.merl_validation import MerlChecker
@@ -49,21 +48,6 @@ problem documents; `Retry-After` says when asking again may help.
 Every answer names its request in `X-Request-ID`, as the service's log does. Answers with an `ETag` can be asked for
 again with `If-None-Match`; `Link` with `rel="next"` leads to the next page of a list.
 """
-
-
-class _Application(FastAPI):
-    """FastAPI with the service's middleware around everything, so that unexpected errors are logged and counted too."""
-
-    def openapi(self) -> dict[str, Any]:
-        """Return the OpenAPI document, made at the first use."""
-        if self.openapi_schema is None:
-            self.openapi_schema = openapi.document_of(self)
-        return self.openapi_schema
-
-    def build_middleware_stack(self) -> ASGIApp:
-        state = self.state
-        access = Access(state.settings, state.keys, state.metrics.requests_in_progress, is_open)
-        return RequestLogMiddleware(super().build_middleware_stack(), access, state.settings, state.metrics)
 
 
 @asynccontextmanager
@@ -107,7 +91,7 @@ def make_engine(settings: Settings) -> Engine:
 
 def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     """Return the application for `settings`, which closes the `store`; without one it can only say what it has."""
-    app = _Application(
+    app = FastAPI(
         title="dsbrdf",
         version=dsbrdf.__version__,
         description=_DESCRIPTION,
@@ -118,8 +102,11 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
         redirect_slashes=False,  # every resource has one path
         telemetry={"tracing": False, "metrics": False, "logs": False},  # the service has its own log and metrics
     )
-    app.state.settings, app.state.store = settings, store
-    app.state.metrics, app.state.keys = Metrics(), Keys(settings)
+    metrics, keys = Metrics(), Keys(settings)
+    app.state.settings, app.state.store, app.state.metrics, app.state.keys = settings, store, metrics, keys
+    app.openapi = cache(partial(openapi.document_of, app))  # type: ignore[method-assign]
+    access = Access(settings, keys, metrics.requests_in_progress, is_open)
+    app.add_middleware(RequestLogMiddleware, access=access, settings=settings, metrics=metrics)
     problems.install(app)
     # Routes are tried in this order, so the fast ones come first. They are the application's own: in routers that it
     # includes, each would be looked for twice.

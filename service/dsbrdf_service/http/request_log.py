@@ -41,7 +41,7 @@ logger = logging.getLogger(__name__)
 
 
 class RequestLogMiddleware:
-    """Pure ASGI middleware, around everything else of the application."""
+    """Pure ASGI middleware, around all that the application answers."""
 
     def __init__(self, app: ASGIApp, access: Access, settings: Settings, metrics: Metrics) -> None:
         self._app = app
