@@ -44,11 +44,6 @@ def worst_by_slice(found: DSBRDF, truth: DSBRDF) -> Array:
 
 
 @pytest.fixture(scope="module")
-def fitted(plastic: Measurement) -> FitResult:
-    return fit(plastic, paper())
-
-
-@pytest.fixture(scope="module")
 def one_lobe(plastic: Measurement) -> FitResult:
     """A fit that takes a fraction of the time."""
     return fit(plastic, paper(n_lobes=1))
@@ -98,9 +93,9 @@ def test_lobes_do_not_tower_over_the_data_where_they_are_not_fitted(plastic_prof
     assert np.any(result.report.knots.bounds_hit)
 
 
-def test_cutoff_decides_which_slices_have_data(plastic: Measurement, fitted: FitResult) -> None:
-    assert np.array(fitted.report.knots.fitted).tolist() == [[True] * 16 + [False] * 2] * 3  # 80 and 85 degrees
-    nearest = fitted.model
+def test_cutoff_decides_which_slices_have_data(plastic: Measurement, one_lobe: FitResult) -> None:
+    assert np.array(one_lobe.report.knots.fitted).tolist() == [[True] * 16 + [False] * 2] * 3  # 80 and 85 degrees
+    nearest = one_lobe.model
     assert nearest.kappa[:, 16:].tolist() == np.repeat(nearest.kappa[:, 15:16], 2, axis=1).tolist()
     assert nearest.gamma[:, 16:].tolist() == np.repeat(nearest.gamma[:, 15:16], 2, axis=1).tolist()
     everything = fit(plastic, paper(n_lobes=1, horizon_cutoff_deg=None))
