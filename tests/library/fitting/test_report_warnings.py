@@ -80,6 +80,8 @@ def test_split_that_is_open(data: Profiles) -> None:
         f"The split into specular and diffuse light is open: the diffuse part has {low:.0%} to 100% of the light. "
     )
     assert parts.structure in found
+    probable = max(parts.structures, key=lambda one: one.weight)
+    assert (parts.structure, parts.layers) == (probable.name, probable.model)
     assert not [*fit_warnings(lobe(80.0), data, CONVERGED, MODERATE)]
 
 
