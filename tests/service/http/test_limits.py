@@ -113,7 +113,7 @@ def follow_until_refused(stack: ExitStack, server: Server, path: str, headers: d
 
 
 def test_no_caller_can_take_all_places(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(require_keys="true", limit_concurrency="8", workers="1")
+    server = own_server(require_keys="true", limit_concurrency="8", workers="1", max_wait="0.5")
     alice, bob = (new_key(server, name)[1] for name in ("alice", "bob"))
     head = b"POST /v1/fits HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\nslow"
     with ExitStack() as stack:  # who has no key is refused at once, and takes no place with a slow body
@@ -124,6 +124,7 @@ def test_no_caller_can_take_all_places(own_server: Callable[..., Server], data: 
     wanted = {"measurement": sha256, "options": ENDLESS}
     begun = server.http.post("/v1/fits", json=wanted, headers={**alice, "Prefer": "respond-async"})
     path = f"/v1/fits/{begun.json()['id']}"
+    assert server.http.get(f"{path}?wait=600", headers=alice, timeout=60).json()["status"] in ("accepted", "running")
     with ExitStack() as stack:
         assert follow_until_refused(stack, server, path, alice) == 4
         refused = server.http.get("/v1/fits", headers=alice)

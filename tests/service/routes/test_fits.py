@@ -140,16 +140,17 @@ def test_fit_is_cancelled_with_its_process_or_deleted(server: Server, stored: st
         assert_problem(server.http.delete(url, params={"only": only}), 404, "not-found")
 
 
-def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, stored: str) -> None:
-    fit_id = server.submit(stored, n_lobes=1, em_iterations=6).json()["id"]
-    url = f"/v1/fits/{fit_id}"
-    points = {"theta_half_deg": 1, "theta_diff_deg": 1}
-    assert server.http.get(f"{url}/brdf", params=points).status_code == 200
-    deleted = server.http.delete(url)
-    assert (deleted.status_code, deleted.json()) == (200, {"id": fit_id, "status": "deleted"})
-    for gone in (server.http.get(url), server.http.delete(url), server.http.get(f"{url}/brdf", params=points)):
+def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, data: bytes) -> None:
+    def submit() -> httpx.Response:
+        return server.http.post("/v1/fits", params=QUICK | {"em_iterations": 6}, content=data)
+
+    url = submit().headers["location"]
+    points = f"{url}/brdf?theta_half_deg=1&theta_diff_deg=1"
+    assert server.http.get(points).status_code == 200
+    assert server.http.delete(url).json()["status"] == "deleted"
+    for gone in (server.http.get(url), server.http.delete(url), server.http.get(points)):
         assert_problem(gone, 404, "not-found")
-    assert server.submit(stored, n_lobes=1, em_iterations=6).status_code == 201
+    assert submit().status_code == 201
 
 
 def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> None:

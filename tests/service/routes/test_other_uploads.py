@@ -132,9 +132,9 @@ def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
     assert [len(file) for file in files] == [answer.json()["size"] for answer in places]
 
     headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
-    answer = server.http.post("/v1/fits", params=FEW_LOBES | {"name": "felt"}, content=table, headers=headers)
+    answer = server.http.post("/v1/fits", params=FEW_LOBES | {"name": "felt.csv"}, content=table, headers=headers)
     fit = answer.json()
-    assert fit["status"] == "succeeded", fit
+    assert (fit["status"], fit["name"]) == ("succeeded", "felt"), fit
     document = {"measurement": places[0].json()["sha256"], "options": {"n_lobes": 1, "ring_lobes": 0}}
     assert server.http.post("/v1/fits", json=document).json()["id"] == fit["id"]
     expected = dsbrdf.fit(parse_samples(table), n_lobes=1, ring_lobes=0)
