@@ -5,7 +5,6 @@ The Python client uses this module too: it needs neither FastAPI nor pydantic.
 
 import json
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import fields, replace
 from typing import Any
 
@@ -45,11 +44,7 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
 
     Raises InvalidArgumentError as `from_wire`.
     """
-
-    def value(text: str) -> Any:
-        return [_from_text(part) for part in text.split(",")] if "," in text else _from_text(text)
-
-    return from_wire({name: value(text) for name, text in items})
+    return from_wire({name: _from_text(text) for name, text in items})
 
 
 def canonical(options: FitOptions) -> dict[str, Any]:
@@ -69,10 +64,12 @@ def canonical(options: FitOptions) -> dict[str, Any]:
 
 
 def _from_text(text: str) -> Any:
-    """Return the JSON value that a text stands for; the text itself if it stands for none."""
-    with suppress(ValueError, RecursionError):
-        return json.loads("null" if text.lower() == "none" else text.lower())
-    return text
+    """Return the JSON value, or the list of values, that a text stands for; its parts if it stands for none."""
+    try:
+        values = json.loads(f"[{'null' if text.lower() == 'none' else text.lower()}]")
+    except (ValueError, RecursionError):
+        values = text.split(",")
+    return values[0] if len(values) == 1 else values
 
 
 def _whole(value: Any) -> Any:

@@ -77,6 +77,11 @@ def test_every_other_sphere_has_another_tag(server: Server, stored: str, fitted:
             *(f"{url}&{query}" for query in ("lighting=environment", *others)),
         ):
             assert server.http.get(other, headers=current).status_code == 200, other
+        url, sent = url.replace(".png", ".npy"), {"Content-Type": NPY}
+        lights = [npy(np.full((16, 32, 3), value)) for value in (1.0, 2.0)]
+        tag = server.http.post(url, content=lights[0], headers=sent).headers["etag"]
+        found = [server.http.post(url, content=light, headers={**sent, "If-None-Match": tag}) for light in lights]
+        assert [answer.status_code for answer in found] == [304, 200]
 
 
 def test_figures_are_drawn_and_names_are_no_formulas(server: Server, data: bytes) -> None:
