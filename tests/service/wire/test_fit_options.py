@@ -67,7 +67,7 @@ def test_whole_number_is_accepted_as_integer() -> None:
 @pytest.mark.parametrize(
     ("name", "text"),
     [("n_lobes", "1_0"), ("n_lobes", "٣"), ("robust", "1"), ("mask", "0x1"), ("mask", "nan"), ("mask", ""),
-     ("n_lobes", "9" * 5000)],
+     ("n_lobes", "9" * 5000), ("n_lobes", "[" * 8000)],
 )  # fmt: skip
 def test_query_options_in_other_notations_are_refused(name: str, text: str) -> None:
     with pytest.raises(InvalidArgumentError, match=name):
