@@ -5,7 +5,7 @@ The Python client uses this module too: it needs neither FastAPI nor pydantic.
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -49,18 +49,15 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
 
 def canonical(options: FitOptions) -> dict[str, Any]:
     """Return the wire form with the method's own choices filled in: options that give the same fit become equal."""
-    paper = options.method == "paper"
-    mask = options.mask if options.mask is not None else 1.0 if paper else 0.0
-    filled = replace(
-        options,
-        ring_lobes=0 if paper else options.ring_lobes,
-        knots_deg=None if options.knots_deg == _USUAL_KNOTS[options.variation] else options.knots_deg,
-        horizon_cutoff_deg=None if options.horizon_cutoff_deg == 90.0 else options.horizon_cutoff_deg,
-        mask=mask,
-        weighting=options.resolved_weighting,  # type: ignore[arg-type]  # one of the words that it may be
-        em_iterations=options.em_iterations if paper else FitOptions.em_iterations,
-    )
-    return to_wire(filled)
+    wire, paper = to_wire(options), options.method == "paper"
+    if wire["knots_deg"] == _USUAL_KNOTS[options.variation]:
+        wire["knots_deg"] = None
+    if wire["horizon_cutoff_deg"] == 90.0:
+        wire["horizon_cutoff_deg"] = None
+    if wire["mask"] is None:
+        wire["mask"] = 1.0 if paper else 0.0
+    wire["weighting"] = options.resolved_weighting
+    return wire | ({"ring_lobes": 0} if paper else {"em_iterations": DEFAULTS["em_iterations"]})
 
 
 def _from_text(text: str) -> Any:
@@ -77,5 +74,5 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-_USUAL_KNOTS = {name: tuple(np.rint(np.degrees(knots[0])).astype(int).tolist()) for name, knots in KNOTS.items()}
+_USUAL_KNOTS = {name: np.rint(np.degrees(knots[0])).astype(int).tolist() for name, knots in KNOTS.items()}
 DEFAULTS = to_wire(FitOptions())

@@ -1,5 +1,6 @@
 """The service's own description, and its health."""
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -87,6 +88,7 @@ def test_options_are_described_with_their_defaults(document: dict[str, Any]) -> 
         if parameter["in"] == "query" and parameter["name"] != "name"
     }
     assert set(described) == set(to_wire(FitOptions()))
+    assert '"type": "null"' not in json.dumps(document["paths"]["/v1/fits"]["post"]["parameters"])  # a query has none
     given = {name: found[1] for name, found in described.items() if found}
     assert set(described) - set(given) == {name for name, value in to_wire(FitOptions()).items() if value == []}
     assert from_query(given.items()) == FitOptions()
