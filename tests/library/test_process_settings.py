@@ -65,7 +65,9 @@ print(compute())
 
 def test_one_blas_thread_while_something_is_computed_and_as_many_as_before_afterwards() -> None:
     environment = os.environ | dict.fromkeys(ONE_BLAS_THREAD, "2")
-    found = subprocess.run([sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, check=True, timeout=60
+    )
     assert found.stdout.split("\n")[:-1] == ["[2]", "[1]", "[1]", "[2]"]
 
 

@@ -63,12 +63,16 @@ def fitted() -> FoundSurface:
 @pytest.mark.skipif(CHROMIUM is None, reason='"chromium" is not installed')
 def test_values_are_those_of_the_shaders_of_materialx(tmp_path: Path) -> None:
     pairs = pairs_of_directions(2000)
-    shader = generated_function(materialx_document(document_of(FoundSurface(COATED, {}, {}))))
-    (values,) = evaluate_glsl({"coated": ShaderCall(shader, "reflected(a, b)", *pairs)}, tmp_path).values()
-    expected = COATED.evaluate(*half_difference(*pairs))
-    error = np.abs(values - expected) / expected
-    assert np.max(error) < 1e-3
-    assert np.median(error) < 1e-5
+    surfaces = {"coated": COATED, "denser than its coat": replace(COATED, specular_ior=2.2, coat_weight=1.0)}
+    calls = {}
+    for name, surface in surfaces.items():
+        shader = generated_function(materialx_document(document_of(FoundSurface(surface, {}, {}))))
+        calls[name] = ShaderCall(shader, "reflected(a, b)", *pairs)
+    for name, values in evaluate_glsl(calls, tmp_path).items():
+        expected = surfaces[name].evaluate(*half_difference(*pairs))
+        error = np.abs(values - expected) / expected
+        assert np.max(error) < 1e-3
+        assert np.median(error) < 1e-5
 
 
 def test_a_surface_is_found_again_and_the_error_is_that_of_the_spheres(fitted: FoundSurface) -> None:
