@@ -16,9 +16,20 @@ if CHROMIUM is None:
     pytest.skip('"chromium" is not installed', allow_module_level=True)
 pytest.importorskip("playwright", reason='"playwright" is not installed')
 
-from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, FloatRect, Page, expect, sync_playwright
 
-__all__ = ["PAINTED", "SPHERE", "Browser", "Page", "Visit", "Visitor", "expect", "new_context", "running_browser"]
+__all__ = [
+    "PAINTED",
+    "SPHERE",
+    "Browser",
+    "FloatRect",
+    "Page",
+    "Visit",
+    "Visitor",
+    "expect",
+    "new_context",
+    "running_browser",
+]
 
 SPHERE = ".sphere canvas"
 PAINTED = f"{SPHERE}[data-painted]"

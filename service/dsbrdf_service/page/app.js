@@ -80,7 +80,7 @@ async function signedIn(refused) {
     };
   });
   await asking;
-  find(document, "#sign-out").hidden = false;
+  find(document, "#sign-out").hidden = !sessionStorage.getItem(STORED);
 }
 
 /**
@@ -217,7 +217,7 @@ export function stateOf({ status, progress, likeness, metrics }) {
   return likeness ?? (error ? `${(100 * error).toPrecision(2)} % off` : `${STATES[status]}${status === "running" ? `, ${Math.round(100 * progress)} %` : ""}`);
 }
 /** @param {{size: number}} file */
-export const sizeOf = ({ size }) => size.toLocaleString("en", { notation: "compact", style: "unit", unit: "byte", unitDisplay: "narrow", maximumSignificantDigits: 3 });
+export const sizeOf = ({ size }) => (size < 1e6 ? `${(size / 1e3).toPrecision(3)} kB` : `${(size / 1e6).toPrecision(3)} MB`);
 /** @param {string} label of a component, or a word of ours */
 export const words = (label) => label.replace("_", " ");
 /** @param {string} created */

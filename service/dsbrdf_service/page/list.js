@@ -1,5 +1,5 @@
 // The list of all fits, and where files are dropped.
-import { act, fill, find, follow, nameOf, removeFit, request, root, showPicture, stateOf, template, whenOpened, whenSeen } from "./app.js";
+import { act, fill, find, follow, make, nameOf, removeFit, request, root, showPicture, stateOf, template, whenOpened, whenSeen } from "./app.js";
 
 /** @param {HTMLElement} main */
 export async function show(main) {
@@ -32,7 +32,7 @@ function card(fit, place, same) {
   const differing = Object.entries(fit.options).filter(([name, value]) => same.some((other) => String(other.options[name]) !== String(value)));
   const options = differing.map(([name, value]) => `${name} = ${value ?? "none"}`).join(", ");
   const item = find(template("card", { name: ` ${nameOf(fit)}`, options }, { fit: `fits/${fit.id}` }), "li");
-  find(item, ".card-name").textContent = nameOf(fit);
+  find(item, ".card-name").append(...nameOf(fit).split(/(?<=_)/).flatMap((part) => [part, make("wbr")]));
   Object.assign(item.dataset, { name: nameOf(fit), newest: place });
   find(item, "input", HTMLInputElement).value = fit.id;
   act(item, "delete", () => removeFit(fit, () => item.remove()));

@@ -18,7 +18,7 @@ export async function showTable(box, file, options, { fit, understood }) {
   button.hidden = !fit;
   button.onclick = fit ?? null;
   const show = async () => {
-    button.disabled = true;
+    button.disabled = fault.hidden = true;
     fill(box, { about: "The table is being read…" });
     const query = new URLSearchParams(chosen(options, ".of-table"));
     try {

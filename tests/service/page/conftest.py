@@ -8,6 +8,8 @@ from typing import Any
 import httpx
 import pytest
 
+from dsbrdf.data.merl import encode_merl
+from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
@@ -24,7 +26,7 @@ if CHROMIUM is not None and find_spec("playwright"):
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"
 """A page whose spheres are pictures of the service takes a quarter of the time."""
 NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>'
-"""Instead of figures that take the service seconds to draw; the shared browser has them, drawn once."""
+"""Instead of figures that take the service seconds to draw; the tests of their routes have them."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,9 @@ class Site:
 @pytest.fixture(scope="package")
 def site(guarded: Guarded, data: bytes) -> Site:
     made = Site(guarded.server.http, guarded.new_key("page"), {})
-    for name, options in (("glossy", {"n_lobes": 2}), ("rough", {"method": "paper", "n_lobes": 1})):
-        made.fits[name] = made.submit(data, name, **options)
+    made.fits["glossy"] = made.submit(data, "glossy", n_lobes=2)
+    dark = encode_merl(synthetic_measurement(diffuse=(0.02, 0.05, 0.02)))
+    made.fits["rough"] = made.submit(dark, "rough", method="paper", n_lobes=1)
     return made
 
 
@@ -75,12 +78,18 @@ def browser() -> "Iterator[Browser]":
         yield running
 
 
+def _context(browser: "Browser", site: Site, webgl: bool, key: str | None, **options: Any) -> "BrowserContext":
+    context = new_context(browser, site.address, key, **options)
+    if not webgl:
+        context.add_init_script(NO_WEBGL)
+    context.route("**/figures/*.svg*", lambda route: route.fulfill(body=NO_FIGURE, content_type="image/svg+xml"))
+    return context
+
+
 @pytest.fixture(scope="package")
 def signed_in(browser: "Browser", site: Site) -> "Mapping[bool, BrowserContext]":
     """The user's browser with WebGL and without; the user looks at all pages in it, each picture is drawn once."""
-    contexts = {webgl: new_context(browser, site.address, site.key) for webgl in (True, False)}
-    contexts[False].add_init_script(NO_WEBGL)
-    return contexts
+    return {webgl: _context(browser, site, webgl, site.key) for webgl in (True, False)}
 
 
 @pytest.fixture
@@ -98,12 +107,8 @@ def visit(
     ) -> "Visitor":
         context = signed_in[webgl]
         if header != site.header or options:
-            context = new_context(
-                browser, site.address, replace(site, header=header).key if header else None, **options
-            )
-            if not webgl:
-                context.add_init_script(NO_WEBGL)
-            context.route("**/figures/*.svg", lambda route: route.fulfill(body=NO_FIGURE, content_type="image/svg+xml"))
+            key = replace(site, header=header).key if header else None
+            context = _context(browser, site, webgl, key, **options)
         visitors.append(Visitor(context, site.address))
         visitors[-1].page.goto(path)
         return visitors[-1]

@@ -15,7 +15,7 @@ from dsbrdf.model.environment import THREE_LIGHTS
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
 from tests.service.page.conftest import Site
-from tests.support.browser import PAINTED, SPHERE, Page, Visit, expect
+from tests.support.browser import PAINTED, SPHERE, FloatRect, Page, Visit, expect
 
 pytestmark = pytest.mark.slow
 
@@ -48,6 +48,14 @@ def repaint(page: Page, act: Callable[[], object]) -> np.ndarray:
 def choose(page: Page, name: str, option: str) -> np.ndarray:
     """What the canvas shows after a choice in the form of controls."""
     return repaint(page, lambda: page.locator(f"#controls [name={name}]").select_option(option))
+
+
+def box_of(page: Page, selector: str) -> "FloatRect":
+    """Where an element is."""
+    page.locator(SPHERE).scroll_into_view_if_needed()
+    box = page.locator(selector).bounding_box()
+    assert box is not None
+    return box
 
 
 def painted(visit: Visit, site: Site, **options: Any) -> Page:
@@ -85,32 +93,36 @@ def test_fit_and_measurement_are_shown_as_the_library_renders_them(
     assert not np.array_equal(repaint(page, lambda: page.locator("[name=wipe]").fill("0.5")), half)
 
 
-def test_line_between_the_halves_is_moved_by_mouse_and_keys(visit: Visit, site: Site) -> None:
+def test_light_line_and_exposure_are_under_mouse_and_keyboard(visit: Visit, site: Site) -> None:
     page = painted(visit, site)
-    light = page.locator("[name=highlight]").input_value()
+    first, canvas, box = pixels(page), page.locator(SPHERE), box_of(page, SPHERE)
+    middle = box["y"] + box["height"] / 2
+    dragged = repaint(page, lambda: page.mouse.click(box["x"] + 0.6 * box["width"], middle - 0.1 * box["height"]))
+    assert np.abs(dragged - first).mean() > 0.01
+    canvas.focus()
+    assert not np.array_equal(repaint(page, lambda: page.keyboard.press("ArrowLeft")), dragged)
+    darker = repaint(page, lambda: page.keyboard.press("-"))
+    expect(page.locator("#controls")).to_contain_text("-0.5 EV")
+    assert darker.mean() < dragged.mean()
+    assert choose(page, "lighting", "one").mean() < darker.mean()
+    canvas.focus()
+    assert np.array_equal(repaint(page, lambda: page.keyboard.press("r")), first)
+    light, wipe = (page.locator(f"[name={name}]") for name in ("highlight", "wipe"))
+    before = light.input_value()
     choose(page, "show", "half")
-    page.locator(SPHERE).scroll_into_view_if_needed()
-    canvas, stage = (page.locator(place).bounding_box() for place in (SPHERE, ".stage"))
-    assert canvas is not None
-    assert stage is not None
-    middle = canvas["y"] + canvas["height"] / 2
-    page.mouse.move(canvas["x"] + canvas["width"] / 2, middle)
+    page.mouse.move(box["x"] + box["width"] / 2, middle)
     page.mouse.down()
-    page.mouse.move(canvas["x"] + 0.7 * canvas["width"], middle)
+    page.mouse.move(box["x"] + 0.7 * box["width"], middle)
     page.mouse.up()
-    wipe = page.locator("[name=wipe]")
-    dragged = float(wipe.input_value())
-    assert dragged == pytest.approx(0.4, abs=0.02)
-    page.locator(SPHERE).focus()
-    page.keyboard.press("[")
     moved = float(wipe.input_value())
-    assert moved == pytest.approx(dragged - 0.05)
-    expect(page).to_have_url(re.compile(f"wipe={moved:g}"))
-    assert page.locator("[name=highlight]").input_value() == light
-    handle = page.locator(".handle").bounding_box()
-    assert handle is not None
-    assert handle["x"] + handle["width"] / 2 == pytest.approx(canvas["x"] + (1 + moved) / 2 * canvas["width"], abs=3)
-    assert handle["y"] >= canvas["y"] + canvas["height"]
+    assert moved == pytest.approx(0.4, abs=0.02)
+    canvas.press("[")
+    assert float(wipe.input_value()) == pytest.approx(moved - 0.05)
+    expect(page).to_have_url(re.compile(f"wipe={moved - 0.05:g}"))
+    assert light.input_value() == before
+    handle, stage = box_of(page, ".handle"), box_of(page, ".stage")
+    assert handle["x"] + handle["width"] / 2 == pytest.approx(box["x"] + (0.95 + moved) / 2 * box["width"], abs=3)
+    assert handle["y"] >= box["y"] + box["height"]
     assert handle["y"] + handle["height"] <= stage["y"] + stage["height"]
 
 
@@ -140,8 +152,7 @@ def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site:
     page = painted(visit, site, device_scale_factor=1)
     canvas = page.locator(SPHERE)
     size = canvas.evaluate("canvas => canvas.width")
-    box = canvas.bounding_box()
-    assert box is not None
+    box = box_of(page, SPHERE)
     page.mouse.move(box["x"] + 200, box["y"] + 200)
     before = canvas.get_attribute("data-painted") or ""
     page.mouse.down()
@@ -156,13 +167,11 @@ def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site:
 def test_values_under_the_pointer_are_the_fits(visit: Visit, site: Site) -> None:
     page = painted(visit, site)
     page.locator(SPHERE).hover(position={"x": 150, "y": 180})
-    hint = page.locator(".hint")
-    expect(hint).to_contain_text("1/sr")
-    found = re.match(r"θ_half ([\d.]+)°, θ_diff ([\d.]+)°: ([\d.]+),", hint.inner_text())
+    expect(page.locator(".hint")).to_contain_text("1/sr")
+    found = re.match(r"θ_half ([\d.]+)°, θ_diff ([\d.]+)°: ([\d.]+),", page.locator(".hint").inner_text())
     assert found is not None
     half, diff, red = map(float, found.groups())
-    box = page.locator(SPHERE).bounding_box()
-    assert box is not None
+    box = box_of(page, SPHERE)
     x, y = 2 * 150 / box["width"] - 1, 1 - 2 * 180 / box["height"]
     light = np.array(THREE_LIGHTS[0].direction)
     middle = light + np.array([0.0, 0.0, 1.0])
@@ -173,24 +182,9 @@ def test_values_under_the_pointer_are_the_fits(visit: Visit, site: Site) -> None
     assert red == pytest.approx(near[0], rel=0.1)  # phi_diff is another, the lobe hardly depends on it there
 
 
-def test_light_exposure_and_components_are_under_mouse_and_keyboard(visit: Visit, site: Site) -> None:
+def test_components_are_hidden_and_shown(visit: Visit, site: Site) -> None:
     page = painted(visit, site)
-    canvas = page.locator(SPHERE)
-    first = pixels(page)
-    box = canvas.bounding_box()
-    assert box is not None
-    dragged = repaint(page, lambda: page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"]))
-    assert np.abs(dragged - first).mean() > 0.01
-    canvas.focus()
-    assert not np.array_equal(repaint(page, lambda: page.keyboard.press("ArrowLeft")), dragged)
-    darker = repaint(page, lambda: page.keyboard.press("-"))
-    expect(page.locator("#controls")).to_contain_text("-0.5 EV")
-    assert darker.mean() < dragged.mean()
-    assert choose(page, "lighting", "one").mean() < darker.mean()
-    canvas.focus()
-    assert np.array_equal(repaint(page, lambda: page.keyboard.press("r")), first)
-    boxes = page.locator(BOXES).all()
-    parts = [first] + [repaint(page, box.uncheck) for box in boxes]
+    parts = [pixels(page)] + [repaint(page, box.uncheck) for box in page.locator(BOXES).all()]
     assert len(parts) > 2
     assert all(part.mean() < whole.mean() for whole, part in pairwise(parts))
     assert parts[-1][..., :3].max() == 0.0
