@@ -41,6 +41,11 @@ def single_lobe(
     )
 
 
+def plain_lobe(theta_half: Array, kappa: float | Array, gamma: float | Array) -> Array:
+    """The paper's lobe, not divided by its height; the arguments broadcast."""
+    return np.expm1(kappa * np.cos(theta_half) ** gamma)
+
+
 def pairs_of_directions(number: int, *, lowest: float = 0.1, spread: float | None = 0.04) -> tuple[Array, Array]:
     """Return pairs in single precision above a smallest cosine; every second one near the mirror direction."""
     random = np.random.default_rng(0)

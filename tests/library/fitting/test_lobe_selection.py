@@ -22,7 +22,7 @@ from dsbrdf.fitting.lobe_selection import (
 from dsbrdf.fitting.metrics import OUTSIDE_CENTER
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.pipeline import fit
-from tests.support.algorithm_1 import plain_lobe
+from tests.support.known_models import plain_lobe
 
 ANGLES = THETA_HALF[OUTSIDE_CENTER]
 LOBES = np.array([[4.0, 1500.0], [1.5, 40.0], [0.3, 1.0]])
