@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +26,12 @@ from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outco
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.output.serialize import result_from_json
 
-from .wire.fit_options import OF_TABLES, from_wire, to_wire
+from .wire.fit_options import OF_TABLES, to_wire
 from .wire.names import check_name
 
 Source = str | os.PathLike[str] | bytes | Measurement
+Document = dict[str, Any]
+"""A fit as ``GET /v1/fits/{id}`` describes it."""
 
 _POLL, _POLL_FOR_PROGRESS = 20.0, 0.5  # seconds that one request waits for a fit
 _LIBRARY_ERRORS: dict[str, type[Exception]] = {
@@ -51,25 +52,6 @@ class ServiceError(Exception):
     def __init__(self, problem: Mapping[str, Any]) -> None:
         super().__init__(problem.get("detail") or problem["title"])
         self.problem = dict(problem)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """The state of a fit when the service was asked for it."""
-
-    id: str
-    status: str
-    progress: float  # finished share, 0 to 1
-    measurement: str  # its sha256
-    name: str | None
-    options: FitOptions
-    metrics: dict[str, float | None] | None  # as in the library's report, once the fit has succeeded
-    error: dict[str, str] | None  # origin, type and message if it has failed
-
-    @property
-    def ended(self) -> bool:
-        """Whether the fit is over, well or not."""
-        return self.status not in ("accepted", "running")
 
 
 class Client:
@@ -140,27 +122,29 @@ class Client:
         ServiceError
             If the service failed, or the fit was cancelled.
         """
-        return self.result(self.wait(self.submit(measurement, options, name=name), progress=progress).id)
+        return self.result(self.wait(self.submit(measurement, options, name=name), progress=progress)["id"])
 
-    def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Fit:
-        """Ask for a fit without waiting for it; parameters and errors as `fit`."""
+    def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Document:
+        """Ask for a fit without waiting for it; return its document. Parameters and errors as `fit`."""
         options = options or FitOptions()
         document = {"measurement": self.upload(measurement, options, name=name), "options": to_wire(options)}
         headers = {"Prefer": "respond-async"}
-        return _fit(self._call("POST", "/v1/fits", {"name": name}, json=document, headers=headers).json())
+        found: Document = self._call("POST", "/v1/fits", {"name": name}, json=document, headers=headers).json()
+        return found
 
-    def get(self, fit_id: str, *, wait: float = 0.0) -> Fit:
-        """Return a fit, after at most `wait` seconds or when it has ended."""
-        return _fit(self._call("GET", f"/v1/fits/{fit_id}", {"wait": wait}).json())
+    def get(self, fit_id: str, *, wait: float = 0.0) -> Document:
+        """Return the document of a fit, after at most `wait` seconds or when it has ended."""
+        found: Document = self._call("GET", f"/v1/fits/{fit_id}", {"wait": wait}).json()
+        return found
 
-    def wait(self, fit: Fit, progress: Callable[[float], None] | None = None) -> Fit:
-        """Return a fit when it has ended; parameters and errors as `fit`."""
-        while not fit.ended:
+    def wait(self, fit: Document, progress: Callable[[float], None] | None = None) -> Document:
+        """Return the document of a fit when it has ended; parameters and errors as `fit`."""
+        while fit["status"] in ("accepted", "running"):
             if progress is not None:
-                progress(fit.progress)
-            fit = self.get(fit.id, wait=_POLL if progress is None else _POLL_FOR_PROGRESS)
-        if fit.status != "succeeded":
-            error = fit.error or {"origin": "system", "message": "The fit was cancelled."}
+                progress(fit["progress"])
+            fit = self.get(fit["id"], wait=_POLL if progress is None else _POLL_FOR_PROGRESS)
+        if fit["status"] != "succeeded":
+            error = fit["error"] or {"origin": "system", "message": "The fit was cancelled."}
             if error["origin"] == "input":
                 raise FitError(error["message"])
             raise ServiceError({**error, "detail": error["message"]})
@@ -200,13 +184,10 @@ class Client:
             if own_name is not None:
                 with suppress(InvalidArgumentError):  # one that the service would not take
                     name = name or check_name(own_name)
-            values = {option: getattr(options, option) for option in OF_TABLES}
-            params = {
-                option: ",".join(map(str, value)) if isinstance(value, tuple) else value
-                for option, value in values.items()
-                if value != getattr(AS_WRITTEN, option)
-            }
-            self._call("POST", "/v1/measurements", {"name": name, **params}, content=measurement, headers=headers)
+            chosen = {option: getattr(options, option) for option in OF_TABLES}
+            lists = {option: ",".join(map(str, value)) for option, value in chosen.items() if isinstance(value, tuple)}
+            params = {"name": name, **chosen, **lists}
+            self._call("POST", "/v1/measurements", params, content=measurement, headers=headers)
         return sha256
 
     def _call(self, method: str, url: str, params: Mapping[str, Any] | None = None, **request: Any) -> httpx.Response:
@@ -251,7 +232,7 @@ class ClientEngine:
     def _fit(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         try:
             fit = self._client.wait(self._client.submit(task.path, task.options), on_progress)
-            return FitDocument(self._client.document(fit.id), fit.metrics or {})
+            return FitDocument(self._client.document(fit["id"]), fit["metrics"])
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
         except httpx.ConnectError as error:
@@ -262,11 +243,6 @@ class ClientEngine:
                 advice = "the environment variable DSBRDF_KEY gives the key"
                 raise InvalidArgumentError(f"{self._url}: {error}; {advice}") from error
             raise ConnectionError(f"{self._url}: {error}") from error
-
-
-def _fit(document: Mapping[str, Any]) -> Fit:
-    given = {field.name: document[field.name] for field in fields(Fit)}
-    return Fit(**{**given, "options": from_wire(document["options"])})
 
 
 def _error(answer: httpx.Response) -> Exception:

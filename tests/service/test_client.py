@@ -14,7 +14,7 @@ import pytest
 import dsbrdf
 from dsbrdf.engines.engine import FitTask
 from dsbrdf_service.client import Client, ClientEngine, ServiceError
-from dsbrdf_service.wire.fit_options import canonical, to_wire
+from dsbrdf_service.wire.fit_options import canonical
 from tests.support import endless_fit
 from tests.support.guarded import Guarded
 from tests.support.mixtures import mixture, samples_table, scattered_samples
@@ -42,10 +42,10 @@ def test_client_fit_equals_the_library_bit_for_bit(
             assert_same_bits(result.model, expected.model)
             assert result.report.metrics == expected.report.metrics
             fit = client.submit(source, OPTIONS)
-            assert fit.status == "succeeded"
-            assert to_wire(fit.options) == canonical(OPTIONS)
-            assert fit.measurement == plastic.sha256
-            assert fit.metrics == asdict(expected.report.metrics)
+            assert fit["status"] == "succeeded"
+            assert fit["options"] == canonical(OPTIONS)
+            assert fit["measurement"] == plastic.sha256
+            assert fit["metrics"] == asdict(expected.report.metrics)
 
 
 def test_client_sends_other_files_as_the_library_reads_them(client: Client, tmp_path: Path) -> None:
@@ -56,9 +56,9 @@ def test_client_sends_other_files_as_the_library_reads_them(client: Client, tmp_
     with client:
         assert_same_bits(client.fit(bsdf, OPTIONS).model, dsbrdf.fit(bsdf, OPTIONS).model)
         fit = client.submit(table, dsbrdf.FitOptions(n_lobes=1, ring_lobes=0))
-        assert fit.measurement == hashlib.sha256(table.read_bytes()).hexdigest()  # fitted as other tables are
-        assert client.get(fit.id, wait=60.0).status == "succeeded"
-        assert fit.name == table.stem
+        assert fit["measurement"] == hashlib.sha256(table.read_bytes()).hexdigest()  # fitted as other tables are
+        assert client.get(fit["id"], wait=60.0)["status"] == "succeeded"
+        assert fit["name"] == table.stem
         table.write_bytes(table.read_bytes().replace(b"blue", b"azure", 1))
         named = dsbrdf.FitOptions(n_lobes=1, ring_lobes=0, columns="blue=azure")
         assert client.upload(table, named) == hashlib.sha256(table.read_bytes()).hexdigest()
@@ -119,9 +119,9 @@ def test_client_tells_the_progress_and_gives_names(client: Client, plastic: dsbr
     seen: list[float] = []
     with client:
         client.fit(other, OPTIONS, progress=seen.append)
-        assert client.submit(other, OPTIONS).name == "other plastic"
+        assert client.submit(other, OPTIONS)["name"] == "other plastic"
         named = client.submit(plastic, replace(OPTIONS, mask=0.5), name="a name of its own")  # it is known, unnamed
-        assert named.name == client.get(named.id).name == "a name of its own"
+        assert named["name"] == client.get(named["id"])["name"] == "a name of its own"
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
 

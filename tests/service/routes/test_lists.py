@@ -49,7 +49,7 @@ def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: 
     with Client(str(server.http.base_url)) as client:
         assert client.upload(other) == fit["measurement"]
         options = FitOptions(method="paper", n_lobes=1, em_iterations=5)  # of a fit that is not there yet
-        assert [client.submit(other, options, name=name).name for name in ("c", "d", None)] == ["c", "d", "d"]
+        assert [client.submit(other, options, name=name)["name"] for name in ("c", "d", None)] == ["c", "d", "d"]
 
 
 @pytest.mark.parametrize("name", ["", " a", "a/b", "a\\b", "a\nb", "x" * 101, "\x00", "\u202e"])
