@@ -23,12 +23,14 @@ from anyio import to_thread
 from fastapi import FastAPI
 from pydantic import ValidationError
 
-from dsbrdf.cli.arguments import BAD_INPUT, open_closed_output, print_error
+from dsbrdf.cli.arguments import open_closed_output, print_error
 from dsbrdf.extras import MissingExtraError
 from dsbrdf.process_settings import return_freed_memory, trim_memory
 
 from .access.keys import has_active_key
 from .app import create_app, make_engine
+from .commands import refuse
+from .commands.serve import run_with_flags
 from .errors import DataFolderError, validation_sentence
 from .http.limits import Connection
 from .operations import logging as logs
@@ -45,31 +47,26 @@ logger = logging.getLogger(__name__)
 def main(words: Sequence[str] | None = None) -> int:
     """Run the service until it is stopped; return the exit code."""
     open_closed_output()
-    words = sys.argv[1:] if words is None else words
-    if not words:
-        return _serve({})
-    from .commands.serve import run_with_flags
-
-    return run_with_flags(words, _serve)
+    return run_with_flags(sys.argv[1:] if words is None else words, _serve)
 
 
 def _serve(given: Mapping[str, Any]) -> int:
     try:
         settings = Settings(**given)
     except ValidationError as error:
-        return _refuse(_settings_message(error, given))
+        return refuse(_settings_message(error, given))
     try:
         if not (settings.loopback or settings.insecure or has_active_key(settings.data_dir)):
-            return _refuse(
+            return refuse(
                 f"{settings.host} can be reached from other machines and there is no API key: add one with "
                 "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
             )
         make_engine(settings)  # what it needs may not be installed
         store = Store(settings.data_dir)  # from here on no other server has the folder
     except (DataFolderError, MissingExtraError) as error:
-        return _refuse(str(error))
+        return refuse(str(error))
     except OSError as error:
-        return _refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
+        return refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
     try:
         _check_address(settings.host, settings.port)
     except OSError as error:
@@ -140,11 +137,6 @@ class _Server(uvicorn.Server):
         context.readiness.stop()
         context.jobs.release_waiters()
         await super().shutdown(sockets)
-
-
-def _refuse(reason: str) -> int:
-    print_error(reason)
-    return BAD_INPUT
 
 
 def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""The flags of ``dsbrdf serve``: some of the settings. They stand here because cyclopts takes a tenth of the start."""
+"""The flags of ``dsbrdf serve``: some of the settings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps

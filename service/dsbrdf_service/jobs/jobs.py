@@ -121,7 +121,7 @@ class Jobs:
             yield row
             if row.ended or any(end.done() for end in ends):
                 return
-            if change is None or change.done():  # the row is ahead of, or behind, this process by one step
+            if change is None:  # the row is ahead of, or behind, this process by one step
                 await asyncio.sleep(_MIN_POLL_INTERVAL)
             else:
                 await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
