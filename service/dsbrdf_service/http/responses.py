@@ -96,7 +96,5 @@ def preferred_wait(request: Request, default: float, longest: float) -> float:
 
 def prefers(request: Request, wanted: str, other: str) -> bool:
     """Return whether ``Accept`` names one media type, and not the other before it; its weights are not read."""
-    named = [
-        entry.partition(";")[0].strip() for entry in ",".join(request.headers.getlist("accept")).lower().split(",")
-    ]
-    return wanted in named and other not in named[: named.index(wanted)]
+    accepted = ",".join(request.headers.getlist("accept")).lower()
+    return re.findall(f"{re.escape(wanted)}|{re.escape(other)}", accepted)[:1] == [wanted]

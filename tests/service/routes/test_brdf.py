@@ -123,7 +123,7 @@ def test_points_at_the_edges_of_the_hemisphere_are_accepted(server: Server, url:
 
 @pytest.mark.parametrize(
     ("count", "dtype", "order"),
-    [(2000, ">f8", "C"), (2000, "<f4", "F"), *((count, "<f8", "C") for count in (4096, 4097, 100_000))],
+    [(2000, ">f8", "C"), (2000, "<f4", "F"), *((count, "<f8", "C") for count in (4097, 100_000))],
 )
 def test_npy_batch_is_answered_completely(
     server: Server, url: str, model: dsbrdf.DSBRDF, count: int, dtype: str, order: str
