@@ -5,6 +5,7 @@ import signal
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # what follows takes a second, and Ctrl-C may end it at once
 
+import asyncio
 import faulthandler
 import logging
 import os
@@ -19,7 +20,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import uvicorn
-from anyio import to_thread
 from fastapi import FastAPI
 from pydantic import ValidationError
 
@@ -96,7 +96,7 @@ def _run(settings: Settings, store: Store) -> int:
         log_config=None,
         log_level=settings.log_level,
         access_log=False,
-        callback_notify=partial(to_thread.run_sync, trim_memory),
+        callback_notify=partial(asyncio.to_thread, trim_memory),  # in a thread that requests do not have
         timeout_notify=60,
     )
     server = _Server(config)

@@ -71,9 +71,8 @@ class Store:
         try:
             self.blobs.make_folders()
             self.blobs.clear_temporary()
-            for left in own_folder(self.running).glob("pymp-*"):  # as multiprocessing names them
-                if left.is_dir() and not left.is_symlink():
-                    shutil.rmtree(left)
+            for left in own_folder(self.running).glob("pymp-*"):  # folders, as multiprocessing names them
+                shutil.rmtree(left, ignore_errors=True)
         except BaseException:
             self.close()
             raise
