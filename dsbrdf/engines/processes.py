@@ -132,7 +132,9 @@ def _outcome(pipe: socket.socket, seconds: float, on_progress: OnProgress) -> An
     with pipe.makefile("rb") as stream:
         while True:
             left = deadline - time.monotonic()
-            pipe.settimeout(max(left, 1e-3) if math.isfinite(left) else None)
+            if left <= 0.0:
+                raise TimeoutError
+            pipe.settimeout(left if math.isfinite(left) else None)
             try:
                 kind, content = pickle.load(stream)  # noqa: S301 (of a process of ours) # nosec B301
             except (EOFError, ConnectionError, pickle.UnpicklingError):

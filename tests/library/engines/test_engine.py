@@ -160,10 +160,13 @@ def test_future_of_a_cancelled_fit_is_done_when_its_process_has_ended(plastic_fi
         victims = until(lambda: forked(os.getpid()), bool)
         for victim in victims:
             os.kill(victim, signal.SIGSTOP)  # by itself it does not end any more
+        begin = time.monotonic()
         fit.cancel()
         with pytest.raises(CancelledError):
             fit.result(PATIENCE)
         assert not any(map(alive, victims))
+        if SOAK:
+            assert time.monotonic() - begin < 1.0
 
 
 def test_fits_at_once_are_as_many_as_the_engine_has_workers(plastic_file: Path) -> None:
