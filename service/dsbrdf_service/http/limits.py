@@ -31,15 +31,12 @@ def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
     `headers` are those of `scope` by name.
     """
     sent = scope["headers"]
-    too_long = len(sent) > _MAX_HEADERS
+    too_long = len(sent) > _MAX_HEADERS or len(scope["path"]) + len(scope["query_string"]) > _MAX_LINE
     for name, value in sent:
         too_long = too_long or len(name) + len(value) > _MAX_LINE
     if too_long:
-        detail = f"A request has at most {_MAX_HEADERS} headers of {_MAX_LINE} bytes each."
-        raise ProblemError("head-too-long", detail, _CLOSE)
-    if len(scope["path"]) + len(scope["query_string"]) > _MAX_LINE:
-        detail = f"An address has at most {_MAX_LINE} bytes; many points are sent with POST."
-        raise ProblemError("head-too-long", detail, _CLOSE)
+        limits = f"an address of {_MAX_LINE} bytes, and {_MAX_HEADERS} headers of {_MAX_LINE} bytes each"
+        raise ProblemError("head-too-long", f"A request has at most {limits}; many points are sent with POST.", _CLOSE)
     twice = len(headers) < len(sent) and any(sum(name == once for name, _ in sent) > 1 for once in _ONCE)
     if twice or (b"host" not in headers and scope["http_version"] == "1.1"):
         raise ProblemError("bad-request", "A request has exactly one Host, and at most one Origin.", _CLOSE)
