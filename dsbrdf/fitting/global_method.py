@@ -211,12 +211,12 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
     rounds = _ROBUST_ROUNDS if options.robust else _ROUNDS
     unknowns, weight, iterations = mixture.unknowns, data.weight, 0
     for number in range(rounds):
-        problem = MixtureProblem(data if number else data.take_bins(_SEARCH_BINS), mixture.structure)
+        problem = MixtureProblem((data if number else data.take_bins(_SEARCH_BINS)).single(), mixture.structure)
         if number > 0:
             exact = replace(data, mean=data.mean - _lost_in_bins(problem, unknowns))
             if options.robust:
                 exact = replace(exact, weight=weight * _trust(problem.values(unknowns), exact))
-            problem = MixtureProblem(exact, mixture.structure)
+            problem = MixtureProblem(exact.single(), mixture.structure)
         done = number / rounds
         solution = minimize(
             problem,
@@ -253,7 +253,7 @@ def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
     data = problem.data
     theta_half, theta_diff = data.theta_half[:, None], data.theta_diff[:, None, None]
     count = above_horizon(theta_half, theta_diff, PHI_DIFF[:QUARTER]) * SAMPLES_IN_BIN.sum(axis=1)
-    nodes = np.broadcast_to(np.cos(PHI_DIFF[:QUARTER]) ** 2, count.shape)
+    nodes = np.broadcast_to(np.cos(PHI_DIFF[:QUARTER]) ** 2, count.shape).astype(data.cos2_phi.dtype)
     values = MixtureProblem(replace(data, cos2_phi=nodes), problem.structure).values(unknowns)
     total = count @ (SAMPLES_IN_BIN > 0)
     mean = (values * count) @ (SAMPLES_IN_BIN > 0) / np.maximum(total, 1.0)

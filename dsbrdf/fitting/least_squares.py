@@ -19,6 +19,7 @@ What is known of the lobes beforehand can be added as a `Prior`.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.linalg.blas import dsymv as symv
@@ -82,6 +83,16 @@ class FitData:
             self, mean=self.mean[..., chosen], weight=self.weight[..., chosen], cos2_phi=self.cos2_phi[..., chosen]
         )
 
+    def single(self) -> "FitData":
+        """The same in single precision, in which what is found of the samples takes half of the time.
+
+        For a search it is too coarse: as the choices of a hundred steps differ, another mixture comes out.
+        """
+        parts: dict[str, Any] = {
+            name: getattr(self, name).astype(np.float32) for name in ("mean", "weight", "cos2_phi")
+        }
+        return replace(self, **parts)
+
     @cached_property
     def signal(self) -> float:
         """Weighted sum of squares."""
@@ -98,7 +109,8 @@ class FitData:
     @cached_property
     def squared_tangents(self) -> tuple[Array, Array]:
         """tan(theta_half)**2 times cos(phi_diff)**2, and times sin(phi_diff)**2, shape (R, 1, N * P)."""
-        squared, shape = np.tan(self.theta_half)[..., None] ** 2, (len(self.theta_diff), 1, -1)
+        squared = np.tan(self.theta_half).astype(self.mean.dtype)[..., None] ** 2
+        shape = len(self.theta_diff), 1, -1
         return (squared * self.cos2_phi).reshape(shape), (squared * (1.0 - self.cos2_phi)).reshape(shape)
 
     @cached_property
@@ -166,12 +178,11 @@ class MixtureProblem:
     def values(self, unknowns: Array) -> Array:
         """Values of the mixture, shape (3, R, N, P) [1/sr]."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
-        values = np.empty((len(parameters[0]), 3, self.data.cos2_phi[0].size))
         along, across = self.data.squared_tangents
+        values = np.empty((len(parameters[0]), 3, along.shape[2]), along.dtype)
         for rows in self.data.slices:
-            np.matmul(
-                parameters[0][rows], self._lobes(parameters, rows, along[rows], across[rows])[0], out=values[rows]
-            )
+            curves = self._lobes(parameters, rows, along[rows], across[rows])[0]
+            np.matmul(parameters[0][rows].astype(along.dtype), curves, out=values[rows])
         return values.transpose(1, 0, 2).reshape(3, *self.data.cos2_phi.shape)
 
     def curves(self, unknowns: Array) -> Array:
@@ -187,7 +198,7 @@ class MixtureProblem:
         cost = float(off @ pull)
         for block in self.data.blocks:
             curves, kinds = self._lobes(parameters, block.rows, block.along, block.across)
-            residual = parameters[0][block.rows] @ curves
+            residual = parameters[0][block.rows].astype(curves.dtype) @ curves
             residual -= block.mean
             cost += float(np.vdot(residual, residual * block.weight))
             parts.append((block, curves, kinds, residual))
@@ -196,9 +207,10 @@ class MixtureProblem:
     def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
         """Lower triangle of the Gauss-Newton matrix (U, U), and half the gradient (U,) of the cost."""
         k, count = self.structure.n_lobes, self._lobe_of.size
-        products = np.empty((len(at.amplitude), 3, count, count + 1))
+        products = np.empty((len(at.amplitude), 3, count, count + 1), self.data.mean.dtype)
         for block, curves, kinds, residual in at.parts:
-            columns = np.empty((len(curves), count + 1, curves.shape[2]))  # derivatives, then the residual
+            # Derivatives, then the residual.
+            columns = np.empty((len(curves), count + 1, curves.shape[2]), curves.dtype)
             columns[:, :k] = curves
             for place, values in (column for kind in kinds for column in self._slopes(block, kind)):
                 columns[:, place] = values
@@ -207,10 +219,8 @@ class MixtureProblem:
                 weighted = columns[:, :count] * block.weight[:, channel, None]
                 np.matmul(weighted, columns.transpose(0, 2, 1), out=products[block.rows, channel])
         scale = at.amplitude[:, :, self._lobe_of]
-        products *= scale[..., None]
-        slopes = products[..., count].copy()
-        products = products[..., :count] * scale[..., None, :]
-        matrix, gradient = self._assemble(products, slopes)
+        products = products * scale[..., None]
+        matrix, gradient = self._assemble(products[..., :count] * scale[..., None, :], products[..., count])
         self.structure.chain(at.unknowns, matrix, gradient)
         for part, pull in zip(self.structure.parts, self._pulls, strict=True):
             square = matrix[part, part].reshape(len(pull), -1, len(pull), (part.stop - part.start) // len(pull))
@@ -260,10 +270,10 @@ class MixtureProblem:
         """Lobes of height 1 (r, K, n) in some rows, and what those of each kind are made of."""
         shape, elongation = parameters[1][rows], parameters[2][rows]
         k, centered = self.structure.n_lobes, self.structure.n_lobes - self.structure.n_rings
-        ratio = np.exp(elongation[..., None] * self._log_cos[rows])
-        kappa, gamma = np.exp(shape[:, :k, None]), np.exp(shape[:, k : 2 * k, None])
-        curves, kinds = [], []
-        for part, center in ((slice(0, centered), None), (slice(centered, k), shape[:, 2 * k :, None])):
+        logs = elongation[..., None] * self._log_cos[rows], shape[:, :k, None], shape[:, k : 2 * k, None]
+        ratio, kappa, gamma = (np.exp(part).astype(along.dtype) for part in logs)
+        centers, curves, kinds = shape[:, 2 * k :, None].astype(along.dtype), [], []
+        for part, center in ((slice(0, centered), None), (slice(centered, k), centers)):
             if part.stop > part.start:
                 near, far = along / ratio[:, part], across * ratio[:, part]
                 values, slopes = lobe_curves(near + far, kappa[:, part], gamma[:, part], center, self.structure.family)
@@ -276,7 +286,7 @@ class MixtureProblem:
         k, found = self.structure.n_lobes, kind.slopes()
         start, stop, end = kind.part.start, kind.part.stop, 3 * k + self.structure.n_rings
         by_elongation = kind.far - kind.near
-        by_elongation *= self._log_cos[block.rows]
+        by_elongation *= self._log_cos[block.rows].astype(by_elongation.dtype)
         by_elongation *= found.by_squared_tangent
         columns = [
             (slice(k + start, k + stop), found.by_log_kappa),

@@ -16,6 +16,7 @@ Family = Literal["hemi_epd", "student"]
 LARGEST_CENTER = 1.57
 """A center is so far from the normal at most [rad]: at pi/2, the horizon, rounding decides the tangent's sign."""
 _LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
+_LOWEST_SINGLE_LOG = -35.0  # the same in single precision
 
 Slopes = Callable[[], tuple[Array, Array, Array, Array]]
 """Gives derivatives of lobes: in log kappa, log gamma, the squared tangent of the offset, and that at the top."""
@@ -37,7 +38,7 @@ class LobeFamily:
 
 
 def _power(log_power: Array) -> Array:
-    return np.exp(np.maximum(log_power, _LOWEST_LOG))
+    return np.exp(np.maximum(log_power, _LOWEST_LOG if log_power.dtype == np.float64 else _LOWEST_SINGLE_LOG))
 
 
 def _log1p(number: Array, plus_one: Array) -> Array:
@@ -90,7 +91,7 @@ def _student_slope(kappa: Array) -> Array:
 
 
 def _student_curve(square: Array, kappa: Array, gamma: Array, top: Array | None) -> tuple[Array, Slopes]:
-    scaled, scaled_top = gamma * square, gamma * (np.zeros(()) if top is None else top)
+    scaled, scaled_top = gamma * square, gamma * (0.0 if top is None else top)
     plus_one = 1.0 + scaled
     fall = kappa * (np.log1p(scaled_top) - _log1p(scaled, plus_one))
     value = _power(fall)

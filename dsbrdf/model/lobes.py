@@ -35,7 +35,6 @@ from dsbrdf.model.lobe_families import FAMILIES
 
 GRAZING_COSINE = 0.08
 """The cosine that stretches lobes at theta_diff = 90 degrees, that of 85.4 degrees."""
-_SMALLEST_ROOT = 1e-150  # tan(theta') below it is 0, where the derivative in its square is infinite
 
 
 class LobeSlopes(NamedTuple):
@@ -109,7 +108,9 @@ def lobe_curves(
         by_log_kappa, by_log_gamma, by_square, by_top = slopes()
         by_offset = 2.0 * offset * by_square * (offset < known.largest_tangent)
         by_offset /= below * below
-        by_squared_tangent = by_offset * (0.5 + 0.5 * of_ring**2) / np.maximum(root, _SMALLEST_ROOT)
+        # At 0 the derivative in the square is infinite.
+        least = np.sqrt(np.finfo(root.dtype).tiny)
+        by_squared_tangent = by_offset * (0.5 + 0.5 * of_ring**2) / np.maximum(root, least)
         by_tangent = 2.0 * of_cusp * by_top - by_offset * (1.0 + squared_tangent * (tangent > 0.0))
         return LobeSlopes(by_log_kappa, by_log_gamma, (1.0 + tangent**2) * by_tangent, by_squared_tangent)
 

@@ -96,6 +96,20 @@ def test_cost_gradient_and_matrix_agree_with_finite_differences(
 
 
 @pytest.mark.parametrize("family", FAMILIES)
+def test_single_precision_is_nearly_the_same(family: str) -> None:
+    """Also at theta_half = 0 and for a lobe so narrow that it underflows."""
+    double = problem_of(structure_of((False, False, True, True), family))
+    unknowns = truth_of(double.structure)
+    double.structure.split(unknowns)[1][:, 4] = np.log(1e-5)
+    single = MixtureProblem(double.data.single(), double.structure, SMOOTHING)
+    assert single.values(unknowns).dtype == single.evaluate(unknowns).parts[0][1].dtype == np.float32
+    near = double.evaluate(unknowns + 0.1), single.evaluate(unknowns + 0.1)
+    assert near[1].cost == pytest.approx(near[0].cost, rel=1e-4)
+    for found, expected in zip(single.linearize(near[1]), double.linearize(near[0]), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("family", FAMILIES)
 def test_values_are_those_of_the_model(family: str) -> None:
     problem = problem_of(structure_of((False, False, True), family))
     unknowns = truth_of(problem.structure)
