@@ -87,7 +87,7 @@ class Computations:
         self._processes = Processes(len(self._turns), limits)
         self._in_progress: dict[Hashable, _Computation] = {}
 
-    async def run(self, request: Request, key: Hashable, compute: Callable[[], T], place: Place = "short") -> T:
+    async def run(self, request: Request, key: Hashable, compute: Callable[[], T]) -> T:
         """Return what `compute` returns, which is called in a thread.
 
         Requests with one `key` that come together get one result; it names the owner too. The body of the `request`
@@ -95,8 +95,7 @@ class Computations:
 
         Raises ClientDisconnect if the client has closed the connection.
         """
-        work = partial(run_in_threadpool, compute)
-        result: T = await self._wait(request, key, work, place)
+        result: T = await self._wait(request, key, partial(run_in_threadpool, compute), "short")
         return result
 
     async def run_in_process(
