@@ -6,7 +6,7 @@ import { running } from "./sphere.js";
 /** @param {HTMLElement} main */
 export async function show(main) {
   const ids = new URLSearchParams(location.search).getAll("fit");
-  if (ids.length !== 2) throw new Problem(`Two fits are compared at a time, not ${ids.length}: tick two in the list.`, "Nothing to compare");
+  if (ids.length !== 2) throw new Problem(`Two fits are compared at a time; this address names ${ids.length}. Tick two in the list.`, "Nothing to compare");
   main.replaceChildren(template("compare", { names: "Two fits" }));
   /** @type {Fit[]} */
   const fits = await Promise.all(ids.map((id) => json(`v1/fits/${id}`)));

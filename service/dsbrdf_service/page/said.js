@@ -14,11 +14,11 @@ const three = (value) => String(Number(value.toPrecision(3)));
 const METRICS = [
   ["psnr", "picture", (value) => `${value.toFixed(1)} dB`, "Peak signal-to-noise ratio of spheres of fit and measurement under three lights."],
   ["relative_rms", "values", percent, "Root mean square error of the values, relative to their size."],
-  ["relative_rms_left_out", "values left out", percent, "The same at samples that the fit did not see."],
+  ["relative_rms_left_out", "values left out", percent, "The same error, at samples that were left out of the fit."],
   ["albedo_error", "albedo", percent, "Mean error of the albedo: of all the light that is reflected."],
-  ["symmetric_floor", "reciprocal floor", percent, "The error that the best reciprocal model would have."],
-  ["floor", "bivariate floor", percent, "The error that the best model without φ_diff would have."],
-  ["excess", "values / floor", (value) => value.toFixed(3), "Error of the values over the bivariate floor: below 1, the fit gains from φ_diff."],
+  ["symmetric_floor", "reciprocal floor", percent, "The error of the best model that obeys reciprocity."],
+  ["floor", "bivariate floor", percent, "The error of the best model without φ_diff."],
+  ["excess", "values / floor", (value) => value.toFixed(3), "Error of the values divided by the bivariate floor; below 1, the fit is better than any model without φ_diff."],
   ["male", "logarithm", (value) => value.toFixed(4), "Mean absolute logarithmic error, which counts dark parts as well."],
   ["ssim", "structure", (value) => value.toFixed(4), "Structural similarity of the two spheres; 1 is equal."],
 ];
@@ -49,7 +49,7 @@ export const tableRow = (cells, heads = false) => make("tr", {}, ...cells.map((c
 
 /** Fills the table of the components. @param {HTMLElement} table @param {Component[]} components */
 function showComponents(table, components) {
-  if (!components.length) return table.append(tableRow(["There are none: the fit reflects no light."]));
+  if (!components.length) return table.append(tableRow(["There are none: the fit is black."]));
   const heads = components.map(({ label }) => make("span", { className: `name c-part-${LABELS.indexOf(label)}` }, words(label)));
   const rows = NUMBERS.map(([property, title, write]) => [title, ...components.map((part) => {
     const values = [Object({ ...part, height: part.lobe.height[0] })[property]].flat();
@@ -104,10 +104,10 @@ export function place(part) {
 
 /** @type {Plot[]} */
 export const PLOTS = [{
-  id: "profiles", name: "theta-diff", lead: "", title: "Profiles", axis: "θ_diff", line: "Mean over φ_diff, plotted over θ_half.",
+  id: "profiles", name: "theta-diff", lead: "", title: "Profiles", axis: "θ_diff", line: "Values over θ_half, averaged over φ_diff.",
   slider: { max: 89, step: 1, defaultValue: 0 }, along: "half", start: 0, about: "over theta_half at theta_diff",
 }, {
-  id: "plane", name: "theta-in", lead: "polar-", title: "Plane of incidence", axis: "θ_in", line: "The light comes from the dashed line.",
+  id: "plane", name: "theta-in", lead: "polar-", title: "Plane of incidence", axis: "θ_in", line: "The dashed line is where the light comes from.",
   slider: { max: 85, step: 5, defaultValue: 45 }, along: "out", start: -90, about: "in the plane of incidence for light at",
 }];
 
@@ -136,8 +136,9 @@ export function showPlots(main, subjects) {
  */
 export async function showSpheres(main, figures, subjects, { source, instead = async () => undefined } = {}) {
   find(main, "#seen").append(template("sphere-controls"));
+  const spheres = figures.map((figure, i) => new Sphere(figure, subjects[i], source)); // their boxes are in the address too
   showPlots(main, subjects);
-  await startSpheres(figures.map((figure, i) => new Sphere(figure, subjects[i], source)), instead);
+  await startSpheres(spheres, instead);
 }
 
 /** Says what is known of a fit beside its sphere. @param {HTMLElement} box @param {Fit} fit */

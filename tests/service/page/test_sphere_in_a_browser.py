@@ -130,7 +130,6 @@ def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) ->
     page = painted(visit, site)
     page.locator(BOXES).first.uncheck()
     choose(page, "lighting", "one")
-    choose(page, "show", "measured")
     page.get_by_label("theta_diff in degrees").fill("40")
     for name, value in (("exposure", "-1.5"), ("zoom", "1")):
         page.locator(f"[name={name}]").fill(value)
@@ -145,7 +144,7 @@ def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) ->
     expect(page.locator("#controls")).to_contain_text("-1.5 EV")
     assert np.array_equal(pixels(page), before)
     repaint(page, page.get_by_role("button", name="Reset").click)
-    expect(page.locator("#show select")).to_have_value("fit")
+    expect(page.locator("[name=lighting]")).to_have_value("three_lights")
 
 
 def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site: Site) -> None:
