@@ -105,6 +105,9 @@ def test_single_precision_is_nearly_the_same(family: str) -> None:
     assert single.values(unknowns).dtype == single.evaluate(unknowns).parts[0][1].dtype == np.float32
     near = double.evaluate(unknowns + 0.1), single.evaluate(unknowns + 0.1)
     assert near[1].cost == pytest.approx(near[0].cost, rel=1e-4)
+    for factor in (1e-20, 1e20):  # of the unit
+        wrong_unit = replace(double.data, mean=double.data.mean * factor, weight=double.data.weight / factor**2)
+        assert wrong_unit.single() is wrong_unit
     for found, expected in zip(single.linearize(near[1]), double.linearize(near[0]), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-5 * np.abs(expected).max())
 
