@@ -27,7 +27,7 @@ except ImportError:  # pragma: no cover (no such limits outside POSIX)
 OUT_OF_MEMORY = 75
 """Exit code of a process that could not send its outcome."""
 
-_PROGRESS_INTERVAL = 0.25  # seconds between two messages of progress, at least
+_PROGRESS_INTERVAL = 0.05  # seconds between two messages of progress, at least
 _LEAST_MEMORY = 4 << 20  # bytes without which a step is not begun
 
 
