@@ -1,4 +1,4 @@
-"""The service's log: every line of this process, whoever writes it, as a line of JSON on stderr.
+"""The service's log: every line of this process, whoever writes it, on stderr: JSON, or words at a terminal.
 
 A line carries the id of the request that caused it, and what else was bound, also in the tasks and threads that the
 request has started. Keys never reach it: whatever looks like one is cut out of every text. A line stays short, whatever
@@ -41,7 +41,7 @@ def configure(settings: Settings) -> None:
     """Send everything that is logged or warned of in this process to stderr, from the level of the settings on."""
     handler = LogWriter(sys.stderr.fileno())
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
-    handler.setFormatter(LineFormatter())
+    handler.setFormatter(LineFormatter(in_words=sys.stderr.isatty()))
     logging.captureWarnings(capture=True)
 
 
@@ -89,7 +89,11 @@ class LogWriter(logging.Handler):
 
 
 class LineFormatter(logging.Formatter):
-    """Makes a line of JSON of a log record."""
+    """Makes a line of a log record: JSON, or words, first when and what happened, then the rest by name."""
+
+    def __init__(self, *, in_words: bool = False) -> None:
+        super().__init__()
+        self._in_words = in_words
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
@@ -106,7 +110,11 @@ class LineFormatter(logging.Formatter):
         exception = self.formatException(record.exc_info) if record.exc_info else record.exc_text
         if exception:
             line["exception"] = _shown(exception, _LONGEST_TRACEBACK)
-        return json.dumps(line)
+        if not self._in_words:
+            return json.dumps(line)
+        texts = {name: json.dumps(value).strip('"') for name, value in line.items()}  # on one line, as in JSON
+        first = [texts.pop(name) for name in ("time", "level", "event")]
+        return " ".join([*first, *(f"{name}={text}" for name, text in texts.items())])
 
 
 def _shown(value: Any, longest: int) -> Any:

@@ -272,3 +272,9 @@ def test_lines_that_are_dropped_are_counted() -> None:
 
         wait_until(lambda: told() >= 10_000, 60)
     os.close(write)
+
+
+def test_line_at_a_terminal_is_one_line_of_words() -> None:
+    record = logging.makeLogRecord({"msg": "two\nlines", "levelname": "INFO", "name": "dsbrdf", "route": "a\x1bb"})
+    line = LineFormatter(in_words=True).format(record)
+    assert re.fullmatch(r"[\dT:.-]+Z info two\\nlines logger=dsbrdf .*route=a\\u001bb", line)
