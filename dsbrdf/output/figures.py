@@ -187,7 +187,7 @@ def _parts_row(
         seen = [curve.max() > pair[0].get_ylim()[0] for curve in curves]
         for ax in pair:
             _draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # seen also where a component covers it
-            _draw_points(ax, *points, "black", "o", "measured")
+            _draw_points(ax, *points, str(ax.xaxis.label.get_color()), "o", "measured")  # also on a dark background
             for (_, colour, style, label), curve in compress(zip(parts, curves, strict=True), seen):
                 _draw_curve(ax, curve, colour, style=style, label=label)
     _finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))

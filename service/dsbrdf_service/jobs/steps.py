@@ -159,6 +159,7 @@ def figure_step(
     import matplotlib.style
 
     mpl.style.use("dark_background" if dark else "default")
+    mpl.rcParams["savefig.transparent"] = dark  # what it stands on is seldom black
     mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
     measured = open_checked(stored.path, stored.sha256, options)
     name = stored.name or stored.sha256[:12]

@@ -161,7 +161,7 @@ async def draw_figure(
     row: TheRow,
     figure: _Figure,
     image_format: _ImageFormat,
-    dark: Annotated[bool, Query(description="For a dark background.")] = False,
+    dark: Annotated[bool, Query(description="For a dark background, which is seen through it.")] = False,
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 

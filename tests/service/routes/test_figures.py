@@ -99,6 +99,10 @@ def test_figures_are_drawn_and_names_are_no_formulas(server: Server, data: bytes
         texts[figure] = answer.content
     again = server.http.get(f"/v1/fits/{fit}/figures/lobes.svg")
     assert again.content == texts["lobes.svg"]  # one tag, the same bytes
+    dark = server.http.get(f"/v1/fits/{fit}/figures/lobes.svg?dark=true").content
+    assert b"#000000" in again.content
+    assert b"#000000" not in dark  # no black marks
+    assert b'z\n"/>' not in dark  # no areas without a colour, which are black
     title = b"components of the fit"
     assert (title in texts["components.svg"], title in texts["lobes.svg"]) == (True, False)
 
