@@ -43,9 +43,9 @@ export async function json(path, method = "GET", content) {
   return (await request(path, { method, headers, body: JSON.stringify(content) })).json();
 }
 
-/** The array that the service answers, in the order of its memory; float16 as the bits. @param {string} path @returns {Promise<any>} */
-export async function askArray(path) {
-  const file = await (await request(path)).arrayBuffer();
+/** The array that the service answers, in the order of its memory; float16 as the bits. @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @returns {Promise<any>} */
+export async function askArray(path, options) {
+  const file = await (await request(path, options)).arrayBuffer();
   const [low, high] = new Uint8Array(file, 8, 2);
   const start = 10 + low + 256 * high;
   const type = /'descr': '<f(\d)'/.exec(new TextDecoder("latin1").decode(file.slice(10, start)))?.[1];

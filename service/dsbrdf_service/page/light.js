@@ -1,7 +1,7 @@
 // Turning a sphere: the light, the line between measurement and fit, exposure and zoom, by pointer and keyboard; and what
 // the values are at the point below the pointer.
 import { find } from "./app.js";
-import { controls, lightAt, look, running, Sphere, USUAL } from "./sphere.js";
+import { controls, lightAt, look, panorama, running, Sphere, USUAL } from "./sphere.js";
 
 const GRIP = 14; // pixels from the line at which it is taken, and not the light
 const STEPS = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] });
@@ -86,19 +86,36 @@ function listen(sphere) {
 
 function control() {
   const form = controls();
+  const own = find(form, "#panorama", HTMLInputElement);
   const hasBoth = running.some((sphere) => sphere.hasBoth);
   /** @param {string} name @param {string} text */
   const write = (name, text) => { find(form, `[name=${name}] + output`).textContent = text; };
   /** @param {boolean} moving */
   const change = (moving) => {
-    const { stops, zoom, show } = look();
+    const { stops, zoom, show, lighting } = look();
     write("exposure", `${stops > 0 ? "+" : ""}${stops} EV`);
     write("zoom", `${zoom.toPrecision(2)}×`);
     find(form, ".wipe").hidden = show !== "half" || !hasBoth;
+    find(form, ".panorama").hidden = lighting !== "environment";
+    if (!own.value) panorama.file = null;
     for (const sphere of running) sphere.draw(moving);
   };
   form.oninput = () => change(true);
   form.onchange = () => change(false);
+  own.oninput = (event) => event.stopPropagation(); // spheres are drawn when it has been read
+  own.onchange = async (event) => {
+    event.stopPropagation();
+    try {
+      const { readPanorama } = await import("./panorama.js");
+      panorama.file = own.files?.length ? await readPanorama(own.files[0]) : null;
+      panorama.number += 1;
+    } catch (error) {
+      own.value = "";
+      throw error;
+    } finally {
+      change(false);
+    }
+  };
   form.onsubmit = (event) => event.preventDefault();
   form.onreset = () => setTimeout(() => form.dispatchEvent(new Event("change", { bubbles: true }))); // once the fields are reset
   find(form, "#show").hidden = !hasBoth;

@@ -19,6 +19,8 @@ const LIGHTS = [[40, 125, 1], [80, -20, 0.5], [140, 70, 0.5]].map(([polar, azimu
 
 /** All spheres of the view. @type {Sphere[]} */
 export const running = [];
+/** A panorama of one's own, as a .npy file, in place of the environment; and how many were chosen. */
+export const panorama = { file: /** @type {Blob | null} */ (null), number: 0 };
 
 export const controls = () => find(document, "#controls", HTMLFormElement);
 
@@ -84,7 +86,7 @@ export class Sphere {
   }
 
   // A program of the whole fit, "glsl", or one that weighs its components, "parts"; the table of the measurement,
-  // "measured"; or radiance under the lights of a name, "environment/fit", of the measurement or of a component.
+  // "measured"; or radiance under the lights of a name, "environment/fit" or "panorama 1/fit", of the measurement or of a component.
   /** @param {string} name @returns {Promise<any>} */
   async fetch(name) {
     const { subject: { fit, measured, parts }, gl } = this;
@@ -98,7 +100,8 @@ export class Sphere {
     const [lighting, what] = name.split("/");
     const path = `v1/${what === "measured" ? `measurements/${measured}` : `fits/${fit}`}/figures/sphere.npy?size=${lighting === "three_lights" ? SAMPLED : SIDE}`;
     const part = ["fit", "measured"].includes(what) ? "" : `&component=${what}`;
-    return askArray(`${path}${part}&lighting=${lighting}`);
+    if (!lighting.startsWith("panorama")) return askArray(`${path}${part}&lighting=${lighting}`);
+    return askArray(`${path}${part}`, { method: "POST", headers: { "Content-Type": "application/x-npy" }, body: panorama.file });
   }
 
   /** Paints when all is there that is needed, and the picture before. While something is moved a slow machine paints fewer pixels. @param {boolean} [moving] */
@@ -127,12 +130,13 @@ export class Sphere {
    */
   async lookAround({ lighting, show }, parts) {
     const isAround = lighting === "environment";
+    const light = !isAround ? "three_lights" : panorama.file ? `panorama ${panorama.number}` : lighting;
     const whole = this.subject.fit ? "fit" : "measured";
     const names = [whole, ...(isAround ? [show === "fit" ? whole : "measured", ...(parts ?? [whole])] : [])];
-    const key = `${isAround} ${names}`;
+    const key = `${light} ${names}`;
     if (key === this.seen.key) return this.seen;
     /** @type {Float32Array[]} */
-    const [all, measured, ...pictures] = await Promise.all(names.map((name) => this.load(`${isAround ? "environment" : "three_lights"}/${name}`)));
+    const [all, measured, ...pictures] = await Promise.all(names.map((name) => this.load(`${light}/${name}`)));
     return { key, exposure: exposureOf(all), pictures: isAround ? [all.map((_, i) => pictures.reduce((sum, picture) => sum + picture[i], 0)), measured] : [] };
   }
   /** @param {Program} program @param {Look} now @param {string[]} shown @param {Sphere["seen"]} seen @param {boolean} moving */

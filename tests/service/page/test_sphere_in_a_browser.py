@@ -4,6 +4,7 @@ import base64
 import re
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ import pytest
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.model.environment import THREE_LIGHTS
+from dsbrdf.model.environment import THREE_LIGHTS, EnvironmentMap
 from dsbrdf.model.image_metrics import displayed, exposure
 from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.output.sphere_panels import encode_png
 from tests.service.page.conftest import Site
 from tests.support.browser import PAINTED, SPHERE, FloatRect, Page, Visit, expect
 
@@ -191,3 +193,29 @@ def test_components_are_hidden_and_shown(visit: Visit, site: Site) -> None:
     diffuse = render_sphere(decompose(site.model(site.fits["glossy"]))["diffuse"], size=len(alone))
     expected = displayed(diffuse, site.exposure(site.fits["glossy"]))
     assert np.abs(alone[..., :3] - expected)[sphere_normals(len(alone))[1]].mean() < 0.5 / 255
+
+
+def test_panorama_of_ones_own_lights_the_sphere(visit: Visit, site: Site, plastic: Measurement, tmp_path: Path) -> None:
+    levels = np.full((256, 512, 3), 0.2)
+    levels[:, 256:, :2] = 0.8
+    room, square = (tmp_path / name for name in ("room.png", "square.png"))
+    room.write_bytes(encode_png(levels))
+    square.write_bytes(encode_png(levels[:, 128:384]))
+    page, own = painted(visit, site), "#panorama"
+    sky = choose(page, "lighting", "environment")
+    seen = [repaint(page, lambda: page.set_input_files(own, room)), choose(page, "show", "measured")]
+    _, mask = sphere_normals(len(sky))
+    around = EnvironmentMap.from_pixels(((levels[::2, ::2] + 0.055) / 1.055) ** 2.4)
+    rendered = [
+        render_sphere(one, lighting=around, size=len(sky)) for one in (site.model(site.fits["glossy"]), plastic)
+    ]
+    for shown, expected in zip(seen, rendered, strict=True):
+        assert np.abs(shown[..., :3] - displayed(expected, exposure(rendered[0], mask)))[mask].mean() < 1.5 / 255
+    choose(page, "show", "fit")
+    lobe = page.locator(f"{BOXES}[value=specular_lobe]")
+    assert repaint(page, lobe.uncheck).mean() < seen[0].mean()
+    repaint(page, lobe.check)
+    assert np.array_equal(repaint(page, lambda: page.set_input_files(own, square)), sky)
+    expect(page.locator("#said")).to_contain_text(
+        "square.png is no panorama: choose a .png or .jpg picture twice as wide"
+    )

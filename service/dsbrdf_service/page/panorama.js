@@ -1,0 +1,17 @@
+// A panorama of one's own in place of the environment: a picture of 360 by 180 degrees that the browser shows.
+import { Problem } from "./app.js";
+
+const [WIDTH, HEIGHT] = [256, 128]; // pixels that are sent
+const HEAD = `{'descr': '<f4', 'fortran_order': False, 'shape': (${HEIGHT}, ${WIDTH}, 3)}\n`; // of a .npy file
+
+/** Linear RGB of a picture as a .npy file, which the service takes. @param {File} file */
+export async function readPanorama(file) {
+  const { width, height } = await createImageBitmap(file).catch(() => ({ width: 0, height: 0 }));
+  if (!width || width !== 2 * height) throw new Problem(`${file.name} is no panorama: choose a .png or .jpg picture twice as wide as high, 360 by 180 degrees.`);
+  const small = await createImageBitmap(file, { resizeWidth: WIDTH, resizeHeight: HEIGHT, resizeQuality: "high" });
+  const context = /** @type {OffscreenCanvasRenderingContext2D} */ (new OffscreenCanvas(WIDTH, HEIGHT).getContext("2d"));
+  context.drawImage(small, 0, 0);
+  const levels = context.getImageData(0, 0, WIDTH, HEIGHT).data.filter((_, i) => i % 4 < 3);
+  const linear = Float32Array.from(levels, (level) => (level > 10 ? ((level / 255 + 0.055) / 1.055) ** 2.4 : level / 255 / 12.92));
+  return new Blob([Uint8Array.of(0x93), `NUMPY\x01\0${String.fromCharCode(HEAD.length)}\0${HEAD}`, linear]);
+}
