@@ -1,4 +1,4 @@
-// What a view shows stands in its address, after #: each field that is not as the view has it at first.
+// What a view shows stands in its address, after #: each field that is not as the view has it at first. It is kept so.
 
 const fields = () => /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("main :is(input, select)[name]")]).filter((field) => !field.closest(".options"));
 
@@ -25,13 +25,9 @@ function write() {
 }
 
 let later = 0;
-/** Sets the fields as the address says, and keeps the address as the fields are. */
-export function keepInAddress() {
-  readAddress();
-  for (const kind of ["input", "change"]) {
-    document.addEventListener(kind, () => {
-      clearTimeout(later);
-      later = setTimeout(write, 200); // browsers refuse more than a few changes a second
-    });
-  }
+for (const kind of ["input", "change"]) {
+  document.addEventListener(kind, () => {
+    clearTimeout(later);
+    later = setTimeout(write, 200); // browsers refuse more than a few changes a second
+  });
 }

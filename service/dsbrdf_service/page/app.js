@@ -151,18 +151,6 @@ export function whenOpened(part, show) {
   details.addEventListener("toggle", () => details.open && show());
 }
 
-/** A function that is done once at a time; of the calls meanwhile, the last one is done afterwards. @param {() => Promise<unknown>} work */
-export function oneAtATime(work) {
-  let turns = 0;
-  /** @type {Promise<unknown>} */
-  let before = Promise.resolve();
-  return async () => {
-    const turn = turns += 1;
-    await before.catch(() => undefined);
-    if (turn === turns) await (before = work());
-  };
-}
-
 /** Shows a picture of the service. @param {HTMLImageElement} image @param {string} path */
 export async function showPicture(image, path) {
   image.src = URL.createObjectURL(await (await request(path)).blob());

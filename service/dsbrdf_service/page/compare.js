@@ -1,5 +1,5 @@
 // Two fits side by side, under one light.
-import { dateOf, fill, find, json, nameOf, Problem, setTitle, showPicture, template } from "./app.js";
+import { dateOf, fill, find, json, nameOf, Problem, setTitle, template } from "./app.js";
 import { place, showSide, showSpheres, storedOf, subjectOf } from "./said.js";
 import { running } from "./sphere.js";
 
@@ -23,7 +23,7 @@ export async function show(main) {
     return place(made);
   });
   const subjects = fits.map((fit, i) => subjectOf(fit, stored[i]));
-  await showSpheres(main, figures, subjects, { instead: ({ figure, subject }) => showPicture(find(figure, ".fallback", HTMLImageElement), `v1/fits/${subject.fit}/figures/sphere.png?size=256`) });
+  await showSpheres(main, figures, subjects);
   find(main, "#between").hidden = running.length < 2;
   if (running.length === 2) compare(running);
 }

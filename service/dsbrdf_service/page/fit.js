@@ -15,14 +15,13 @@ export async function show(main, id) {
   const asked = json(path);
   const shader = request(`${path}/export?format=glsl`).then((answer) => answer.text(), () => undefined); // asked for again where it is needed
   main.replaceChildren(template("fit", { name: "A fit" }));
-  const figure = place(main);
-  showPicture(find(figure, ".fallback", HTMLImageElement), `${path}/figures/sphere.png`).catch(() => undefined);
+  const figure = place(main, path);
   /** @type {Fit} */
   const fit = await asked;
   if (fit.status !== "succeeded") return watch(main, fit);
   const stored = await storedOf(fit);
   showResult(main, fit, stored);
-  await showSpheres(main, [figure], [subjectOf(fit, stored)], { source: shader });
+  await showSpheres(main, [figure], [subjectOf(fit, stored)], shader);
   return whenSeen(find(main, ".downloads"), () => showDownloads(find(main, ".downloads"), path));
 }
 
@@ -36,9 +35,7 @@ function showResult(main, fit, stored) {
   showSide(find(main, ".side"), fit);
   find(main, "a[data-link=measurement]").hidden = find(main, "#figures").hidden = !stored;
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-  for (const image of main.querySelectorAll("img")) {
-    if (image.id) whenOpened(image, () => showPicture(image, `v1/fits/${fit.id}/figures/${image.id}.svg?dark=${dark}`));
-  }
+  for (const image of find(main, "#figures").querySelectorAll("img")) whenOpened(image, () => showPicture(image, `v1/fits/${fit.id}/figures/${image.id}.svg?dark=${dark}`));
   if (!stored?.valid_nodes) find(main, "#lobes").closest("figure")?.remove(); // they are those of a grid
   act(main, "share", share);
   act(main, "delete", () => removeFit(fit));

@@ -1,24 +1,20 @@
 // Turning a sphere: the light, the line between measurement and fit, exposure and zoom, by pointer and keyboard; and what
 // the values are at the point below the pointer.
-import { find } from "./app.js";
+import { find, showPicture } from "./app.js";
 import { controls, lightAt, look, panorama, running, Sphere, USUAL } from "./sphere.js";
 
 const GRIP = 14; // pixels from the line at which it is taken, and not the light
 const STEPS = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] });
 
-/**
- * Starts spheres, which share the light; where there is no WebGL 2, `instead` shows what there is.
- * @param {Sphere[]} spheres @param {(sphere: Sphere) => Promise<unknown>} instead @returns {Promise<boolean>} whether all are there
- */
-export async function startSpheres(spheres, instead) {
+/** Starts spheres, which share the light; where there is no WebGL 2, the service draws them. @param {Sphere[]} spheres */
+export async function startSpheres(spheres) {
   await Promise.all(spheres.map((sphere) => sphere.start().then(() => running.push(sphere), async (error) => {
     sphere.hint.textContent = error.message;
     find(sphere.figure, ".toggles").hidden = true;
-    await instead(sphere);
+    await showPicture(find(sphere.figure, ".fallback", HTMLImageElement), `${sphere.path}/figures/sphere.png?size=256`).catch(() => undefined);
   })));
   for (const sphere of running) listen(sphere);
   if (running.length) control();
-  return running.length === spheres.length;
 }
 
 /** @param {string} name @param {string} value */
@@ -105,16 +101,11 @@ function control() {
   own.oninput = (event) => event.stopPropagation(); // spheres are drawn when it has been read
   own.onchange = async (event) => {
     event.stopPropagation();
-    try {
-      const { readPanorama } = await import("./panorama.js");
-      panorama.file = own.files?.length ? await readPanorama(own.files[0]) : null;
-      panorama.number += 1;
-    } catch (error) {
-      own.value = "";
-      throw error;
-    } finally {
-      change(false);
-    }
+    const { readPanorama } = await import("./panorama.js");
+    panorama.file = (own.files?.length && await readPanorama(own.files[0])) || null;
+    panorama.number += 1;
+    if (!panorama.file) own.value = "";
+    change(false);
   };
   form.onsubmit = (event) => event.preventDefault();
   form.onreset = () => setTimeout(() => form.dispatchEvent(new Event("change", { bubbles: true }))); // once the fields are reset

@@ -1,5 +1,5 @@
 // A measurement, also before its fit: its sphere, profiles and values, or what is understood of a table; its fits, and a fit of it.
-import { act, dateOf, download, find, json, make, remove, request, root, setTitle, share, showPicture, sizeOf, stateOf, template, whenOpened } from "./app.js";
+import { act, dateOf, download, find, json, make, remove, request, root, setTitle, share, sizeOf, stateOf, template, whenOpened } from "./app.js";
 import { chosen, fitStored, showForm } from "./options.js";
 import { place, showPlots, showSpheres } from "./said.js";
 
@@ -25,11 +25,7 @@ export async function show(main, sha256) {
     location.assign(new URL(`fits/${id}`, root));
   };
   const subject = { name, fit: null, measured: onGrid ? sha256 : null, samples: null, parts: [] };
-  if (onGrid) {
-    const figure = place(main);
-    showPicture(find(figure, ".fallback", HTMLImageElement), `${path}/figures/sphere.png`);
-    return showSpheres(main, [figure], [subject]);
-  }
+  if (onGrid) return showSpheres(main, [place(main, path)], [subject]);
   const file = new File([await (await request(path)).blob()], name);
   const { showTable } = await import("./table.js");
   // With the options that are chosen: it and its samples are shown again when they change.

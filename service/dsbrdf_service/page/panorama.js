@@ -1,13 +1,13 @@
 // A panorama of one's own in place of the environment: a picture of 360 by 180 degrees that the browser shows.
-import { Problem } from "./app.js";
+import { say } from "./app.js";
 
 const [WIDTH, HEIGHT] = [256, 128]; // pixels that are sent
 const HEAD = `{'descr': '<f4', 'fortran_order': False, 'shape': (${HEIGHT}, ${WIDTH}, 3)}\n`; // of a .npy file
 
-/** Linear RGB of a picture as a .npy file, which the service takes. @param {File} file */
+/** Linear RGB of a picture as a .npy file, which the service takes; says so if it is no panorama. @param {File} file */
 export async function readPanorama(file) {
   const { width, height } = await createImageBitmap(file).catch(() => ({ width: 0, height: 0 }));
-  if (!width || width !== 2 * height) throw new Problem(`${file.name} is no panorama: choose a .png or .jpg picture twice as wide as high, 360 by 180 degrees.`);
+  if (!width || width !== 2 * height) return say(`${file.name} is no panorama: choose a .png or .jpg picture twice as wide as high, 360 by 180 degrees.`, true);
   const small = await createImageBitmap(file, { resizeWidth: WIDTH, resizeHeight: HEIGHT, resizeQuality: "high" });
   const context = /** @type {OffscreenCanvasRenderingContext2D} */ (new OffscreenCanvas(WIDTH, HEIGHT).getContext("2d"));
   context.drawImage(small, 0, 0);

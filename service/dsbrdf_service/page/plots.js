@@ -1,6 +1,6 @@
 // Plots as SVG of measured points, the fit and its components: profiles over theta_half at one theta_diff, and values in
 // the plane of incidence for one direction of the light. The legend says the values at an angle, by pointer or arrow keys.
-import { fill, find, make, oneAtATime, words } from "./app.js";
+import { fill, find, make, words } from "./app.js";
 import { PLOTS } from "./said.js";
 import { LABELS } from "./sphere.js";
 import { mostAt, NEAR, samplesOf, valuesAt } from "./values.js";
@@ -152,25 +152,28 @@ function showLegend(panel, curves, along, degrees) {
 /** Fetches what belongs to the place of a slider and draws it, whenever the slider, a choice or the width changes. @param {HTMLElement} panel @param {Subject[]} subjects @param {(Sample[] | null)[]} read samples of tables */
 function followSlider(panel, subjects, read) {
   const kind = /** @type {Plot} */ (PLOTS.find(({ id }) => id === panel.id));
-  const [slider, box] = [find(panel, "input", HTMLInputElement), find(panel, ".plot")];
+  const slider = find(panel, "input", HTMLInputElement);
   /** @type {Map<number, Values[]>} */
   const known = new Map();
   const samples = read.find(Boolean);
   const choice = (/** @type {string} */ name) => find(panel, `select[name$=${name}]`, HTMLSelectElement).value;
-  const show = oneAtATime(async () => {
+  let turns = 0;
+  let shown = Promise.resolve();
+  const show = async () => {
     const place = Number(slider.value);
     const all = known.get(place) ?? await Promise.all(subjects.map((one, i) => valuesAt(one, read[i], kind.along, place, subjects.length < 2)));
     known.set(place, all);
     fill(panel, { near: samples && !all.some(({ measured }) => measured?.[0].length) ? `There are no samples here; most are at ${mostAt(samples, kind.along)}°.` : "" });
     plot(panel, kind, { all, subjects, place, channel: choice("channel"), axis: choice("axis"), range: choice("range") });
-  });
-  panel.oninput = () => {
+  };
+  panel.oninput = async () => {
     find(panel, "output").textContent = `${slider.value}°`;
-    return show();
+    const turn = turns += 1;
+    await shown.catch(() => undefined);
+    if (turn === turns) await (shown = show()); // one at a time; of the changes meanwhile, the last one
   };
   if (samples && !location.hash.includes(`${slider.name}=`)) slider.value = slider.defaultValue = String(mostAt(samples, kind.along));
-  find(panel, "output").textContent = `${slider.value}°`;
-  new ResizeObserver(show).observe(box);
+  new ResizeObserver(() => panel.dispatchEvent(new Event("input"))).observe(find(panel, ".plot"));
 }
 
 /** Draws the plots that are in a box. @param {HTMLElement} box @param {Subject[]} subjects */

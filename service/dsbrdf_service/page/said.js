@@ -1,6 +1,6 @@
 // What is said of a fit beside its sphere: components, metrics, options, downloads; and where spheres and plots are.
-import { download, find, json, make, nameOf, openapi, optionsOf, sentenceOf, stateOf, template, whenOpened, whenSeen, words } from "./app.js";
-import { keepInAddress } from "./address.js";
+import { download, find, json, make, nameOf, openapi, optionsOf, sentenceOf, showPicture, stateOf, template, whenOpened, whenSeen, words } from "./app.js";
+import { readAddress } from "./address.js";
 import { startSpheres } from "./light.js";
 import { LABELS, Sphere } from "./sphere.js";
 
@@ -96,9 +96,10 @@ export function subjectOf(fit, stored) {
   return { name: nameOf(fit), fit: fit.id, measured: onGrid ? fit.measurement : null, samples: stored && !onGrid ? `v1/fits/${fit.id}/samples.npy?` : null, parts: fit.components };
 }
 
-/** A sphere's place in a part of a view. @param {HTMLElement} part */
-export function place(part) {
+/** A sphere's place in a part of a view, with the picture of a fit or a measurement meanwhile. @param {HTMLElement} part @param {string} [path] */
+export function place(part, path) {
   find(part, ".place").prepend(template("sphere"));
+  if (path) showPicture(find(part, ".fallback", HTMLImageElement), `${path}/figures/sphere.png`).catch(() => undefined);
   return find(part, "figure.sphere");
 }
 
@@ -124,21 +125,16 @@ export function showPlots(main, subjects) {
     if (subjects.length > 1) find(panel, "[value=all]", HTMLOptionElement).remove(); // one channel of both
     box.append(panel);
   }
-  keepInAddress();
+  readAddress();
   whenSeen(box, async () => (await import("./plots.js")).startPlots(box, subjects));
 }
 
-/**
- * Shows spheres in their places, which share the light, and their plots. GLSL of the fit may be on its way; where there is
- * no WebGL 2, `instead` shows what there is.
- * @param {HTMLElement} main @param {HTMLElement[]} figures @param {Subject[]} subjects
- * @param {{source?: Promise<string | undefined>, instead?: (sphere: Sphere) => Promise<unknown>}} [given]
- */
-export async function showSpheres(main, figures, subjects, { source, instead = async () => undefined } = {}) {
+/** Shows spheres in their places, which share the light, and their plots. @param {HTMLElement} main @param {HTMLElement[]} figures @param {Subject[]} subjects @param {Promise<string | undefined>} [source] GLSL of the fit that is on its way */
+export async function showSpheres(main, figures, subjects, source) {
   find(main, "#seen").append(template("sphere-controls"));
   const spheres = figures.map((figure, i) => new Sphere(figure, subjects[i], source)); // their boxes are in the address too
   showPlots(main, subjects);
-  await startSpheres(spheres, instead);
+  await startSpheres(spheres);
 }
 
 /** Says what is known of a fit beside its sphere. @param {HTMLElement} box @param {Fit} fit */

@@ -45,6 +45,7 @@ export class Sphere {
     this.figure = figure;
     this.subject = subject;
     this.source = source;
+    this.path = subject.fit ? `v1/fits/${subject.fit}` : `v1/measurements/${subject.measured}`;
     this.hasBoth = Boolean(subject.fit && subject.measured);
     this.canvas = find(figure, "canvas", HTMLCanvasElement);
     this.gl = /** @type {WebGL2RenderingContext} */ (this.canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true }));

@@ -33,9 +33,6 @@ async function meansAt(path, places) {
   });
 }
 
-/** Samples of a table, of many some. @param {string} path @returns {Promise<Sample[]>} */
-export const samplesOf = async (path) => anglesOf(await askArray(`${path}most=${MOST_SAMPLES}`));
-
 /** Where most samples are, in steps of five degrees. @param {Sample[]} samples @param {"half" | "out"} along */
 export function mostAt(samples, along) {
   const counts = Array.from({ length: 18 }, (_, i) => samples.filter((one) => isNear(one, along, 5 * i)).length);
@@ -47,8 +44,9 @@ function isNear(one, along, place) {
   return along === "half" ? Math.abs(one.diff - place) <= NEAR : Math.abs(one.light - place) <= NEAR && one.aside <= NEAR;
 }
 
-/** @param {ArrayLike<number>} table nine numbers each @returns {Sample[]} */
-function anglesOf(table) {
+/** Samples of a table, of many some. @param {string} path @returns {Promise<Sample[]>} */
+export async function samplesOf(path) {
+  const table = await askArray(`${path}most=${MOST_SAMPLES}`); // nine numbers each
   return Array.from({ length: table.length / 9 }, (_, i) => {
     const [a, b, c, d, e, f, ...values] = Array.from({ length: 9 }, (_, k) => table[9 * i + k]);
     const flat = Math.hypot(a, b);
