@@ -63,7 +63,7 @@ class Site:
         return fit
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="session")
 def site(guarded: Guarded, data: bytes) -> Site:
     made = Site(guarded.server.http, guarded.new_key("page"), {})
     made.fits["glossy"] = made.submit(data, "glossy", n_lobes=2)
@@ -72,8 +72,9 @@ def site(guarded: Guarded, data: bytes) -> Site:
     return made
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def browser() -> "Iterator[Browser]":
+    """A browser for the tests of a file: while it is there, no other test of the process can have an event loop."""
     with running_browser() as running:
         yield running
 
@@ -86,7 +87,7 @@ def _context(browser: "Browser", site: Site, webgl: bool, key: str | None, **opt
     return context
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def signed_in(browser: "Browser", site: Site) -> "Mapping[bool, BrowserContext]":
     """The user's browser with WebGL and without; the user looks at all pages in it, each picture is drawn once."""
     return {webgl: _context(browser, site, webgl, site.key) for webgl in (True, False)}
