@@ -10,7 +10,6 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -22,8 +21,6 @@ from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.sample_tables import is_table
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
-from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outcome
-from dsbrdf.errors import DSBRDFError
 from dsbrdf.output.serialize import result_from_json
 
 from .wire.fit_options import OF_TABLES, to_wire
@@ -201,48 +198,6 @@ class Client:
             left -= int(pause)
             time.sleep(int(pause))
         return answer
-
-
-class ClientEngine:
-    """The engine behind ``dsbrdf fit --url``: asks the service at `url` for at most `count` fits at once.
-
-    The environment variable ``DSBRDF_KEY`` has the key, if one is needed.
-    """
-
-    def __init__(self, url: str, count: int) -> None:
-        self._url, self._client = url, Client(url)
-        self._threads = ThreadPoolExecutor(count)
-
-    def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
-        """Ask for a fit.
-
-        The future raises ConnectionError if the service cannot be reached, or fails for another reason than the
-        measurement or the options. It raises InvalidArgumentError if the service wants a key.
-        """
-        return self._threads.submit(self._fit, task, on_progress)
-
-    def check(self) -> None:
-        """Do nothing: the first fit says whether the service answers."""
-
-    def close(self) -> None:
-        """Give up what is asked for, and close the connections."""
-        self._client.close()
-        self._threads.shutdown(cancel_futures=True)
-
-    def _fit(self, task: FitTask, on_progress: OnProgress) -> Outcome:
-        try:
-            fit = self._client.wait(self._client.submit(task.path, task.options), on_progress)
-            return FitDocument(self._client.document(fit["id"]), fit["metrics"])
-        except DSBRDFError as error:
-            return Fault("input", type(error).__name__, str(error))
-        except httpx.ConnectError as error:
-            advice = "is a service running there? dsbrdf serve starts one"
-            raise ConnectionError(f"nothing answers at {self._url}: {advice} ({error})") from error
-        except (ServiceError, httpx.TransportError) as error:
-            if isinstance(error, ServiceError) and error.problem.get("status") == 401:
-                advice = "the environment variable DSBRDF_KEY gives the key"
-                raise InvalidArgumentError(f"{self._url}: {error}; {advice}") from error
-            raise ConnectionError(f"{self._url}: {error}") from error
 
 
 def _error(answer: httpx.Response) -> Exception:
