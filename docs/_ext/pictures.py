@@ -6,7 +6,6 @@ build the pages do not have the data.
 
 import json
 import os
-from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -24,17 +23,17 @@ _SIZE, _STRIP = 224, 128  # pixels of a sphere as it is drawn, and in a strip
 _METRICS = ("relative_rms", "excess", "psnr")
 
 
-def readme_picture(folder: Path, materials: Sequence[str] = README_MATERIALS) -> bytes:
+def readme_picture(folder: Path) -> bytes:
     """Return a WebP file of materials in a folder, one in a row: measured, the fit, and the components of the fit."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from PIL import Image
 
-    step, rows = _README_SIZE + _README_GAP, len(materials)
+    step, rows = _README_SIZE + _README_GAP, len(README_MATERIALS)
     width, height = _README_TEXT + step * len(_README_COLUMNS), _README_TEXT + step * rows
     canvas = FigureCanvasAgg(Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0, facecolor="none"))
     text = {"color": "0.5", "fontsize": 22, "ha": "center", "va": "center"}  # seen on white and on black
-    for row, name in enumerate(materials):
+    for row, name in enumerate(README_MATERIALS):
         measurement = dsbrdf.read_merl(folder / f"{name}.binary")
         panels = compare_spheres(
             measurement, dsbrdf.fit(measurement).model, lighting="environment", size=_README_SIZE
