@@ -36,7 +36,10 @@ def run_in_worker(pipe: socket.socket, limits: FitLimits, step: Callable[..., An
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal reaches all processes; the parent handles it
 
     def send(kind: str, content: object) -> None:
-        pipe.sendall(pickle.dumps((kind, content)))
+        try:
+            pipe.sendall(pickle.dumps((kind, content)))
+        except ConnectionError:  # nobody wants the outcome any more, and this process is about to be killed
+            os._exit(0)
 
     try:
         _prepare(limits)
