@@ -12,7 +12,6 @@ _PLAIN_WORDS = {  # for what pydantic says
     r"^(Input|String|List|Value) should (be|have|match) ": r"must \2 ",
     r"^Value error, ": "",
     r"^Field required$": "is missing",
-    r"^Extra inputs are not permitted$": "is not known here",
     r"^Invalid JSON: ": "The body is not JSON: ",
     "greater than or equal to": "at least",
     "less than or equal to": "at most",

@@ -1,6 +1,7 @@
 """What routes depend on: the parts of the running service, the caller, and the parameters that several routes have."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -131,7 +132,7 @@ TheOptions = Annotated[FitOptions, Depends(_options_in)]
 
 
 async def check_query(request: Request) -> None:
-    """Refuse a query parameter that the route does not declare: none is ignored."""
+    """Refuse a query parameter that the route does not declare, or that is given twice: none is ignored."""
     if not request.scope["query_string"]:
         return
     route: APIRoute = request.scope["route"]
@@ -139,10 +140,12 @@ async def check_query(request: Request) -> None:
     declared = [parameter["name"] for parameter in written if parameter["in"] == "query"]
     for field in route.dependant.query_params:
         declared += getattr(field.field_info.annotation, "model_fields", [field.alias])
-    for name in request.query_params:
+    for name, count in Counter(name for name, _ in request.query_params.multi_items()).items():
         if name not in declared:
             there_is = f"known is {', '.join(declared)}" if declared else "there is none here"
             raise InvalidArgumentError(f"Unknown query parameter {name[:60]!r}; {there_is}.")
+        if count > 1:
+            raise InvalidArgumentError(f"The query parameter {name[:60]!r} is given more than once; give it once.")
 
 
 CHECKED_QUERY = [Depends(check_query)]

@@ -21,7 +21,7 @@ from ..http.request_body import media_type_of
 from ..http.responses import not_modified, tag_of, tagged_reply
 from ..jobs.steps import FIGURES, figure_step, samples_step, sphere_step, spheres_step, table_step
 from ..wire.fit_options import from_wire
-from ..wire.inputs import Label
+from ..wire.inputs import PLAIN, Label
 from ..wire.points import NPY, panorama_from_npy
 from .dependencies import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheLoadedFit, TheMeasurement, TheOptions, TheRow
 from .uploads import TABLE_PARAMETERS
@@ -32,13 +32,13 @@ router = APIRouter(prefix="/v1", tags=["figures"], dependencies=CHECKED_QUERY)
 
 _MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml", "npy": NPY}
 _MAX_PANORAMA = 16_000_000  # bytes
-_Size = Annotated[int, Query(ge=8, le=256, description="Pixels along a side.")]
+_Size = Annotated[int, Query(ge=8, le=256, description="Pixels along a side."), PLAIN]
 _Lighting = Annotated[
     Literal[*LIGHTINGS],  # type: ignore[valid-type]
     Query(description="Three lights, or a sky with sun and window."),
 ]
 _Component = Annotated[Label | None, Query(description="One component instead of the whole fit.")]
-_Most = Annotated[int, Query(ge=1, le=100_000, description="So many at most.")]
+_Most = Annotated[int, Query(ge=1, le=100_000, description="So many at most."), PLAIN]
 _Figure = Annotated[
     Literal[*FIGURES],  # type: ignore[valid-type]
     Path(description=f"One of {', '.join(FIGURES)}.", examples=["components"]),

@@ -34,7 +34,9 @@ exports = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=CHECKED_QUE
 
 _MAX_JSON = 1 << 16
 _Wait = Annotated[
-    float, Query(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s].")
+    float,
+    Query(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."),
+    inputs.PLAIN,
 ]
 _Only = Annotated[
     Literal["cancel", "delete"] | None,

@@ -5,7 +5,17 @@ Angles in degrees (``_deg``), RGB order.
 
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, WithJsonSchema
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
 
 from dsbrdf.data.table_options import sentences_of
 from dsbrdf.errors import InvalidArgumentError
@@ -27,6 +37,15 @@ def _or_one(schema: dict[str, Any]) -> None:
     schema["anyOf"] = [{"type": schema.pop("type"), "items": schema["items"]}, schema.pop("items")]
 
 
+def _check_plain(given: Any) -> Any:
+    """Return what is given; raise ValueError if it is a text that only Python takes for a number."""
+    if isinstance(given, str) and ("_" in given or not given.isascii()):
+        raise ValueError(f"{given[:40]!r} is no number")
+    return given
+
+
+PLAIN = BeforeValidator(_check_plain)
+"""Stands after the limits of a number in a query, and refuses what only Python reads as one: 1_000."""
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Angle = Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)]
 _Angles = Annotated[list[_Angle], Field(json_schema_extra=_or_one)]
@@ -41,6 +60,14 @@ class Input(BaseModel):
     """A document that clients send: what it does not know is an error, not ignored."""
 
     model_config = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_unknown_members(cls, given: Any) -> Any:
+        if isinstance(given, dict) and (unknown := given.keys() - cls.model_fields.keys()):
+            told = {"name": repr(str(min(unknown))[:60]), "known": ", ".join(cls.model_fields)}
+            raise PydanticCustomError("unknown", "Unknown {name}; known are {known}", told)
+        return given
 
 
 def _options_schema() -> dict[str, Any]:
@@ -116,7 +143,7 @@ class DirectionsRequest(Input):
 class Page(Input):
     """Which part of a list."""
 
-    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer.")] = 50
+    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer."), PLAIN] = 50
     cursor: Annotated[
         str | None, Field(pattern=r"^[0-9]{1,18}$", description="From the `Link` of the page before.")
     ] = None

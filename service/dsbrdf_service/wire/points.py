@@ -53,6 +53,8 @@ def from_query(query: bytes) -> Points:
     """
     given: dict[str, list[Any]] = {}
     for name, text in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
+        if "_" in text:  # only Python reads 1_0 as a number
+            raise InvalidArgumentError(f"{name[:40]} must be a number, not {text[:40]!r}.")
         given.setdefault(name, []).append(text.split(",") if name in _DIRECTIONS else text)
     return _points(given, strict=False)
 
@@ -110,7 +112,7 @@ def read_npy(data: bytes, allowed: Callable[[tuple[int, ...]], bool], wanted: st
         array: NDArray[Any] = npy.read_array(file, allow_pickle=False, max_header_size=_LONGEST_NPY_HEADER)
     except Exception:  # NumPy parses the header as Python, which can raise any exception
         raise InvalidArgumentError("The body is not a whole .npy file of numbers.") from None
-    if array.dtype.kind != "f":
+    if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):
         raise InvalidArgumentError(f"The array holds {array.dtype}; it must hold float64 or float32.")
     if not allowed(array.shape):
         raise InvalidArgumentError(f"The array has the shape {array.shape}; it must be {wanted}.")

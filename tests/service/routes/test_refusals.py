@@ -11,9 +11,12 @@ from tests.support.server import Server, assert_problem
 # Targets, in which {fit} is the path of a fit, and what the sentence has that refuses them.
 OF_LISTS = ["limit=0", "limit=201", "limit=x", "cursor=-1", "cursor=99999999999999999999", "page=2"]
 OF_WAITS = ["wait=-1", "wait=nan", "wait=inf", "waiting=1"]
+WITH_NUMBERS = ["/v1/fits?limit", "{fit}?wait", "{fit}/figures/sphere.png?size", "{fit}/brdf?theta_half_deg"]
 TARGETS = [(f"/v1/fits?{query}", query.partition("=")[0]) for query in OF_LISTS]
 TARGETS += [(f"/v1/measurements?{query}", query.partition("=")[0]) for query in OF_LISTS]
 TARGETS += [(f"{{fit}}?{query}", "wait") for query in OF_WAITS]
+# What only Python takes for a number is none.
+TARGETS += [(f"{name}={number}", name.partition("?")[2]) for name in WITH_NUMBERS for number in ("1_0", "%D9%A1%D9%A0")]
 TARGETS += [(f"{{fit}}/export?component=diffuse&format={name}", "merl & layers") for name in ("json", "csv")]
 TARGETS += [
     ("{fit}/export?component=diffuse&format=materialx", "merl & layers"),
@@ -27,6 +30,10 @@ TARGETS += [
     ("{fit}/figures/sphere.png?component=ring", "'diffuse'"),
     ("{fit}/figures/sphere.png?hue=1", "hue"),
     ("{fit}/figures/profiles.svg?hue=1", "'hue'"),
+    ("/v1/fits?limit=1&limit=2", "'limit' & more than once"),
+    ("{fit}?wait=0&wait=1", "'wait' & more than once"),
+    ("{fit}/export?format=csv&format=json", "'format' & more than once"),
+    ("{fit}/figures/sphere.png?size=16&size=32", "'size' & more than once"),
 ]
 
 

@@ -28,7 +28,7 @@ from dsbrdf_service.wire.points import from_json
             b'{"omega_in": [[0, 1]], "omega_out": []}',
             "omega_in.0 must have at least 3 items, not 2.",
         ),
-        (partial(parse_document, NewName), b'{"nam": "x"}', "name is missing; nam is not known here."),
+        (partial(parse_document, NewName), b'{"nam": "x"}', "Unknown 'nam'; known are name."),
         (partial(parse_document, NewName), b'{"name": 5}', "name must be a text, not 5."),
     ],
 )
