@@ -39,7 +39,7 @@ SMOOTHING = (1e-7, 3e-6, 1e-6)
 TOLERANCE = 1e-3
 """An iteration stalls that lowers the cost by a smaller share."""
 _SAMPLES_AT_ONCE = 2400
-_LARGEST_SINGLE = 1e9  # value [1/sr]: a weight is a square of one over that of a typical value
+_LARGEST_SINGLE = 1e9  # of the values [1/sr]; weights are about one over their squares
 _LARGEST_STEP = 1.5  # in logarithms, radians and elongation
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-2, 1e8
 _LIMIT_PASSES = 5
@@ -87,8 +87,8 @@ class FitData:
     def single(self) -> "FitData":
         """The same in single precision, in which what is found of the samples takes half of the time.
 
-        For a search it is too coarse: as the choices of a hundred steps differ, another mixture comes out. Values so
-        large, or so small, that single precision cannot have their weights stay as they are.
+        For a search it is too coarse: as the choices of a hundred steps differ, another mixture comes out. Data
+        whose weights leave the range of single precision, as values in a wrong unit have them, stay as they are.
         """
         if not _LARGEST_SINGLE**-1 < self.mean.max(initial=0.0) < _LARGEST_SINGLE:
             return self
