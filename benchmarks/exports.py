@@ -28,21 +28,21 @@ import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf.arrays import Array
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.extras import require
-from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.environment import THREE_LIGHTS
-from dsbrdf.model.image_metrics import displayed, exposure, psnr
-from dsbrdf.model.render import Source, render_sphere, sphere_normals
 from dsbrdf.output.export.materialx import fit_openpbr
 from dsbrdf.output.export.mitsuba_bsdf import register
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from dsbrdf.output.serialize import save
+from dsbrdf.pipeline import fit
+from dsbrdf.rendering.environment import THREE_LIGHTS
+from dsbrdf.rendering.image_metrics import displayed, exposure, psnr
+from dsbrdf.rendering.sphere import Source, render_sphere, sphere_normals
 
 SIZE, FINER = 96, 4
 ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])

@@ -20,10 +20,10 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.pipeline import fit
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 Pairs = tuple[Array, Array]
 Truth = Callable[[Array, Array], Array]

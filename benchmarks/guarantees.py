@@ -16,11 +16,11 @@ import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf.arrays import Array
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.pipeline import fit
 
 STEP = float(np.radians(0.001))
 REACH = np.radians(np.linspace(-0.2, 0.2, 9))

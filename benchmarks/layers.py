@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness
 from dsbrdf.output.export.materialx import fit_openpbr
 from dsbrdf.output.serialize import load
+from dsbrdf.pipeline import fit
+from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness
 
 HEADS = ("seconds", "numbers", "model", "", "layers", "", "OpenPBR", "", "seconds")
 SHARES = {"smallest": 0.0, "median": 0.5, "largest": 1.0}

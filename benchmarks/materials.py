@@ -25,7 +25,7 @@ from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit
+from dsbrdf.pipeline import fit
 
 FIGURES = (*METRICS, "numbers", "seconds")
 DIGITS = {"psnr": 1, "numbers": 0, "seconds": 2}

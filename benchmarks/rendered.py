@@ -28,10 +28,10 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.pipeline import fit
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness
 from dsbrdf.output.sphere_panels import compare_spheres
+from dsbrdf.pipeline import fit
+from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness
 
 FIT, GGX, TABLE, PEER = "fit", "2 GGX", "phi means", "peer"
 WAYS = (FIT, GGX, TABLE, PEER)

@@ -17,12 +17,12 @@ from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit
-from dsbrdf.fitting.sample_bins import scattered_metrics
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.pipeline import fit
+from dsbrdf.samples.bins import scattered_metrics
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
 LIMIT = 0.03

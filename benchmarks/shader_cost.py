@@ -17,12 +17,12 @@ import numpy as np
 
 from benchmarks.exports import pairs
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.fitting.pipeline import fit
-from dsbrdf.model.image_metrics import displayed, exposure, psnr
-from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.export.glsl import glsl_function
+from dsbrdf.pipeline import fit
+from dsbrdf.rendering.image_metrics import displayed, exposure, psnr
+from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 from tests.support.webgl import ShaderCall, time_glsl
 
 SIZE = 128

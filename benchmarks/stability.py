@@ -15,12 +15,12 @@ import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf.arrays import Array
+from dsbrdf.components.decomposition import decompose
+from dsbrdf.components.shares import LABELS
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit
+from dsbrdf.pipeline import fit
 
 NOISE = 0.01
 CUTOFF = 76.0  # degrees

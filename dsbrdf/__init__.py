@@ -7,23 +7,25 @@
 
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
 
-Wings, each calling only those to its left: arrays, errors, version, extras, process_settings, data, model, fitting,
-output, engines, cli. One exception: the methods `plot` and `_repr_html_` call `dsbrdf.output.notebook`, `save`
-`dsbrdf.output.serialize` and `export` `dsbrdf.output.export`.
+Wings, each calling only those to its left: arrays, errors, version, extras, process_settings, data, model, rendering,
+fitting, paper, components, samples, report_warnings, pipeline, output, engines, cli.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from dsbrdf.output.notebook_display import register as _register_with_notebook
+
 if TYPE_CHECKING:
+    from dsbrdf.components.decomposition import Component as Component
+    from dsbrdf.components.decomposition import Decomposition as Decomposition
+    from dsbrdf.components.decomposition import decompose as decompose
     from dsbrdf.data.measurement import Measurement as Measurement
-    from dsbrdf.data.measurement_files import read_measurement as read_measurement
     from dsbrdf.data.merl import parse_merl as parse_merl
     from dsbrdf.data.merl import read_merl as read_merl
     from dsbrdf.data.merl import write_merl as write_merl
     from dsbrdf.data.reduction import Profiles as Profiles
     from dsbrdf.data.reduction import profiles as profiles
-    from dsbrdf.data.scattered_samples import ScatteredSamples as ScatteredSamples
     from dsbrdf.errors import ConvergenceWarning as ConvergenceWarning
     from dsbrdf.errors import DSBRDFError as DSBRDFError
     from dsbrdf.errors import FitError as FitError
@@ -31,23 +33,23 @@ if TYPE_CHECKING:
     from dsbrdf.errors import InvalidArgumentError as InvalidArgumentError
     from dsbrdf.errors import MeasurementFormatError as MeasurementFormatError
     from dsbrdf.errors import ModelFormatError as ModelFormatError
-    from dsbrdf.fitting.decomposition import Component as Component
-    from dsbrdf.fitting.decomposition import Decomposition as Decomposition
-    from dsbrdf.fitting.decomposition import decompose as decompose
     from dsbrdf.fitting.options import FitOptions as FitOptions
-    from dsbrdf.fitting.pipeline import fit as fit
     from dsbrdf.fitting.report import FitReport as FitReport
     from dsbrdf.fitting.report import FitResult as FitResult
     from dsbrdf.model.dsbrdf import DSBRDF as DSBRDF
-    from dsbrdf.model.environment import EnvironmentMap as EnvironmentMap
-    from dsbrdf.model.environment import read_environment as read_environment
     from dsbrdf.model.furnace import FurnaceReport as FurnaceReport
     from dsbrdf.model.furnace import white_furnace as white_furnace
-    from dsbrdf.model.render import render_sphere as render_sphere
     from dsbrdf.output.export import export as export
+    from dsbrdf.output.plots import plot as plot
     from dsbrdf.output.serialize import load as load
     from dsbrdf.output.serialize import load_result as load_result
     from dsbrdf.output.serialize import save as save
+    from dsbrdf.pipeline import fit as fit
+    from dsbrdf.rendering.environment import EnvironmentMap as EnvironmentMap
+    from dsbrdf.rendering.environment import read_environment as read_environment
+    from dsbrdf.rendering.sphere import render_sphere as render_sphere
+    from dsbrdf.samples.measurement_files import read_measurement as read_measurement
+    from dsbrdf.samples.scattered_samples import ScatteredSamples as ScatteredSamples
     from dsbrdf.version import ALGORITHM_VERSION as ALGORITHM_VERSION
     from dsbrdf.version import __version__ as __version__
 
@@ -55,21 +57,22 @@ if TYPE_CHECKING:
 # commands that compute nothing do not wait for NumPy and SciPy.
 _DEFINED_IN = {
     "data.measurement": "Measurement",
-    "data.measurement_files": "read_measurement",
+    "samples.measurement_files": "read_measurement",
     "data.merl": "parse_merl read_merl write_merl",
     "data.reduction": "Profiles profiles",
-    "data.scattered_samples": "ScatteredSamples",
+    "samples.scattered_samples": "ScatteredSamples",
     "errors": "ConvergenceWarning DSBRDFError FitError ImageFormatError InvalidArgumentError MeasurementFormatError "
     "ModelFormatError",
     "fitting.options": "FitOptions",
-    "fitting.pipeline": "fit",
+    "pipeline": "fit",
     "fitting.report": "FitReport FitResult",
-    "fitting.decomposition": "Component Decomposition decompose",
+    "components.decomposition": "Component Decomposition decompose",
     "model.dsbrdf": "DSBRDF",
-    "model.environment": "EnvironmentMap read_environment",
+    "rendering.environment": "EnvironmentMap read_environment",
     "model.furnace": "FurnaceReport white_furnace",
-    "model.render": "render_sphere",
+    "rendering.sphere": "render_sphere",
     "output.export": "export",
+    "output.plots": "plot",
     "output.serialize": "load load_result save",
     "version": "ALGORITHM_VERSION __version__",
 }
@@ -89,3 +92,6 @@ if not TYPE_CHECKING:  # a type checker would take every name for granted
 
 def __dir__() -> list[str]:
     return __all__
+
+
+_register_with_notebook()

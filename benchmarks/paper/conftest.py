@@ -11,9 +11,9 @@ from benchmarks.paper.materials import Material, fit_quietly
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import write_merl
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.figure_parts import encode_figure
+from dsbrdf.pipeline import fit
 
 
 @dataclass(frozen=True)

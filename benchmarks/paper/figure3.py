@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from benchmarks.paper.materials import Computed, Material, Numbers, choose
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
-from dsbrdf.fitting.decomposition import Component, decompose
-from dsbrdf.fitting.layer_shares import LABELS
+from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.shares import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.image_metrics import exposure
-from dsbrdf.model.render import sphere_normals
+from dsbrdf.rendering.image_metrics import exposure
+from dsbrdf.rendering.sphere import sphere_normals
 
 __all__ = ["FIGURE", "saturation"]
 

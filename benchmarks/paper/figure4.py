@@ -24,8 +24,8 @@ from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.fitting.metrics import relative_errors, sample_errors
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.image_metrics import exposure
-from dsbrdf.model.render import sphere_normals
+from dsbrdf.rendering.image_metrics import exposure
+from dsbrdf.rendering.sphere import sphere_normals
 
 __all__ = ["FIGURE"]
 

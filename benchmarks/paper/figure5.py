@@ -14,8 +14,8 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.metrics import relative_errors, sample_errors
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import profiles_for
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.pipeline import profiles_for
 
 __all__ = ["FACTORS", "FIGURE", "won"]
 

@@ -18,8 +18,8 @@ from scipy.stats import spearmanr
 from benchmarks.paper.materials import Computed, Material, Numbers
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure, sphere, to_bytes
 from dsbrdf.arrays import Array
-from dsbrdf.model.image_metrics import exposure
-from dsbrdf.model.render import sphere_normals
+from dsbrdf.rendering.image_metrics import exposure
+from dsbrdf.rendering.sphere import sphere_normals
 
 __all__ = ["FIGURE", "embedding", "features", "nearest"]
 

@@ -17,9 +17,9 @@ from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.data.grid import THETA_DIFF
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.image_metrics import exposure
 from dsbrdf.model.lobes import fall_to_half, half_width
-from dsbrdf.model.render import sphere_normals
+from dsbrdf.rendering.image_metrics import exposure
+from dsbrdf.rendering.sphere import sphere_normals
 
 __all__ = ["FIGURE", "between"]
 

@@ -22,8 +22,8 @@ from dsbrdf.data.merl import read_merl
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import ConvergenceWarning, DSBRDFError, InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.pipeline import fit
 from dsbrdf.version import ALGORITHM_VERSION
 
 __all__ = [

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from benchmarks.paper.materials import Computed, Failure, Material, Measure, compute
 from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.image_metrics import displayed
-from dsbrdf.model.render import Source, render_sphere, sphere_normals
 from dsbrdf.output.figure_parts import encode_figure
+from dsbrdf.rendering.image_metrics import displayed
+from dsbrdf.rendering.sphere import Source, render_sphere, sphere_normals
 
 __all__ = ["Claim", "Made", "PaperFigure", "Row", "Verdict", "draw_sphere", "make", "new_figure", "sphere", "to_bytes"]
 

@@ -19,7 +19,6 @@ from dsbrdf.cli.arguments import BAD_INPUT, entry_point, print_json
 from dsbrdf.cli.commands import Whole
 from dsbrdf.cli.parameters import DEFAULT, Flags, Json, RequiredFiles
 from dsbrdf.data.files import write_atomically
-from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine
@@ -30,6 +29,7 @@ from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
+from dsbrdf.samples.measurement_files import read_measurement
 
 _FILES = (".json", ".png", ".svg", ".pdf", ".csv", ".binary")
 _SCHEDULER = r"(tcp|tls|ws|wss)://[^/\s]+:[0-9]+"
@@ -161,11 +161,11 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
 def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:
     """Write a figure of each fit into a folder, and yield what to print."""
     from dsbrdf.output.figure_parts import encode_figure
-    from dsbrdf.output.notebook import plot_result
+    from dsbrdf.output.plots import plot
 
     for item in items:
         if item.result is not None:
-            figure = plot_result(item.result, read_measurement(item.file, item.result.report.options))
+            figure = plot(item.result, read_measurement(item.file, item.result.report.options))
             path = folder / f"{item.file.stem}.png"
             write_atomically(path, [encode_figure(figure)])
             yield f"figure: {path}"

@@ -27,11 +27,9 @@ from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, read_merl
 from dsbrdf.data.rgl_material import RglMaterial, read_rgl
-from dsbrdf.data.sample_tables import is_table, read_samples
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.component_documents import component_documents
@@ -40,6 +38,8 @@ from dsbrdf.output.export.examples import example as example_of
 from dsbrdf.output.export.glsl import NAME
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import lobes_phrase, model_text, result_document, result_text
+from dsbrdf.pipeline import fit
+from dsbrdf.samples.reading import is_table, read_samples
 
 Channel = Annotated[str, Parameter(choices=CHANNELS)]
 _FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())

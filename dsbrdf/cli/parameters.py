@@ -12,20 +12,20 @@ from cyclopts import Group, Parameter, Token, convert
 
 from dsbrdf.arrays import Array
 from dsbrdf.cli.commands import Whole
+from dsbrdf.components.decomposition import Component
+from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.measurement_files import read_measurement
-from dsbrdf.data.sample_tables import TABLE_SUFFIXES
-from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
-from dsbrdf.fitting.decomposition import Component
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.layers import LayeredModel
 from dsbrdf.output.export import PARTS, part_of
 from dsbrdf.output.serialize import read_model_file
+from dsbrdf.samples.measurement_files import read_measurement
+from dsbrdf.samples.reading import TABLE_SUFFIXES
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 ModelFile = Annotated[Path, Parameter(help="A .json file from dsbrdf fit.")]
 SourceFile = Annotated[Path, Parameter(help="A .json model, a .binary or .bsdf measurement, or a table of samples.")]

@@ -23,22 +23,22 @@ from dsbrdf.cli.parameters import (
 )
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.sample_tables import is_table
-from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import AS_WRITTEN
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.sample_errors import relative_rms
-from dsbrdf.model.environment import EnvironmentMap, read_environment
-from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_normals
 from dsbrdf.output.figure_parts import IMAGE_FORMATS, encode_figure
-from dsbrdf.output.notebook import plot_fit
 from dsbrdf.output.parameter_figures import parameters_figure
+from dsbrdf.output.plots import plot_fit
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sample_figures import samples_figure
 from dsbrdf.output.sphere_panels import compare_spheres, encode_png, side_by_side
+from dsbrdf.rendering.environment import EnvironmentMap, read_environment
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_normals
+from dsbrdf.samples.errors import relative_rms
+from dsbrdf.samples.reading import is_table
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 
 @Parameter(name="*")

@@ -7,9 +7,9 @@ from typing import Any
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, named_in_errors
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.data.sample_tables import TABLE_SUFFIXES, is_table, read_table
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.output.table_summary import ANGLE_NAMES, summary_of_table
+from dsbrdf.samples.reading import TABLE_SUFFIXES, is_table, read_table
 
 
 def table(file: Path, /, *, json: Json = False, options: AboutTable = NO_TABLE_FLAGS) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,9 +14,6 @@ from dsbrdf.data.grid import GRID_SHAPE
 from dsbrdf.data.interpolation import InterpolatedMeasurement, interpolate
 from dsbrdf.data.merl_validation import HEADER, SCALE, SHAPE, checked_values
 from dsbrdf.errors import MeasurementFormatError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,17 +44,6 @@ class Measurement:
 
     def __repr__(self) -> str:
         return f"<Measurement: {self.name!r}, sha256 {self.sha256[:12]}>"
-
-    def _repr_html_(self) -> str:
-        from dsbrdf.output.notebook import measurement_html
-
-        return measurement_html(self)
-
-    def plot(self) -> Figure:
-        """Draw the means over phi_diff at two theta_diff; needs matplotlib."""
-        from dsbrdf.output.notebook import plot_measurement
-
-        return plot_measurement(self)
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return values between the nodes, interpolated as for lit spheres; see `dsbrdf.data.interpolation`.

@@ -21,15 +21,15 @@ from typing import Any
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles
-from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.engines.engine import NO_LIMITS, Fault, FitLimits, FitTask, OnProgress, Outcome
 from dsbrdf.engines.fork_server import start_fork_server
 from dsbrdf.engines.local import document_of, fit_quietly, measurement_of
 from dsbrdf.engines.processes import Processes
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import add_sample_metrics, profiles_for
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.pipeline import add_sample_metrics, profiles_for
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.version import versions
 
 _TOPIC = "dsbrdf-progress"  # of Dask's, to which workers send the progress of a fit: {its key: its share}

@@ -4,19 +4,19 @@ import warnings
 from concurrent.futures import Future
 from dataclasses import asdict
 
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.measurement_files import open_checked, read_measurement
 from dsbrdf.data.reduction import Profiles
-from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.engines.engine import FitDocument, FitTask, OnProgress, Outcome
 from dsbrdf.engines.processes import Processes
 from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 from dsbrdf.output.sphere_panels import thumbnail
+from dsbrdf.pipeline import fit
+from dsbrdf.samples.measurement_files import open_checked, read_measurement
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 
 def compute(task: FitTask, on_progress: OnProgress) -> FitDocument:

@@ -16,13 +16,13 @@ from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
+from dsbrdf.data.weighting import DARK, TINY, bin_weights
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.matching_pursuit import GrowthStep, grow
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
 from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
-from dsbrdf.fitting.weighting import DARK, TINY, bin_weights
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width, width_of_reach
 

@@ -18,10 +18,10 @@ from typing import Literal
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.weighting import TINY
 from dsbrdf.fitting.first_lobes import FAINTEST_START, START_ELONGATION, fit_first_lobes
 from dsbrdf.fitting.least_squares import TOLERANCE, FitData, MixtureProblem, minimize
 from dsbrdf.fitting.structure import Mixture, Structure, change_knots
-from dsbrdf.fitting.weighting import TINY
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width, width_of_reach
 from dsbrdf.model.splines import smooth_control_values
 

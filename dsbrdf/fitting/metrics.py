@@ -17,7 +17,7 @@ Of scattered samples, whose directions are where somebody chose to measure:
 What people see, over all directions:
 
     albedo_error = mean over theta_out = 0, 30, 60, 75 degrees and channels of |albedo of fit - of data| / of data
-    psnr, ssim   = of a lit sphere, see `dsbrdf.model.render`
+    psnr, ssim   = of a lit sphere, see `dsbrdf.rendering.sphere`
 """
 
 from dataclasses import asdict, dataclass, fields
@@ -33,7 +33,7 @@ from dsbrdf.data.reduction import used_samples
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.render import render_sphere, sphere_likeness
+from dsbrdf.rendering.sphere import render_sphere, sphere_likeness
 
 BANDS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 90.0])
 """Bands of theta_diff that errors are reported for [rad]."""

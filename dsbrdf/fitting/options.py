@@ -27,7 +27,7 @@ _OF_PAPER: dict[str, tuple[tuple[object, ...], str]] = {
     "weighting": ((None, "plain", "cosine", "log"), 'has no weighting "balanced": use "plain", "cosine" or "log"'),
 }
 Weighting = Literal["balanced", "plain", "cosine", "log"]
-"""Weights of the samples, see `dsbrdf.fitting.weighting`."""
+"""Weights of the samples, see `dsbrdf.data.weighting`."""
 
 Options = TypeVar("Options")
 
@@ -101,7 +101,7 @@ class FitOptions(TableOptions):
     )
     weighting: Weighting | None = option(
         None,
-        'Weights of the samples, see `dsbrdf.fitting.weighting`; None is the method\'s own: "balanced" for '
+        'Weights of the samples, see `dsbrdf.data.weighting`; None is the method\'s own: "balanced" for '
         '"global", "plain" for "paper", which has no "balanced".',
     )
     robust: bool = option(

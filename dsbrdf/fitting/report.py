@@ -6,26 +6,30 @@ A report consists of frozen dataclasses, tuples and numbers, so that reports can
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
-from dsbrdf.fitting.lobe_selection import SelectionStep
 from dsbrdf.fitting.matching_pursuit import GrowthStep
 from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.version import Versions
 
-if TYPE_CHECKING:
-    from os import PathLike
 
-    from matplotlib.figure import Figure
+@dataclass(frozen=True)
+class SelectionStep:
+    """One number of lobes compared: by Williams' test of E_p, see `WilliamsRow`, and by its squared error."""
 
-    from dsbrdf.data.measurement import Measurement
-    from dsbrdf.data.scattered_samples import ScatteredSamples
+    n_lobes: int
+    e_p: float  # mean over the slices
+    squared_error: float  # over all samples used [1/sr^2]
+    bic: float | None  # with Gaussian errors of unknown variance; None for an exact fit
+    t: float | None
+    critical_value: float | None
+    significant: bool
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ class FitReport:
     Attributes
     ----------
     warnings : tuple of str
-        What a user should know before using the model, one sentence each, see `dsbrdf.fitting.report_warnings`.
+        What a user should know before using the model, one sentence each, see `dsbrdf.report_warnings`.
     metrics : Metrics
         All None where only profiles were given.
     by_channel, by_theta_diff : tuple of ChannelErrors, tuple of BandErrors
@@ -133,11 +137,6 @@ class FitReport:
         count = len(self.warnings)
         return f"<FitReport: {accuracy}, {self.n_numbers} numbers, {count} {'warning' if count == 1 else 'warnings'}>"
 
-    def _repr_html_(self) -> str:
-        from dsbrdf.output.notebook import report_html
-
-        return report_html(self)
-
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain dicts, lists, texts and numbers, keyed by the names of its attributes."""
         content: dict[str, Any] = _plain(asdict(self))
@@ -162,36 +161,6 @@ class FitResult:
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return RGB values of the model, shape (..., 3) [1/sr], at angles [rad]; see `DSBRDF.evaluate`."""
         return self.model.evaluate(theta_half, theta_diff, phi_diff)
-
-    def _repr_html_(self) -> str:
-        from dsbrdf.output.notebook import result_html
-
-        return result_html(self)
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the model and the report to a .json file, see `dsbrdf.save`."""
-        from dsbrdf.output.serialize import save
-
-        save(self, path)
-
-    def export(self, path: str | PathLike[str], file_format: str | None = None) -> None:
-        """Write the model to a file for another program, see `dsbrdf.export`."""
-        from dsbrdf.output.export import export
-
-        export(self, path, file_format)
-
-    def plot(self, measured: Measurement | ScatteredSamples | None = None) -> Figure:
-        """Draw the fit; needs matplotlib.
-
-        Parameters
-        ----------
-        measured : Measurement or ScatteredSamples, optional
-            What was fitted. Of a measurement, the figure has its profiles, the fit and the components; of samples, them
-            beside the fit, and the residual. Without it, the figure has the parameters over theta_diff.
-        """
-        from dsbrdf.output.notebook import plot_result
-
-        return plot_result(self, measured)
 
 
 def _plain(value: Any) -> Any:

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,9 +28,6 @@ from dsbrdf.model.evaluation import Evaluator
 from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
 from dsbrdf.model.reflectance import RenderableModel, check_angle
 from dsbrdf.model.splines import n_control_values
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TEXTS = ("interpolation", "lobe")
 """Attributes of a model that are texts; the others are arrays."""
@@ -174,17 +171,6 @@ class DSBRDF(RenderableModel):
         knots = f"{self.theta_diff.size} knots" if self.theta_diff.size > 1 else "1 knot"
         lobes = f"{self.n_lobes} lobes" if self.n_lobes != 1 else "1 lobe"
         return f"<DSBRDF: {lobes} ({self.lobe}), {knots}, {self.n_numbers} numbers>"
-
-    def _repr_html_(self) -> str:
-        from dsbrdf.output.notebook import model_html
-
-        return model_html(self)
-
-    def plot(self) -> Figure:
-        """Draw the parameters over theta_diff; needs matplotlib."""
-        from dsbrdf.output.notebook import plot_model
-
-        return plot_model(self)
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dsbrdf.fitting.decomposition import Component, decompose
+from dsbrdf.components.decomposition import Component, decompose
 from dsbrdf.model.dsbrdf import DSBRDF
 
 LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)

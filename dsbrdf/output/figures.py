@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dsbrdf.arrays import Array
+from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.shares import LABELS
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError, one_of
-from dsbrdf.fitting.decomposition import Component, decompose
-from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.output.figure_parts import (
     CHANNEL_COLOURS,
     LOBE_COLOURS,

@@ -1,93 +1,54 @@
-"""How objects show themselves in a notebook: a lit sphere beside a few lines, and figures.
-
-Wings to the left call this module, and no other of this wing, from the methods `_repr_html_` and `plot`.
-"""
+"""How notebooks show objects of the library: a lit sphere beside a few lines."""
 
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Sequence
 from dataclasses import asdict
 from html import escape
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import profiles
-from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.render import render_sphere, sphere_normals
-from dsbrdf.output.figures import overview_figure, profiles_figure
-from dsbrdf.output.parameter_figures import components_figure, parameters_figure
+from dsbrdf.fitting.report import FitReport, FitResult
+from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.report_text import lobes_phrase
-from dsbrdf.output.sample_figures import samples_figure
 from dsbrdf.output.sphere_panels import cut_out, encode_png
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.figure import Figure
-
-    from dsbrdf.fitting.decomposition import Component
-    from dsbrdf.fitting.options import FitOptions
-    from dsbrdf.fitting.report import FitReport, FitResult
-    from dsbrdf.model.dsbrdf import DSBRDF
-    from dsbrdf.model.layers import LayeredModel
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 
 _THUMBNAIL = 96  # pixels
 
 
-def plot_model(model: DSBRDF) -> Figure:
-    """Draw the height and the directional albedo of the components."""
-    return parameters_figure(model)
+def html(shown: Measurement | DSBRDF | Component | LayeredModel | FitResult | FitReport) -> str:
+    """Return what a notebook shows of an object: a lit sphere beside a few lines, or the lines of a report."""
+    if isinstance(shown, FitReport):
+        return _report_html(shown)
+    if isinstance(shown, FitResult):
+        return _card(shown.model, _model_table(shown.model), _report_html(shown.report))
+    if isinstance(shown, DSBRDF):
+        return _card(shown, _model_table(shown))
+    if isinstance(shown, Component):
+        return _component_html(shown)
+    return _layers_html(shown) if isinstance(shown, LayeredModel) else _measurement_html(shown)
 
 
-def plot_measurement(measurement: Measurement) -> Figure:
-    """Draw a measurement's means over phi_diff, and what is interpolated between them."""
-    return profiles_figure(profiles(measurement), measurement.interpolated, curves="interpolated")
-
-
-def plot_component(component: Component) -> Figure:
-    """Draw the height and the directional albedo of one component."""
-    return components_figure([component], "")
-
-
-def plot_result(result: FitResult, measured: Measurement | ScatteredSamples | None) -> Figure:
-    """Draw what was measured and the fit; without it, the components' parameters."""
-    return plot_model(result.model) if measured is None else plot_fit(result.model, measured, result.report.options)
-
-
-def plot_fit(
-    model: DSBRDF, measured: Measurement | ScatteredSamples, options: FitOptions, *, model_lobes: bool = False
-) -> Figure:
-    """Draw profiles, the fit with these options and its components, or lobes; or samples, the fit and the residual."""
-    if isinstance(measured, ScatteredSamples):
-        fitted = measured.with_options(options)
-        return samples_figure(fitted, model)
-    data = profiles(measured, horizon_cutoff=options.horizon_cutoff, robust=options.robust)
-    return overview_figure(data, model, model_lobes=model_lobes)
-
-
-def measurement_html(measurement: Measurement) -> str:
+def _measurement_html(measurement: Measurement) -> str:
     """Return a lit sphere of a measurement beside its name and the share of nodes with a value."""
     share = np.count_nonzero(measurement.valid) / measurement.valid.size
     rows = {"measurement": measurement.name, "nodes with a value": f"{share:.1%}", "sha256": measurement.sha256[:12]}
     return _card(measurement, _table(rows))
 
 
-def model_html(model: DSBRDF) -> str:
-    """Return a lit sphere of a model beside the light, albedo and half width of its components."""
-    return _card(model, _model_table(model))
-
-
-def component_html(component: Component) -> str:
+def _component_html(component: Component) -> str:
     """Return a lit sphere of a component beside its light, albedo and half width, and the structure it is from."""
     rows = {component.label.replace("_", " "): _component_phrase(component), "structure": component.structure}
     return _card(component, _table(rows))
 
 
-def layers_html(model: LayeredModel) -> str:
+def _layers_html(model: LayeredModel) -> str:
     """Return a lit sphere of a layered model beside the parameters of its layers."""
     rows = {"layered model": f"{len(model.layers)} layers, {model.n_numbers} numbers"}
     for number, layer in enumerate(model.layers, 1):
@@ -100,12 +61,7 @@ def _rounded(value: float | Sequence[float]) -> str:
     return f"{value:.3g}" if isinstance(value, float) else f"({', '.join(f'{one:.3g}' for one in value)})"
 
 
-def result_html(result: FitResult) -> str:
-    """Return a lit sphere of the model beside its components, the metrics and the warnings."""
-    return _card(result.model, _model_table(result.model), report_html(result.report))
-
-
-def report_html(report: FitReport) -> str:
+def _report_html(report: FitReport) -> str:
     """Return the metrics that have a value and the warnings."""
     metrics = {name: f"{value:.4g}" for name, value in asdict(report.metrics).items() if value is not None}
     sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in report.warnings)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dsbrdf.fitting.decomposition import decompose
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.output.figure_parts import CHANNEL_COLOURS, LOBE_COLOURS, ROW, draw_legend, empty_figure, set_ticks
 from dsbrdf.output.report_text import lobes_in_channel
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from dsbrdf.fitting.decomposition import Component
+    from dsbrdf.components.decomposition import Component
     from dsbrdf.model.dsbrdf import DSBRDF
 
 _ANGLES = np.radians(np.linspace(0.0, 85.0, 200))

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
+from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.fitting.metrics import Metrics, RelativeErrors
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.layers import LayeredModel
 from dsbrdf.model.lobes import half_width
 from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.serialize import to_json
@@ -255,7 +255,7 @@ def parameters_csv(model: DSBRDF) -> str:
 
 
 def layers_csv(layers: LayeredModel) -> str:
-    """Return a table of names and of one row for each number of each layer; `dsbrdf.model.layers` says what they are.
+    """Return a table of names with one row for each number of each layer; see `dsbrdf.components.layers`.
 
     Of colours there is one for each channel, such as ``f0_red``; of other lists one for each place, from ``rise_1`` on.
     """

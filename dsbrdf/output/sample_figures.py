@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase
 
-    from dsbrdf.data.scattered_samples import ScatteredSamples
     from dsbrdf.model.dsbrdf import DSBRDF
+    from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 NEAR = 3.0
 """Samples so near to a slice or a plane are drawn in it [degrees]."""

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 
 from dsbrdf.arrays import Array
+from dsbrdf.components.decomposition import Decomposition
+from dsbrdf.components.layers import LayeredModel
+from dsbrdf.components.ranges import ComponentRanges
+from dsbrdf.components.shares import LABELS, WeightedLayers
 from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
-from dsbrdf.fitting.component_ranges import ComponentRanges
-from dsbrdf.fitting.decomposition import Decomposition
-from dsbrdf.fitting.layer_shares import LABELS, WeightedLayers
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
-from dsbrdf.model.layers import LayeredModel
 from dsbrdf.output.component_documents import component_document
 from dsbrdf.output.typed_json import check_keys, typed
 

@@ -13,13 +13,13 @@ from importlib.util import find_spec
 import numpy as np
 
 from dsbrdf.arrays import Array
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.environment import EnvironmentMap
-from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.render import render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.rendering.environment import EnvironmentMap
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 DIFFERENCE_GAIN = 4.0
 """Differences are shown so many times as large."""
@@ -36,7 +36,7 @@ class SphereComparison:
     """Lit spheres of a measurement and its fit, or of any two materials.
 
     `panels` has by title what a screen shows: measured, fit, difference, each component of the fit if asked for. PSNR
-    and SSIM are those of `dsbrdf.model.render.sphere_likeness`; `light` says in words what lights the spheres.
+    and SSIM are those of `dsbrdf.rendering.sphere.sphere_likeness`; `light` says in words what lights the spheres.
     """
 
     panels: dict[str, Array]  # (size, size, 3) each

@@ -6,9 +6,9 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.data.sample_tables import ReadTable
-from dsbrdf.data.scattered_samples import ScatteredSamples
-from dsbrdf.fitting.sample_units import sample_units
+from dsbrdf.samples.reading import ReadTable
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+from dsbrdf.samples.units import sample_units
 
 ANGLE_NAMES = ("theta_in", "theta_out", "phi_out - phi_in")
 """The angles of a sample; those of phi are their difference, 0 to 360 degrees."""

@@ -19,9 +19,9 @@ import httpx
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.sample_tables import is_table
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.output.serialize import result_from_json
+from dsbrdf.samples.reading import is_table
 
 from .wire.fit_options import OF_TABLES, to_wire
 from .wire.names import check_name

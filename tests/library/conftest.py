@@ -6,9 +6,9 @@ import pytest
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
-from dsbrdf.fitting.pipeline import fit
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model import sampling
+from dsbrdf.pipeline import fit
 
 
 @pytest.fixture(scope="session")

@@ -95,8 +95,6 @@ def public_callables() -> Iterator[tuple[str, Callable[..., Any]]]:
 
 
 package = pytest.mark.parametrize("package", FOLDERS)
-# What `_repr_html_`, `plot`, `save` and `export` of the wings to their left call.
-OF_METHODS = {"dsbrdf.output.notebook", "dsbrdf.output.serialize", "dsbrdf.output.export"}
 
 
 def module_name(path: Path) -> str:
@@ -126,7 +124,7 @@ def imports_of(module: str, path: Path, modules: Collection[str]) -> set[str]:
             found |= names & set(modules)
             if names - set(modules):
                 found.add(parent)
-    return found & set(modules) - OF_METHODS
+    return found & set(modules)
 
 
 def wings_of(package: str) -> list[str]:

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.layers import LayeredModel
+from dsbrdf.components.shares import LABELS
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import InvalidArgumentError, one_of
-from dsbrdf.fitting.decomposition import Component, decompose
-from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.layers import LayeredModel
 from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
 from dsbrdf.output.export.rgl import rgl_bsdf

@@ -16,12 +16,12 @@ import re
 
 import numpy as np
 
+from dsbrdf.components.decomposition import Component
+from dsbrdf.components.layers import LayeredModel
+from dsbrdf.components.shares import LABELS
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import Component
-from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.layers import LayeredModel
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.sampling import direction_sampler
 from dsbrdf.output.export.glsl_layers import layered_function, shares_function

@@ -2,7 +2,7 @@
 
 The functions of the layers return logarithms: far from the highlight values are too small for single precision, but
 their shares are not. A component's function evaluates the model and the layers of each structure once and divides the
-model as `dsbrdf.fitting.decomposition` does, with the formula turned so that hardly a difference of nearly equal
+model as `dsbrdf.components.decomposition` does, with the formula turned so that hardly a difference of nearly equal
 numbers is left: with s the diffuse share of the layers, their sum g, and a = q / (1 + q) where f > g, else 1,
 
     diffuse = min(f, g s (1 - a s**3) + f a s**4),
@@ -13,10 +13,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dsbrdf.fitting.decomposition import Component, Decomposition
-from dsbrdf.fitting.layer_shares import HALO, LABELS, WeightedLayers
-from dsbrdf.model.layer_points import COAT_F0, LARGEST_TANGENT, LEAST_COSINE, LEAST_RISE, LEAST_SINE
-from dsbrdf.model.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, tail_norm
+from dsbrdf.components.decomposition import Component, Decomposition
+from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, tail_norm
+from dsbrdf.components.points import COAT_F0, LARGEST_TANGENT, LEAST_COSINE, LEAST_RISE, LEAST_SINE
+from dsbrdf.components.shares import HALO, LABELS, WeightedLayers
 from dsbrdf.output.export.single_precision import filled, literal
 
 _NOTHING = "vec3(-1e30)"  # logarithm of a layer that is not there

@@ -15,13 +15,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from dsbrdf.arrays import Array, Evaluate
+from dsbrdf.components.decomposition import decompose
+from dsbrdf.components.layers import Color, LayeredModel, SpecularLayer
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.layers import Color, LayeredModel, SpecularLayer
-from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.output.export.openpbr import OpenPBR
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.version import __version__
 
 _DOCUMENT = """\

@@ -24,10 +24,10 @@ from typing import Any
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.environment import LUMINANCE
 from dsbrdf.output.export.mitsuba_model import MitsubaModel, Number, Table
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
 from dsbrdf.output.serialize import load
+from dsbrdf.rendering.environment import LUMINANCE
 
 
 def register() -> None:

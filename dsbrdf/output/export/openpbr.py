@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsbrdf.arrays import Array
+from dsbrdf.components.layers import Color
 from dsbrdf.data.geometry import incident_cosines
-from dsbrdf.model.layers import Color
 
 _LEAST = 1e-6  # of a cosine and a roughness
 _F82_COSINE = 1.0 / 7.0

@@ -21,8 +21,8 @@ from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.rgl_file import Warp, bilinear, encode_tensors
 from dsbrdf.data.rgl_material import RglMaterial
-from dsbrdf.model.environment import LUMINANCE
 from dsbrdf.model.reflectance import ReflectanceModel
+from dsbrdf.rendering.environment import LUMINANCE
 
 _THETA_I = np.radians(89.5) * (1.0 - (1.0 - np.linspace(0.0, 1.0, 40)) ** 1.5)  # closer together towards the horizon
 _N_SAMPLES = 64  # nodes along a side of rgb and luminance

@@ -17,25 +17,18 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dsbrdf.components.decomposition import Component
+from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.measurement_files import open_checked
 from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.sample_tables import parse_samples, read_table
-from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import TableOptions
-from dsbrdf.data.zemax import begins_as_zemax
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import Component
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.environment import EnvironmentMap
-from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.layers import LayeredModel
 from dsbrdf.model.reflectance import ReflectanceModel
-from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.export import export_model
 from dsbrdf.output.figure_parts import encode_figure
 from dsbrdf.output.figures import lobes_figure, profiles_figure, residual_figure
@@ -43,6 +36,13 @@ from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.sample_figures import samples_figure, samples_residual_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
 from dsbrdf.output.table_summary import summary_of_table
+from dsbrdf.rendering.environment import EnvironmentMap
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from dsbrdf.samples.measurement_files import open_checked
+from dsbrdf.samples.reading import parse_samples, read_table
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+from dsbrdf.samples.zemax import begins_as_zemax
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from dsbrdf.fitting.layer_shares import LABELS
+from dsbrdf.components.shares import LABELS
 from dsbrdf.model.reflectance import ReflectanceModel
 
 from ..access.authentication import CALLER

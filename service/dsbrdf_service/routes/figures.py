@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 import dsbrdf
 from dsbrdf.extras import require
-from dsbrdf.model.render import LIGHTINGS
+from dsbrdf.rendering.sphere import LIGHTINGS
 
 from ..errors import ProblemError
 from ..http import openapi

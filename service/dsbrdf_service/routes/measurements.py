@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
-from dsbrdf.data.sample_tables import table_suffix
+from dsbrdf.samples.reading import table_suffix
 
 from ..errors import MeasurementNotFoundError
 from ..http import openapi

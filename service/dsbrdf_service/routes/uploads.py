@@ -11,9 +11,9 @@ from typing import Any
 from fastapi import Request
 
 from dsbrdf.data.merl_validation import FILE_SIZE, HEADER_SIZE, MerlChecker, check_length
-from dsbrdf.data.sample_tables import TABLE_SUFFIXES
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from dsbrdf.samples.reading import TABLE_SUFFIXES
 
 from ..errors import ProblemError
 from ..http import openapi

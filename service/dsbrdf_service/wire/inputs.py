@@ -17,9 +17,9 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from dsbrdf.components.shares import LABELS
 from dsbrdf.data.table_options import sentences_of
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.layer_shares import LABELS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.output.export import FORMATS, LAYERS, PARTS
 

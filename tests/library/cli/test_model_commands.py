@@ -14,16 +14,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import dsbrdf
+from dsbrdf.components.decomposition import decompose
+from dsbrdf.components.layers import SpecularLayer
 from dsbrdf.data.merl import read_merl
-from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.fitting.lobe_selection import SelectionStep
 from dsbrdf.fitting.matching_pursuit import GrowthStep
-from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.layers import SpecularLayer
-from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.fitting.report import FitResult, SelectionStep
 from dsbrdf.output.export import export_model, part_of
 from dsbrdf.output.serialize import from_json, load
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 from tests.support.command_line import FEW_LOBES, document, printed, run, sentence
 from tests.support.mixtures import samples_table, scattered_samples
 from tests.support.random_models import random_model

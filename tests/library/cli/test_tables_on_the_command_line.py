@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dsbrdf.data.merl import read_merl
-from dsbrdf.data.sample_names import VECTORS
 from dsbrdf.output.serialize import load, load_result
-from tests.library.data.test_layouts import LAYOUTS, MIRROR_60, REFUSED
+from dsbrdf.samples.names import VECTORS
+from tests.library.samples.test_layouts import LAYOUTS, MIRROR_60, REFUSED
 from tests.support.command_line import document, printed, run
 from tests.support.mixtures import mixture, scattered_samples
 from tests.support.soak import repeats

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data.sample_tables import parse_samples
-from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
-from tests.library.data.test_sample_tables import ANGLES, COUNT, GREY, RGB, check_same, table
+from dsbrdf.samples.reading import parse_samples
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+from tests.library.samples.test_reading import ANGLES, COUNT, GREY, RGB, check_same, table
 
 DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")
 NAMED = {"theta_in": "AOI 1", "phi_in": "turn", "theta_out": "Arm", "phi_out": "tilt", "value": "Signal"}

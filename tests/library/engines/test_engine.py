@@ -16,12 +16,12 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions
-from dsbrdf.data.measurement_files import read_measurement
 from dsbrdf.engines.engine import Fault, FitDocument, FitLimits, FitTask
 from dsbrdf.engines.local import LocalEngine
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import result_from_json, to_json
 from dsbrdf.output.sphere_panels import thumbnail
+from dsbrdf.samples.measurement_files import read_measurement
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (
     ENDLESS,

@@ -11,7 +11,7 @@ import pytest
 from dsbrdf.data.grid import nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.fitting.pipeline import fit
+from dsbrdf.pipeline import fit
 
 
 @pytest.fixture(scope="module")

@@ -16,11 +16,11 @@ from dsbrdf.fitting import global_method
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem
 from dsbrdf.fitting.metrics import METRICS, Metrics, relative_errors, sample_errors
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.pipeline import fit, profiles_for
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Structure
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width
+from dsbrdf.pipeline import fit, profiles_for
 from dsbrdf.version import versions
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from dsbrdf import DSBRDF
-from dsbrdf.fitting.lobe_selection import SelectionStep
 from dsbrdf.fitting.matching_pursuit import GrowthStep
 from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, KnotReport
+from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, KnotReport, SelectionStep
 from dsbrdf.version import Versions
 from tests.support.models import make_model
 

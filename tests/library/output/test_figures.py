@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dsbrdf import extras
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import decompose
-from dsbrdf.model.image_metrics import displayed
-from dsbrdf.model.render import render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.output.figure_parts import encode_figure, log_ticks
 from dsbrdf.output.figures import lobes_figure, overview_figure, profiles_figure
 from dsbrdf.output.parameter_figures import parameters_figure
@@ -37,6 +35,8 @@ from dsbrdf.output.sphere_panels import (
     encode_png,
     side_by_side,
 )
+from dsbrdf.rendering.image_metrics import displayed
+from dsbrdf.rendering.sphere import render_sphere, sphere_likeness, sphere_normals
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model

@@ -1,6 +1,10 @@
 import re
+import sys
 from base64 import b64decode
+from collections.abc import Callable
 from dataclasses import fields, replace
+from importlib import import_module
+from types import SimpleNamespace
 
 import matplotlib.figure
 import numpy as np
@@ -10,6 +14,8 @@ import dsbrdf
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.output.notebook import html as html_of
+from dsbrdf.output.notebook_display import register
 
 
 def thumbnail(html: str) -> bytes:
@@ -31,44 +37,55 @@ def test_repr_is_one_short_line(plastic: Measurement, plastic_profiles: Profiles
 
 def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_fit: FitResult) -> None:
     warned = replace(two_lobe_fit, report=replace(two_lobe_fit.report, warnings=("less than <1 %>",)))
-    html = warned._repr_html_()
-    assert thumbnail(html) == thumbnail(two_lobe_fit.model._repr_html_())
-    assert thumbnail(html).startswith(b"\x89PNG")
-    assert f"<th>relative_rms</th><td>{two_lobe_fit.report.metrics.relative_rms:.4g}</td>" in html
+    card = html_of(warned)
+    assert thumbnail(card) == thumbnail(html_of(two_lobe_fit.model))
+    assert thumbnail(card).startswith(b"\x89PNG")
+    assert f"<th>relative_rms</th><td>{two_lobe_fit.report.metrics.relative_rms:.4g}</td>" in card
     for component in dsbrdf.decompose(two_lobe_fit):
         red, green, blue = component.albedo
         light = f"{component.light_share:.0%} of the light, albedo {red:.4f}, {green:.4f}, {blue:.4f}"
         width = component.half_width
-        assert light + ("" if width is None else f", half width {np.degrees(width):.1f}°") + "</td>" in html
+        assert light + ("" if width is None else f", half width {np.degrees(width):.1f}°") + "</td>" in card
     layers = dsbrdf.decompose(two_lobe_fit).layers
-    assert f"{len(layers.layers)} layers, {layers.n_numbers} numbers" in layers._repr_html_()
-    assert thumbnail(layers._repr_html_()) != thumbnail(html)
-    assert "<li>less than &lt;1 %&gt;</li>" in html
-    assert warned.report._repr_html_() in html
-    assert thumbnail(replace(plastic, name="<b>")._repr_html_()) != thumbnail(html)
-    assert f"<td>{plastic.valid.mean():.1%}</td>" in plastic._repr_html_()
-    assert "<td>&lt;b&gt;</td>" in replace(plastic, name="<b>")._repr_html_()
+    assert f"{len(layers.layers)} layers, {layers.n_numbers} numbers" in html_of(layers)
+    assert thumbnail(html_of(layers)) != thumbnail(card)
+    assert "<li>less than &lt;1 %&gt;</li>" in card
+    assert html_of(warned.report) in card
+    assert thumbnail(html_of(replace(plastic, name="<b>"))) != thumbnail(card)
+    assert f"<td>{plastic.valid.mean():.1%}</td>" in html_of(plastic)
+    assert "<td>&lt;b&gt;</td>" in html_of(replace(plastic, name="<b>"))
     diffuse = dsbrdf.decompose(two_lobe_fit.model).diffuse
     assert diffuse is not None
-    assert f"<td>{diffuse.structure}</td>" in diffuse._repr_html_()
-    assert thumbnail(diffuse._repr_html_()) != thumbnail(html)
-    assert "0 lobes" in two_lobe_fit.model.select((), with_delta=False)._repr_html_()
+    assert f"<td>{diffuse.structure}</td>" in html_of(diffuse)
+    assert thumbnail(html_of(diffuse)) != thumbnail(card)
+    assert "0 lobes" in html_of(two_lobe_fit.model.select((), with_delta=False))
+
+
+def test_a_running_notebook_shows_objects_as_html(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: dict[str, Callable[[object], str]] = {}
+    formatter = SimpleNamespace(for_type_by_name=lambda module, name, html: shown.update({f"{module}.{name}": html}))
+    shell = SimpleNamespace(display_formatter=SimpleNamespace(formatters={"text/html": formatter}))
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    register()
+    model = two_lobe_fit.model
+    assert shown[f"{type(model).__module__}.{type(model).__name__}"](model) == html_of(model)
+    assert all(hasattr(import_module(module), name) for module, _, name in (key.rpartition(".") for key in shown))
 
 
 def test_plot_draws_the_fit_or_the_parameters(plastic: Measurement, two_lobe_fit: FitResult) -> None:
-    parameters, fitted = two_lobe_fit.plot(), two_lobe_fit.plot(plastic)
+    parameters, fitted = dsbrdf.plot(two_lobe_fit), dsbrdf.plot(two_lobe_fit, plastic)
     assert isinstance(parameters, matplotlib.figure.Figure)
     assert [len(figure.findobj(matplotlib.axes.Axes)) for figure in (parameters, fitted)] == [2, 8]
-    assert len(two_lobe_fit.model.plot().findobj(matplotlib.axes.Axes)) == 2
+    assert len(dsbrdf.plot(two_lobe_fit.model).findobj(matplotlib.axes.Axes)) == 2
     parts = dsbrdf.decompose(two_lobe_fit)
-    curves = [len(figure.axes[0].lines) for figure in (two_lobe_fit.model.plot(), parts["diffuse"].plot())]
+    curves = [len(figure.axes[0].lines) for figure in (dsbrdf.plot(two_lobe_fit.model), dsbrdf.plot(parts["diffuse"]))]
     assert curves == [4 * len(parts), 4]  # three channels and a name each
     preview = parameters._repr_png_()  # type: ignore[attr-defined]
     assert int.from_bytes(preview[16:20]) == pytest.approx(80 * parameters.get_size_inches()[0], abs=1)
 
 
 def test_plot_of_a_measurement_draws_its_means_and_what_is_between(plastic: Measurement) -> None:
-    figure = plastic.plot()
+    figure = dsbrdf.plot(plastic)
     (axes, *_) = figure.findobj(matplotlib.axes.Axes)
     labels = axes.get_legend_handles_labels()[1]
     assert {"red, measured", "red, interpolated"} <= set(labels)
@@ -88,3 +105,10 @@ def test_measurements_of_the_same_bytes_and_name_are_equal(plastic: Measurement,
     same = replace(plastic, stored=plastic.stored.copy())
     assert plastic == same
     assert len({plastic, same, metal, replace(plastic, name="other")}) == 3
+
+
+def test_what_cannot_be_drawn_is_refused(plastic: Measurement) -> None:
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="only a model or a fit can be drawn together"):
+        dsbrdf.plot(plastic, plastic)
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="not an object of type str"):
+        dsbrdf.plot("nickel.binary")  # type: ignore[arg-type]

@@ -8,10 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+import dsbrdf
 from dsbrdf.data.geometry import half_difference, spherical
-from dsbrdf.data.scattered_samples import ScatteredSamples
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.sample_figures import NEAR, samples_figure, samples_residual_figure
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +34,7 @@ def axes_of(figure: Figure) -> list[Axes]:
 def test_samples_near_slices_and_planes_are_drawn_with_the_fit(
     samples: ScatteredSamples, two_lobe_fit: FitResult
 ) -> None:
-    *slices, first, second, _, _ = axes_of(two_lobe_fit.plot(samples))
+    *slices, first, second, _, _ = axes_of(dsbrdf.plot(two_lobe_fit, samples))
     theta_half, theta_diff, _ = np.degrees(half_difference(samples.omega_in, samples.omega_out))
     for ax in slices:
         place = float(ax.get_title().partition(" = ")[2].partition("°")[0])

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import dsbrdf
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
-from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -104,7 +105,7 @@ def test_save_and_load(model: DSBRDF, report: FitReport, tmp_path: Path, suffix:
     assert_same_bits(load(path), model)
     with pytest.raises(ModelFormatError, match="has no report of a fit"):
         load_result(path)
-    FitResult(model, report).save(path)  # replaces
+    dsbrdf.save(FitResult(model, report), path)  # replaces
     assert_same_bits(load(str(path)), model)
     assert load_result(path) == result_from_json(to_json(model, report)) == FitResult(model, report)
     assert list(tmp_path.iterdir()) == [path]

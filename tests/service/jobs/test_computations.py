@@ -14,8 +14,8 @@ import pytest
 from starlette.requests import ClientDisconnect, Request
 from starlette.types import Message
 
+from dsbrdf.components import decomposition
 from dsbrdf.engines.engine import FitLimits
-from dsbrdf.fitting import decomposition
 from dsbrdf_service.access.authentication import CALLER_NAME
 from dsbrdf_service.jobs import steps
 from dsbrdf_service.jobs.computations import Computations

@@ -11,9 +11,9 @@ import pytest
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.image_metrics import exposure
-from dsbrdf.model.render import render_sphere, sphere_normals
 from dsbrdf.output.serialize import from_json
+from dsbrdf.rendering.image_metrics import exposure
+from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 from tests.support.guarded import Guarded
 from tests.support.webgl import CHROMIUM
 

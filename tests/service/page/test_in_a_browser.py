@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf.model.image_metrics import displayed, psnr
-from dsbrdf.model.render import render_sphere, sphere_normals
+from dsbrdf.rendering.image_metrics import displayed, psnr
+from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 from tests.service.page.conftest import Site
 from tests.support.browser import PAINTED, SPHERE, Browser, Visit, expect, new_context
 from tests.support.guarded import Guarded

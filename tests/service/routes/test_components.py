@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.fitting.layer_shares import LABELS
+from dsbrdf.components.shares import LABELS
 from dsbrdf.output.serialize import fit_from_json, layers_to_json, to_json
 from dsbrdf_service.errors import ProblemError
 from dsbrdf_service.jobs.results import LoadedFit

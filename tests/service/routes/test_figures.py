@@ -12,10 +12,10 @@ from starlette.requests import Request
 
 import dsbrdf
 from dsbrdf.extras import MissingExtraError, require
-from dsbrdf.model.environment import EnvironmentMap
-from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.render import sphere_normals
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
+from dsbrdf.rendering.environment import EnvironmentMap
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import sphere_normals
 from dsbrdf_service.http.problems import KINDS, problem_of
 from dsbrdf_service.wire.points import NPY
 from tests.support.points import npy

@@ -13,10 +13,10 @@ import dsbrdf
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
 from dsbrdf.data.rgl_material import parse_rgl
-from dsbrdf.data.sample_tables import parse_samples
 from dsbrdf.output.export import export_model
 from dsbrdf.output.serialize import from_json
-from tests.library.data.test_spreadsheet import spreadsheet
+from dsbrdf.samples.reading import parse_samples
+from tests.library.samples.test_spreadsheet import spreadsheet
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.models import assert_same_bits
 from tests.support.server import Server, assert_problem

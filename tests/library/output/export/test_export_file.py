@@ -9,17 +9,17 @@ import pytest
 
 import dsbrdf
 from dsbrdf.arrays import Evaluate
+from dsbrdf.components.decomposition import decompose
+from dsbrdf.components.layers import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.merl import parse_merl
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.decomposition import decompose
 from dsbrdf.fitting.report import FitReport, FitResult
-from dsbrdf.model.image_metrics import displayed, exposure
-from dsbrdf.model.layers import DiffuseLayer, LayeredModel, SpecularLayer
-from dsbrdf.model.render import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.output.export import FORMATS, export_model, materialx
 from dsbrdf.output.export.materialx import FoundSurface, fit_openpbr
 from dsbrdf.output.export.openpbr import OpenPBR
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from tests.support.known_models import pairs_of_directions, single_lobe
 from tests.support.materialx_shader import generated_function, materialx_document, surface_of
 from tests.support.mixtures import mixture
@@ -139,9 +139,9 @@ def test_the_suffix_tells_the_format(suffix: str, tmp_path: Path) -> None:
 
 def test_a_result_is_exported_with_its_report_and_a_component_as_one(report: FitReport, tmp_path: Path) -> None:
     result = FitResult(MODEL, report)
-    result.export(tmp_path / "paint.json")
+    dsbrdf.export(result, tmp_path / "paint.json")
     assert dsbrdf.load_result(tmp_path / "paint.json") == result
-    result.export(tmp_path / "paint.txt", "glsl")
+    dsbrdf.export(result, tmp_path / "paint.txt", "glsl")
     assert "vec3 dsbrdf(" in (tmp_path / "paint.txt").read_text()
     dsbrdf.export(decompose(MODEL)["diffuse"], tmp_path / "lobe.glsl")
     assert "This is a component" in (tmp_path / "lobe.glsl").read_text()

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 import dsbrdf
-from dsbrdf.model.layers import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components.layers import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.output.export import export_model, materialx
 from dsbrdf.output.export.materialx import FoundSurface
 from dsbrdf.output.export.openpbr import OpenPBR

@@ -1,0 +1,1 @@
+"""The three parts of a reflectance: physical layers, their fit, and the decomposition into components."""

@@ -1,0 +1,256 @@
+"""Layers by evidence: fit every structure of layers to values, and weigh them by how well each explains them.
+
+The cost of a structure with unknowns x, whose prior whitens deviations to d, is
+
+    E(x) = n log(C(x) + c**2) + sum_i nu_i log(1 + d_i**2 / nu_i),
+
+with C the weighted squared error as a share of the squared signal, n = 50 independent samples and c = 2 % what no model
+of this kind is better than. Levenberg-Marquardt minimises it, first with a fixed noise of 20 %: else the prior rules
+while C is large, and narrow highlights are lost. The evidence of a structure is Laplace's,
+
+    E + log det A - log det A_prior + price,
+
+with A the normal equations at the minimum, and its weight is proportional to ``exp(-evidence / 4)``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf as potrf
+from scipy.linalg.lapack import dpotrs as potrs
+from scipy.optimize import nnls
+
+from dsbrdf.arrays import Array
+from dsbrdf.components.layers import LayeredModel, Linearized, SpecularLayer
+from dsbrdf.components.points import Points
+from dsbrdf.components.structures import STRUCTURES, LayerStructure
+
+TEMPERATURE = 4.0
+"""Evidence by which a structure's weight falls to 1 / e."""
+_SAMPLES, _LEAST_ERROR, _FIRST_NOISE = 50.0, 0.02, 0.2
+_FIRST_STEPS = 20  # at most, with the fixed noise
+_TRIAL_STEPS, _STEPS = 5, 60
+_STALLED, _TOLERANCE = 2, 0.02
+_HOPELESS = 40.0  # cost after the trial above the best, with 1 for each unknown and the price
+_LARGEST_STEP, _FIRST_DAMPING, _TRIES = 1.2, 1e-2, 8
+_DARK_START = 0.05  # of the brightest channel: what least squares finds black keeps a trace
+
+
+@dataclass(frozen=True, eq=False)
+class LayerData:
+    """RGB values at points, and the root of what they count: weights times squared values sum to 1."""
+
+    points: Points
+    root_weight: Array  # (3, N)
+    weighted: Array  # values times the root of their weight, (3, N)
+
+    @classmethod
+    def of(cls, points: Points, values: Array, weight: Array) -> "LayerData":
+        """Put values (3, N), some of them positive, and their weights (3, N) together."""
+        root = np.sqrt(weight / np.sum(weight * values**2))
+        return cls(points, root, values * root)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedStructure:
+    """A structure with its most probable unknowns, and how uncertain these are."""
+
+    structure: LayerStructure
+    unknowns: Array  # (U,)
+    error: float  # root of C
+    evidence: float
+    normal_equations: Array  # A, (U, U)
+
+    @property
+    def model(self) -> LayeredModel:
+        """The layers."""
+        return self.structure.model(self.unknowns)
+
+    def draw(self, generator: np.random.Generator, count: int) -> list[LayeredModel]:
+        """Layers as probable as these, from the Gaussian of the normal equations, within the bounds.
+
+        Each has a mirror image about these, so that a few tell the middle and the range.
+        """
+        values, vectors = np.linalg.eigh(self.normal_equations)
+        # The symmetric root: unlike eigenvectors, whose signs are a library's choice, it is the same on every machine.
+        root = (vectors * np.sqrt(0.5 * TEMPERATURE / np.maximum(values, 1e-9))) @ vectors.T
+        half = generator.standard_normal((-(-count // 2), values.size)) @ root
+        drawn = self.unknowns + np.concatenate([half, -half])[:count]
+        return [self.structure.model(unknowns) for unknowns in np.clip(drawn, *self.structure.bounds)]
+
+
+def fit_structures(data: LayerData, structures: Sequence[LayerStructure] = STRUCTURES) -> list[FittedStructure]:
+    """Fit structures to data, the best first; hopeless ones are given up after a few steps."""
+    trials = [_best_trial(data, structure) for structure in structures]
+    found: list[FittedStructure] = []
+    best = np.inf
+    for descent in sorted(trials, key=lambda trial: trial.prospect):
+        if descent.prospect > best + _HOPELESS:
+            break
+        descent.run(_STEPS)
+        best = min(best, descent.prospect)
+        found.append(descent.fitted())
+    return sorted(found, key=lambda fitted: fitted.evidence)
+
+
+def structure_weights(found: Sequence[FittedStructure]) -> Array:
+    """Weights of fitted structures, which sum to 1."""
+    evidence = np.array([fitted.evidence for fitted in found])
+    weights = np.exp((evidence.min() - evidence) / TEMPERATURE)
+    return np.asarray(weights / weights.sum())
+
+
+def _best_trial(data: LayerData, structure: LayerStructure) -> "_Descent":
+    trials = [_Descent(data, structure, _start(data, structure, widths)) for widths in structure.starts]
+    for trial in trials:
+        trial.run(_TRIAL_STEPS)
+    return min(trials, key=lambda trial: trial.prospect)
+
+
+@dataclass(eq=False)
+class _Descent:
+    """Levenberg-Marquardt on the cost of one structure, which can be stopped and continued."""
+
+    data: LayerData
+    structure: LayerStructure
+    unknowns: Array
+    is_first: bool = True  # with the fixed noise
+    done: bool = False
+    damping: float = _FIRST_DAMPING
+    _steps: int = 0
+    _stalled: int = 0
+    _error: float = field(init=False)  # C
+    _matrix: Array = field(init=False)  # half the Gauss-Newton matrix of C
+    _gradient: Array = field(init=False)  # half of C's
+
+    def __post_init__(self) -> None:
+        self.unknowns = np.clip(self.unknowns, *self.structure.bounds)
+        self._linearize(self._layers(self.unknowns))
+
+    @property
+    def prospect(self) -> float:
+        """Cost, and what the number of unknowns is about worth."""
+        cost = _cost(self._error, is_first=False) + self._penalty(self.unknowns)
+        return cost + self.structure.price + self.structure.mean.size
+
+    def run(self, steps: int) -> None:
+        """Take at most so many steps."""
+        for _ in range(steps):
+            if self.is_first and (self._steps >= _FIRST_STEPS or self._error < _FIRST_NOISE**2):
+                self.is_first, self.damping = False, max(self.damping, 1e-3)
+            if self.done:
+                return
+            self._steps += 1
+            self._step()
+
+    def fitted(self) -> FittedStructure:
+        """What was reached."""
+        matrix, _ = self._system(is_first=False)
+        cost = _cost(self._error, is_first=False) + self._penalty(self.unknowns) + self.structure.price
+        evidence = cost + float(np.linalg.slogdet(matrix)[1]) - self.structure.log_determinant
+        return FittedStructure(self.structure, self.unknowns, float(np.sqrt(self._error)), evidence, matrix)
+
+    def _step(self) -> None:
+        """Lower the cost, or end the first stage or the descent."""
+        here = _cost(self._error, is_first=self.is_first) + self._penalty(self.unknowns)
+        matrix, gradient = self._system(is_first=self.is_first)
+        lower, upper = self.structure.bounds
+        held = (self.unknowns <= lower + 1e-9) & (gradient > 0.0) | (self.unknowns >= upper - 1e-9) & (gradient < 0.0)
+        free = np.flatnonzero(~held)
+        if not free.size:
+            self.done = True
+            return
+        reduced = matrix[np.ix_(free, free)]
+        for _ in range(_TRIES):
+            damped = reduced + self.damping * np.diag(np.diag(reduced))
+            move = potrs(potrf(damped, lower=1)[0], gradient[free], lower=1)[0]
+            tried = self.unknowns.copy()
+            tried[free] -= np.clip(move, -_LARGEST_STEP, _LARGEST_STEP)
+            tried = np.clip(tried, lower, upper)
+            layers = self._layers(tried)
+            there = _cost(self._squared_error(layers), is_first=self.is_first) + self._penalty(tried)
+            if there < here:
+                break
+            self.damping *= 5.0
+        else:
+            self.done, self.is_first, self.damping = not self.is_first, False, _FIRST_DAMPING
+            return
+        self._stalled = self._stalled + 1 if here - there < _TOLERANCE else 0
+        self.unknowns, self.damping = tried, max(self.damping / 4.0, 1e-5)
+        self.done = not self.is_first and self._stalled >= _STALLED
+        self._linearize(layers)
+
+    def _layers(self, unknowns: Array) -> list[Linearized]:
+        parts = zip(self.structure.layers, self.structure.slices, strict=True)
+        return [prior.kind.linearize(self.data.points, unknowns[part]) for prior, part in parts]
+
+    def _squared_error(self, layers: list[Linearized]) -> float:
+        values = sum(layer.values for layer in layers)
+        return float(np.sum((values * self.data.root_weight - self.data.weighted) ** 2))
+
+    def _linearize(self, layers: list[Linearized]) -> None:
+        """Find C and its normal equations, which are those of each channel's own unknowns."""
+        size = self.unknowns.size
+        self._error, self._matrix, self._gradient = 0.0, np.zeros((size, size)), np.zeros(size)
+        for channel, places in enumerate(self.structure.of_channel):
+            rows = []
+            for layer in layers:
+                rows.append(layer.own[channel][np.newaxis])
+                rows += [] if layer.grazing is None else [layer.grazing[np.newaxis]]
+                rows.append(layer.relative * layer.values[channel])
+            rows.append(np.sum([layer.values[channel] for layer in layers], axis=0, keepdims=True))
+            columns = np.concatenate(rows)  # derivatives, then the residual
+            columns *= self.data.root_weight[channel]
+            columns[-1] -= self.data.weighted[channel]
+            products = columns[:-1] @ columns.T
+            self._error += float(columns[-1] @ columns[-1])
+            self._matrix[places[:, np.newaxis], places] += products[:, :-1]
+            self._gradient[places] += products[:, -1]
+
+    def _system(self, *, is_first: bool) -> tuple[Array, Array]:
+        """Half of the Hessian and of the gradient of the cost, about."""
+        structure = self.structure
+        scale = _SAMPLES / (_FIRST_NOISE**2 if is_first else self._error + _LEAST_ERROR**2)
+        off = self.unknowns - structure.mean
+        whitened = structure.root @ off
+        prior = structure.root.T @ (structure.root / (1.0 + whitened**2 / structure.freedom)[:, np.newaxis])
+        return scale * self._matrix + prior, scale * self._gradient + prior @ off
+
+    def _penalty(self, unknowns: Array) -> float:
+        whitened = self.structure.root @ (unknowns - self.structure.mean)
+        return float(self.structure.freedom @ np.log1p(whitened**2 / self.structure.freedom))
+
+
+def _cost(error: float, *, is_first: bool) -> float:
+    return float(_SAMPLES * (error / _FIRST_NOISE**2 if is_first else np.log(error + _LEAST_ERROR**2)))
+
+
+def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]) -> Array:
+    """Unknowns with half widths [degrees] and otherwise of the prior, and the colours that fit the data best.
+
+    A specular layer's light at normal and at grazing incidence are found apart, as shapes of their own.
+    """
+    unknowns = structure.mean.copy()
+    shapes, remaining = [], list(widths)
+    for prior, part in zip(structure.layers, structure.slices, strict=True):
+        own = unknowns[part]
+        if prior.kind is SpecularLayer and remaining:
+            own[6] = np.log(np.tan(np.radians(remaining.pop(0))) / np.sqrt(np.sqrt(2.0) - 1.0))
+        white = np.concatenate([np.zeros(3), own[3:]])
+        if prior.kind is SpecularLayer:
+            white[3] = 0.0
+        layer = prior.kind.linearize(data.points, white)
+        shapes.append(layer.own[0])
+        if layer.grazing is not None:
+            shapes.append(layer.grazing)
+    columns = np.stack(shapes)
+    found = [nnls((columns * root).T, goal)[0] for root, goal in zip(data.root_weight, data.weighted, strict=True)]
+    heights = iter(np.array(found).T)
+    for prior, part in zip(structure.layers, structure.slices, strict=True):
+        own, color = unknowns[part], next(heights)
+        least = 0.1 * np.exp(prior.mean[0]) if prior.kind is SpecularLayer else 0.005
+        own[:3] = np.log(np.maximum(color, _DARK_START * max(float(color.max()), least)))
+        if prior.kind is SpecularLayer:
+            own[3] = np.log(np.clip(next(heights).mean(), 0.02, 1.2))
+    return unknowns

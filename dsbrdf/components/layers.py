@@ -1,0 +1,288 @@
+"""Physical layers: surfaces that reflect and grounds that scatter light, each with a handful of parameters.
+
+With u = 1 - cos(theta_diff), the cosines to the normal of both directions, and s(cos) how far the reflectance of glass
+has risen from normal (0) to grazing incidence (1) by Fresnel's equations, a **specular layer** is a rough surface of
+microfacets (Cook and Torrance 1982), with s at theta_diff,
+
+    f = (F0 (1 - s) + F90 s) D V exp(q1 u + q2 u**2) T**t,
+    D = 1 / (pi alpha**2) (1 + tan(theta_half)**2 / (g alpha**2))**-kappa / cos(theta_half)**4.
+
+D has the tails of Student's t over slopes, and g = kappa - 1 norms it: kappa = 2 is GGX (Walter et al. 2007), and a
+large kappa is Beckmann's distribution, both with their usual alpha. V is Smith's masking over 4 cos_in cos_out, as of
+GGX, between the height-correlated form (b = 0) and the separable one (b = 1). T is the share of light that passes a
+clear coat both ways: t = 0 outside of one and 1 below. A **diffuse layer** is
+
+    f = rho / pi exp(p . X),
+
+with X the logarithm of what passes glass both ways, (1 - s(cos_in)) (1 - s(cos_out)), Burley's retro-reflection (2012),
+s, the limb term log(2 / (cos_in + cos_out)), sin(theta_half)**2 and the angular term of Oren and Nayar (1994).
+**Sheen**, the light of fibres at grazing angles, is ``f = c u**a sin(theta_half)**b``. A **retro layer** is GGX about
+the direction back to the light.
+
+The unknowns of a layer, which a fit looks for, are the logarithms of the three channels of its colour, then of its
+other parameters or, where these can be negative, the parameters themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from dsbrdf.arrays import Array
+from dsbrdf.components.points import COAT_F0, Points, grid_points
+from dsbrdf.model.reflectance import RenderableModel
+
+Color: TypeAlias = tuple[float, float, float]
+
+
+class Linearized(NamedTuple):
+    """Values of a layer and their derivatives in its unknowns."""
+
+    values: Array  # (3, N) [1/sr]
+    own: Array  # of each channel in the logarithm of its colour, (3, N)
+    relative: Array  # of the logarithm of every channel in the last P unknowns, (P, N)
+    grazing: Array | None = None  # of every channel in log F90, the unknown after the colour, (N,)
+
+
+@dataclass(frozen=True)
+class SpecularLayer:
+    """A rough surface; the module has the equation.
+
+    Attributes
+    ----------
+    f0 : tuple of float
+        Reflectance of its facets at normal incidence, RGB.
+    f90 : float
+        The same at grazing incidence.
+    alpha, kappa : float
+        Roughness, and exponent of the tails: 2 is GGX, less is a longer tail.
+    rise : tuple of float
+        q1 and q2, how far the reflectance leaves that of glass.
+    masking, under_coat : float
+        b and t.
+    """
+
+    f0: Color
+    f90: float
+    alpha: float
+    kappa: float
+    rise: tuple[float, float]
+    masking: float
+    under_coat: float
+
+    @classmethod
+    def from_unknowns(cls, unknowns: Array) -> SpecularLayer:
+        """Layer of unknowns (10,)."""
+        red, green, blue, f90, alpha, kappa = np.exp(unknowns[[0, 1, 2, 3, 6, 7]]).tolist()
+        q1, q2, masking, under_coat = unknowns[[4, 5, 8, 9]].tolist()
+        return cls((red, green, blue), f90, alpha, kappa, (q1, q2), masking, under_coat)
+
+    @property
+    def reflectance(self) -> Array:
+        """F0 as it is seen, through a coat if there is one, RGB, shape (3,)."""
+        return np.array(self.f0) * (1.0 - COAT_F0) ** (2.0 * self.under_coat)
+
+    @property
+    def half_width(self) -> float:
+        """Angle theta_half at which the slopes of facets are half as frequent as at 0 [rad]."""
+        return float(np.arctan(self.alpha * np.sqrt(tail_norm(self.kappa)[0] * (2.0 ** (1.0 / self.kappa) - 1.0))))
+
+    @property
+    def unknowns(self) -> Array:
+        """Unknowns (10,)."""
+        logs = np.log([*self.f0, self.f90, self.alpha, self.kappa])
+        return np.array([*logs[:4], *self.rise, *logs[4:], self.masking, self.under_coat])
+
+    @classmethod
+    def linearize(cls, points: Points, unknowns: Array) -> Linearized:
+        """Values and derivatives at points."""
+        surface = _Surface(points, *np.exp(unknowns[6:8]))
+        masking = unknowns[8]
+        shape = np.exp(surface.log_shape(masking) + unknowns[4:6] @ points.rise + unknowns[9] * points.passed)
+        own = np.exp(unknowns[:3])[:, np.newaxis] * (shape * (1.0 - points.fresnel))
+        grazing = np.exp(unknowns[3]) * shape * points.fresnel
+        by_alpha, by_kappa, by_masking = surface.derivatives(masking)
+        relative = np.stack([*points.rise, by_alpha, by_kappa, by_masking, points.passed])
+        return Linearized(own + grazing, own, relative, grazing)
+
+    def values(self, points: Points) -> Array:
+        """Values (3, N) [1/sr]."""
+        shape = np.exp(
+            _Surface(points, self.alpha, self.kappa).log_shape(self.masking)
+            + np.array(self.rise) @ points.rise
+            + self.under_coat * points.passed
+        )
+        return np.array(self.f0)[:, np.newaxis] * (shape * (1.0 - points.fresnel)) + self.f90 * shape * points.fresnel
+
+
+class _Surface:
+    """Logarithm of D V at points, and its derivatives."""
+
+    def __init__(self, points: Points, alpha: float, kappa: float) -> None:
+        self._points, self._alpha, self._kappa = points, alpha, kappa
+        self._square = square = alpha**2
+        self._seen_in, self._seen_out = (
+            np.sqrt(square + (1.0 - square) * cosine**2) for cosine in (points.cos_in, points.cos_out)
+        )
+        self._together = points.cos_out * self._seen_in + points.cos_in * self._seen_out
+        self._apart = (points.cos_in + self._seen_in) * (points.cos_out + self._seen_out)
+        self._by_masking = np.log(2.0 * self._together / self._apart)
+        self._norm, self._norm_slope = tail_norm(kappa)
+        self._slope = points.squared_tangent / (self._norm * square)
+        self._tail = np.log1p(self._slope)
+
+    def log_shape(self, masking: float) -> Array:
+        norm = 1.0 / (2.0 * np.pi * self._square)
+        tails = 2.0 * self._points.log_squared_secant - self._kappa * self._tail
+        return np.asarray(tails + np.log(norm / self._together) + masking * self._by_masking)
+
+    def derivatives(self, masking: float) -> tuple[Array, Array, Array]:
+        """Derivatives in log alpha, log kappa and the masking."""
+        points, pulled = self._points, self._kappa * self._slope / (1.0 + self._slope)
+        by_in = self._square * (1.0 - points.cos_in**2) / self._seen_in
+        by_out = self._square * (1.0 - points.cos_out**2) / self._seen_out
+        together = -(points.cos_out * by_in + points.cos_in * by_out) / self._together
+        apart = -by_in / (points.cos_in + self._seen_in) - by_out / (points.cos_out + self._seen_out)
+        by_alpha = 2.0 * (pulled - 1.0) + together + masking * (apart - together)
+        return by_alpha, self._kappa * (self._norm_slope / self._norm * pulled - self._tail), self._by_masking
+
+
+def tail_norm(kappa: float) -> tuple[float, float]:
+    """G and its derivative: kappa - 1, which norms D, positive where tails are too long for one."""
+    x = 8.0 * (kappa - 1.125)
+    return float(0.125 + np.logaddexp(0.0, x) / 8.0), float(1.0 / (1.0 + np.exp(-x)))
+
+
+@dataclass(frozen=True)
+class DiffuseLayer:
+    """A ground that scatters light: albedo rho and exponents p of the module's equation."""
+
+    albedo: Color
+    exponents: tuple[float, float, float, float, float, float]
+
+    @classmethod
+    def from_unknowns(cls, unknowns: Array) -> DiffuseLayer:
+        """Layer of unknowns (9,)."""
+        red, green, blue = np.exp(unknowns[:3]).tolist()
+        first, second, third, fourth, fifth, sixth = unknowns[3:].tolist()
+        return cls((red, green, blue), (first, second, third, fourth, fifth, sixth))
+
+    @property
+    def unknowns(self) -> Array:
+        """Unknowns (9,)."""
+        return np.array([*np.log(self.albedo), *self.exponents])
+
+    @classmethod
+    def linearize(cls, points: Points, unknowns: Array) -> Linearized:
+        """Values and derivatives at points."""
+        return _powers(points.ground, unknowns, 1.0 / np.pi)
+
+    def values(self, points: Points) -> Array:
+        """Values (3, N) [1/sr]."""
+        return _powers(points.ground, self.unknowns, 1.0 / np.pi).values
+
+
+@dataclass(frozen=True)
+class SheenLayer:
+    """Light of fibres at grazing angles: colour c and powers a and b of the module's equation."""
+
+    color: Color
+    powers: tuple[float, float]
+
+    @classmethod
+    def from_unknowns(cls, unknowns: Array) -> SheenLayer:
+        """Layer of unknowns (5,)."""
+        red, green, blue = np.exp(unknowns[:3]).tolist()
+        first, second = unknowns[3:].tolist()
+        return cls((red, green, blue), (first, second))
+
+    @property
+    def unknowns(self) -> Array:
+        """Unknowns (5,)."""
+        return np.array([*np.log(self.color), *self.powers])
+
+    @classmethod
+    def linearize(cls, points: Points, unknowns: Array) -> Linearized:
+        """Values and derivatives at points."""
+        return _powers(points.fibres, unknowns, 1.0)
+
+    def values(self, points: Points) -> Array:
+        """Values (3, N) [1/sr]."""
+        return _powers(points.fibres, self.unknowns, 1.0).values
+
+
+def _powers(features: Array, unknowns: Array, scale: float) -> Linearized:
+    values = np.exp(unknowns[:3])[:, np.newaxis] * (scale * np.exp(unknowns[3:] @ features))
+    return Linearized(values, values, features)
+
+
+@dataclass(frozen=True)
+class RetroLayer:
+    """Light back to where it comes from: colour, and roughness about that direction."""
+
+    color: Color
+    alpha: float
+
+    @classmethod
+    def from_unknowns(cls, unknowns: Array) -> RetroLayer:
+        """Layer of unknowns (4,)."""
+        red, green, blue, alpha = np.exp(unknowns).tolist()
+        return cls((red, green, blue), alpha)
+
+    @property
+    def half_width(self) -> float:
+        """Half width about the direction back to the light, as `SpecularLayer.half_width` [rad]."""
+        return float(np.arctan(self.alpha * np.sqrt(np.sqrt(2.0) - 1.0)))
+
+    @property
+    def unknowns(self) -> Array:
+        """Unknowns (4,)."""
+        return np.log([*self.color, self.alpha])
+
+    @classmethod
+    def linearize(cls, points: Points, unknowns: Array) -> Linearized:
+        """Values and derivatives at points."""
+        turned = points._replace(
+            squared_tangent=points.squared_retro, log_squared_secant=np.log1p(points.squared_retro)
+        )
+        surface = _Surface(turned, float(np.exp(unknowns[3])), 2.0)
+        values = np.exp(unknowns[:3])[:, np.newaxis] * np.exp(surface.log_shape(0.0))
+        return Linearized(values, values, surface.derivatives(0.0)[0][np.newaxis])
+
+    def values(self, points: Points) -> Array:
+        """Values (3, N) [1/sr]."""
+        return self.linearize(points, self.unknowns).values
+
+
+Layer: TypeAlias = SpecularLayer | DiffuseLayer | SheenLayer | RetroLayer
+
+
+@dataclass(frozen=True)
+class LayeredModel(RenderableModel):
+    """The sum of some layers: values, directional albedo, sampling and spheres from some 30 numbers."""
+
+    layers: tuple[Layer, ...]
+
+    def __repr__(self) -> str:
+        return f"<LayeredModel: {len(self.layers)} layers, {self.n_numbers} numbers>"
+
+    @property
+    def n_numbers(self) -> int:
+        """How many numbers the layers have."""
+        return sum(layer.unknowns.size for layer in self.layers)
+
+    def layer_values(self, points: Points) -> Array:
+        """Values of each layer, shape (layers, 3, N) [1/sr]."""
+        return np.array([layer.values(points) for layer in self.layers]).reshape(-1, 3, points.fresnel.size)
+
+    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
+        return self.layer_values(Points.at(theta_half, theta_diff, phi_diff)).sum(axis=0).T
+
+    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
+        """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
+        for points in grid_points(theta_half, theta_diff, phi_diff):
+            yield self.layer_values(points).sum(axis=0).reshape(3, theta_diff.size, phi_diff.size)

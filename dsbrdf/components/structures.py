@@ -1,0 +1,215 @@
+"""What materials are made of: a few structures of layers, each with what is known of its parameters beforehand.
+
+A prior is about the layer's unknowns (see `layers`). Colours have a mean of their channels' logarithms, with
+Student's t with 4 degrees of freedom, so that an odd material pays a bounded price, and differences between channels,
+which are Gaussian: a dielectric highlight is neutral. All other unknowns are independent with the same t.
+
+A structure of more freedom has a price, in the units of the cost (see `layer_fit`): a material is what the
+simplest structure says, unless its values speak against it.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from dsbrdf.arrays import Array, Indices
+from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+
+_FREEDOM, _GAUSSIAN = 4.0, 1e9  # degrees of freedom of Student's t
+_HELD = 1e-3  # standard deviation of what is not free
+_CONTRASTS = np.array([[1.0, 1.0, 1.0], [3.0, -3.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[9.0], [18.0], [6.0]])
+"""Mean of three channels, and two differences of unit length."""
+_RISES = np.array([[-0.6, 0.8], [0.8, 0.6]])
+"""Axes of a rise's exponents: glass is at 0, Schlick's law at about 1.5 of the first; all else is rare."""
+
+Range: TypeAlias = tuple[float, float]
+"""Mean and standard deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayerPrior:
+    """A layer and what its U unknowns probably are."""
+
+    kind: type[Layer]
+    is_diffuse: bool
+    mean: Array  # (U,)
+    root: Array  # whitens deviations from the mean, (U, U)
+    freedom: Array  # degrees of freedom of each whitened deviation, (U,)
+    lower: Array  # bounds, (U,)
+    upper: Array
+
+
+def _prior(
+    kind: type[Layer],
+    color: Range,
+    tint: float,
+    others: Sequence[Range],
+    bounds: Sequence[Range],
+    *,
+    is_diffuse: bool = True,
+) -> LayerPrior:
+    """Prior of a log colour and its differences between channels, and of the other unknowns; bounds of all of them."""
+    means, deviations = np.array(others).T
+    lower, upper = np.array([bounds[0]] * 3 + list(bounds[1:])).T
+    colors = _CONTRASTS / np.array([[color[1]], [tint], [tint]])
+    whiten = np.diag(1.0 / deviations)
+    if kind is SpecularLayer:
+        whiten[1:3, 1:3] = whiten[1:3, 1:3] @ _RISES
+    return LayerPrior(
+        kind,
+        is_diffuse,
+        np.concatenate([np.full(3, color[0]), means]),
+        block_diag(colors, whiten),
+        np.concatenate([[_FREEDOM, _GAUSSIAN, _GAUSSIAN], np.full(means.size, _FREEDOM)]),
+        lower,
+        upper,
+    )
+
+
+_WEAK = (-12.0, np.log(0.2))  # as bright as a dielectric can be: diamond has 0.17
+_STRONG = (-12.0, np.log(3.0))
+_RISE = ((0.0, 1.0), (0.0, 0.15))  # along `_RISES`
+_SPECULAR_BOUNDS = (  # of all but the colour
+    (-5.0, 0.7), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
+    (-0.5, 1.5), (-0.5, 2.0),
+)  # fmt: skip
+
+
+def _specular(color: Range, tint: float, *, strength: Range = _STRONG, under_coat: bool = False) -> LayerPrior:
+    """A surface of any roughness up to 0.7: a rougher one and a matte ground cannot be told apart."""
+    bounds = (strength, *_SPECULAR_BOUNDS)
+    others = (
+        (-0.1, 0.4),  # F90
+        *_RISE,
+        (np.log(0.12), 1.5),  # alpha
+        (np.log(2.0), 0.5),  # kappa, that of GGX
+        (0.5, 0.3),
+        (1.0, 0.3) if under_coat else (0.0, _HELD),
+    )
+    return _prior(SpecularLayer, color, tint, others, bounds, is_diffuse=False)
+
+
+def _diffuse(exponents: Sequence[Range]) -> LayerPrior:
+    bounds = ((-14.0, np.log(2.0)), (-1.0, 2.0), (-1.0, 2.0), (-2.5, 4.0), (-1.0, 2.0), (-2.5, 2.5), (-1.0, 1.5))
+    return _prior(DiffuseLayer, (np.log(0.15), 1.5), 1.0, exponents, bounds)
+
+
+_DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, strength=_WEAK)
+_COAT = _specular((np.log(0.045), 0.35), 0.03)  # or the peak of a metal with haze, which is as bright as metal
+_METAL = _specular((np.log(0.6), 0.6), 1.0)
+_METAL_UNDER_COAT = _specular((np.log(0.6), 0.6), 1.0, under_coat=True)
+_HIGHLIGHT = _specular((np.log(0.5), 0.8), 0.7)
+_HIGHLIGHT_UNDER_COAT = _specular((np.log(0.15), 1.2), 0.7, under_coat=True)
+_GROUND = _diffuse(((0.5, 0.5), (0.0, 0.4), (0.0, 0.4), (0.0, 0.3), (0.0, 0.25), (0.0, 0.4)))
+_YARN = _diffuse(((0.0, 0.2), (0.0, 0.4), (0.0, 0.8), (0.0, 0.4), (0.0, 0.6), (0.0, 0.4)))
+_SHEEN = _prior(SheenLayer, (np.log(0.02), 1.5), 0.5, ((2.5, 2.0),) * 2, ((-12.0, 2.0), (0.0, 8.0), (0.0, 8.0)))
+_RETRO = _prior(
+    RetroLayer, (np.log(0.05), 1.5), 0.5, ((np.log(0.12), 0.5),), ((-12.0, 1.0), (np.log(0.02), np.log(0.4))),
+    is_diffuse=False,
+)  # fmt: skip
+# The surfaces of fibres, which turn every way: a highlight as rough as they make it is part of what cloth scatters.
+_FIBRES = _prior(
+    SpecularLayer,
+    (np.log(0.045), 0.35),
+    0.05,
+    ((-0.1, 0.4), *_RISE, (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _HELD)),
+    (_WEAK, *_SPECULAR_BOUNDS[:3], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)), *_SPECULAR_BOUNDS[5:]),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LayerStructure:
+    """Layers of a kind of material, with U unknowns."""
+
+    name: str
+    layers: tuple[LayerPrior, ...]
+    price: float = 0.0
+    starts: tuple[tuple[float, ...], ...] = ((),)  # half widths of the free specular layers [degrees]
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Where the unknowns of each layer stand."""
+        ends = np.cumsum([0, *(layer.mean.size for layer in self.layers)]).tolist()
+        return tuple(slice(start, stop) for start, stop in itertools.pairwise(ends))
+
+    @cached_property
+    def mean(self) -> Array:
+        """Mean of the prior (U,)."""
+        return np.concatenate([layer.mean for layer in self.layers])
+
+    @cached_property
+    def root(self) -> Array:
+        """What whitens deviations from the mean (U, U)."""
+        return np.asarray(block_diag(*(layer.root for layer in self.layers)))
+
+    @cached_property
+    def freedom(self) -> Array:
+        """Degrees of freedom of whitened deviations (U,)."""
+        return np.concatenate([layer.freedom for layer in self.layers])
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (U,)."""
+        lower, upper = zip(*((layer.lower, layer.upper) for layer in self.layers), strict=True)
+        return np.concatenate(lower), np.concatenate(upper)
+
+    @cached_property
+    def of_channel(self) -> tuple[Indices, Indices, Indices]:
+        """The unknowns that matter to each channel: of each layer its own colour's, then all but colours."""
+        places = [np.arange(part.start, part.stop) for part in self.slices]
+        red, green, blue = (np.concatenate([np.r_[p[channel], p[3:]] for p in places]) for channel in range(3))
+        return red, green, blue
+
+    @cached_property
+    def log_determinant(self) -> float:
+        """Of the prior's normal equations at its mean."""
+        return 2.0 * float(np.linalg.slogdet(self.root)[1])
+
+    def model(self, unknowns: Array) -> LayeredModel:
+        """Layers of unknowns (U,)."""
+        return LayeredModel(
+            tuple(
+                layer.kind.from_unknowns(unknowns[part]) for layer, part in zip(self.layers, self.slices, strict=True)
+            )
+        )
+
+    def no_narrower(self, half_width: float) -> "LayerStructure":
+        """Return the structure with a bound on the half widths of GGX's highlights [rad]."""
+        least = np.log(np.tan(half_width) / np.sqrt(np.sqrt(2.0) - 1.0))
+        layers = tuple(
+            replace(
+                layer, lower=np.where(np.arange(layer.lower.size) == 6, np.maximum(layer.lower, least), layer.lower)
+            )
+            if layer.kind is SpecularLayer
+            else layer
+            for layer in self.layers
+        )
+        return replace(self, layers=layers)
+
+    @property
+    def is_diffuse(self) -> tuple[bool, ...]:
+        """Whether each layer's light counts as diffuse."""
+        return tuple(layer.is_diffuse for layer in self.layers)
+
+
+_ONE = ((0.3,), (1.5,), (6.0,), (18.0,))
+_TWO = ((0.15, 12.0), (1.0, 6.0), (1.0, 16.0), (4.0, 16.0))
+
+STRUCTURES = (
+    LayerStructure("diffuse", (_GROUND,)),
+    LayerStructure("diffuse with sheen", (_GROUND, _SHEEN), 2.0),
+    LayerStructure("diffuse with retro-reflection", (_RETRO, _GROUND), 6.0),
+    LayerStructure("fibres", (_FIBRES, _YARN), 5.0),
+    LayerStructure("dielectric over diffuse", (_DIELECTRIC, _GROUND), 0.0, _ONE),
+    LayerStructure("dielectric", (_DIELECTRIC,), 0.0, _ONE),
+    LayerStructure("metal", (_METAL,), 0.0, _ONE),
+    LayerStructure("highlight over diffuse", (_HIGHLIGHT, _GROUND), 6.0, _ONE),
+    LayerStructure("coat over highlight over diffuse", (_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND), 8.0, _TWO),
+    LayerStructure("coat over metal", (_COAT, _METAL_UNDER_COAT), 2.0, _TWO),
+    LayerStructure("two highlights over diffuse", (_COAT, _DIELECTRIC, _GROUND), 2.0, _TWO),
+)

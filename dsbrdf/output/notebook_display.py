@@ -1,0 +1,30 @@
+"""Registration of the library's classes with a notebook, which then shows their objects as HTML."""
+
+import sys
+from importlib import import_module
+from typing import Any
+
+SHOWN_CLASSES = {
+    "dsbrdf.components.decomposition": ("Component",),
+    "dsbrdf.components.layers": ("LayeredModel",),
+    "dsbrdf.data.measurement": ("Measurement",),
+    "dsbrdf.fitting.report": ("FitReport", "FitResult"),
+    "dsbrdf.model.dsbrdf": ("DSBRDF",),
+}
+"""Names of the classes by the module that defines them; IPython imports no module for it."""
+
+
+def register() -> None:
+    """Register the HTML of the library's classes with the running notebook, if there is one."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    if shell is None:
+        return
+    formatter = shell.display_formatter.formatters["text/html"]
+    for module, names in SHOWN_CLASSES.items():
+        for name in names:
+            formatter.for_type_by_name(module, name, _html)
+
+
+def _html(shown: Any) -> str:
+    return str(import_module("dsbrdf.output.notebook").html(shown))

@@ -1,0 +1,131 @@
+"""The paper's procedure: Algorithm 1 on each of 18 slices of theta_diff, 5 degrees apart (Nishino 2009, section 6).
+
+The lobes are matched across slices by sorting on kappa; kappa and gamma run linearly between slices; a delta term takes
+what is left where theta_half < 1 degree. The number of lobes, if it is not given, is chosen by Williams' test.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsbrdf.arrays import Array, Indices, Mask
+from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import Profiles
+from dsbrdf.data.weighting import interval_ends
+from dsbrdf.errors import FitError
+from dsbrdf.fitting.metrics import OUTSIDE_CENTER
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import FoundModel, KnotReport, SelectionStep
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.paper import em
+from dsbrdf.paper.lobe_selection import LARGEST_AUTOMATIC, choose_n_lobes
+
+PAPER_SLICES = np.radians(np.arange(0.0, 90.0, 5.0))
+"""The 18 slices of the paper, 0 to 85 degrees [rad]."""
+_ANGLES = THETA_HALF[OUTSIDE_CENTER]
+_SEARCH_SHARE = 0.8  # of the work, where the number of lobes is chosen
+
+
+def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> FoundModel:
+    """Fit all slices of all channels in one batch, for each number of lobes if it has to be found.
+
+    `progress` is called with the share of the work done. Raises FitError if the options leave no data to fit.
+    """
+    rows = np.searchsorted(THETA_DIFF, PAPER_SLICES - 1e-9)
+    mask = 1.0 if options.mask is None else options.mask
+    kept = (THETA_HALF <= np.pi / 2 - mask * PAPER_SLICES[:, None] + 1e-9)[:, OUTSIDE_CENTER]
+    mean, weight, within = (part[:, rows][:, :, OUTSIDE_CENTER] for part in (data.mean, data.weight, data.within))
+    weight, within = np.where(kept, weight, 0.0), np.where(kept, within, 0.0)
+    largest_kappa, n_nodes = _largest_kappa(data, rows), np.count_nonzero(weight, axis=2)
+
+    def fit(chosen: Mask, n_lobes: int, done: float, share: float) -> em.SliceFits:
+        """Run Algorithm 1 on chosen slices (3, D), a share of the work after what is done."""
+        return em.fit_slices(
+            _ANGLES,
+            mean[chosen],
+            weight[chosen],
+            n_lobes,
+            iterations=options.em_iterations,
+            robust=options.robust,
+            largest_kappa=largest_kappa[chosen],
+            on_iteration=lambda number: progress(done + share * (number / options.em_iterations)),
+        )
+
+    n_lobes, selection, done = options.n_lobes, tuple[SelectionStep, ...](), 0.0
+    if n_lobes == "auto":
+        # On the slices that have enough nodes for any number; else on all that have nodes.
+        compared = n_nodes >= 2 * LARGEST_AUTOMATIC
+        if not compared.any(axis=1).all():
+            compared = n_nodes >= 2
+        n_lobes, done, share = 1, _SEARCH_SHARE, _SEARCH_SHARE / LARGEST_AUTOMATIC
+        if compared.any():
+            n_lobes, selection = choose_n_lobes(
+                _ANGLES,
+                mean[compared],
+                weight[compared],
+                within[compared],
+                lambda number: fit(compared, number, (number - 1) * share, share),
+            )
+    # A slice with fewer nodes than parameters has nothing to say about them.
+    fitted = n_nodes >= 2 * n_lobes
+    if not fitted.any(axis=1).all():
+        raise FitError(
+            "the mask and the horizon cutoff leave no slice with enough valid samples to fit: "
+            "raise the horizon cutoff or lower the mask or the number of lobes"
+        )
+    slices = fit(fitted, n_lobes, done, 1.0 - done)
+    nearest = _nearest_fitted(fitted)
+    kappa, gamma = _spread(slices.kappa, fitted, nearest), _spread(slices.gamma, fitted, nearest)
+    delta = _delta(data, rows, kappa, gamma)
+    model = DSBRDF(PAPER_SLICES, np.expm1(kappa), kappa, gamma, delta=delta, interpolation="linear")
+    bounds_hit = _bounds_hit(slices, largest_kappa[fitted])
+    found = (_spread(part, fitted, nearest) for part in (slices.converged, slices.iterations, bounds_hit))
+    return FoundModel(model, KnotReport.from_arrays(PAPER_SLICES, fitted, *found), selection=selection)
+
+
+def _largest_kappa(data: Profiles, rows: Indices) -> Array:
+    """Kappa of a lobe that peaks at twice the largest value of the slice, shape (3, D); no bound without its centre.
+
+    Below 1 degree the lobes are not fitted: without a bound one that falls steeply just outside can reach any height.
+    """
+    centre_seen = np.any(data.weight[:, rows][:, :, ~OUTSIDE_CENTER] > 0, axis=2)
+    return np.where(centre_seen, np.log1p(2.0 * data.mean[:, rows].max(axis=2)), np.inf)
+
+
+def _nearest_fitted(fitted: Mask) -> Indices:
+    """Index, shape (3, D), of the fitted slice nearest to each slice of its channel; 0 if there is none."""
+    index = np.arange(fitted.shape[1])
+    distance = np.where(fitted[:, None, :], np.abs(index[:, None] - index), np.inf)
+    return np.argmin(distance, axis=2)
+
+
+def _spread(values: NDArray[Any], fitted: Mask, nearest: Indices) -> NDArray[Any]:
+    """Values (fitted slices, ...) at all slices (3, D, ...): those without data take the nearest slice's."""
+    full = np.zeros((*fitted.shape, *values.shape[1:]), values.dtype)
+    full[fitted] = values
+    return full[np.arange(len(fitted))[:, None], nearest]
+
+
+def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
+    """Mean residual where theta_half < 1 degree by solid angle, shape (3, D); without data that of the nearest slice.
+
+    Never negative: a term that is taken away somewhere would make the model negative between the nodes.
+    """
+    center = np.flatnonzero(~OUTSIDE_CENTER)
+    solid_angle = np.diff(-np.cos(interval_ends(THETA_HALF[center], CENTER_CUTOFF)))
+    weight = data.weight[:, rows][:, :, center] * solid_angle
+    log_cos = 0.5 * np.log1p(-(np.sin(THETA_HALF[center]) ** 2))  # keeps the digits of small angles
+    lobes = np.expm1(kappa[..., None] * np.exp(gamma[..., None] * log_cos)).sum(axis=2)
+    total = weight.sum(-1)
+    residual = np.sum(weight * (data.mean[:, rows][:, :, center] - lobes), axis=-1) / np.where(total > 0, total, 1.0)
+    return np.maximum(np.take_along_axis(residual, _nearest_fitted(total > 0), axis=1), 0.0)
+
+
+def _bounds_hit(slices: em.SliceFits, largest_kappa: Array) -> Mask:
+    """Whether any lobe of a slice stands at a bound; a vanishing or flat lobe at its lower bound is no fault."""
+    low = (slices.kappa <= em.EM_KAPPA_BOUNDS[0] * (1 + 1e-9)) | (slices.gamma <= em.EM_GAMMA_BOUNDS[0] * (1 + 1e-9))
+    highest = np.minimum(largest_kappa, em.EM_KAPPA_BOUNDS[1])[:, None]
+    high = (slices.kappa >= highest * (1 - 1e-9)) | (slices.gamma >= em.EM_GAMMA_BOUNDS[1] * (1 - 1e-9))
+    return np.any(low | high, axis=1)

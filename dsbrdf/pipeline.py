@@ -1,0 +1,259 @@
+"""From a measurement, or its profiles, to a model and a report."""
+
+from __future__ import annotations
+
+import inspect
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from dsbrdf.arrays import Array
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.table_options import TableOptions
+from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
+from dsbrdf.fitting.global_method import fit_global, refine_at_samples
+from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, FoundModel
+from dsbrdf.paper.paper_method import fit_slicewise
+from dsbrdf.process_settings import one_blas_thread
+from dsbrdf.report_warnings import (
+    LARGEST_EXPECTED,
+    accuracy_warnings,
+    convergence_sentence,
+    fit_warnings,
+    sample_warnings,
+)
+from dsbrdf.samples.bins import predicted_profiles, sample_rows, scattered_metrics
+from dsbrdf.samples.errors import (
+    expected_error,
+    left_out_errors,
+    left_out_values,
+    pairs_to_measure,
+    unconfirmed_sample,
+)
+from dsbrdf.samples.measurement_files import read_measurement
+from dsbrdf.samples.prediction import SamplePrediction, thinned, without_outliers
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+from dsbrdf.samples.units import sample_units
+from dsbrdf.version import versions
+
+FEW_SAMPLES = 200
+"""Fewer scattered samples than this are fitted by layers."""
+_EXACT_ROUNDS = 3  # fits of scattered samples where they are: each knows better how to move them to their rows
+_MOST_EXACT = 30_000  # scattered samples that are fitted where they are; of more, so many taken at random
+
+
+@one_blas_thread
+def fit(
+    measurement: Measurement | Profiles | ScatteredSamples | str | PathLike[str] | Array,
+    options: FitOptions | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
+    **choices: Any,
+) -> FitResult:
+    """Fit the model to a measurement.
+
+    Parameters
+    ----------
+    measurement : Measurement, Profiles, ScatteredSamples, path-like or ndarray
+        A path names a file that `dsbrdf.read_measurement` reads; an array has the shape (3, 90, 90, 180), see
+        `Measurement.from_values`. Of scattered samples, which are fitted without a grid in between, only relative_rms
+        and male are known. Profiles must have been made with the options' horizon cutoff, weighting and robustness;
+        the metrics need the samples and are None then, see `add_sample_metrics`.
+    options : FitOptions, optional
+        Defaults to ``FitOptions()``.
+    progress : callable, optional
+        Called with the share of the work done, 0 to 1, at least once an iteration. What it raises ends the fit and
+        reaches the caller.
+    **choices
+        Single options by name, such as ``n_lobes=2``, instead of ``options``; the other parameters below.
+
+    Raises
+    ------
+    FitError
+        If the options leave no data to fit.
+    InvalidArgumentError
+        If profiles do not agree with the options, or an option is unknown or given twice.
+    MeasurementFormatError
+        If a file or an array is not an acceptable measurement.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If the fit, or slices of it, stopped at the bound on the iterations. The report's `warnings` have this one too.
+    """
+    if options is not None and choices:
+        raise InvalidArgumentError("give the options as FitOptions or by name, not both")
+    options = options or FitOptions(**choices)
+    if isinstance(measurement, str | PathLike):
+        measurement = read_measurement(measurement, options)
+    elif not isinstance(measurement, Measurement | Profiles | ScatteredSamples):
+        measurement = Measurement.from_values(measurement)
+    in_slices = options.method == "paper"
+    report_progress = progress or (lambda _: None)
+    clock = _Clock()
+    report_progress(0.0)
+    if isinstance(measurement, ScatteredSamples):
+        result = _fit_samples(measurement, options, report_progress, clock)
+    else:
+        options.refuse_on_grid()
+        data = profiles_for(measurement, options)
+        clock.lap("profiles")
+        report_progress(0.1)
+        on_share = lambda share: report_progress(0.1 + 0.8 * share)  # noqa: E731
+        if in_slices:
+            found = fit_slicewise(data, options, on_share)
+            clock.lap("em")
+        else:
+            found, _ = fit_global(data, options, on_share, clock.lap)
+        result = _result(found, data, options, clock)
+    if isinstance(measurement, Measurement):
+        result = add_sample_metrics(result, measurement)
+    report_progress(1.0)
+    if not np.all(result.report.knots.converged):
+        sentence = convergence_sentence(result.report.knots, in_slices=in_slices)
+        warnings.warn(sentence, ConvergenceWarning, stacklevel=3)
+    return result
+
+
+_OPTIONS = "\n".join(
+    (inspect.getdoc(options) or "").partition("Attributes\n----------\n")[2].partition("\n\n")[0]
+    for options in (FitOptions, TableOptions)
+)
+fit.__doc__ = (inspect.getdoc(fit) or "").replace(
+    "Raises\n", f"Other Parameters\n----------------\n{_OPTIONS}\n\nRaises\n", 1
+)
+
+
+def _result(
+    found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock, *, is_unit_wrong: bool = False
+) -> FitResult:
+    """Model and report, without the metrics."""
+    model, knots = found.model, found.knots
+    albedo = DirectionalAlbedo(tuple(ALBEDO_ANGLES.tolist()), tuple(map(tuple, model.albedo(ALBEDO_ANGLES).tolist())))
+    clock.lap("albedo")
+    in_slices = options.method == "paper"
+    report = FitReport(
+        warnings=tuple(fit_warnings(model, data, knots, albedo, in_slices=in_slices, is_unit_wrong=is_unit_wrong)),
+        metrics=Metrics(),
+        by_channel=(),
+        by_theta_diff=(),
+        knots=knots,
+        growth=found.growth,
+        selection=found.selection,
+        albedo=albedo,
+        n_numbers=model.n_numbers,
+        timings=clock.laps,
+        options=options,
+        versions=versions(),
+    )
+    return FitResult(model, report)
+
+
+def _fit_samples(
+    samples: ScatteredSamples, options: FitOptions, progress: Callable[[float], None], clock: _Clock
+) -> FitResult:
+    """Predict a table from samples and fit it; then, if samples are not few, fit the table and the samples together."""
+    if options.method != "global":
+        raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
+    samples = samples.with_options(options)
+    units = sample_units(samples)
+    bright = replace(samples, values=samples.values * units.factor)
+    if options.robust:
+        bright = without_outliers(bright)
+    known = thinned(bright)
+    prediction = SamplePrediction.fit(known)
+    clock.lap("prediction")
+    table = predicted_profiles(bright, prediction, options)
+    clock.lap("profiles")
+    found, mixture = fit_global(table, options, lambda share: progress(0.1 + 0.7 * share), clock.lap)
+    if len(bright.values) >= FEW_SAMPLES:
+        chosen = np.random.default_rng(0).permutation(len(bright.values)) < _MOST_EXACT
+        for _ in range(_EXACT_ROUNDS):
+            data = sample_rows(bright.take(chosen), table, options, prediction, found.model)
+            found, mixture = refine_at_samples(data, mixture, found.growth)
+        clock.lap("refine at samples")
+    progress(0.9)
+    without = left_out_values(known, prediction, found.model)
+    left_out, rows = left_out_errors(known, without, options.horizon_cutoff)
+    expected = expected_error(prediction, found.model)
+    pairs = pairs_to_measure(prediction, found.model) if expected > LARGEST_EXPECTED else ()
+    clock.lap("left out")
+    amplitude = found.model.amplitude / units.factor
+    if np.all(samples.values == samples.values[:, :1]):  # grey, to the last bit
+        amplitude = np.broadcast_to(amplitude.mean(axis=0), amplitude.shape).copy()
+    found = replace(found, model=replace(found.model, amplitude=amplitude))
+    result = _result(found, table, options, clock, is_unit_wrong=units.factor != 1.0)
+    metrics = scattered_metrics(found.model, samples, options.horizon_cutoff)
+    metrics = replace(metrics, relative_rms_left_out=left_out, relative_rms_expected=expected)
+    sentences = (
+        *samples.notes,
+        *units.sentences,
+        *sample_warnings(samples, metrics, prediction.layers.structures[0].name, FEW_SAMPLES),
+        *unconfirmed_sample(known, without),
+        *result.report.warnings,
+    )
+    report = replace(result.report, metrics=metrics, warnings=sentences, left_out=rows, measure_next=pairs)
+    return replace(result, report=report)
+
+
+def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:
+    """Return the profiles of a measurement that a fit with these options works on.
+
+    Raises InvalidArgumentError if profiles are given that were made with other options.
+    """
+    # The method "global" weighs the folded bins, which are never weighted before.
+    weighting = options.resolved_weighting if options.method == "paper" else "plain"
+    wanted: dict[str, Any] = {
+        "horizon_cutoff": options.horizon_cutoff,
+        "weighting": weighting,
+        "robust": options.robust,
+    }
+    if isinstance(measurement, Measurement):
+        return profiles(measurement, **wanted)
+    for name, asked in wanted.items():
+        made = getattr(measurement, name)
+        if made != asked:
+            raise InvalidArgumentError(f"the profiles were made with {name} {made!r}, the options ask for {asked!r}")
+    return measurement
+
+
+def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult:
+    """Complete the report of a `fit` of the profiles of a measurement with what only its samples can tell.
+
+    The result is the same as a fit of the measurement itself, apart from the timings.
+    """
+    clock, model, report = _Clock(), result.model, result.report
+    sums = sample_errors(model, measurement, report.options.horizon_cutoff)
+    by_channel, by_theta_diff = error_tables(sums)
+    metrics = sample_metrics(model, measurement, sums, np.array(report.albedo.albedo))
+    clock.lap("metrics")
+    complete = replace(
+        report,
+        warnings=(*report.warnings, *accuracy_warnings(metrics)),
+        metrics=metrics,
+        by_channel=by_channel,
+        by_theta_diff=by_theta_diff,
+        timings=report.timings | clock.laps,
+    )
+    return FitResult(model, complete)
+
+
+class _Clock:
+    """Seconds between laps."""
+
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = now - self._last
+        self._last = now

@@ -1,0 +1,1 @@
+"""Lit spheres, environments, and how far two images are apart."""

@@ -1,0 +1,134 @@
+"""What a user should know before using a fitted model, in one sentence each.
+
+The limits were chosen on 70 reference materials, 8 of the RGL database and 62 stand-ins of MERL's, so that one alone,
+the one that is fitted worst, goes beyond any: the comment of each limit says how far they go.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dsbrdf.components.decomposition import decompose
+from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import Profiles
+from dsbrdf.fitting.metrics import Metrics
+from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+
+_RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; those of the materials reach 88
+_LARGEST_ALBEDO = 1.0 + 5e-4  # more than what three digits round to 1; the materials reach 0.93
+_LARGEST_ASYMMETRY = 0.15  # of the signal, as from noise of 20 % on each sample; the materials have up to 0.11
+_LARGEST_ALBEDO_ERROR = 0.15  # relative_rms hardly sees the diffuse part; the materials have up to 0.06
+_LARGEST_MISFIT = 0.1  # of the signal; one of the materials, chm_mint, has 0.15, the others up to 0.05
+
+
+def fit_warnings(
+    model: DSBRDF,
+    data: Profiles,
+    knots: KnotReport,
+    albedo: DirectionalAlbedo,
+    *,
+    in_slices: bool = False,
+    is_unit_wrong: bool = False,
+) -> Iterator[str]:
+    """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its model.
+
+    Of scattered samples in a wrong unit `dsbrdf.samples.units` speaks.
+    """
+    if not np.all(knots.converged):
+        yield convergence_sentence(knots, in_slices=in_slices)
+    valid = np.any(data.folded.weight > 0.0, axis=(0, 3))
+    ends = {"theta_diff": THETA_DIFF[valid.any(axis=1)].max(), "theta_half": THETA_HALF[valid.any(axis=0)].max()}
+    for name, last in ends.items():
+        if last < _RIM:
+            yield (
+                f"The measurement has no valid samples beyond {name} = {np.degrees(last):.0f} degrees: the model is "
+                "extrapolated there."
+            )
+    values = np.array(albedo.albedo)
+    row, channel = np.unravel_index(values.argmax(), values.shape)
+    if values[row, channel] > _LARGEST_ALBEDO and not is_unit_wrong:
+        yield (
+            f"The model reflects more light than it receives: its directional albedo is {values[row, channel]:.3f} at "
+            f"{np.degrees(albedo.theta_out[row]):.0f} degrees in the {CHANNELS[channel]} channel, so that rendered "
+            "images can become too bright."
+        )
+    yield from decompose(model).remarks
+
+
+def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:
+    """What stopped before it converged: the fit, or how many of its slices, of all channels."""
+    stopped = np.logical_not(knots.converged)
+    bound, count = np.array(knots.iterations)[stopped].max(), np.count_nonzero(stopped)
+    several = in_slices and count > 1
+    what = f"{count} {'slices' if several else 'slice'}" if in_slices else "The fit"
+    return (
+        f"{what} stopped at the bound of {bound} iterations before {'they' if several else 'it'} converged: "
+        "the model may be less accurate than it could be."
+    )
+
+
+def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
+    """Sentences about the errors of a fit; none where they are not known."""
+    error, floor, albedo_error = metrics.relative_rms, metrics.symmetric_floor, metrics.albedo_error
+    if error is None or floor is None or albedo_error is None:
+        return
+    if floor > _LARGEST_ASYMMETRY:
+        yield (
+            f"The samples deviate by {floor:.1%} from their mean over phi_diff, -phi_diff and 180 degrees - phi_diff, "
+            "where a reciprocal isotropic material has one value: the measurement is noisy, or the material sparkles "
+            "or is anisotropic, and no model of this kind can be more accurate."
+        )
+    # Two samples make a folded mean, so that independent noise gives relative_rms = sqrt(2) symmetric_floor.
+    misfit = np.sqrt(max(error**2 - 2.0 * floor**2, 0.0))
+    if misfit > _LARGEST_MISFIT:
+        yield (
+            f"The error of the fit is {error:.1%}, where the best reciprocal isotropic model would have {floor:.1%}: "
+            "the lobes do not follow the measurement, so compare images of both before you use the model."
+        )
+    if albedo_error > _LARGEST_ALBEDO_ERROR:
+        yield (
+            f"The directional albedo of the model differs from the measurement's by {albedo_error:.1%}, the mean over "
+            "some angles and channels: rendered images will be too bright or too dark."
+        )
+
+
+LARGEST_EXPECTED = 0.1
+"""Expected error over all directions from which on a report says where to measure next."""
+_OUT_OF_PLANE = 0.02  # sines of both angles to the normal times that of the turn
+_LARGE, _MUCH_LARGER, _WORTH_A_WORD = 0.3, 2.0, 0.05  # errors
+
+
+def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str, few: int) -> Iterator[str]:
+    """Sentences about how far a fit of samples is from the material; `structure` is what explains them best."""
+    here, left_out, expected = metrics.relative_rms, metrics.relative_rms_left_out, metrics.relative_rms_expected
+    if here is None or left_out is None or expected is None:
+        return
+    if len(samples.values) < few:
+        yield (
+            f"{len(samples.values)} samples are few: the model is that of layers ({structure}) that were fitted to the "
+            "samples and corrected near them; more samples would tell more."
+        )
+    first, second = samples.omega_in, samples.omega_out
+    if np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).max() < _OUT_OF_PLANE:
+        yield (
+            "All samples lie in one plane of incidence: out of it the model has highlights as those of most materials; "
+            "of a few they are several times as bright there, as only samples out of the plane tell."
+        )
+    if here > _LARGE:
+        yield (
+            f"The model misses the samples by {here:.0%} of their size: look for values that are no measurements, for "
+            "wrong units of the angles, and for a mirror direction on the wrong side."
+        )
+    if left_out >= max(_MUCH_LARGER * here, _WORTH_A_WORD):
+        yield (
+            f"At samples left out of a fit relative_rms is {left_out:.3g}, at those of the fit {here:.3g}: between the "
+            "samples the error is more like the larger one."
+        )
+    if expected > LARGEST_EXPECTED:
+        yield (
+            f"Over all directions an error of {expected:.0%} is to be expected: where there are no samples, the model "
+            "is what layers that explain the samples are like there; measure_next has the directions that would tell "
+            "most."
+        )

@@ -1,0 +1,1 @@
+"""Tables of samples from a laboratory: reading, prediction between the samples, and errors."""

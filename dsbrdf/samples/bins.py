@@ -1,0 +1,114 @@
+"""Scattered samples as what the fit works on, without a table in between.
+
+What is predicted from the samples (`dsbrdf.samples.prediction`) fills the rows, columns and bins of phi_diff
+that the fit of a table uses, and is fitted as a table is. The last fit takes each sample where it is too, but for its
+theta_diff, which is moved by less than a degree: in units of the signal, all samples count as much as the whole table,
+of which a node counts less where samples are near.
+"""
+
+import numpy as np
+
+from dsbrdf.arrays import Array, Indices
+from dsbrdf.data.geometry import above_horizon, half_difference
+from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import N_BINS, SAMPLES_IN_BIN, FoldedProfiles, Profiles
+from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, USED_COLUMNS, USED_ROWS, fit_weights
+from dsbrdf.fitting.least_squares import FitData
+from dsbrdf.fitting.metrics import Metrics
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.samples.prediction import SamplePrediction
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+
+_MODEL_ERROR = 0.015  # relative, that lobes have at best: a node that is as uncertain counts half
+_LEAST_SHARE = 1e-3  # of its weight that a node keeps among samples
+_LARGEST_RATIO = 16.0  # between values at a sample and at the next whole degree of theta_diff
+
+
+def predicted_profiles(samples: ScatteredSamples, prediction: SamplePrediction, options: FitOptions) -> Profiles:
+    """The table that is predicted from samples: the rows and columns that a fit looks at."""
+    cells = np.stack([axis.ravel() for axis in np.meshgrid(USED_ROWS, USED_COLUMNS, np.arange(N_BINS), indexing="ij")])
+    count = _nodes_in_cells(cells)
+    cells, count = cells[:, count.any(axis=1)], count[count.any(axis=1)]
+    total = count.sum(axis=1)
+    squared_cosine = count @ np.cos(PHI_DIFF[:QUARTER]) ** 2 / total
+    angles = THETA_HALF[cells[1]], THETA_DIFF[cells[0]], np.arccos(np.sqrt(squared_cosine))
+    shape = (THETA_DIFF.size, THETA_HALF.size, N_BINS)
+    weight, mean, cos2_phi = np.zeros((3, *shape)), np.zeros((3, *shape)), np.zeros(shape)
+    weight[:, *cells], mean[:, *cells], cos2_phi[*cells] = (
+        total,
+        prediction.evaluate_unmasked(*angles).T,
+        squared_cosine,
+    )
+    over_phi = weight.sum(axis=3)
+    level = np.sum(weight * mean, axis=3) / np.where(over_phi > 0.0, over_phi, 1.0)
+    within = np.sum(weight * (mean - level[..., np.newaxis]) ** 2, axis=3)
+    made = (options.horizon_cutoff, "plain", options.robust)
+    folded = FoldedProfiles(mean, weight, cos2_phi)
+    return Profiles(level, over_phi, within, folded, *made, samples.name, samples.sha256)
+
+
+def sample_rows(
+    samples: ScatteredSamples, table: Profiles, options: FitOptions, prediction: SamplePrediction, model: DSBRDF
+) -> FitData:
+    """Put samples, and the table that is predicted from them, into rows of whole degrees of theta_diff.
+
+    Samples are moved to their rows by the model that was found, and weighted among each other as nodes of the table.
+    """
+    weight, folded = fit_weights(table, options), table.folded
+    cells = np.stack(np.nonzero(folded.weight[0])).astype(np.intp)
+    cells = cells[:, np.isin(cells[0], FIT_ROWS) & np.isin(cells[1], FIT_COLUMNS)]
+    predicted, counted = folded.mean[:, *cells], weight[:, *cells]
+    each = weight / np.where(folded.weight > 0.0, folded.weight, 1.0)
+    theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
+    at_sample = each[:, *_cells(theta_half, theta_diff, phi_diff)] * samples.weight
+    row = _nearest(THETA_DIFF, theta_diff)
+    there, here = (model.evaluate_unmasked(theta_half, angle, phi_diff) for angle in (THETA_DIFF[row], theta_diff))
+    values = samples.values * np.clip(there / np.maximum(here, 1e-300), 1.0 / _LARGEST_RATIO, _LARGEST_RATIO)
+    share = np.sum(counted * predicted**2) / max(float(np.sum(at_sample * values.T**2)), 1e-300)
+    nodes = THETA_HALF[cells[1]], THETA_DIFF[cells[0]], np.arccos(np.sqrt(folded.cos2_phi[*cells]))
+    spread, unknown = prediction.spread(*nodes), prediction.unknown_share(*nodes)
+    counted = counted * np.maximum(unknown * _MODEL_ERROR**2 / (_MODEL_ERROR**2 + spread**2), _LEAST_SHARE)
+    return FitData.from_samples(
+        np.concatenate([values, predicted.T]),
+        np.concatenate([share * at_sample.T, counted.T]),
+        np.concatenate([row, cells[0]]),
+        np.concatenate([theta_half, nodes[0]]),
+        np.concatenate([phi_diff, nodes[2]]),
+    )
+
+
+def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
+    """Errors of a model on samples: relative_rms within the cutoff, male over all; others need a whole measurement."""
+    fitted = model.evaluate_directions(samples.omega_in, samples.omega_out)
+    cosine, weight = samples.omega_in[:, 2:], samples.weight[:, np.newaxis]
+    lowest = np.minimum(samples.omega_in[:, 2:], samples.omega_out[:, 2:])
+    within = weight * (lowest >= np.cos(np.pi / 2 if horizon_cutoff is None else horizon_cutoff))
+    error, signal = np.sum(within * (samples.values - fitted) ** 2), np.sum(within * samples.values**2)
+    log_error = np.abs(np.log1p(samples.values * cosine) - np.log1p(fitted * cosine))
+    return Metrics(
+        relative_rms=float(np.sqrt(error / signal)) if signal > 0.0 else None,
+        male=float(np.average(log_error.mean(axis=1), weights=samples.weight)),
+    )
+
+
+def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:
+    """Row, column and bin of phi_diff of each sample, shape (3, n)."""
+    row = FIT_ROWS[_nearest(THETA_DIFF[FIT_ROWS], theta_diff)]
+    column = FIT_COLUMNS[_nearest(np.sqrt(THETA_HALF[FIT_COLUMNS]), np.sqrt(theta_half))]
+    turned = np.degrees(phi_diff) % 180.0
+    folded_phi = np.minimum(turned, 180.0 - turned)
+    bin_of = np.minimum(np.rint(folded_phi).astype(np.intp) * N_BINS // 90, N_BINS - 1)
+    return np.stack([row, column, bin_of])
+
+
+def _nearest(axis: Array, angles: Array) -> Indices:
+    """Index of the nearest of ascending angles."""
+    return np.searchsorted(0.5 * (axis[1:] + axis[:-1]), angles)
+
+
+def _nodes_in_cells(cells: Indices) -> Array:
+    """What each node of phi_diff, from 0 to 90 degrees, counts in each cell, those above the horizon (cells, 91)."""
+    row, column, bin_of = cells
+    above = above_horizon(THETA_HALF[column, np.newaxis], THETA_DIFF[row, np.newaxis], PHI_DIFF[:QUARTER])
+    return np.asarray(SAMPLES_IN_BIN.T[bin_of] * above)

@@ -1,0 +1,315 @@
+"""What scattered samples say of a material at any pair of directions: layers, corrected near the samples.
+
+Layers by evidence (`dsbrdf.components.layer_fit`) are fitted to the samples; they know how a surface that is seen in
+one plane reflects in all others. What samples say beyond is a factor. Its logarithm is a Gaussian process with the
+kernel
+
+    exp(-|x - x'|**2 / 2) (c + (1 - c) exp(-(y - y')**2 / 2)),
+
+x being log(theta_half + 1.5 degrees) and theta_diff, and y the turn out of the plane of incidence: phi_diff, folded
+into a quarter turn, times sin(theta_diff)**2, fading where theta_half is 0. A share c of the factor is common to all
+phi_diff. The reach of the kernel, its variance and the noise of the samples are the most probable ones: the samples
+decide how far the prediction leaves the layers. Where none is near, the prediction is that of the layers, and they can
+be as wrong there as they are at the samples, besides what structures that explain the samples equally well differ by.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dsbrdf.arrays import Array
+from dsbrdf.components.layer_data import LAYER_POWER, PLAIN_SHARE
+from dsbrdf.components.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
+from dsbrdf.components.layers import LayeredModel
+from dsbrdf.components.points import Points
+from dsbrdf.components.structures import STRUCTURES, LayerStructure
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.reduction import NORMAL_QUARTILE, OUTLIER
+from dsbrdf.model.albedo import directional_albedo
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+
+_DARK = 0.02  # of the median of the channels' mean: errors of values below count alike
+_MOST, _MOST_OF_SEARCH = 800, 500  # samples; of more, so many taken at random
+# Half widths of the narrowest highlights: that instruments see, if no sample is in them; and of all. What is narrower
+# than a quarter of theta_half of the nearest sample is seen by its tails alone, which tell nothing of its peak.
+_APERTURE, _NARROWEST = np.radians(0.3), 1e-4
+_NEGLIGIBLE = 1e-3  # weight of a structure
+_DRAWS, _DOUBT = 32, 0.5  # layers drawn; power of their weights with which: evidence is surer than it should be
+_ENERGY_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0, 85.0])
+_OFFSET = np.radians(1.5)
+_REACH = np.array([0.4, np.radians(15.0), 0.4])  # of the kernel in x and y, times one of
+_SCALES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0)
+_NOISE = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)  # variance, in units of that of the factor
+_COMMON = 0.75
+_MISFIT = 0.33  # of the logarithm, of highlights at grazing incidence, between samples of measured materials
+_LARGEST_LOG = 2.5  # of a factor at a sample
+_BLOCK = 256  # points at once, so that their kernel stays in the cache
+_FOLDS = 5
+_LEAST_OUTLIER = 1e-2
+
+
+def layer_samples(samples: ScatteredSamples) -> LayerData:
+    """Samples, weighted so that layers are fitted to errors relative to f**1.4, and to a share of plain ones."""
+    level, square = samples.values.mean(axis=1), np.sum(samples.values**2, axis=1)
+    seen = samples.weight / (level + dark_level(samples)) ** LAYER_POWER
+    weight = seen / np.sum(seen * square) + PLAIN_SHARE * samples.weight / np.sum(samples.weight * square)
+    points = Points.at(*half_difference(samples.omega_in, samples.omega_out))
+    return LayerData.of(points, samples.values.T, np.broadcast_to(weight, (3, weight.size)))
+
+
+def dark_level(samples: ScatteredSamples) -> float:
+    """Value below which errors count alike [1/sr]."""
+    return float(_DARK * np.median(samples.values.mean(axis=1)) + 1e-9 * samples.values.max())
+
+
+def thinned(samples: ScatteredSamples, most: int = _MOST) -> ScatteredSamples:
+    """At most so many of the samples, taken at random."""
+    return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < most)
+
+
+@dataclass(frozen=True, eq=False)
+class SampleLayers:
+    """Structures of layers fitted to samples, whose values are the weighted geometric mean."""
+
+    found: tuple[FittedStructure, ...]
+    weights: Array  # (S,)
+    dark: float
+
+    @classmethod
+    def fit(cls, samples: ScatteredSamples, structures: Sequence[LayerStructure] = STRUCTURES) -> "SampleLayers":
+        """Fit structures; those that hardly count are dropped."""
+        nearest = float(half_difference(samples.omega_in, samples.omega_out)[0].min())
+        narrowest = max(min(nearest, _APERTURE), nearest / 4.0, _NARROWEST)
+        found = fit_structures(layer_samples(samples), [one.no_narrower(narrowest) for one in structures])
+        weights = structure_weights(found)
+        kept = np.flatnonzero(weights > _NEGLIGIBLE)
+        return cls(tuple(found[at] for at in kept), weights[kept] / weights[kept].sum(), dark_level(samples))
+
+    @property
+    def evidence(self) -> float:
+        """Of the structure that explains the samples best; less is better."""
+        return self.found[0].evidence
+
+    @property
+    def structures(self) -> tuple[LayerStructure, ...]:
+        """The structures."""
+        return tuple(fitted.structure for fitted in self.found)
+
+    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values (n, 3) at angles (n,) [1/sr]."""
+        mean = self._mean_log(Points.at(theta_half, theta_diff, phi_diff))
+        return np.maximum(np.exp(mean) - self.dark, 0.0)
+
+    def caution(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """By how much the logarithm of the values should be less where no sample is (n, 3).
+
+        If the logarithm of the true value is normal with a mean m and a deviation s, exp(m - 1.5 s**2) has the least
+        expected relative error: a highlight that no sample saw is rather too faint than a needle that nobody measured.
+        Where s is below 1, less of it: there the mean is what layers know of a highlight from its tails.
+        """
+        points = Points.at(theta_half, theta_diff, phi_diff)
+        drawn = self._logs(self._drawn, points)
+        variance = drawn.var(axis=0)
+        below = np.maximum(self._mean_log(points) - drawn.min(axis=0), 0.0)
+        return np.minimum(1.5 * variance**2 / (variance + 1.0), below)
+
+    def spread(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Standard deviation of the logarithm of the values, over layers that are as probable (n,)."""
+        return np.asarray(np.sqrt(np.mean(np.var(self.drawn_logs(theta_half, theta_diff, phi_diff), axis=0), axis=1)))
+
+    def drawn_logs(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Logarithms of the values, with what is dark added to them, of layers that are as probable (draws, n, 3)."""
+        return self._logs(self._drawn, Points.at(theta_half, theta_diff, phi_diff))
+
+    def misfit(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Standard deviation of the logarithm of true values from those of any layers (n,)."""
+        points = Points.at(theta_half, theta_diff, phi_diff)
+        share = np.zeros(theta_half.shape)
+        for weight, fitted in zip(self.weights, self.found, strict=True):
+            values = fitted.model.layer_values(points).mean(axis=1)
+            is_specular = np.logical_not(fitted.structure.is_diffuse)
+            share += weight * values[is_specular].sum(axis=0) / (values.sum(axis=0) + self.dark)
+        return _MISFIT * share * points.rise[0]
+
+    @cached_property
+    def _drawn(self) -> list[LayeredModel]:
+        generator = np.random.default_rng(0)
+        weights = self.weights**_DOUBT
+        counts = generator.multinomial(_DRAWS, weights / weights.sum()).tolist()
+        pairs = zip(self.found, counts, strict=True)
+        return [model for fitted, count in pairs for model in fitted.draw(generator, count)]
+
+    def _mean_log(self, points: Points) -> Array:
+        logs = self._logs([fitted.model for fitted in self.found], points)
+        return np.tensordot(self.weights, logs, axes=1)
+
+    def _logs(self, models: Sequence[LayeredModel], points: Points) -> Array:
+        return np.log(np.array([model.layer_values(points).sum(axis=0).T for model in models]) + self.dark)
+
+
+@dataclass(frozen=True, eq=False)
+class SamplePrediction:
+    """Layers times a factor that samples know."""
+
+    layers: SampleLayers
+    places: Array  # x and y of the samples, in units of the kernel's reach, (n, 3)
+    reach: Array  # (3,)
+    root_weight: Array  # of the samples, of which the mean square is 1, (n,)
+    logs: Array  # of samples over layers, times the root of their weight, (n, 3)
+    noise: float  # variance over that of the factor
+
+    @classmethod
+    def fit(cls, samples: ScatteredSamples, like: "SamplePrediction | None" = None) -> "SamplePrediction":
+        """Fit the layers and the factor, with structures, reach and noise like those of another prediction if given."""
+        layers = SampleLayers.fit(samples, STRUCTURES if like is None else like.layers.structures)
+        angles = half_difference(samples.omega_in, samples.omega_out)
+        ratio = (samples.values + layers.dark) / (layers.evaluate_unmasked(*angles) + layers.dark)
+        root = np.sqrt(samples.weight / samples.weight.mean())
+        logs = np.clip(np.log(ratio), -_LARGEST_LOG, _LARGEST_LOG) * root[:, np.newaxis]
+        x = _places(*angles)
+        few = np.random.default_rng(0).permutation(root.size)[:_MOST_OF_SEARCH]
+        reach, noise = _most_probable(x[few], root[few], logs[few]) if like is None else (like.reach, like.noise)
+        return cls(layers, x / reach, reach, root, logs, noise)
+
+    @cached_property
+    def _eigen(self) -> tuple[Array, Array]:
+        return _eigen(self.places, self.root_weight)
+
+    @cached_property
+    def _coefficients(self) -> Array:
+        values, vectors = self._eigen
+        return np.asarray(vectors @ ((vectors.T @ self.logs) / (values + self.noise)[:, np.newaxis]))
+
+    @cached_property
+    def variance(self) -> float:
+        """Of the logarithm of the factor."""
+        values, vectors = self._eigen
+        return float(np.mean((vectors.T @ self.logs) ** 2 / (values + self.noise)[:, np.newaxis]))
+
+    @cached_property
+    def albedo(self) -> Array:
+        """Directional albedo (A, 3) at some angles, without the bound."""
+        return directional_albedo(self.unbounded, _ENERGY_ANGLES)
+
+    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values (n, 3) at angles (n,) [1/sr].
+
+        The model must not reflect more light than arrives: values are divided by the albedo at the angle of omega_in to
+        the normal, and by that of omega_out, where it is above 1.
+        """
+        values = self.unbounded(theta_half, theta_diff, phi_diff)
+        if self.albedo.max() <= 1.0:
+            return values
+        level = np.cos(theta_half) * np.cos(theta_diff)
+        swing = np.sin(theta_half) * np.sin(theta_diff) * np.cos(phi_diff)
+        excess = np.log(np.maximum(self.albedo, 1.0)).T
+        for cosine in (level - swing, level + swing):
+            angle = np.arccos(np.clip(cosine, 0.0, 1.0))
+            values *= np.exp(-np.stack([np.interp(angle, _ENERGY_ANGLES, channel) for channel in excess], axis=1))
+        return values
+
+    def unbounded(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values (n, 3) at angles (n,), whatever energy allows [1/sr]."""
+        angles = theta_half, theta_diff, phi_diff
+        return self.likely(*angles) * np.exp(-self.unknown_share(*angles)[:, np.newaxis] * self.layers.caution(*angles))
+
+    def likely(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Values (n, 3) at angles (n,) without any caution: layers times the factor [1/sr]."""
+        layers, dark = self.layers.evaluate_unmasked(theta_half, theta_diff, phi_diff), self.layers.dark
+        logs = np.concatenate([near @ self._coefficients for near in self._near(theta_half, theta_diff, phi_diff)])
+        return np.maximum((layers + dark) * np.exp(logs) - dark, 0.0)
+
+    def spread(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Standard deviation of the logarithm of the values (n,)."""
+        angles = theta_half, theta_diff, phi_diff
+        return np.asarray(np.sqrt(self.unknown_share(*angles) * (self.variance + self.layers.spread(*angles) ** 2)))
+
+    def unknown_share(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Share of the variance of the factor that samples leave at angles (n,): 0 near many, 1 far from all."""
+        values, vectors = self._eigen
+        known = vectors[:, values > self.noise] / np.sqrt(values[values > self.noise] + self.noise)
+        blocks = self._near(theta_half, theta_diff, phi_diff)
+        return np.maximum(1.0 - np.concatenate([np.sum((near @ known) ** 2, axis=1) for near in blocks]), 0.0)
+
+    @property
+    def noise_variance(self) -> float:
+        """Variance of the logarithm of a sample, of noise alone."""
+        return self.noise * self.variance
+
+    def covariance(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Covariance of the logarithms of the values at angles (n,), shape (n, n)."""
+        angles = theta_half, theta_diff, phi_diff
+        values, vectors = self._eigen
+        near = np.concatenate([*self._near(*angles)]) @ vectors / np.sqrt(values + self.noise)
+        places = _places(*angles) / self.reach
+        spread = np.sqrt(self.variance + self.layers.spread(*angles) ** 2)
+        return np.asarray((_kernel(places, places) - near @ near.T) * spread * spread[:, np.newaxis])
+
+    def _near(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
+        places = _places(theta_half, theta_diff, phi_diff) / self.reach
+        for start in range(0, max(len(places), 1), _BLOCK):
+            yield _kernel(places[start : start + _BLOCK], self.places) * self.root_weight
+
+
+def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
+    """Leave out samples that are far from what is predicted from all of them, twice."""
+    kept = samples
+    for _ in range(2):
+        prediction = SamplePrediction.fit(thinned(kept))
+        expected = prediction.evaluate_unmasked(*half_difference(samples.omega_in, samples.omega_out))
+        dark = prediction.layers.dark
+        off = np.max(np.abs(np.log((samples.values + dark) / (expected + dark))), axis=1)
+        usual = float(np.quantile(off, 0.75)) / NORMAL_QUARTILE
+        kept = samples.take(off <= OUTLIER * usual + _LEAST_OUTLIER)
+    return kept
+
+
+def left_out_predictions(samples: ScatteredSamples, prediction: SamplePrediction) -> Array:
+    """Values (n, 3) that predictions without each sample and a fifth of the others have for it."""
+    fold = np.random.default_rng(1).permutation(len(samples.values)) % _FOLDS
+    values = np.empty(samples.values.shape)
+    for number in range(_FOLDS):
+        rest, out = samples.take(fold != number), samples.take(fold == number)
+        angles = half_difference(out.omega_in, out.omega_out)
+        is_lit = rest.values.any()
+        values[fold == number] = SamplePrediction.fit(rest, prediction).likely(*angles) if is_lit else 0.0
+    return values
+
+
+def _places(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+    folded = np.arccos(np.abs(np.cos(phi_diff)))
+    across = np.sin(theta_diff) ** 2 * folded * theta_half / (theta_half + _OFFSET)
+    return np.stack([np.log(theta_half + _OFFSET), theta_diff, across], axis=-1)
+
+
+def _kernel(first: Array, second: Array) -> Array:
+    along, across = (_gaussian(first[:, part], second[:, part]) for part in (slice(2), slice(2, 3)))
+    return along * (_COMMON + (1.0 - _COMMON) * across)
+
+
+def _gaussian(first: Array, second: Array) -> Array:
+    """exp(-d**2 / 2) of distances d, whose squares are a product of matrices."""
+    here, there = (-0.5 * np.sum(points**2, axis=1, keepdims=True) for points in (first, second))
+    left, right = np.hstack([first, here, np.ones_like(here)]), np.hstack([second, np.ones_like(there), there])
+    return np.asarray(np.exp(np.minimum(left @ right.T, 0.0)))
+
+
+def _eigen(places: Array, root: Array) -> tuple[Array, Array]:
+    values, vectors = np.linalg.eigh(_kernel(places, places) * root * root[:, np.newaxis])
+    return np.maximum(values, 0.0), vectors
+
+
+def _most_probable(x: Array, root: Array, logs: Array) -> tuple[Array, float]:
+    """Reach of the kernel (3,), and the noise."""
+    best, reach, noise = -np.inf, _REACH, _NOISE[-1]
+    for scale in _SCALES:
+        values, vectors = _eigen(x / (scale * _REACH), root)
+        along = (vectors.T @ logs) ** 2
+        for tried in _NOISE:
+            variance = np.mean(along / (values + tried)[:, np.newaxis]) + 1e-12
+            probability = -np.log(variance) * root.size - np.sum(np.log(values + tried))
+            if probability > best:
+                best, reach, noise = float(probability), scale * _REACH, tried
+    return reach, noise

@@ -1,0 +1,171 @@
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import dsbrdf
+from dsbrdf.components.decomposition import decompose
+from dsbrdf.components.layers import SpecularLayer
+from dsbrdf.components.shares import LABELS
+from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobe_families import FAMILIES
+from tests.support.known_models import single_lobe
+from tests.support.random_models import random_model
+from tests.support.soak import repeats
+
+pytestmark = pytest.mark.slow
+
+ROUGHNESS, RED, COAT = 0.06, (0.40, 0.16, 0.10), (0.04, 0.04, 0.04)
+
+
+def student_model(*lobes: tuple[float, tuple[float, float, float]]) -> DSBRDF:
+    """Round lobes of GGX's tails with these half widths [degrees] and heights [1/sr] at every theta_diff."""
+    widths, heights = np.array([width for width, _ in lobes]), np.array([height for _, height in lobes])
+    gamma = (np.sqrt(2.0) - 1.0) / np.tan(np.radians(widths)) ** 2
+    return DSBRDF(
+        np.zeros(1), heights.T[:, np.newaxis], np.full((1, 1, widths.size), 2.0), gamma[None, None], lobe="student"
+    )
+
+
+def diffuse_albedo(albedo: float, reflectance: float) -> float:
+    """Albedo at normal incidence of the diffuse term of `dsbrdf.data.synthetic`, by SciPy."""
+    falls = quad(lambda cosine: cosine * (1.0 - (1.0 - cosine / 2.0) ** 5), 0.0, 1.0)[0]
+    return 2.0 * np.pi * albedo * (1.0 - reflectance) * 28.0 / (23.0 * np.pi) * (1.0 - 0.5**5) * falls
+
+
+@pytest.fixture(scope="module")
+def paint() -> Measurement:
+    return synthetic_measurement(roughness=ROUGHNESS, diffuse=RED, specular=COAT, noise=0.02)
+
+
+@pytest.fixture(scope="module")
+def paint_model(paint: Measurement) -> DSBRDF:
+    return dsbrdf.fit(dsbrdf.profiles(paint)).model
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("n_lobes", [0, 1, 3, 8])
+def test_components_sum_to_the_model(n_lobes: int, family: str) -> None:
+    random = np.random.default_rng(n_lobes)
+    theta_half = np.concatenate([random.uniform(0.0, np.pi / 2, 500), np.radians([0.0, 0.5, 1.0])])
+    theta_diff, phi_diff = random.uniform(0.0, np.pi / 2, 503), random.uniform(0.0, 3.2, 503)
+    for seed in range(repeats(1, 3)):
+        model = replace(random_model(seed, n_lobes, family), delta=random.uniform(0.0, 5.0, (3, 4)))
+        whole, components = model.evaluate(theta_half, theta_diff, phi_diff), list(decompose(model))
+        parts = [component.evaluate(theta_half, theta_diff, phi_diff) for component in components]
+        np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12, atol=1e-300)
+        assert min(part.min() for part in parts) >= 0.0
+        albedo = np.sum([component.albedo for component in components], axis=0)
+        np.testing.assert_allclose(albedo, model.albedo(0.0), rtol=1e-9)
+
+
+def test_values_on_a_grid_and_of_directions_are_those_at_angles(paint_model: DSBRDF) -> None:
+    half, diff, phi = THETA_HALF[[0, 9, 40]], THETA_DIFF[[0, 45]], PHI_DIFF[[0, 30, 90]]
+    pair, sums = ([0.6, 0.0, 0.8], [-0.48, 0.36, 0.8]), np.zeros(3)
+    for component in decompose(paint_model):
+        grid = np.moveaxis(np.stack(list(component.evaluate_grid(half, diff, phi))), 1, -1)
+        np.testing.assert_allclose(grid, component.evaluate(half[:, None, None], diff[:, None], phi), rtol=1e-12)
+        sums += component.evaluate_directions(*pair)
+    np.testing.assert_allclose(sums, paint_model.evaluate_directions(*pair), rtol=1e-12)
+
+
+def test_red_paint_has_a_neutral_highlight_on_a_red_ground(paint_model: DSBRDF) -> None:
+    parts = decompose(paint_model)
+    assert parts.labels == ("specular_spike", "diffuse")
+    spike, diffuse = parts["specular_spike"], parts["diffuse"]
+    np.testing.assert_allclose(spike.color, 1.0, atol=0.05)
+    assert spike.half_width == pytest.approx(np.arctan(ROUGHNESS * np.sqrt(np.sqrt(2.0) - 1.0)), rel=0.1)
+    truth = [diffuse_albedo(albedo, reflectance) for albedo, reflectance in zip(RED, COAT, strict=True)]
+    np.testing.assert_allclose(diffuse.albedo, truth, rtol=0.06)
+    np.testing.assert_allclose(diffuse.color, np.divide(truth, max(truth)), atol=0.03)
+
+
+def test_diffuse_part_has_no_dent_under_the_highlight(paint_model: DSBRDF) -> None:
+    diffuse = decompose(paint_model)["diffuse"]
+    for theta_diff in np.radians([0.0, 30.0, 45.0]).tolist():
+        under = diffuse.evaluate(np.radians(np.linspace(0.0, 12.0, 49)), theta_diff)
+        around = diffuse.evaluate(np.radians(np.linspace(8.0, 40.0, 65)), theta_diff).max(axis=0)
+        np.testing.assert_allclose(under / around, 1.0, atol=0.15)
+
+
+def test_components_stay_when_the_data_hardly_change(paint: Measurement, paint_model: DSBRDF) -> None:
+    nearer = dsbrdf.fit(dsbrdf.profiles(paint, horizon_cutoff=np.radians(76.0)), horizon_cutoff_deg=76)
+    for before, after in zip(decompose(paint_model), decompose(nearer), strict=True):
+        assert before.label == after.label
+        np.testing.assert_allclose(after.albedo, before.albedo, rtol=0.05)
+
+
+MATTE = (60.0, (0.1, 0.2, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("groups", "labels"),
+    [
+        ([[(1.0, (50.0, 45.0, 40.0))], [MATTE]], ("specular_spike", "diffuse")),
+        ([[(9.0, (2.0, 2.0, 2.0))], [MATTE]], ("specular_lobe", "diffuse")),
+        ([[(0.5, (400.0,) * 3)], [(8.0, (3.0,) * 3)], [MATTE]], LABELS),
+        ([[(5.0, (1.0,) * 3), (6.5, (1.0,) * 3)], [MATTE]], ("specular_lobe", "diffuse")),
+        ([[(80.0, (0.1, 0.2, 0.3))]], ("diffuse",)),
+    ],
+    ids=["spike", "lobe", "both", "of nearly one width", "matte"],
+)
+def test_known_lobes_get_their_labels_and_come_back(groups: Any, labels: tuple[str, ...]) -> None:
+    parts = decompose(student_model(*itertools.chain(*groups)))
+    assert parts.labels == labels
+    for component, lobes in zip(parts, groups, strict=True):
+        np.testing.assert_allclose(component.albedo, student_model(*lobes).albedo(0.0), rtol=0.15)
+        if component.half_width is not None:
+            assert np.degrees(component.half_width) == pytest.approx(lobes[0][0], rel=0.15)
+
+
+def test_a_component_says_its_physical_parameters_with_ranges(paint_model: DSBRDF) -> None:
+    parts = decompose(paint_model)
+    assert parts.structure == "dielectric over diffuse"
+    spike, diffuse = parts["specular_spike"], parts["diffuse"]
+    layer, ranges = spike.layer, spike.ranges
+    assert isinstance(layer, SpecularLayer)
+    assert layer.alpha == pytest.approx(ROUGHNESS, rel=0.05)
+    np.testing.assert_allclose(layer.f0, COAT, rtol=0.15)
+    assert ranges.alpha is not None
+    assert ranges.alpha[0] < ROUGHNESS < ranges.alpha[1]
+    assert ranges.f0 is not None
+    assert all(low < value < high for value, (low, high) in zip(COAT, ranges.f0, strict=True))
+    assert (diffuse.layer, diffuse.half_width, diffuse.ranges.alpha) == (None, None, None)
+    for component in parts:
+        low, high = component.ranges.light_share
+        assert low <= component.light_share <= high < low + 0.1
+        np.testing.assert_allclose(component.albedo, np.mean(component.ranges.albedo, axis=1), rtol=0.2)
+        own = component.layers.evaluate(0.0, np.radians([0.0, 40.0]))
+        np.testing.assert_allclose(component.height(np.radians([0.0, 40.0])), own, rtol=1e-12)
+
+
+def test_layers_together_look_like_the_model(paint_model: DSBRDF) -> None:
+    layers = decompose(paint_model).layers
+    assert layers.n_numbers <= 40
+    np.testing.assert_allclose(layers.albedo(0.5), paint_model.albedo(0.5), rtol=0.05)
+
+
+def test_a_lobe_that_nobody_put_there_is_not_found(paint: Measurement) -> None:
+    parts = decompose(dsbrdf.fit(dsbrdf.profiles(paint), n_lobes=2).model)
+    assert parts.labels == ("specular_spike", "diffuse")
+
+
+def test_absent_and_unknown_labels(paint_model: DSBRDF) -> None:
+    black, parts = decompose(single_lobe(1.0, 1.0, 0.0)), decompose(paint_model)
+    assert (list(black), len(black), black.labels, black.layers.layers) == ([], 0, (), ())
+    assert (black.structure, black.remarks) == ("no light", ())
+    assert (parts.specular_lobe, parts.diffuse) == (None, parts["diffuse"])
+    for found, label, words in (
+        (black, "diffuse", "no component diffuse: it has no light"),
+        (parts, "specular_lobe", "no component specular_lobe: it has specular_spike and diffuse"),
+        (parts, "gloss", "must be one of specular_spike, specular_lobe, diffuse, not 'gloss'"),
+    ):
+        with pytest.raises(InvalidArgumentError, match=words):
+            found[label]

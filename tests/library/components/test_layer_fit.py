@@ -1,0 +1,110 @@
+"""Structures are found again from values of their own layers, and parameters as they were put in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from dsbrdf.components.layer_data import layer_data
+from dsbrdf.components.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
+from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components.structures import STRUCTURES
+
+
+def surface(f0: tuple[float, float, float], alpha: float, under_coat: float = 0.0) -> SpecularLayer:
+    return SpecularLayer(f0, 0.9, alpha, 2.0, (0.0, 0.0), 0.5, under_coat)
+
+
+GLASS, COPPER, GOLD = (0.045, 0.045, 0.045), (0.3, 0.2, 0.1), (0.95, 0.75, 0.35)
+GROUND = DiffuseLayer((0.4, 0.15, 0.05), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
+YARN = DiffuseLayer((0.4, 0.15, 0.05), (0.0, 0.0, 0.6, 0.0, 0.5, 0.0))
+COAT, PLASTIC, METAL = surface(GLASS, 0.02), surface(GLASS, 0.2), surface(GOLD, 0.15)
+# The evidence is that of a fit of today: what is known beforehand of each layer decides on it.
+MATERIALS: dict[str, tuple[tuple[Layer, ...], float]] = {
+    "diffuse": ((GROUND,), -328.10),
+    "diffuse with sheen": ((GROUND, SheenLayer((0.3, 0.3, 0.3), (2.0, 3.0))), -301.05),
+    "diffuse with retro-reflection": ((RetroLayer((0.2, 0.2, 0.2), 0.1), GROUND), -292.35),
+    "fibres": ((surface(GLASS, 0.65), YARN), -302.76),
+    "dielectric over diffuse": ((PLASTIC, GROUND), -298.60),
+    "dielectric": ((PLASTIC,), -336.85),
+    "metal": ((METAL,), -321.01),
+    "highlight over diffuse": ((surface(COPPER, 0.15), GROUND), -272.65),
+    "coat over highlight over diffuse": ((COAT, surface(COPPER, 0.25, 1.0), GROUND), -246.70),
+    "coat over metal": ((COAT, surface(GOLD, 0.25, 1.0)), -287.71),
+    "two highlights over diffuse": ((COAT, surface(GLASS, 0.3), GROUND), -269.75),
+}
+
+
+def fitted(*layers: Layer) -> list[FittedStructure]:
+    data = layer_data(LayeredModel(layers))
+    assert data is not None
+    return fit_structures(data)
+
+
+@pytest.mark.parametrize("name", [structure.name for structure in STRUCTURES])
+def test_the_structure_of_known_layers_is_found(name: str) -> None:
+    layers, evidence = MATERIALS[name]
+    found = fitted(*layers)
+    assert found[0].structure.name == name
+    assert structure_weights(found)[0] > 0.5
+    assert found[0].error < 0.01
+    assert found[0].evidence == pytest.approx(evidence, abs=0.15)
+
+
+def test_parameters_come_out_as_they_were_put_in() -> None:
+    (layer,) = fitted(METAL)[0].model.layers
+    assert isinstance(layer, SpecularLayer)
+    np.testing.assert_allclose(layer.f0, GOLD, rtol=0.02)
+    assert layer.alpha == pytest.approx(METAL.alpha, rel=0.01)
+    assert layer.kappa == pytest.approx(2.0, rel=0.02)
+
+
+def test_the_descent_ends_in_a_minimum_of_the_documented_cost() -> None:
+    data = layer_data(LayeredModel((PLASTIC, GROUND)))
+    assert data is not None
+    structure = next(one for one in STRUCTURES if one.name == "dielectric over diffuse")
+    (found,) = fit_structures(data, [structure])
+
+    def cost(x: np.ndarray) -> float:
+        values = structure.model(x).layer_values(data.points).sum(axis=0)
+        error = np.sum((values * data.root_weight - data.weighted) ** 2)
+        off = structure.root @ (x - structure.mean)
+        return float(50.0 * np.log(error + 0.02**2) + structure.freedom @ np.log1p(off**2 / structure.freedom))
+
+    here = cost(found.unknowns)
+    better = minimize(cost, found.unknowns, method="L-BFGS-B", bounds=list(zip(*structure.bounds, strict=True)))
+    assert here - better.fun < 0.2
+    sign, determinant = np.linalg.slogdet(found.normal_equations)
+    assert sign > 0
+    assert found.evidence == pytest.approx(here + determinant - structure.log_determinant + structure.price, abs=1e-6)
+
+
+def test_draws_spread_as_the_normal_equations_say() -> None:
+    found = fitted(PLASTIC, GROUND)[0]
+    drawn = found.draw(np.random.default_rng(0), 2000)
+    alphas = np.log([layer.alpha for model in drawn for layer in model.layers if isinstance(layer, SpecularLayer)])
+    expected = np.sqrt(2.0 * np.linalg.inv(found.normal_equations)[6, 6])
+    assert alphas.std() == pytest.approx(expected, rel=0.1)
+
+
+def test_draws_do_not_hang_on_which_eigenvectors_a_library_finds() -> None:
+    found = fitted(METAL)[0]
+    size = found.unknowns.size
+    alphas = []
+    for seed in (1, 2):  # all directions are alike but for rounding, which decides on the vectors
+        noise = 1e-13 * np.random.default_rng(seed).standard_normal((size, size))
+        alike = replace(found, normal_equations=100.0 * (np.eye(size) + noise + noise.T))
+        models = alike.draw(np.random.default_rng(0), 5)
+        alphas.append([layer.alpha for model in models for layer in model.layers if isinstance(layer, SpecularLayer)])
+    np.testing.assert_allclose(alphas[0], alphas[1], rtol=1e-9)
+
+
+def test_weights_of_the_data_are_shares_of_the_signal() -> None:
+    data = layer_data(LayeredModel((PLASTIC, GROUND)))
+    assert isinstance(data, LayerData)
+    assert np.sum(data.weighted**2) == pytest.approx(1.0)
+
+
+def test_a_model_without_light_has_no_data() -> None:
+    assert layer_data(LayeredModel(())) is None

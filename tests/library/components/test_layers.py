@@ -1,0 +1,128 @@
+"""Layers against the textbook: GGX and Beckmann by their own formulas, derivatives by finite differences."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from dsbrdf.arrays import Array
+from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components.points import Points
+from dsbrdf.data.geometry import directions, spherical
+
+KINDS: list[tuple[type[Layer], int]] = [(SpecularLayer, 10), (DiffuseLayer, 9), (SheenLayer, 5), (RetroLayer, 4)]
+F0 = (0.9, 0.6, 0.2)
+
+
+def angles(count: int = 60) -> tuple[Array, Array, Array]:
+    """Angles of pairs of directions that are well above the horizon."""
+    random = np.random.default_rng(3)
+    return random.uniform(0.0, 0.7, count), random.uniform(0.0, 0.7, count), random.uniform(0.0, np.pi, count)
+
+
+def metal(alpha: float, kappa: float = 2.0) -> LayeredModel:
+    return LayeredModel((SpecularLayer(F0, 1.0, alpha, kappa, (0.0, 0.0), 0.0, 0.0),))
+
+
+def glass(theta: Array) -> Array:
+    """Reflectance of glass, the mean of both polarisations, by Snell's law and the sines and tangents of the angles."""
+    refracted = np.arcsin(np.sin(theta) / 1.5)
+    crossed = np.sin(theta - refracted) / np.sin(theta + refracted)
+    within = np.tan(theta - refracted) / np.tan(theta + refracted)
+    return np.asarray(0.5 * (crossed**2 + within**2))
+
+
+def microfacets(theta_half: Array, theta_diff: Array, phi_diff: Array, alpha: float, slopes: Array) -> Array:
+    """Cook and Torrance's model with Fresnel's equations and GGX's height-correlated masking; (n, 3)."""
+    omega_in, omega_out = directions(theta_half, theta_diff, phi_diff)
+    height = 1.0 / np.pi / alpha**2 / np.cos(theta_half) ** 4 * slopes
+    length = [0.5 * (np.sqrt(1.0 + alpha**2 * (1.0 / w[:, 2] ** 2 - 1.0)) - 1.0) for w in (omega_in, omega_out)]
+    masking = 1.0 / (1.0 + length[0] + length[1])
+    fresnel = np.array(F0) + (1.0 - np.array(F0)) * (glass(theta_diff)[:, None] - 0.04) / 0.96
+    return fresnel * (height * masking / (4.0 * omega_in[:, 2] * omega_out[:, 2]))[:, None]
+
+
+def test_kappa_2_is_ggx() -> None:
+    at = angles()
+    slopes = (1.0 + (np.tan(at[0]) / 0.3) ** 2) ** -2.0
+    np.testing.assert_allclose(metal(0.3).evaluate(*at), microfacets(*at, 0.3, slopes), rtol=2e-3)
+
+
+def test_a_large_kappa_is_beckmanns_distribution() -> None:
+    at = angles()
+    slopes = np.exp(-((np.tan(at[0]) / 0.3) ** 2))
+    near = slopes > 0.05
+    found = metal(0.3, 1000.0).evaluate(*at)[near]
+    np.testing.assert_allclose(found, microfacets(*at, 0.3, slopes)[near], rtol=1e-2)
+
+
+@pytest.mark.parametrize("kappa", [1.5, 2.0, 6.0])
+def test_facets_project_to_the_area(kappa: float) -> None:
+    # The facets' value at equal directions, over masking and Fresnel: the integral of D cos is 1.
+    layer = SpecularLayer((1.0, 1.0, 1.0), 1.0, 0.2, kappa, (0.0, 0.0), 1.0, 0.0)
+
+    def facets(theta: float) -> float:
+        points = Points.at(np.array([theta]), np.zeros(1), np.zeros(1))
+        cosine = np.cos(theta)
+        masked = (cosine + np.sqrt(0.04 + 0.96 * cosine**2)) ** 2  # over 4 cos_in cos_out
+        return float(layer.values(points)[0, 0] * masked) * np.cos(theta) * np.sin(theta) * 2.0 * np.pi
+
+    assert quad(facets, 0.0, 1.5, limit=200)[0] == pytest.approx(1.0, rel=0.03)
+
+
+def test_the_half_width_halves_the_slopes() -> None:
+    layer = SpecularLayer((1.0, 1.0, 1.0), 1.0, 0.2, 1.7, (0.0, 0.0), 0.0, 0.0)
+    tangent = np.tan(layer.half_width)
+    assert (1.0 + tangent**2 / (0.7 * 0.2**2)) ** -1.7 == pytest.approx(0.5, rel=1e-2)
+
+
+@pytest.mark.parametrize(("kind", "count"), KINDS)
+def test_derivatives_are_those_of_finite_differences(kind: type[Layer], count: int) -> None:
+    points, x = Points.at(*angles()), np.random.default_rng(1).normal(-0.5, 0.3, count)
+    found = kind.linearize(points, x)
+    np.testing.assert_allclose(found.values, kind.from_unknowns(x).values(points), rtol=1e-12)
+    np.testing.assert_allclose(kind.from_unknowns(x).unknowns, x, rtol=1e-12)
+    shared = count - len(found.relative)
+    for k in range(count):
+        step = 1e-6 * np.eye(count)[k]
+        slope = (kind.linearize(points, x + step).values - kind.linearize(points, x - step).values) / 2e-6
+        if k < 3:
+            expected = found.own * (np.arange(3)[:, None] == k)
+        elif k < shared:
+            expected = np.broadcast_to(np.asarray(found.grazing), slope.shape)
+        else:
+            expected = found.values * found.relative[k - shared]
+        np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-8)
+
+
+def test_a_retro_layer_is_ggx_about_the_direction_of_the_light() -> None:
+    theta, phi = (
+        np.random.default_rng(2).uniform(0.0, 1.0, (2, 40)),
+        np.random.default_rng(4).uniform(0.0, 6.0, (2, 40)),
+    )
+    omega_in, omega_out = spherical(theta[0], phi[0]), spherical(theta[1], phi[1])
+    white = LayeredModel((SpecularLayer((1.0, 1.0, 1.0), 1.0, 0.2, 2.0, (0.0, 0.0), 0.0, 0.0),))
+    retro = LayeredModel((RetroLayer((1.0, 1.0, 1.0), 0.2),))
+    turned = omega_out * [-1.0, -1.0, 1.0]
+    found = retro.evaluate_directions(omega_in, omega_out)
+    np.testing.assert_allclose(found, white.evaluate_directions(omega_in, turned), rtol=1e-6)
+
+
+def test_a_layered_model_is_reciprocal_and_the_sum_of_its_layers() -> None:
+    layers = tuple(
+        kind.from_unknowns(np.random.default_rng(k).normal(-1.0, 0.3, n)) for k, (kind, n) in enumerate(KINDS)
+    )
+    model, at = LayeredModel(layers), angles()
+    values = model.evaluate(*at)
+    np.testing.assert_allclose(values, sum(LayeredModel((layer,)).evaluate(*at) for layer in layers), rtol=1e-12)
+    np.testing.assert_allclose(model.evaluate(at[0], at[1], at[2] + np.pi), values, rtol=1e-9)
+    assert model.n_numbers == 28
+    grid = np.stack(list(model.evaluate_grid(at[0][:2], at[1][:3], at[2][:4])))
+    expected = model.evaluate(at[0][:2, None, None], at[1][:3, None], at[2][:4])
+    np.testing.assert_allclose(np.moveaxis(grid, 1, -1), expected, rtol=1e-12)
+
+
+def test_albedo_is_the_mean_weight_of_samples() -> None:
+    model, towards = metal(0.3), spherical(np.array([0.7]), np.array([0.0]))
+    drawn = model.sample(np.broadcast_to(towards, (20_000, 3)), np.random.default_rng(0))
+    np.testing.assert_allclose(drawn.weight.mean(axis=0), model.albedo(0.7), rtol=0.02)
+    np.testing.assert_allclose(drawn.pdf, model.pdf(drawn.omega_in, towards), rtol=1e-9)

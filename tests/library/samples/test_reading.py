@@ -1,0 +1,350 @@
+"""One table as forty people would write it, and twenty that are none."""
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsbrdf.arrays import Array
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.grid import CHANNELS
+from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.samples.measurement_files import read_measurement
+from dsbrdf.samples.names import is_known
+from dsbrdf.samples.reading import parse_samples
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+
+COUNT = 240
+_RANDOM = np.random.default_rng(5)
+ANGLES = _RANDOM.uniform((1.0, 0.0, 1.0, 0.0), (85.0, 360.0, 85.0, 360.0), (COUNT, 4)).round(6)
+"""theta_in, phi_in, theta_out, phi_out of the samples [degrees]."""
+IN_PLANE = ANGLES * [1.0, 0.0, 1.0, 0.0] * _RANDOM.choice([-1.0, 1.0], (COUNT, 4)) + [0.0, 180.0, 0.0, 0.0]
+RGB = _RANDOM.uniform(0.01, 9.0, (COUNT, 3)).round(6)
+GREY = np.repeat(RGB[:, :1], 3, axis=1)
+DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")
+VECTORS = tuple(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz")
+
+
+def spherical(angles: Array) -> tuple[Array, Array]:
+    """omega_in and omega_out of angles in degrees."""
+    theta, phi = np.radians(angles[:, ::2]), np.radians(angles[:, 1::2])
+    vectors = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    return vectors[:, 0], vectors[:, 1]
+
+
+def table(
+    names: Sequence[str] | str = (*DIRECTION, *CHANNELS),
+    columns: Array | None = None,
+    *,
+    between: str = ",",
+    number: Callable[[float], str] = "{:.9g}".format,
+    before: str = "",
+    units: str = "",
+    newline: str = "\n",
+    comment: str = "",
+) -> bytes:
+    """Bytes of a table; names are as many as columns, or a whole line."""
+    columns = np.hstack([ANGLES, RGB]) if columns is None else columns
+    head = names if isinstance(names, str) else between.join(names)
+    lines = [*before.splitlines(), comment + head, *units.splitlines()]
+    lines += [between.join(map(number, row)) for row in columns.tolist()]
+    return newline.join([*lines, ""]).encode()
+
+
+def with_comma(number: float) -> str:
+    return f"{number:.9g}".replace(".", ",")
+
+
+def renamed(*names: str) -> bytes:
+    return table((*names, *CHANNELS))
+
+
+def quoted() -> bytes:
+    file = io.StringIO()
+    writer = csv.writer(file, quoting=csv.QUOTE_ALL)
+    writer.writerows([[*DIRECTION, *CHANNELS], *np.hstack([ANGLES, RGB]).tolist()])
+    return file.getvalue().encode()
+
+
+def saved_by_numpy() -> bytes:
+    file = io.BytesIO()
+    np.savetxt(file, np.hstack([ANGLES, RGB]), header=" ".join((*DIRECTION, *CHANNELS)))
+    return file.getvalue()
+
+
+def half_and_difference() -> Array:
+    return np.degrees(np.stack(half_difference(*spherical(ANGLES)), axis=-1))
+
+
+ORDER = [6, 0, 5, 2, 4, 1, 3]
+ALL = (*DIRECTION, *CHANNELS)
+WORDS = table().decode().splitlines()
+SPELLINGS = {
+    "commas": table(),
+    "tabs": table(between="\t"),
+    "aligned with blanks": table(between="   ", number="{:14.9g}".format),
+    "commas and blanks": table(between=", "),
+    "decimal commas, semicolons": table(between=";", number=with_comma),
+    "decimal commas, tabs": table(between="\t", number=with_comma),
+    "decimal commas, blanks": table(between=" ", number=with_comma),
+    "decimal commas, names with commas": table(",".join(ALL), between=";", number=with_comma),
+    "exponents": table(number="{:.9E}".format),
+    "phi below zero": table(columns=np.hstack([ANGLES - [0.0, 360.0, 0.0, 360.0], RGB])),
+    "another order": table([ALL[i] for i in ORDER], np.hstack([ANGLES, RGB])[:, ORDER]),
+    "everything in quotes": quoted(),
+    "capitals": table(",".join(ALL).upper()),
+    "names with blanks": table([name.replace("_", " ") for name in ALL]),
+    "names with hyphens": table([name.replace("_", "-") for name in ALL]),
+    "theta_i": renamed("theta_i", "phi_i", "theta_o", "phi_o"),
+    "thetaI": renamed("thetaI", "phiI", "thetaO", "phiO"),
+    "theta_r": renamed("theta_i", "phi_i", "theta_r", "phi_r"),
+    "_deg": renamed(*(f"{name}_deg" for name in DIRECTION)),
+    "[deg]": renamed(*(f"{name} [deg]" for name in DIRECTION)),
+    "a degree sign": renamed(*(f"{name} (°)" for name in DIRECTION)),
+    "a degree sign in an old code page": renamed(*(f"{name} (°)" for name in DIRECTION)).decode().encode("cp1252"),
+    "_rad": table((*(f"{name}_rad" for name in DIRECTION), *CHANNELS), np.hstack([np.radians(ANGLES), RGB])),
+    "r, g, b": table((*DIRECTION, "R", "G", "B")),
+    "brdf_red [1/sr]": table((*DIRECTION, *(f"brdf_{name} [1/sr]" for name in CHANNELS))),
+    "comment lines": table(before="# satin purple\n# goniometer 3\n"),
+    "saved by NumPy": saved_by_numpy(),
+    "a preamble": table(before="Instrument: goniometer 3\nDate;2026-02-11\n\n"),
+    "percent comments": table(before="% made by a script", comment="% "),
+    "comments between the rows": table().replace(b"\n", b"\n# next\n"),
+    "a line of units": table(units="deg,deg,deg,deg,1/sr,1/sr,1/sr"),
+    "line ends of Windows and a mark": b"\xef\xbb\xbf" + table(newline="\r\n"),
+    "a spreadsheet's Unicode text": table(between="\t").decode().encode("utf-16"),
+    "a separator at the end": "\n".join(line + ";" for line in table(between=";").decode().splitlines()).encode(),
+    "unit vectors": table((*VECTORS, *CHANNELS), np.hstack([*spherical(ANGLES), RGB])),
+    "half and difference angles": table(
+        ("theta_half", "theta_diff", "phi_diff", *CHANNELS), np.hstack([half_and_difference(), RGB])
+    ),
+    "theta_h": table(("theta_h", "theta_d", "phi_d", *CHANNELS), np.hstack([half_and_difference(), RGB])),
+}
+OF_OTHER_TABLES = {
+    "in plane": (IN_PLANE, RGB, table(("theta_in", "theta_out", *CHANNELS), np.hstack([IN_PLANE[:, ::2], RGB]))),
+    "one phi": (
+        ANGLES * [1, 0, 1, 1],
+        RGB,
+        table(("theta_in", "theta_out", "phi_out", *CHANNELS), np.hstack([ANGLES[:, [0, 2, 3]], RGB])),
+    ),
+    **{
+        name: (ANGLES, GREY, table((*DIRECTION, name), np.hstack([ANGLES, GREY[:, :1]])))
+        for name in ("value", "BRDF [sr^-1]", "luminance", "f_r")
+    },
+}
+
+
+def check_same(samples: ScatteredSamples, angles: Array, values: Array) -> None:
+    found = np.stack(half_difference(samples.omega_in, samples.omega_out))
+    expected = np.stack(half_difference(*spherical(angles)))
+    apart = np.abs(found - expected)
+    np.testing.assert_allclose(np.minimum(apart, 2.0 * np.pi - apart), 0.0, atol=1e-6)
+    np.testing.assert_allclose(samples.values, values, rtol=1e-8)
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_every_spelling_of_a_table_is_the_same_samples(spelling: str) -> None:
+    samples = parse_samples(SPELLINGS[spelling])
+    check_same(samples, ANGLES, RGB)
+    np.testing.assert_array_equal(samples.weight, 1.0)
+    assert samples.notes == ()
+
+
+@pytest.mark.parametrize("spelling", OF_OTHER_TABLES)
+def test_what_a_table_leaves_out_is_assumed_and_said(spelling: str) -> None:
+    angles, values, content = OF_OTHER_TABLES[spelling]
+    samples = parse_samples(content)
+    check_same(samples, angles, values)
+    words = {
+        "in plane": "has no phi",
+        "one phi": "no phi_in: the mirror direction is taken to have phi_out = 180.",
+    }.get(spelling, "grey")
+    assert [words in note for note in samples.notes] == [True]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".TXT", ".astm"])
+def test_the_suffix_tells_a_table(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"felt{suffix}"
+    path.write_bytes(table())
+    samples = read_measurement(path)
+    assert (type(samples), samples.name) == (ScatteredSamples, "felt")
+
+
+def test_weights_and_columns_that_are_not_read() -> None:
+    weight = np.linspace(1.0, 2.0, COUNT)[:, None]
+    columns = np.hstack([ANGLES, RGB, weight, weight])
+    samples = parse_samples(table((*ALL, "Weight", "temperature"), columns))
+    np.testing.assert_allclose(samples.weight, weight[:, 0], rtol=1e-8)
+    assert samples.notes == ("The table has a column that was not read: 'temperature'.",)
+    words = [f"{line};probe {i}" for i, line in enumerate(table(between=";").decode().splitlines())]
+    check_same(parse_samples("\n".join(words).encode()), ANGLES, RGB)
+
+
+def test_what_is_no_number_is_left_out_and_counted() -> None:
+    lines = WORDS.copy()
+    lines[3:3] = ["10,0,20,0,nan,1,1", "10,0,20,0,,1,1", "10,0,20,0,1,1,N/A", "10,0,20,0,inf,1,1", "inf,0,20,0,1,1,1"]
+    lines[9:9] = ["10,0,90,0,1,1,1", "120,0,20,0,1,1,1"]
+    samples = parse_samples("\n".join(lines).encode())
+    check_same(samples, ANGLES, RGB)
+    assert samples.notes == (
+        "5 rows have no finite number in a column that is needed; they are left out.",
+        "2 rows have a direction at or below the horizon; they are left out.",
+    )
+
+
+def test_values_of_one_pair_of_directions_that_are_far_apart_are_told() -> None:
+    rows = np.hstack([ANGLES, RGB])
+    again = rows[10:40] * [1.0, 1.0, 1.0, 1.0, 1.02, 1.02, 1.02]
+    assert not parse_samples(table(columns=np.vstack([rows, again]))).notes
+    again[[3, 7], 4:] *= 1.5
+    again[3] -= [0.0, 360.0, 0.0, 360.0, 0.0, 0.0, 0.0]
+    (note,) = parse_samples(table(columns=np.vstack([rows, again]))).notes
+    assert note.startswith("2 pairs of directions have values that differ by more than 25%, such as theta_in = ")
+
+
+def test_noise_below_zero_counts_as_zero() -> None:
+    values = RGB.copy()
+    values[7, 1], values[9, 2] = -0.01, -0.02
+    samples = parse_samples(table(columns=np.hstack([ANGLES, values])))
+    np.testing.assert_allclose(samples.values, np.maximum(values, 0.0), rtol=1e-8)
+    assert samples.notes == (
+        f"2 values are negative, down to -{0.02 / RGB.max():.2%} of the largest; they count as 0.",
+    )
+
+
+def test_vectors_one_percent_off_are_made_unit_vectors() -> None:
+    first, second = spherical(ANGLES)
+    samples = parse_samples(table((*VECTORS, *CHANNELS), np.hstack([1.01 * first, second, RGB])))
+    np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(samples.omega_in, first, atol=1e-8)
+    assert samples.notes == ("The vectors omega_in were up to 1.0% off unit length; they were made unit vectors.",)
+
+
+def changed(place: int, cell: str) -> bytes:
+    """The table with another cell in its sixth line."""
+    cells = WORDS[5].split(",")
+    cells[place] = cell
+    return "\n".join([*WORDS[:5], ",".join(cells), *WORDS[6:]]).encode()
+
+
+OFF_UNIT = np.hstack([spherical(ANGLES)[0] * 1.05, spherical(ANGLES)[1], RGB])
+NO_Z = table((*VECTORS[:5], "z", *CHANNELS), np.hstack([*spherical(ANGLES), RGB]))
+WRONG = [
+    (WORDS[0].encode(), "There are 0 samples; a fit needs at least "),
+    ("\n".join(WORDS[:40]).encode(), "There are 39 samples; a fit needs at least 50."),
+    (table() + b"1;" * 70_000, "cannot be split into cells: one is longer than 131072 characters, or a quotation mark"),
+    (b"", "The table is empty and has no line that names its columns; it needs one such as theta_in, "),
+    ("\n".join(WORDS[1:]).encode(), f"The table begins with '{WORDS[1]}' and has no line that names its columns"),
+    (
+        table(("alpha", "beta", "gamma", "delta", *CHANNELS)),
+        "The table lacks columns for the directions: theta_in, theta_out. It has alpha, beta, gamma, delta, red, "
+        "green, blue. Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or",
+    ),
+    (NO_Z, "The table lacks columns for the directions: omega_out_z. It has omega_in_x, "),
+    (table((*DIRECTION, "red", "green", "violet")), "The table lacks columns for the values: blue. It has theta_in"),
+    (
+        renamed("theta_in", "theta_i", "theta_out", "phi_out"),
+        "The columns 'theta_in' and 'theta_i' mean the same; keep one of them.",
+    ),
+    (
+        table(columns=np.hstack([np.radians(ANGLES), RGB])),
+        "The angles theta_in and theta_out are at most 1.48, as angles in radians are: write degrees, or name the "
+        "columns theta_in_rad and so on.",
+    ),
+    (renamed(*(f"{name} [gon]" for name in DIRECTION)), "'theta_in' is in 'gon'; angles are in deg or in rad."),
+    (
+        renamed(*(f"{name}_rad" for name in DIRECTION)),
+        "The column 'theta_in' has an angle of 4866.96 degrees; 180 is the largest that there is.",
+    ),
+    (
+        table((*DIRECTION, "BRDF [%]"), np.hstack([ANGLES, RGB[:, :1]])),
+        "The column 'value' is in '%'; the values of a BRDF are in 1/sr: if they are those times a factor, give",
+    ),
+    (
+        table(number=with_comma),
+        "Line 2 of the table has 14 cells, separated by commas, and the line of names has 7; separate numbers with a "
+        "decimal comma by semicolons.",
+    ),
+    ("\n".join([*WORDS[:4], "1,2,3"]).encode(), "Line 5 of the table has 3 cells, and the line of names has 7."),
+    (
+        changed(4, "dark"),
+        "Line 6 of the table has 'dark' in the column 'red'; write a number, or nan where",
+    ),
+    (
+        table((*VECTORS, *CHANNELS), OFF_UNIT),
+        "In 240 of 240 rows omega_in is not of unit length, which is 1.05 in one of them; directions are unit vectors.",
+    ),
+    (
+        changed(5, "-1"),
+        "1 value is negative, down to -1, more than noise about zero explains: if they stand for what is missing, set "
+        "missing to -1.",
+    ),
+    (changed(5, "1e9"), "In 1 of 240 samples, the first of them number 5, values is above 1e8/sr"),
+    (table(columns=np.hstack([ANGLES, 0.0 * RGB])), "Every sample is zero in all channels; a measurement has positive"),
+    (
+        b"PK\x03\x04" + bytes(30),
+        "is a ZIP archive or a NumPy .npz file; scattered samples are a table, in a text or in a spreadsheet",
+    ),
+    (
+        b"SampleRotation 1\n0\nAngleOfIncidence 2\n0 9\nScatterAzimuth 1\n0\nScatterRadial 2\n0 9\nDataBegin\n1 2 3\n",
+        "The Zemax BSDF file has 3 values, and its angles need 4.",
+    ),
+    (
+        b"SampleRotation 1\n0\nAngleOfIncidence 2\n0 30\nScatterRadial 2\n0 9\nDataBegin\n1 2 3 4\n",
+        "The Zemax BSDF file has no line ScatterAzimuth with a count, and the angles below it.",
+    ),
+    (
+        b"SpectralContent XYZ\nScatterRadial 2\n0 9\nDataBegin\n1 2 3 4\n",
+        "The Zemax BSDF file has SpectralContent XYZ; Monochrome alone is read.",
+    ),
+    (b"TIS 1\nScatterRadial\n# DataBegin\n", "begins with 'TIS 1' and has no line that names its columns"),
+    (b"! ASTM E1392-96\nBSDF of mirror 3\n1 2 3\n", "The data is a file of ASTM E1392, which is not read"),
+    (changed(5, "1e30"), "no reflectance is; if 1e+30 stands for what is missing, set missing to it."),
+    (bytes(range(256)), "The data is not a text; a table of samples is a text in UTF-8."),
+    (changed(4, '"1'), "A quotation mark in the table is not closed on its line."),
+]
+
+
+@pytest.mark.parametrize(("content", "words"), WRONG, ids=[words for _, words in WRONG])
+def test_what_is_no_table_is_told_what_is_wrong_and_what_would_be_right(content: bytes, words: str) -> None:
+    with pytest.raises(MeasurementFormatError) as caught:
+        parse_samples(content)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_weights_are_positive_and_as_many_as_samples() -> None:
+    up = np.tile([0.0, 0.0, 1.0], (300, 1))
+    with pytest.raises(MeasurementFormatError, match="weight is not positive; leave out"):
+        ScatteredSamples.from_arrays(up, up, up, np.zeros(300))
+    with pytest.raises(MeasurementFormatError, match=r"weight must have the shape \(300,\), not \(3,\)"):
+        ScatteredSamples.from_arrays(up, up, up, np.ones(3))
+    with pytest.raises(MeasurementFormatError, match="omega_in must be real numbers"):
+        ScatteredSamples.from_arrays([["a"]], up, up)
+
+
+def test_directions_are_made_unit_vectors() -> None:
+    nearly = np.tile([0.6004, 0.0, 0.8], (300, 1))
+    samples = ScatteredSamples.from_arrays(nearly, nearly, np.ones((300, 3)))
+    np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-15)
+    with pytest.raises(MeasurementFormatError, match=r"In 300 of 300 samples.* omega_in is not of unit length"):
+        ScatteredSamples.from_arrays(1.01 * nearly, nearly, np.ones((300, 3)))
+
+
+@pytest.mark.parametrize("cell", ["(" + " " * 100_000, "(" * 100_000, "a [" * 30_000, "- " * 50_000])
+def test_a_long_cell_is_no_name_at_once(cell: str) -> None:
+    assert not is_known(cell)
+    with pytest.raises(MeasurementFormatError):
+        parse_samples(cell.encode() + b"\n1\n")
+
+
+def test_values_and_weights_that_no_fit_can_tell_from_none_are_refused() -> None:
+    omega = np.tile([0.0, 0.0, 1.0], (200, 1))
+    with pytest.raises(MeasurementFormatError, match="largest value is 1e-200/sr"):
+        ScatteredSamples.from_arrays(omega, omega, np.full((200, 3), 1e-200))
+    for weight in (1e308, 1e-308):
+        with pytest.raises(MeasurementFormatError, match=r"200 of 200 samples.* weight is not from 1e-12 to 1e12"):
+            ScatteredSamples.from_arrays(omega, omega, np.ones((200, 3)), np.full(200, weight))

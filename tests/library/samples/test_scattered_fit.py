@@ -1,0 +1,278 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.metrics import Metrics
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.report_warnings import sample_warnings
+from dsbrdf.samples.bins import predicted_profiles, sample_rows, scattered_metrics
+from dsbrdf.samples.prediction import SamplePrediction
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+from dsbrdf.samples.units import sample_units
+from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
+TRUTH = mixture(2, 1)
+
+
+def test_parameters_of_a_known_model_are_found() -> None:
+    """Few of the samples are at grazing angles: with as many knots there as a table has, the fit runs away."""
+    truth = mixture(3, 4)
+    result = dsbrdf.fit(scattered_samples(truth), n_lobes=3, ring_lobes=0)
+    found = deviations(result.model, truth)
+    # kappa and gamma can make up for each other.
+    assert max(found[name] for name in ("amplitude", "half width", "elongation")) < 0.03
+    metrics = result.report.metrics
+    assert metrics.relative_rms is not None
+    assert metrics.relative_rms < 3e-3
+    assert metrics.male is not None
+    assert metrics.psnr is None
+    assert not any("left out of a fit" in sentence for sentence in result.report.warnings)
+
+
+def test_a_table_is_predicted_at_the_middle_of_the_nodes_of_each_bin() -> None:
+    samples, options = scattered_samples(TRUTH, 300), FitOptions()
+    prediction = SamplePrediction.fit(samples)
+    folded = predicted_profiles(samples, prediction, options).folded
+    row, column, bin_of = (index[::97] for index in np.nonzero(folded.weight[0]))
+    squared = folded.cos2_phi[row, column, bin_of]
+    middle = np.degrees(np.arccos(np.sqrt(squared)))
+    assert np.all((middle > 10 * bin_of - 1) & (middle < 10 * bin_of + 11))
+    values = prediction.evaluate_unmasked(THETA_HALF[column], THETA_DIFF[row], np.arccos(np.sqrt(squared)))
+    np.testing.assert_allclose(folded.mean[:, row, column, bin_of].T, values)
+
+
+def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta_diff() -> None:
+    samples, options = scattered_samples(TRUTH, 1000), FitOptions()
+    prediction = SamplePrediction.fit(samples.take(np.arange(1000) < 300))
+    data = sample_rows(samples, predicted_profiles(samples, prediction, options), options, prediction, TRUTH)
+    theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
+    placed = 0.0
+    for at, row in enumerate(data.theta_diff):
+        near = np.flatnonzero(np.abs(theta_diff - row) <= np.radians(0.5) + 1e-12)
+        places = np.abs(data.theta_half[at] - theta_half[near, None]) < 1e-12
+        places &= np.abs(data.cos2_phi[at, :, 0] - np.cos(phi_diff[near, None]) ** 2) < 1e-12
+        assert (places.sum(axis=1) == 1).all()
+        found = data.mean[:, at, places.argmax(axis=1), 0].T
+        there = TRUTH.evaluate_unmasked(theta_half[near], np.full(near.size, row), phi_diff[near])
+        np.testing.assert_allclose(found, there, rtol=1e-9)
+        placed += data.weight[0, at, places.argmax(axis=1), 0].sum()
+    assert placed > 0.0
+
+
+def scaled(samples: ScatteredSamples, factor: Any, notes: tuple[str, ...] = ()) -> ScatteredSamples:
+    """The samples with their values times a factor."""
+    return ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, samples.values * factor, notes=notes)
+
+
+def test_cosines_are_divided_out_notes_are_warnings_progress_rises_and_grey_stays_grey() -> None:
+    known, shares = scattered_samples(TRUTH, 60), list[float]()
+    samples = ScatteredSamples.from_arrays(known.omega_in, known.omega_out, known.values[:, [1, 1, 1]])
+    expected = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0)
+    np.testing.assert_array_equal(expected.model.amplitude, expected.model.amplitude[[1, 1, 1]])
+    multiplied = scaled(samples, samples.omega_out[:, 2:], notes=("Grey.",))
+    found = dsbrdf.fit(multiplied, n_lobes=1, ring_lobes=0, cosine="out", progress=shares.append)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert shares == sorted(shares)
+    np.testing.assert_allclose(found.model.evaluate(0.2, 0.5), expected.model.evaluate(0.2, 0.5), rtol=1e-4)
+    assert found.report.warnings == ("Grey.", *expected.report.warnings)
+
+
+@pytest.mark.parametrize("bright", [0, 7], ids=["fitted", "held out"])
+def test_one_bright_sample_among_black_ones_is_fitted(bright: int) -> None:
+    samples = scattered_samples(TRUTH, 60)
+    found = dsbrdf.fit(scaled(samples, np.arange(60)[:, None] == bright), n_lobes=1, ring_lobes=0)
+    assert np.isfinite(found.model.amplitude).all()
+    # Where nothing is known, a logarithm is not expected to spread by more than 1.
+    assert (found.report.metrics.relative_rms_expected or np.inf) < np.sqrt(np.expm1(1.0))
+
+
+def test_samples_of_hardly_any_weight_hardly_count() -> None:
+    samples, wrong = noisy(scattered_samples(TRUTH, 300)), np.arange(300) % 4 == 0
+    values = np.where(wrong[:, None], 3.0, 1.0) * samples.values
+    spoiled = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, values, np.where(wrong, 1e-5, 1.0))
+    angles = half_difference(samples.omega_in, samples.omega_out)
+    found, expected = (SamplePrediction.fit(one).evaluate_unmasked(*angles) for one in (spoiled, samples))
+    assert np.median(np.abs(found - expected) / expected.clip(0.01)) < 0.02
+
+
+@pytest.mark.parametrize("cutoff", [None, float(np.radians(60.0))])
+def test_metrics_of_samples_are_those_of_a_loop(cutoff: float | None) -> None:
+    samples, model = scattered_samples(TRUTH, 300), mixture(1, 0)
+    error = signal = logs = 0.0
+    for first, second, values in zip(samples.omega_in, samples.omega_out, samples.values, strict=True):
+        fitted = model.evaluate_directions(first, second)
+        logs += float(np.abs(np.log((1.0 + values * first[2]) / (1.0 + fitted * first[2]))).mean()) / 300
+        if cutoff is None or min(first[2], second[2]) >= np.cos(cutoff):
+            error, signal = error + np.sum((values - fitted) ** 2), signal + np.sum(values**2)
+    found = scattered_metrics(model, samples, cutoff)
+    assert (found.relative_rms, found.male) == pytest.approx((np.sqrt(error / signal), logs), rel=1e-9)
+
+
+def test_what_is_for_one_kind_of_data_is_refused_for_the_other(matte: dsbrdf.Measurement) -> None:
+    with pytest.raises(InvalidArgumentError, match="cannot be fitted with method 'paper'"):
+        dsbrdf.fit(scattered_samples(TRUTH, 60), method="paper")
+    with pytest.raises(InvalidArgumentError, match="cosine is for scattered samples"):
+        dsbrdf.fit(matte, cosine="in")
+    with pytest.raises(InvalidArgumentError, match="as FitOptions or by name, not both"):
+        dsbrdf.fit(matte, FitOptions(), n_lobes=1)
+
+
+@pytest.fixture(scope="module")
+def truth() -> dsbrdf.DSBRDF:
+    """A rough plastic of GGX on a diffuse ground, as a model: none of the known materials."""
+    plastic = synthetic_measurement(roughness=0.2, diffuse=(0.50, 0.40, 0.20))
+    return dsbrdf.fit(dsbrdf.profiles(plastic), dsbrdf.FitOptions()).model
+
+
+def in_plane(model: dsbrdf.DSBRDF) -> ScatteredSamples:
+    """Five angles of incidence, 41 of reflection, 2 % noise."""
+    theta_in, theta_out = np.meshgrid(np.radians([0, 15, 30, 45, 60]), np.radians(np.linspace(-80, 80, 41)))
+    zero = np.zeros(theta_in.size)
+    omega_in = np.stack([-np.sin(theta_in.ravel()), zero, np.cos(theta_in.ravel())], axis=-1)
+    omega_out = np.stack([np.sin(theta_out.ravel()), zero, np.cos(theta_out.ravel())], axis=-1)
+    noise = 1.0 + 0.02 * np.random.default_rng(1).standard_normal((zero.size, 3))
+    return ScatteredSamples.from_arrays(omega_in, omega_out, model.evaluate_directions(omega_in, omega_out) * noise)
+
+
+def median_error(model: dsbrdf.DSBRDF, truth: dsbrdf.DSBRDF) -> float:
+    """Median relative error at pairs within 80 degrees of the normal that no fit has seen."""
+    omega_in, omega_out = scattered_directions(truth, 4000, 77)
+    within = np.minimum(omega_in[:, 2], omega_out[:, 2]) > np.cos(np.radians(80.0))
+    found, expected = (one.evaluate_directions(omega_in[within], omega_out[within]) for one in (model, truth))
+    return float(np.median(np.abs(found - expected) / expected))
+
+
+def test_fifty_samples_or_one_plane_are_a_material(truth: dsbrdf.DSBRDF) -> None:
+    few = dsbrdf.fit(scattered_samples(truth, 50), n_lobes=2, ring_lobes=0)
+    assert median_error(few.model, truth) < 0.1
+    assert few.model.albedo(np.radians([0.0, 30.0, 60.0, 75.0, 85.0])).max() <= 1.0
+    assert any("50 samples are few: the model is that of layers" in text for text in few.report.warnings)
+    assert not any("in one plane" in text for text in few.report.warnings)
+    result = dsbrdf.fit(in_plane(truth), n_lobes=2, ring_lobes=0)
+    assert median_error(result.model, truth) < 0.05
+    assert any("All samples lie in one plane of incidence" in text for text in result.report.warnings)
+
+
+def test_errors_at_samples_left_out_are_those_of_new_samples(truth: dsbrdf.DSBRDF) -> None:
+    result = dsbrdf.fit(noisy(scattered_samples(truth, 300)), n_lobes=2, ring_lobes=0)
+    new = noisy(scattered_samples(truth, 4000, seed=5), seed=2)
+    true = scattered_metrics(result.model, new, FitOptions().horizon_cutoff).relative_rms
+    metrics = result.report.metrics
+    assert true is not None
+    assert metrics.relative_rms_left_out == pytest.approx(true, rel=1.0)
+    counts = {row.where: row.n_samples for row in result.report.left_out}
+    assert sum(count for where, count in counts.items() if where.startswith("theta_out")) == 300
+    assert 10 < counts["theta_half below 10 degrees"] < 300
+    assert not any("depends on one sample" in text for text in result.report.warnings)
+
+
+def test_errors_expected_over_all_directions_are_those_of_new_samples_on_average() -> None:
+    """Of a single table the true one can be a quarter or many times: a few bright directions decide."""
+    ratios = []
+    for known, count in ((mixture(1, 0), 60), (TRUTH, 100), (mixture(3, 4), 200)):
+        new = scattered_samples(known, 6000, seed=5)
+        result = dsbrdf.fit(noisy(scattered_samples(known, count, seed=count)), n_lobes=2, ring_lobes=0)
+        true = scattered_metrics(result.model, new, np.radians(80.0)).relative_rms
+        ratios.append((true or np.nan) / (result.report.metrics.relative_rms_expected or np.nan))
+    assert 0.5 < np.exp(np.mean(np.log(ratios))) < 1.4, ratios
+
+
+def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF) -> None:
+    """Of light at 0 to 30 degrees nothing is known at 70; no two of the pairs are the same."""
+    samples = scattered_samples(truth, 300)
+    steep = samples.take(np.maximum(samples.omega_in[:, 2], samples.omega_out[:, 2]) > np.cos(np.radians(30.0)))
+    report = dsbrdf.fit(steep, n_lobes=2, ring_lobes=0).report
+    assert (report.metrics.relative_rms_expected or 0.0) > 0.1
+    assert len({*report.measure_next}) == len(report.measure_next) == 20
+    far = [pair for pair in report.measure_next if min(pair.theta_in_deg, pair.theta_out_deg) > 30]
+    assert len(far) >= 15
+
+
+def noisy(samples: ScatteredSamples, seed: int = 1) -> ScatteredSamples:
+    """The samples with 2 % noise."""
+    return scaled(samples, 1.0 + 0.02 * np.random.default_rng(seed).standard_normal(samples.values.shape))
+
+
+def test_outliers_of_a_robust_fit_do_not_count(truth: dsbrdf.DSBRDF) -> None:
+    samples = noisy(scattered_samples(truth, 100))
+    spoiled = scaled(samples, np.where(np.arange(100) % 20 == 3, 8.0, 1.0)[:, None])
+    robust, plain = (dsbrdf.fit(spoiled, n_lobes=2, ring_lobes=0, robust=robust).model for robust in (True, False))
+    assert median_error(robust, truth) < 0.05 < median_error(plain, truth)
+
+
+def test_the_fit_follows_the_level_of_the_samples_up_to_the_limits(truth: dsbrdf.DSBRDF) -> None:
+    samples = scattered_samples(truth, 60)
+    levels = np.array([1e-8, 1e8]) / samples.values.max()
+    dark, bright = (dsbrdf.fit(scaled(samples, level), n_lobes=2, ring_lobes=0) for level in levels.tolist())
+    np.testing.assert_allclose(bright.model.evaluate(0.1, 0.4), 1e16 * dark.model.evaluate(0.1, 0.4), rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("factor", "side", "words"),
+    [
+        (1.0, None, ()),
+        (1e-3, None, ()),
+        (1500.0, None, ("1/1500 (scale 0.0006667; are they the integers of a MERL file?)",)),
+        (100.0, None, ("1/100 (scale 0.01; are they per cent?)",)),
+        (np.pi, None, ("multiply the values by 1/pi (scale 0.3183; are they reflectance factors?)",)),
+        (1.0, "out", ('if so, set cosine to "out"',)),
+        (
+            100.0 * np.pi,
+            "in",
+            ("1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)", "cosine of theta_in"),
+        ),
+    ],
+)
+def test_units_far_off_are_named(factor: float, side: str | None, words: tuple[str, ...], truth: dsbrdf.DSBRDF) -> None:
+    samples = scattered_samples(truth, 60)
+    samples = scaled(samples, factor if side is None else factor * getattr(samples, f"omega_{side}")[:, 2:])
+    said = sample_units(samples).sentences
+    assert len(said) == bool(words)
+    assert all(word in said[0] for word in words)
+
+
+@pytest.mark.parametrize("plane", [True, False])
+def test_a_mirror_direction_on_the_wrong_side_is_named(plane: bool, truth: dsbrdf.DSBRDF) -> None:
+    samples = in_plane(truth) if plane else scattered_samples(truth, 300)
+    turned = ScatteredSamples.from_arrays(samples.omega_in * [-1.0, -1.0, 1.0], samples.omega_out, samples.values)
+    assert "lie back towards the light" in sample_units(turned).sentences[0]
+    assert not sample_units(samples).sentences
+
+
+def test_a_sample_on_which_much_depends_is_named(truth: dsbrdf.DSBRDF) -> None:
+    samples = scattered_samples(truth, 100)
+    spoiled = scaled(samples, np.where(np.arange(100) == 7, 8.0, 1.0)[:, None])
+    warnings = dsbrdf.fit(spoiled, n_lobes=2, ring_lobes=0).report.warnings
+    (named,) = (text for text in warnings if "depends on one sample" in text)
+    theta_in, theta_out = np.degrees(np.arccos([samples.omega_in[7, 2], samples.omega_out[7, 2]]))
+    assert f"at theta_in = {theta_in:.0f}, theta_out = {theta_out:.0f} and" in named
+
+
+def test_a_model_brighter_than_energy_allows_is_told(truth: dsbrdf.DSBRDF) -> None:
+    """At grazing angles alone, so that the unit of the samples is not in doubt."""
+    samples = scattered_samples(truth, 300)
+    bright = scaled(samples, 1.6 / (samples.omega_in[:, 2:] * samples.omega_out[:, 2:]) ** 0.4)
+    said = dsbrdf.fit(bright, n_lobes=2, ring_lobes=0).report
+    assert np.max(said.albedo.albedo) > 1.05
+    assert any("reflects more light than it receives" in text for text in said.warnings)
+
+
+def test_errors_that_matter_are_named(truth: dsbrdf.DSBRDF) -> None:
+    samples = scattered_samples(truth, 300)
+
+    def said(here: float, left_out: float, expected: float) -> list[str]:
+        metrics = Metrics(relative_rms_left_out=left_out, relative_rms_expected=expected, relative_rms=here)
+        return [*sample_warnings(samples, metrics, "metal", 200)]
+
+    assert not said(0.1, 0.15, 0.09)
+    assert not said(0.001, 0.01, 0.01)
+    assert "left out of a fit relative_rms is 0.6, at those of the fit 0.1" in said(0.1, 0.6, 0.01)[0]
+    assert "Over all directions an error of 20% is to be expected" in said(0.1, 0.1, 0.2)[0]
+    assert "The model misses the samples by 90% of their size" in said(0.9, 0.9, 0.01)[0]

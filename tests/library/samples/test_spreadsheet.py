@@ -1,0 +1,116 @@
+"""Spreadsheets with samples: read as the same table in a text is, or refused with a sentence."""
+
+import io
+import struct
+import sys
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openpyxl
+import pytest
+
+from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.extras import MissingExtraError
+from dsbrdf.samples.measurement_files import read_measurement
+from dsbrdf.samples.reading import parse_samples
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+from tests.library.samples.test_reading import ANGLES, DIRECTION, RGB, table
+
+NAMES = (*DIRECTION, "red", "green", "blue")
+ROWS = np.hstack([ANGLES, RGB]).tolist()
+
+
+def spreadsheet(**sheets: Sequence[Sequence[Any]]) -> bytes:
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for title, rows in sheets.items():
+        sheet = book.create_sheet(title)
+        for row in rows:
+            sheet.append(list(row))
+    file = io.BytesIO()
+    book.save(file)
+    return file.getvalue()
+
+
+def test_a_sheet_is_read_as_the_same_table_in_a_text(tmp_path: Path) -> None:
+    path = tmp_path / "felt.XLSX"
+    path.write_bytes(spreadsheet(Table1=[NAMES, *ROWS]))
+    found, expected = read_measurement(path), parse_samples(table())
+    assert isinstance(found, ScatteredSamples)
+    np.testing.assert_allclose(found.values, expected.values, rtol=1e-8)
+    np.testing.assert_allclose(found.omega_out, expected.omega_out, atol=1e-8)
+    assert (found.name, found.notes) == ("felt", ())
+
+
+def test_what_people_write_around_a_table_is_left_out() -> None:
+    rows: list[list[Any]] = [[*row, None] for row in ROWS]
+    rows[3] += [None, 'measured; "twice",\nby hand']
+    rows[5][4] = None
+    units = ["deg"] * 4 + [None, "1/sr", "1/sr"]
+    data = [["Gonio 3"], [], NAMES, units, *rows[:100], [], *rows[100:]]
+    samples = parse_samples(spreadsheet(Info=[["a", 1.0]], Data=data))
+    assert samples.notes == (
+        "Of 2 sheets the longest was read, 'Data'.",
+        "1 row has no finite number in a column that is needed; it is left out.",
+    )
+    np.testing.assert_allclose(samples.values, np.delete(RGB, 5, axis=0), rtol=1e-8)
+
+
+def test_lines_in_errors_are_rows_of_the_sheet() -> None:
+    rows = [list(row) for row in ROWS]
+    rows[7][2] = "x"
+    with pytest.raises(MeasurementFormatError, match="Line 10 of the table has 'x' in the column 'theta_out'"):
+        parse_samples(spreadsheet(Data=[["a title"], NAMES, *rows]))
+
+
+def declared_longer(content: bytes, size: int) -> bytes:
+    """The archive, of which each part says that it is so long when unpacked."""
+    at = content.index(b"PK\x01\x02")
+    while at >= 0:
+        content = content[: at + 24] + struct.pack("<L", size) + content[at + 28 :]
+        at = content.find(b"PK\x01\x02", at + 4)
+    return content
+
+
+def without(content: bytes, part: str) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(file, "w") as new:
+        for name in old.namelist():
+            if name != part:
+                new.writestr(name, old.read(name))
+    return file.getvalue()
+
+
+GOOD = spreadsheet(Data=[NAMES, *ROWS])
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (lambda: declared_longer(GOOD, 1 << 30), "The spreadsheet is longer than"),
+        (
+            lambda: without(GOOD, "xl/_rels/workbook.xml.rels"),
+            "The spreadsheet cannot be read; save its sheet as .csv.",
+        ),
+        (lambda: without(GOOD, "xl/workbook.xml"), "a table, in a text or in a spreadsheet"),
+        (lambda: GOOD[:2000], "a table, in a text or in a spreadsheet"),
+        (lambda: spreadsheet(Data=[["x" * 32_000] * 2100]), "The sheet has more than"),
+        (lambda: spreadsheet(Data=[]), "The table is empty"),
+    ],
+)
+def test_a_spreadsheet_that_is_no_table_is_refused(content: Callable[[], bytes], words: str) -> None:
+    with pytest.raises(MeasurementFormatError) as caught:
+        parse_samples(content())
+    assert words in str(caught.value)
+
+
+def test_without_the_extra_the_way_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    with pytest.raises(MissingExtraError) as caught:
+        parse_samples(GOOD)
+    assert str(caught.value) == (
+        "openpyxl must be installed for spreadsheets, which can also be saved as .csv: pip install 'dsbrdf[xlsx]'"
+    )

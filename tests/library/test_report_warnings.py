@@ -1,0 +1,136 @@
+import copy
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dsbrdf.components.decomposition import decompose
+from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.fitting.metrics import Metrics
+from dsbrdf.fitting.report import DirectionalAlbedo, FitResult, KnotReport
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobes import gamma_of_half_width
+from dsbrdf.pipeline import fit
+from dsbrdf.rendering.sphere import render_sphere
+from dsbrdf.report_warnings import accuracy_warnings, fit_warnings
+from tests.support.known_models import single_lobe
+from tests.support.soak import repeats
+
+pytestmark = pytest.mark.slow
+
+CONVERGED = KnotReport.from_arrays(np.zeros(1), True, True, 5, False)
+MODERATE = DirectionalAlbedo((0.0, 1.0), ((0.3, 0.3, 0.3), (0.5, 1.0, 0.5)))
+
+
+@pytest.fixture(scope="module")
+def data(matte: Measurement) -> Profiles:
+    return profiles(matte)
+
+
+def lobe(half_width_deg: float) -> DSBRDF:
+    """A grey lobe of 0.1/sr."""
+    gamma = gamma_of_half_width(np.radians(half_width_deg), np.array(2.0), "hemi_epd")
+    return single_lobe(2.0, float(gamma), 0.1)
+
+
+@pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"][: repeats(1, 3)])
+def test_measured_materials_have_none(reference_files: dict[str, Path], name: str) -> None:
+    if name not in reference_files:
+        pytest.skip(f"{name} is not among the measured materials")
+    assert fit(reference_files[name]).report.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("kept", "end"),
+    [
+        (THETA_DIFF[None] <= np.radians(60.1), "theta_diff = 60"),
+        (THETA_HALF[:, None] <= np.radians(50.0), "theta_half = 50"),
+    ],
+)
+def test_measurement_that_does_not_reach_the_rim(matte: Measurement, kept: NDArray[np.bool_], end: str) -> None:
+    valid = nodes_above_horizon() & kept[..., None]
+    ended = profiles(Measurement.from_values(matte.values, valid))
+    (found,) = fit_warnings(lobe(80.0), ended, CONVERGED, MODERATE)
+    assert f"no valid samples beyond {end} degrees: the model is extrapolated there" in found
+
+
+def test_model_that_reflects_more_than_it_receives(data: Profiles) -> None:
+    bright = replace(MODERATE, albedo=((0.3, 0.3, 0.3), (0.5, 1.2, 0.5)))
+    (found,) = fit_warnings(lobe(80.0), data, CONVERGED, bright)
+    assert "more light than it receives: its directional albedo is 1.200 at 57 degrees in the green channel" in found
+    assert not [*fit_warnings(lobe(80.0), data, CONVERGED, MODERATE)]
+
+
+def test_split_that_is_open(data: Profiles) -> None:
+    model = lobe(45.0)  # a rough metal, or a ground that looks nearly so
+    (found,) = fit_warnings(model, data, CONVERGED, MODERATE)
+    parts = decompose(model)
+    assert found == parts.remarks[0]
+    assert parts.diffuse is not None
+    low, high = parts.diffuse.ranges.light_share
+    assert low == pytest.approx(0.777, abs=0.002)
+    assert high == 1.0
+    assert found.startswith(
+        f"The split into specular and diffuse light is open: the diffuse part has {low:.0%} to 100% of the light. "
+    )
+    assert parts.structure in found
+    probable = max(parts.structures, key=lambda one: one.weight)
+    assert (parts.structure, parts.layers) == (probable.name, probable.model)
+    assert not [*fit_warnings(lobe(80.0), data, CONVERGED, MODERATE)]
+
+
+def test_noisy_measurement() -> None:
+    report = fit(synthetic_measurement(roughness=0.3, noise=0.3), n_lobes=2, ring_lobes=0).report
+    (found,) = report.warnings
+    assert found.startswith(f"The samples deviate by {report.metrics.symmetric_floor:.1%} from their mean")
+
+
+@pytest.mark.parametrize(
+    ("error", "floor", "albedo_error", "beginnings"),
+    [
+        (0.09, 0.0, 0.1, []),
+        (0.14, 0.1, 0.1, []),
+        (0.11, 0.0, 0.1, ["The error of the fit is 11.0%, where the best reciprocal isotropic model would have 0.0%:"]),
+        (0.32, 0.2, 0.1, ["The samples deviate by 20.0% from their mean", "The error of the fit is 32.0%, "]),
+        (0.1, 0.1, 0.2, ["The directional albedo of the model differs from the measurement's by 20.0%, "]),
+    ],
+)
+def test_errors_far_above_the_floor_are_named(
+    error: float, floor: float, albedo_error: float, beginnings: list[str]
+) -> None:
+    metrics = Metrics(relative_rms=error, symmetric_floor=floor, albedo_error=albedo_error)
+    for sentence, beginning in zip(accuracy_warnings(metrics), beginnings, strict=True):
+        assert sentence.startswith(beginning)
+
+
+@pytest.fixture(scope="module")
+def result(matte: Measurement) -> FitResult:
+    return fit(profiles(matte), n_lobes=1, ring_lobes=0, knots_deg=(0.0, 30.0, 60.0, 89.0))
+
+
+def test_copies_are_equal_and_hash_alike(result: FitResult) -> None:
+    for other in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result), copy.copy(result)):
+        assert other == result
+        assert hash(other) == hash(result)
+    assert replace(result.report, n_numbers=1) != result.report
+    assert replace(result.report, metrics=Metrics(male=0.1)) != result.report
+
+
+def test_result_is_evaluated_and_drawn_as_its_model(result: FitResult) -> None:
+    angles = np.radians([0.0, 30.0, 80.0]), np.radians(20.0), np.radians([[0.0], [90.0]])
+    np.testing.assert_array_equal(result.evaluate(*angles), result.model.evaluate(*angles))
+    assert result.evaluate(0.1, 0.2)[0] == result.model.evaluate(0.1, 0.2, np.pi / 2)[0]
+    np.testing.assert_array_equal(render_sphere(result, size=16), render_sphere(result.model, size=16))
+
+
+def test_repr_is_one_short_line(result: FitResult) -> None:
+    calm = replace(result.report, warnings=())
+    assert repr(calm) == f"<FitReport: no metrics, {result.model.n_numbers} numbers, 0 warnings>"
+    known = replace(result.report, metrics=Metrics(relative_rms=0.0123456))
+    assert repr(known).startswith("<FitReport: relative_rms 0.01235, ")
