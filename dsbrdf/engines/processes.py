@@ -104,10 +104,13 @@ class _Call(Future[Any]):
         ours, its = socket.socketpair()
         arguments = its, self._limits, self._step, self._arguments
         process = context().Process(target=run_in_worker, args=arguments, name="dsbrdf-fit", daemon=True)
-        self._stop = partial(ours.shutdown, socket.SHUT_RDWR)  # so that nothing more is heard
+        self._stop = partial(ours.shutdown, socket.SHUT_RDWR)  # Nothing more is heard then.
         with ours:
             try:
                 with its:
+                    # A cancel that came before `_stop` was set could not end anything.
+                    if self._is_stopped:
+                        return _NOTHING
                     start_fork_server()
                     with START_LOCK:
                         process.start()

@@ -4,11 +4,14 @@ import os
 import platform
 import resource
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import closing
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
@@ -80,6 +83,26 @@ def test_arguments_that_cannot_be_sent_are_an_error_of_their_call(processes: Pro
     with pytest.raises((TypeError, AttributeError), match="pickle"):
         processes.call(print, lambda: None).result(PATIENCE)
     assert processes.call(do_nothing).result(PATIENCE) is None
+
+
+def test_cancel_while_a_call_prepares_its_process_is_not_lost(
+    processes: Processes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_pair, begun, cancelled = socket.socketpair, Event(), Event()
+
+    def make_pair_after_the_cancel() -> tuple[socket.socket, socket.socket]:
+        begun.set()
+        assert cancelled.wait(PATIENCE)
+        return make_pair()
+
+    monkeypatch.setattr(socket, "socketpair", make_pair_after_the_cancel)
+    call = processes.call(stop_itself)
+    assert begun.wait(PATIENCE)
+    call.cancel()
+    cancelled.set()
+    with pytest.raises(CancelledError):
+        call.result(10.0)
+    assert not forked(os.getpid())
 
 
 def test_process_whose_server_is_lost_is_ended_and_another_server_is_started(processes: Processes) -> None:
