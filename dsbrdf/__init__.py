@@ -7,14 +7,14 @@
 
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
 
-Wings, each calling only those to its left: arrays, errors, version, extras, process_settings, data, model, rendering,
-fitting, paper, components, samples, report_warnings, pipeline, output, engines, cli.
+Wings, each calling only those to its left: arrays, errors, version, extras, process_settings, notebook_display, data,
+model, rendering, fitting, paper, components, samples, report_warnings, pipeline, output, engines, cli.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from dsbrdf.output.notebook_display import register as _register_with_notebook
+from dsbrdf.notebook_display import register as _register_with_notebook
 
 if TYPE_CHECKING:
     from dsbrdf.components.decomposition import Component as Component

@@ -1,1 +1,18 @@
 """The three parts of a reflectance: physical layers, their fit, and the decomposition into components."""
+
+from dsbrdf.components.decomposition import Component, Decomposition, decompose
+from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components.shares import LABELS
+
+__all__ = [
+    "LABELS",
+    "Component",
+    "Decomposition",
+    "DiffuseLayer",
+    "Layer",
+    "LayeredModel",
+    "RetroLayer",
+    "SheenLayer",
+    "SpecularLayer",
+    "decompose",
+]

@@ -1,1 +1,47 @@
 """Measured reflectance: the angles, the grid, the file format and the exact reduction to profiles."""
+
+from dsbrdf.data.geometry import above_horizon, directions, half_difference, incident_cosines, spherical
+from dsbrdf.data.grid import (
+    CHANNELS,
+    DEFAULT_HORIZON_CUTOFF,
+    GRID_SHAPE,
+    PHI_DIFF,
+    THETA_DIFF,
+    THETA_HALF,
+    nodes_above_horizon,
+)
+from dsbrdf.data.interpolation import interpolate
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.merl import encode_merl, parse_merl, read_merl, write_merl
+from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.rgl_material import parse_rgl, read_rgl
+from dsbrdf.data.synthetic import model_measurement, synthetic_measurement
+
+__all__ = [
+    "CHANNELS",
+    "DEFAULT_HORIZON_CUTOFF",
+    "FILE_SIZE",
+    "GRID_SHAPE",
+    "PHI_DIFF",
+    "THETA_DIFF",
+    "THETA_HALF",
+    "Measurement",
+    "Profiles",
+    "above_horizon",
+    "directions",
+    "encode_merl",
+    "half_difference",
+    "incident_cosines",
+    "interpolate",
+    "model_measurement",
+    "nodes_above_horizon",
+    "parse_merl",
+    "parse_rgl",
+    "profiles",
+    "read_merl",
+    "read_rgl",
+    "spherical",
+    "synthetic_measurement",
+    "write_merl",
+]

@@ -1,1 +1,19 @@
-"""From profiles to a model and a report, and from a model to its components."""
+"""The lobes of a model fitted to profiles: options, the default fit, metrics and the report."""
+
+from dsbrdf.fitting.metrics import METRICS, OUTSIDE_CENTER, Metrics, relative_errors, sample_errors
+from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, KnotReport, SelectionStep
+
+__all__ = [
+    "METRICS",
+    "OUTSIDE_CENTER",
+    "DirectionalAlbedo",
+    "FitOptions",
+    "FitReport",
+    "FitResult",
+    "KnotReport",
+    "Metrics",
+    "SelectionStep",
+    "relative_errors",
+    "sample_errors",
+]

@@ -1,1 +1,20 @@
 """Results of a fit for people and other programs: stored models, text, figures, exported files."""
+
+from dsbrdf.output.export import FORMATS, export_model
+from dsbrdf.output.figure_parts import encode_figure
+from dsbrdf.output.plots import plot
+from dsbrdf.output.serialize import fit_from_json, from_json, load, load_result, result_from_json, save, to_json
+
+__all__ = [
+    "FORMATS",
+    "encode_figure",
+    "export_model",
+    "fit_from_json",
+    "from_json",
+    "load",
+    "load_result",
+    "plot",
+    "result_from_json",
+    "save",
+    "to_json",
+]

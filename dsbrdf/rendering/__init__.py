@@ -1,1 +1,19 @@
 """Lit spheres, environments, and how far two images are apart."""
+
+from dsbrdf.rendering.environment import THREE_LIGHTS, EnvironmentMap, read_environment
+from dsbrdf.rendering.image_metrics import displayed, exposure, psnr, ssim
+from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
+
+__all__ = [
+    "LIGHTINGS",
+    "THREE_LIGHTS",
+    "EnvironmentMap",
+    "displayed",
+    "exposure",
+    "psnr",
+    "read_environment",
+    "render_sphere",
+    "sphere_likeness",
+    "sphere_normals",
+    "ssim",
+]

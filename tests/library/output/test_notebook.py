@@ -14,8 +14,8 @@ import dsbrdf
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting.report import FitResult
+from dsbrdf.notebook_display import register
 from dsbrdf.output.notebook import html as html_of
-from dsbrdf.output.notebook_display import register
 
 
 def thumbnail(html: str) -> bytes:
