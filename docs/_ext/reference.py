@@ -36,8 +36,7 @@ def command_line() -> str:
 
 
 def _service_main(command: str) -> Callable[[Sequence[str]], int]:
-    module = "dsbrdf_service.__main__" if command == "serve" else f"dsbrdf_service.commands.{command}"
-    found: Callable[[Sequence[str]], int] = import_module(module).main
+    found: Callable[[Sequence[str]], int] = import_module(f"dsbrdf_service.admin.{command}").main
     return found
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from annotated_types import Ge, Gt, Le
 
-from dsbrdf_service.commands.serve import flags
+from dsbrdf_service.admin.serve import flags
 from dsbrdf_service.settings import PREFIX, Settings
 
 PAGE = Path(__file__).parents[1] / "operations.md"

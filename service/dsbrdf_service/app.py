@@ -9,6 +9,7 @@ from functools import cache, partial
 from anyio import to_thread
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
+from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
 import dsbrdf
@@ -19,20 +20,24 @@ from dsbrdf.engines.local import LocalEngine
 
 from .access.authentication import Access
 from .access.keys import Keys
+from .api import about, components, exports, fits, measurements, pictures, tables, values
+from .api.context import Context
+from .api.fits import FitRequest, NewName
+from .api.measurements import MeasurementDetails
+from .api.points import FORMS
+from .compute.computations import Computations
+from .compute.models import ModelCache
 from .http import openapi, problems
+from .http.metrics import Metrics
+from .http.readiness import Readiness
 from .http.request_body import Bodies
 from .http.request_log import RequestLogMiddleware
 from .http.static_files import is_open
-from .jobs.computations import Computations
-from .jobs.jobs import Jobs
-from .jobs.results import ModelCache
-from .operations.metrics import Metrics
-from .operations.readiness import Readiness
-from .routes import about, brdf, figures, fits, measurements, page
-from .routes.dependencies import Context
+from .queue.fit_queue import FitQueue
 from .settings import Settings
 from .storage.store import Store
 
+_REFERENCED: tuple[type[BaseModel], ...] = (FitRequest, NewName, *FORMS, MeasurementDetails)
 _THREADS = 8  # of which each that has ever worked keeps memory
 _COMPUTATION_SECONDS = 30.0  # that one in a process of its own may take; the longest need some 15
 _NICENESS = 10  # of these processes: answers that are known already go first
@@ -63,15 +68,15 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         keys.open(store.database)
         readiness = Readiness(store, engine, settings)
         computations = Computations(FitLimits(_COMPUTATION_SECONDS, settings.fit_memory_mb, _NICENESS))
-        jobs = Jobs(store, engine, settings, metrics)
-        parts = settings, store, jobs, models, keys, metrics, readiness, computations, Bodies()
+        queue = FitQueue(store, engine, settings, metrics.fit_meters)
+        parts = settings, store, queue, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)
         await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
-        await jobs.start()
+        await queue.start()
         try:
             yield
         finally:
-            await jobs.close()
+            await queue.close()
             await computations.close()
             await asyncio.to_thread(engine.close)
     finally:
@@ -104,14 +109,14 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     )
     metrics, keys = Metrics(), Keys(settings)
     app.state.settings, app.state.store, app.state.metrics, app.state.keys = settings, store, metrics, keys
-    app.openapi = cache(partial(openapi.document_of, app))  # type: ignore[method-assign]
+    app.openapi = cache(partial(openapi.document_of, app, _REFERENCED))  # type: ignore[method-assign]
     access = Access(settings, keys, metrics.requests_in_progress, is_open)
     app.add_middleware(RequestLogMiddleware, access=access, settings=settings, metrics=metrics)
     problems.install(app)
     # Routes are tried in this order, so the fast ones come first. They are the application's own: in routers that it
     # includes, each would be looked for twice.
-    of_fits = (brdf.router, fits.router, brdf.components, fits.exports, figures.router)
-    routers = (*of_fits, brdf.measured, measurements.router, measurements.tables, about.router, page.router)
+    of_fits = (values.router, fits.router, components.router, exports.router, pictures.router)
+    routers = (*of_fits, values.measured, measurements.router, tables.router, about.router, about.page)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     for route in given:
         route.unique_id = route.name  # as links and generated clients call an operation

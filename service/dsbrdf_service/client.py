@@ -23,8 +23,8 @@ from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.output.serialize import result_from_json
 from dsbrdf.samples.reading import is_table
 
-from .wire.fit_options import OF_TABLES, to_wire
-from .wire.names import check_name
+from .http.names import check_name
+from .queue.fit_options import OF_TABLES, to_wire
 
 Source = str | os.PathLike[str] | bytes | Measurement
 Document = dict[str, Any]

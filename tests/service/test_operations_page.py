@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf_service.commands import doctor
+from dsbrdf_service.admin import doctor
 from dsbrdf_service.settings import PREFIX, Settings
 from tests.support.commands import run_main
 from tests.support.server import QUICK, Server

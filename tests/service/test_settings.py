@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from dsbrdf_service.__main__ import main
+from dsbrdf_service.admin.serve import main
 from dsbrdf_service.settings import Settings
 from tests.support.commands import start_in_vain
 

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from dsbrdf_service.http.problems import KINDS, TYPE_PREFIX
+from dsbrdf_service.http.responses import NPY
 from dsbrdf_service.settings import Settings
-from dsbrdf_service.wire.points import NPY
 from tests.support.points import npy
 from tests.support.processes import free_port, wait_until
 from tests.support.server import ENDLESS, QUICK, Server

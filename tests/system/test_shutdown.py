@@ -17,7 +17,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from dsbrdf_service.__main__ import main
+from dsbrdf_service.admin.serve import main
 from tests.support.commands import run_main
 from tests.support.processes import alive, command, wait_until
 from tests.support.server import ENDLESS, QUICK, Server

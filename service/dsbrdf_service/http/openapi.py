@@ -1,6 +1,7 @@
 """The OpenAPI document: what routes declare to FastAPI beyond their types, and what is true of every operation."""
 
 import json
+from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -11,19 +12,14 @@ from pydantic.json_schema import models_json_schema
 
 import dsbrdf
 
-from ..wire.fit_options import DEFAULTS
-from ..wire.inputs import FitRequest, NewName
-from ..wire.points import FORMS, JSON
-from ..wire.schemas import MeasurementDetails, Problem
-from . import problems as table
+from ..queue.fit_options import DEFAULTS
+from .problems import KINDS, MEDIA_TYPE, Problem
+from .responses import JSON
 
-BINARY = "application/octet-stream"
 _TAGS = ("fits", "components", "values", "export", "figures", "measurements", "health")
 Responses = dict[int | str, dict[str, Any]]
 
 _REFERENCE = "#/components/schemas/{model}"
-# FastAPI does not find these itself.
-_REFERENCED: tuple[type[BaseModel], ...] = (Problem, FitRequest, NewName, *FORMS, MeasurementDetails)
 _KEY = {
     "type": "http",
     "scheme": "bearer",
@@ -68,8 +64,8 @@ def problems(*kinds: str, behind_a_key: bool = True) -> Responses:
     """Return the responses for problems of these kinds, and of those that can occur at every operation."""
     responses: Responses = {}
     for kind in (*kinds, *_EVERYWHERE, *(_BEHIND_A_KEY if behind_a_key else ())):
-        status, title, _ = table.KINDS[kind]
-        content = {table.MEDIA_TYPE: {"schema": reference(Problem)}}
+        status, title, _ = KINDS[kind]
+        content = {MEDIA_TYPE: {"schema": reference(Problem)}}
         known = responses.setdefault(status, {"description": title, "content": content})
         if title not in known["description"]:
             known["description"] += f"; or: {title}"
@@ -100,12 +96,13 @@ def file(media_type: str, **schema: Any) -> dict[str, Any]:
     return {"schema": {"type": "string", "format": "binary", "contentMediaType": media_type, **schema}}
 
 
-def document_of(app: FastAPI) -> dict[str, Any]:
-    """Return the complete OpenAPI document of `app`."""
+def document_of(app: FastAPI, referenced: Sequence[type[BaseModel]]) -> dict[str, Any]:
+    """Return the complete OpenAPI document of `app`; FastAPI does not find the models `referenced` itself."""
     # Readers and generated pages begin where the work does.
     routes = sorted((route for route in app.routes if getattr(route, "tags", None)), key=_place)
     document = get_openapi(title=app.title, version=app.version, description=app.description, routes=routes)
-    _, described = models_json_schema([(model, "validation") for model in _REFERENCED], ref_template=_REFERENCE)
+    models: tuple[type[BaseModel], ...] = (Problem, *referenced)
+    _, described = models_json_schema([(model, "validation") for model in models], ref_template=_REFERENCE)
     document["components"]["schemas"].update(described["$defs"])
     document["components"]["securitySchemes"] = {"key": _KEY}
     document["security"] = [{}, {"key": []}]

@@ -6,10 +6,11 @@ A problem's ``type`` is stable: scripts may branch on it. Its ``detail`` is one 
 import errno
 import logging
 import sqlite3
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
@@ -22,6 +23,16 @@ from ..errors import ProblemError, validation_sentence
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:dsbrdf:problem:"
+
+
+class Problem(BaseModel):
+    """RFC 9457 problem document."""
+
+    type: Annotated[str, Field(description="Stable name of the problem, for scripts.")]
+    title: str
+    status: int
+    detail: Annotated[str, Field(description="One sentence: what is wrong and what would be right.")]
+    instance: str
 
 
 class Kind(NamedTuple):

@@ -14,10 +14,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..access.authentication import Access
 from ..errors import ProblemError
-from ..operations.logging import bind
-from ..operations.metrics import NO_ROUTE, Metrics
+from ..log import bind
 from ..settings import Settings
 from .limits import BodyTimeout, check_head
+from .metrics import NO_ROUTE, Metrics
 from .problems import problem_of, problem_response
 
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")

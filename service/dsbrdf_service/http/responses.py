@@ -3,8 +3,7 @@
 import hashlib
 import os
 import re
-from collections.abc import Mapping, Sequence
-from urllib.parse import urlencode
+from collections.abc import Mapping
 
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
@@ -12,10 +11,9 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from ..storage.schema import FitRow, MeasurementRow
-from ..wire.inputs import Page
-from ..wire.points import JSON
-
+BINARY = "application/octet-stream"
+JSON = "application/json"
+NPY = "application/x-npy"
 _PIECE = 1 << 18  # bytes of a file that are read at a time
 _WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)
 _ASYNC = re.compile(r"(?:^|,)\s*respond-async\s*(?:[,;]|$)", re.IGNORECASE)
@@ -72,15 +70,6 @@ class OpenFileResponse(Response):
             n_sent += len(piece)
             is_last = n_sent >= self._size or not piece
             await send({"type": "http.response.body", "body": piece, "more_body": not is_last})
-
-
-def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
-    """Return the ``Link`` header to the next page; `rows` has one row more than a page unless this is the last one."""
-    if len(rows) <= page.limit:
-        return {}
-    names = {} if page.name is None else {"name": page.name}
-    query = urlencode({"limit": page.limit, "cursor": rows[page.limit - 1].seq, **names})
-    return {"Link": f'<{prefix_of(request)}{request.url.path}?{query}>; rel="next"'}
 
 
 def preferred_wait(request: Request, default: float, longest: float) -> float:

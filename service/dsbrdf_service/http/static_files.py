@@ -53,7 +53,7 @@ def _read(file: Traversable) -> StaticFile:
     return StaticFile(file.read_bytes(), _TYPES[file.name.rpartition(".")[2]])
 
 
-_OURS = files(__name__.partition(".")[0]) / "page"
+_OURS = files(__package__) / "page"
 _SWAGGER_UI = files("fastapi_offline") / "static"
 _PAGE = _read(_OURS / "index.html")
 _PAGE_BELOW = StaticFile(_PAGE.content.replace(b'="./', b'="../'), _PAGE.media_type)

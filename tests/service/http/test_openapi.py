@@ -14,8 +14,8 @@ import dsbrdf_service
 from dsbrdf import FitOptions
 from dsbrdf_service.app import create_app
 from dsbrdf_service.http.problems import KINDS
+from dsbrdf_service.queue.fit_options import from_query, to_wire
 from dsbrdf_service.settings import Settings
-from dsbrdf_service.wire.fit_options import from_query, to_wire
 from tests.support.server import Server
 
 

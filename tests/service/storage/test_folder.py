@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf_service.__main__ import main
 from dsbrdf_service.access.keys import add_key
-from dsbrdf_service.commands import doctor
-from dsbrdf_service.commands.purge import purge
+from dsbrdf_service.admin import doctor
+from dsbrdf_service.admin.purge import purge
+from dsbrdf_service.admin.serve import main
 from dsbrdf_service.errors import DataFolderError, MeasurementDamagedError
 from dsbrdf_service.storage.database import FILE_NAME, Database
 from dsbrdf_service.storage.schema import Caller
@@ -64,7 +64,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def refused(monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
     """Return what the service says when it does not take a folder, in one sentence."""
-    monkeypatch.setattr("dsbrdf_service.__main__._run", lambda *_: 0)  # it must not come to that
+    monkeypatch.setattr("dsbrdf_service.admin.serve._run", lambda *_: 0)  # it must not come to that
 
     def start(folder: Path, *words: str) -> str:
         done = run_main(main, "--data-dir", str(folder), "--port", "0", *words)

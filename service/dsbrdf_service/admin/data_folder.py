@@ -1,0 +1,49 @@
+"""What the commands on a data folder have in common: which folder it is, and how they end."""
+
+import os
+import sqlite3
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from dsbrdf.cli.arguments import BAD_INPUT, print_error
+from dsbrdf.cli.commands import run_words
+
+from .. import DEFAULT_DATA_DIR
+from ..errors import DataFolderError
+from ..storage.database import FILE_NAME
+
+DataDir = Annotated[Path | None, Parameter(metavar="DIR", help="The service's folder.")]
+Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
+
+
+def data_folder(given: Path | None, *, existing: bool = True) -> Path:
+    """Return the data folder: the one given, that of the environment, or the default one.
+
+    Raises DataFolderError if it is to be an `existing` one and no service has made it.
+    """
+    folder = given or Path(os.environ.get("DSBRDF_DATA_DIR") or DEFAULT_DATA_DIR)
+    if existing and not (folder / FILE_NAME).exists():
+        raise DataFolderError(f"{folder} is no data folder of a service; --data-dir names one")
+    return folder
+
+
+def run_on_folder(app: App, words: Sequence[str]) -> int:
+    """Run what `words` ask of an application that works on a data folder; return the exit code."""
+    try:
+        return run_words(app, words)
+    except BrokenPipeError:  # of who has read enough
+        raise
+    except (DataFolderError, OSError) as error:
+        return refuse(str(error))
+    except sqlite3.Error as error:
+        refuse(f"the database cannot be used: {error}")
+        return 1
+
+
+def refuse(reason: str) -> int:
+    """Say why the command cannot be run; return the exit code."""
+    print_error(reason)
+    return BAD_INPUT

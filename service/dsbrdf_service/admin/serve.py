@@ -1,0 +1,202 @@
+"""The command ``dsbrdf serve``: run the HTTP service, with some of the settings as flags."""
+
+import asyncio
+import faulthandler
+import logging
+import os
+import resource
+import signal
+import socket
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial, wraps
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import uvicorn
+from cyclopts import Parameter
+from fastapi import FastAPI
+from pydantic import ValidationError
+
+from dsbrdf.cli.arguments import open_closed_output, print_error
+from dsbrdf.cli.commands import new_application, run_words
+from dsbrdf.extras import MissingExtraError
+from dsbrdf.process_settings import return_freed_memory, trim_memory
+
+from ..access.keys import has_active_key
+from ..api.context import Context
+from ..app import create_app, make_engine
+from ..errors import DataFolderError, validation_sentence
+from ..http.limits import Connection
+from ..log import configure
+from ..settings import Settings
+from ..storage.store import Store
+from .data_folder import refuse
+
+_CONNECTIONS = 8  # for each request that may be in progress: many are idle
+_CLEANUP_SECONDS = 5.0  # for what has to be closed after the open requests have ended
+
+logger = logging.getLogger(__name__)
+_PURPOSE = "Run the HTTP service. Further settings are environment variables that begin with DSBRDF_."
+
+
+def _flag(name: str) -> Parameter:
+    setting = Settings.model_fields[name]
+    default = "one for each core" if name == "workers" else setting.default
+    return Parameter(help=f"{setting.description}{f' Default: {default}.' if default else ''}", metavar=name.upper())
+
+
+def flags(
+    *,
+    host: Annotated[str | None, _flag("host")] = None,
+    port: Annotated[str | None, _flag("port")] = None,
+    data_dir: Annotated[str | None, _flag("data_dir")] = None,
+    workers: Annotated[str | None, _flag("workers")] = None,
+    insecure: Annotated[bool | None, _flag("insecure")] = None,
+) -> dict[str, Any]:
+    """Return the flags that are given, as text, which `Settings` checks."""
+    return {name: value for name, value in locals().items() if value is not None}
+
+
+def run_with_flags(words: Sequence[str], serve: Callable[[Mapping[str, Any]], int]) -> int:
+    """Call `serve` with the flags that `words` give; return the exit code."""
+
+    @wraps(flags)
+    def run(**given: Any) -> int:
+        return serve(flags(**given))
+
+    app = new_application("dsbrdf serve", _PURPOSE)
+    app.default(run)
+    return run_words(app, words)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the service until it is stopped; return the exit code."""
+    open_closed_output()
+    return run_with_flags(sys.argv[1:] if words is None else words, _serve)
+
+
+def _serve(given: Mapping[str, Any]) -> int:
+    try:
+        settings = Settings(**given)
+    except ValidationError as error:
+        return refuse(_settings_message(error, given))
+    try:
+        if not (settings.loopback or settings.insecure or has_active_key(settings.data_dir)):
+            return refuse(
+                f"{settings.host} can be reached from other machines and there is no API key: add one with "
+                "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
+            )
+        make_engine(settings)  # what it needs may not be installed
+        store = Store(settings.data_dir)  # from here on no other server has the folder
+    except (DataFolderError, MissingExtraError) as error:
+        return refuse(str(error))
+    except OSError as error:
+        return refuse(f"{settings.data_dir} cannot be the data folder: {error.strerror or error}.")
+    try:
+        _check_address(settings.host, settings.port)
+    except OSError as error:
+        store.close()
+        print_error(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.")
+        return 1
+    _keep_temporary_files_in(store.running)
+    configure(settings)
+    return_freed_memory()
+    _raise_descriptor_limit()
+    return _run(settings, store)
+
+
+def _run(settings: Settings, store: Store) -> int:
+    app = create_app(settings, store)
+    config = uvicorn.Config(
+        app,
+        host=settings.host,
+        port=settings.port,
+        http=Connection,
+        limit_concurrency=_CONNECTIONS * settings.limit_concurrency,
+        timeout_graceful_shutdown=settings.shutdown_seconds,
+        server_header=False,
+        # Only where the operator names the proxies that are trusted: otherwise anyone could send that header.
+        proxy_headers="FORWARDED_ALLOW_IPS" in os.environ,
+        ws="none",
+        log_config=None,
+        log_level=settings.log_level,
+        access_log=False,
+        callback_notify=partial(asyncio.to_thread, trim_memory),  # in a thread that requests do not have
+        timeout_notify=60,
+    )
+    server = _Server(config)
+    logger.info("dsbrdf %s serves the data folder %s", app.version, settings.data_dir.resolve())
+    server.run()
+    return 0 if server.started else 1
+
+
+class _Server(uvicorn.Server):
+    """Releases the requests that wait for a fit or follow one before it waits for requests to end."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Begin to end at a signal; further ones do not break that off, which takes some seconds at most."""
+
+        def end(*_: object) -> None:
+            self.should_exit = True
+
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+                signal.signal(number, end)
+        yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to serve, and tell a person at a terminal where."""
+        await super().startup(sockets)
+        if self.started and sys.stdout.isatty():
+            host, port = self.servers[0].sockets[0].getsockname()[:2]
+            print(
+                f"dsbrdf serves at http://{f'[{host}]' if ':' in host else host}:{port}; Ctrl-C stops it.", flush=True
+            )
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Stop accepting requests and let those in progress end soon."""
+        context: Context = cast(FastAPI, self.config.app).state.context
+        # Accepted fits are stored, and the next start cleans up: the process ends in time although something hangs.
+        faulthandler.dump_traceback_later(context.settings.shutdown_seconds + _CLEANUP_SECONDS, exit=True)
+        context.readiness.stop()
+        context.queue.release_waiters()
+        await super().shutdown(sockets)
+
+
+def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
+    """Return one sentence that names the flag or the environment variable of each setting that is wrong."""
+    faults = []
+    for fault in error.errors():
+        name = str(fault["loc"][0])
+        written = f"--{name.replace('_', '-')}" if name in given else f"DSBRDF_{name.upper()}"
+        faults.append({**fault, "loc": (written,)})
+    return validation_sentence(faults)
+
+
+def _raise_descriptor_limit() -> None:
+    """Raise the limit of open files to the largest allowed; the usual one is below the number of connections."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(OSError, ValueError):  # some systems report more than they allow
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
+def _keep_temporary_files_in(folder: Path) -> None:
+    """Put the fork server's socket where the next start removes what a killed server has left."""
+    # A socket's path has at most 107 characters; through the open folder's descriptor it is always short.
+    descriptor = Path(f"/proc/self/fd/{os.open(folder, os.O_RDONLY)}")
+    if descriptor.is_dir():
+        tempfile.tempdir = str(descriptor)
+
+
+def _check_address(host: str, port: int) -> None:
+    """Raise OSError unless the address can be listened on, before anything of the service runs."""
+    for family, kind, protocol, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        with socket.socket(family, kind, protocol) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if family == socket.AF_INET6:
+                trial.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            trial.bind(address)

@@ -1,0 +1,77 @@
+"""The components of a fit, and how each is described."""
+
+from typing import Annotated
+
+from fastapi import APIRouter
+from pydantic import BaseModel, Field
+from starlette.requests import Request
+from starlette.responses import Response
+
+from ..http import openapi
+from ..http.responses import tagged_reply
+from .context import CHECKED_QUERY, TheContext, TheFit
+from .fields import Label, Range, Rgb, Share
+
+
+class ComponentLobe(BaseModel):
+    """The height of a component's own layers at some angles, one entry in each list for each angle."""
+
+    theta_diff_deg: Annotated[list[float], Field(description="The angles.")]
+    height: Annotated[list[Rgb], Field(description="Value at theta_half = 0 [1/sr].")]
+
+
+_RgbRange = Annotated[list[Range], Field(min_length=3, max_length=3)]
+
+
+class ComponentRangesDocument(BaseModel):
+    """Low and high end of a component's figures: each lies between them with a probability of 90 %."""
+
+    light_share: Range
+    albedo: _RgbRange
+    color: _RgbRange
+    half_width_deg: Range | None
+    alpha: Range | None
+    f0: _RgbRange | None
+
+
+class ComponentDocument(BaseModel):
+    """One component of a fit that has light; the values of all components add up to the fit's.
+
+    Its parameters are those of its brightest layer; a diffuse component has none.
+    """
+
+    label: Label
+    structure: Annotated[str, Field(description="The most probable structure of layers that has the component.")]
+    light_share: Annotated[Share, Field(description="Share of all light that it reflects, at normal incidence.")]
+    albedo: Annotated[Rgb, Field(description="Directional albedo at normal incidence.")]
+    color: Annotated[Rgb, Field(description="The albedo over its largest channel.")]
+    half_width_deg: Annotated[
+        float | None, Field(description="theta_half at which slopes of facets are half as frequent as at 0.")
+    ]
+    alpha: Annotated[float | None, Field(description="Roughness: that of GGX or of Beckmann's distribution.")]
+    kappa: Annotated[float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller one falls slower.")]
+    f0: Annotated[Rgb | None, Field(description="Reflectance of its facets at normal incidence.")]
+    f90: Annotated[float | None, Field(description="The same at grazing incidence.")]
+    lobe: ComponentLobe
+    ranges: ComponentRangesDocument
+
+
+class ComponentList(BaseModel):
+    """The components of a fit that have light, from narrow to wide."""
+
+    items: list[ComponentDocument]
+
+
+router = APIRouter(prefix="/v1/fits/{fit_id}/components", tags=["components"], dependencies=CHECKED_QUERY)
+
+
+@router.get(
+    "", response_model=ComponentList, responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "fit-not-finished")
+)
+async def get_components(request: Request, context: TheContext, fit: TheFit) -> Response:
+    """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
+
+    Each has a lobe of its own, as values at some angles, its albedo, colour, half width and how clear the split is.
+    """
+    stored = await context.fit_document(fit)
+    return tagged_reply(request, ComponentList.model_validate({"items": stored["shown"]}))

@@ -1,0 +1,151 @@
+"""What routes depend on: the parts of the running service, the caller, and the parameters that several routes have."""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from fastapi import Depends, Path, Request
+from fastapi.routing import APIRoute
+from starlette.concurrency import run_in_threadpool
+
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.options import FitOptions
+
+from ..access.authentication import CALLER
+from ..access.keys import Keys
+from ..compute.computations import Computations
+from ..compute.models import LoadedFit, ModelCache
+from ..compute.steps import StoredMeasurement
+from ..errors import ProblemError
+from ..http.metrics import Metrics
+from ..http.names import given_name
+from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
+from ..http.readiness import Readiness
+from ..http.request_body import Bodies
+from ..queue.fit_options import DEFAULTS, from_query
+from ..queue.fit_queue import FitQueue
+from ..settings import Settings
+from ..storage.schema import Caller, FitKey, FitRow
+from ..storage.store import Store
+from .fields import FIT_ID, SHA256
+
+
+@dataclass(frozen=True)
+class Context:
+    """The parts of one service; made when it starts, closed when it ends."""
+
+    settings: Settings
+    store: Store
+    queue: FitQueue
+    models: ModelCache
+    keys: Keys
+    metrics: Metrics
+    readiness: Readiness
+    computations: Computations
+    bodies: Bodies
+
+    async def fit_row(self, fit: FitKey) -> FitRow:
+        """Return a fit's row; raises as `Store.fit`."""
+        return await run_in_threadpool(self.store.fit, fit)
+
+    async def fit_document(self, fit: FitKey) -> dict[str, Any]:
+        """Return what is stored of a fit that succeeded; raises as `Store.result`."""
+        document: dict[str, Any] = await run_in_threadpool(lambda: json.loads(self.store.result(fit)))
+        return document
+
+    async def in_process(
+        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, **named: Any
+    ) -> Any:
+        """Return as `Computations.run_in_process`; raise MeasurementNotFoundError if it is deleted meanwhile."""
+        try:
+            return await self.computations.run_in_process(request, key, step, *arguments, **named)
+        except ProblemError:
+            owner = (await caller_of(request)).owner
+            for stored in arguments:
+                if isinstance(stored, StoredMeasurement):
+                    await run_in_threadpool(self.store.measurement_file, owner, stored.sha256)
+            raise
+
+    async def stored_measurement(
+        self, owner: str, sha256: str, name: str | None = None, kind: Literal["grid", "samples", "any"] = "grid"
+    ) -> StoredMeasurement:
+        """Return a measurement to be drawn; raises as `Store.measurement_file`."""
+        path = await run_in_threadpool(self.store.measurement_file, owner, sha256, drawn=kind)
+        return StoredMeasurement(path, sha256, name)
+
+
+async def context_of(request: Request) -> Context:
+    """Return the service that answers `request`."""
+    context: Context = request.app.state.context
+    return context
+
+
+async def caller_of(request: Request) -> Caller:
+    """Return who sends `request`, and how much they may have."""
+    caller: Caller = request.scope[CALLER]
+    return caller
+
+
+TheContext = Annotated[Context, Depends(context_of)]
+TheCaller = Annotated[Caller, Depends(caller_of)]
+FitId = Annotated[str, Path(pattern=FIT_ID, description="The fit's id.", examples=[EXAMPLE_FIT])]
+Sha256 = Annotated[str, Path(pattern=SHA256, description="The sha256 of the file's bytes.", examples=[EXAMPLE_SHA256])]
+
+
+async def fit_key(caller: TheCaller, fit_id: FitId) -> FitKey:
+    """Return the key of the caller's fit `fit_id`, which need not exist."""
+    return FitKey(caller.owner, fit_id)
+
+
+TheFit = Annotated[FitKey, Depends(fit_key)]
+
+
+async def _fit_row(context: TheContext, fit: TheFit) -> FitRow:
+    return await context.fit_row(fit)
+
+
+async def _loaded_fit(context: TheContext, fit: TheFit) -> LoadedFit:
+    return await context.models.get(fit)
+
+
+async def _measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> StoredMeasurement:
+    return await context.stored_measurement(caller.owner, sha256)
+
+
+TheRow = Annotated[FitRow, Depends(_fit_row)]
+TheLoadedFit = Annotated[LoadedFit, Depends(_loaded_fit)]
+TheMeasurement = Annotated[StoredMeasurement, Depends(_measurement)]
+
+
+def name_of(request: Request) -> str | None:
+    """Return the name that a request gives to what it sends."""
+    return given_name(request.query_params.get("name"), request.headers.get("content-disposition", ""))
+
+
+async def _options_in(request: Request) -> FitOptions:
+    return from_query((name, text) for name, text in request.query_params.multi_items() if name in DEFAULTS)
+
+
+TheOptions = Annotated[FitOptions, Depends(_options_in)]
+
+
+async def check_query(request: Request) -> None:
+    """Refuse a query parameter that the route does not declare, or that is given twice: none is ignored."""
+    if not request.scope["query_string"]:
+        return
+    route: APIRoute = request.scope["route"]
+    written = (route.openapi_extra or {}).get("parameters", ())
+    declared = [parameter["name"] for parameter in written if parameter["in"] == "query"]
+    for field in route.dependant.query_params:
+        declared += getattr(field.field_info.annotation, "model_fields", [field.alias])
+    for name, count in Counter(name for name, _ in request.query_params.multi_items()).items():
+        if name not in declared:
+            there_is = f"known is {', '.join(declared)}" if declared else "there is none here"
+            raise InvalidArgumentError(f"Unknown query parameter {name[:60]!r}; {there_is}.")
+        if count > 1:
+            raise InvalidArgumentError(f"The query parameter {name[:60]!r} is given more than once; give it once.")
+
+
+CHECKED_QUERY = [Depends(check_query)]

@@ -1,0 +1,129 @@
+"""The JSON documents and the queries that clients send, as pydantic models.
+
+Angles in degrees (``_deg``), RGB order.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Annotated, Any, Literal, TypeVar
+from urllib.parse import urlencode
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+from starlette.requests import Request
+
+from dsbrdf.components.shares import LABELS
+from dsbrdf.data.table_options import sentences_of
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.options import FitOptions
+
+from ..errors import validation_sentence
+from ..http.responses import prefix_of
+from ..queue.fit_options import DEFAULTS
+from ..storage.schema import FitRow, MeasurementRow
+
+FIT_ID = r"^[0-9a-f]{32}$"
+SHA256 = r"^[0-9a-f]{64}$"
+Label = Literal[*LABELS]  # type: ignore[valid-type]
+Share = Annotated[float, Field(ge=0, le=1)]
+Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+Name = Annotated[str | None, Field(description="The latest name given; no part of the identity.")]
+
+
+def _check_plain(given: Any) -> Any:
+    """Return what is given; raise ValueError if it is a text that only Python takes for a number."""
+    if isinstance(given, str) and ("_" in given or not given.isascii()):
+        raise ValueError(f"{given[:40]!r} is no number")
+    return given
+
+
+PLAIN = BeforeValidator(_check_plain)
+"""Stands after the limits of a number in a query, and refuses what only Python reads as one: 1_000."""
+
+
+class Input(BaseModel):
+    """A document that clients send: what it does not know is an error, not ignored."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_unknown_members(cls, given: Any) -> Any:
+        if isinstance(given, dict) and (unknown := given.keys() - cls.model_fields.keys()):
+            told = {"name": repr(str(min(unknown))[:60]), "known": ", ".join(cls.model_fields)}
+            raise PydanticCustomError("unknown", "Unknown {name}; known are {known}", told)
+        return given
+
+
+def _options_schema() -> dict[str, Any]:
+    """Return the schema of the options: the types, bounds and sentences of the library's dataclass."""
+    declared = TypeAdapter(FitOptions).json_schema()["properties"]
+    column = {"type": "string", "pattern": r"^[^=]*[^=\s][^=]*=.*\S", "examples": ["theta_in=AOI"]}
+    declared["columns"] = {"title": "", "type": "array", "items": column}
+    sentences = sentences_of(FitOptions)
+    properties = {}
+    for name, default in DEFAULTS.items():
+        schema = declared[name]
+        del schema["title"]
+        for choice in schema.get("anyOf", ()):
+            if "const" in choice:  # which fewer generators of clients know
+                choice["enum"] = [choice.pop("const")]
+        properties[name] = {**schema, "default": default, "description": sentences[name]}
+    description = "Options of a fit; what is not given is the default."
+    head = {"type": "object", "title": "FitOptions", "description": description, "additionalProperties": False}
+    return {**head, "properties": properties}
+
+
+OPTIONS_SCHEMA = _options_schema()
+Options = Annotated[dict[str, Any], WithJsonSchema(OPTIONS_SCHEMA)]
+_Document = TypeVar("_Document", bound=BaseModel)
+
+
+def parse_document(kind: type[_Document], body: bytes) -> _Document:
+    """Return the document of a JSON body.
+
+    Raises InvalidArgumentError if the body is not such a document.
+    """
+    try:
+        return kind.model_validate_json(body)
+    except ValidationError as error:
+        raise InvalidArgumentError(validation_sentence(error.errors())) from None
+
+
+class Page(Input):
+    """Which part of a list."""
+
+    limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer."), PLAIN] = 50
+    cursor: Annotated[
+        str | None, Field(pattern=r"^[0-9]{1,18}$", description="From the `Link` of the page before.")
+    ] = None
+    name: Annotated[str | None, Field(description="Only what has this name.")] = None
+
+    @property
+    def before(self) -> int | None:
+        """Number of the row from which the page goes on."""
+        return None if self.cursor is None else int(self.cursor)
+
+
+def from_row(kind: type[_Document], row: FitRow | MeasurementRow, **more: Any) -> _Document:
+    """Return a row's document; `more` is what the row does not have."""
+    return kind.model_validate({**asdict(row), **more})
+
+
+def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
+    """Return the ``Link`` header to the next page; `rows` has one row more than a page unless this is the last one."""
+    if len(rows) <= page.limit:
+        return {}
+    names = {} if page.name is None else {"name": page.name}
+    query = urlencode({"limit": page.limit, "cursor": rows[page.limit - 1].seq, **names})
+    return {"Link": f'<{prefix_of(request)}{request.url.path}?{query}>; rel="next"'}

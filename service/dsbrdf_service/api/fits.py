@@ -1,0 +1,263 @@
+"""Fits: submit, look up, follow, export, cancel and delete."""
+
+import asyncio
+from collections.abc import AsyncIterable
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from pydantic import BaseModel, Field, computed_field
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from dsbrdf.engines.engine import Fault
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.metrics import Metrics
+from dsbrdf.output.report_text import likeness
+
+from ..compute.computations import departure
+from ..errors import InvalidKeyError, ProblemError
+from ..http import openapi
+from ..http.names import MAX_LENGTH, check_name
+from ..http.request_body import media_type_of
+from ..http.responses import BINARY, JSON, preferred_wait, prefix_of, tagged_reply
+from ..queue.fit_options import canonical, from_wire
+from ..storage.database import in_write_thread
+from ..storage.schema import Caller, FitKey, FitRow, Status
+from .components import ComponentDocument
+from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheOptions, TheRow, name_of
+from .fields import FIT_ID, PLAIN, SHA256, Input, Name, Options, Page, Share, from_row, next_page, parse_document
+from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLES, receive_upload
+
+
+class FitRequest(Input):
+    """A fit of a stored measurement."""
+
+    measurement: Annotated[str, Field(pattern=SHA256, description="The measurement's sha256.")]
+    options: Options = {}
+
+
+class NewName(Input):
+    """Another name of a fit, or none."""
+
+    name: Annotated[str | None, Field(max_length=MAX_LENGTH, description="null takes the name away.")]
+
+
+class FitSummary(BaseModel):
+    """A fit without its model."""
+
+    id: Annotated[str, Field(pattern=FIT_ID)]
+    name: Name
+    status: Status
+    progress: Share
+    measurement: Annotated[str, Field(pattern=SHA256)]
+    options: Options
+    metrics: Metrics | None
+    error: Annotated[Fault | None, Field(description="The same request runs again unless `origin` is `input`.")]
+    created: datetime
+    started: datetime | None
+    finished: datetime | None
+    algorithm: Annotated[str, Field(description="Version of the fit algorithm.")]
+    library: Annotated[str, Field(description="Version of the library that accepted the fit.")]
+
+    @computed_field(description="How alike lit spheres of measurement and fit look, in words and dB.")  # type: ignore[prop-decorator]
+    @property
+    def likeness(self) -> str | None:
+        """What `metrics.psnr` says in words."""
+        return None if self.metrics is None or self.metrics.psnr is None else likeness(self.metrics.psnr)
+
+
+class FitDocument(FitSummary):
+    """A fit: its state, and once it has succeeded its metrics, warnings, components and model."""
+
+    warnings: Annotated[list[str], Field(description="What to know before the fit is used, one sentence each.")]
+    components: Annotated[
+        list[ComponentDocument] | None, Field(description="Those that have light, from narrow to wide.")
+    ]
+    model: Annotated[
+        dict[str, Any] | None,
+        Field(
+            description="The model's own parameters as its file has them, which `export?format=json` gives: knots in "
+            "radians, and control values, which are no values at angles; for those take `components`, or `/brdf`."
+        ),
+    ]
+
+
+class RemovedFit(BaseModel):
+    """What has become of a fit."""
+
+    id: Annotated[str, Field(pattern=FIT_ID)]
+    status: Annotated[
+        Literal["cancelled", "deleted"],
+        Field(description="`cancelled`: it was unfinished and stays in the list. `deleted`: it had ended and is gone."),
+    ]
+
+
+class FitList(BaseModel):
+    """A page of fits, newest first."""
+
+    items: list[FitSummary]
+
+
+router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
+
+_MAX_JSON = 1 << 16
+_Wait = Annotated[
+    float,
+    Query(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."),
+    PLAIN,
+]
+_Only = Annotated[
+    Literal["cancel", "delete"] | None,
+    Query(description="`cancel` refuses a fit that has ended, `delete` one that has not; otherwise what applies."),
+]
+_PREFER = openapi.header_parameter(
+    "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait."
+)
+
+
+_SUBMISSION_BODY = openapi.body(
+    "A MERL file, an RGL .bsdf file, a table of scattered samples, or a reference to a stored measurement.",
+    CONTENT | {JSON: {"schema": openapi.reference(FitRequest)}},
+)
+
+
+@router.post(
+    "",
+    status_code=201,
+    response_description="The fit has ended; `Location` is its address.",
+    responses={
+        200: {"description": "The same was asked before; its fit has ended.", "model": FitDocument},
+        202: {"description": "The fit has not ended; ask again at `Location`.", "model": FitDocument},
+        **openapi.problems("not-found", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
+    },
+    openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
+)
+async def submit_fit(
+    request: Request, response: Response, context: TheContext, caller: TheCaller, chosen: TheOptions
+) -> FitDocument:
+    """Fit the measurement that is the body, or a stored one.
+
+    Answers when the fit has ended: 201, or 200 if the same request was made before. A fit that failed is
+    such an answer too: its `status` is `failed` and its `error` says why. If the fit takes longer than
+    `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202 and
+    `Location` tells where to ask again.
+    """
+    name = name_of(request)
+    media_type = media_type_of(request, BINARY, JSON, *TABLES)
+    if media_type != JSON:
+        stored, _ = await receive_upload(request, context, caller, name, media_type, chosen)
+        sha256, options, name = stored.sha256, canonical(chosen), name and stored.name
+    else:
+        if request.query_params.keys() - {"name"}:
+            raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
+        async with context.bodies.received(request, _MAX_JSON) as body:
+            document = parse_document(FitRequest, body)
+        sha256, options = document.measurement, canonical(from_wire(document.options))
+    row, new = await context.queue.submit(caller, sha256, options, name)
+    if not row.ended:
+        wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
+        row = await _wait(request, context, caller, row.key, wait)
+    response.headers["Location"] = f"{prefix_of(request)}/v1/fits/{row.id}"
+    if not row.ended:
+        response.status_code, response.headers["Retry-After"] = 202, "1"
+    elif not new:
+        response.status_code = 200
+    return await _document(context, row)
+
+
+@router.get("", responses=openapi.problems())
+async def list_fits(
+    request: Request, response: Response, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
+) -> FitList:
+    """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
+    rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit + 1, page.before, page.name)
+    response.headers.update(next_page(request, page, rows))
+    shown = [(row, context.queue.progress(row)) for row in rows[: page.limit]]
+    return FitList(items=[from_row(FitSummary, row, progress=share) for row, share in shown])
+
+
+@router.get("/{fit_id}", response_model=FitDocument, responses=openapi.NOT_MODIFIED | openapi.problems("not-found"))
+async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit: TheFit, wait: _Wait = 0.0) -> Response:
+    """Return a fit; with `wait`, when it has ended or the time is over."""
+    row = await _wait(request, context, caller, fit, min(wait, context.settings.max_wait))
+    document = await _document(context, row)
+    headers = {} if row.ended else {"Retry-After": "1"}
+    return tagged_reply(request, document, headers=headers)
+
+
+@router.patch(
+    "/{fit_id}",
+    responses=openapi.problems("not-found", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
+    openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(NewName)}}),
+)
+async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> FitDocument:
+    """Give a fit another name, or none; nothing else of it can be changed."""
+    media_type_of(request, JSON)
+    async with context.bodies.received(request, _MAX_JSON) as body:
+        given = parse_document(NewName, body)
+    name = None if given.name is None else check_name(given.name)
+    return await _document(context, await in_write_thread(context.store.rename_fit, fit, name))
+
+
+@router.delete("/{fit_id}", responses=openapi.problems("not-found", "fit-ended", "fit-not-finished", "disk-full"))
+async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> RemovedFit:
+    """Cancel an unfinished fit, which stays in the list, or delete one that has ended; the answer says which.
+
+    `only` asks for one of them alone: a fit may end just before it is to be cancelled.
+    """
+    if only != "delete" and await context.queue.cancel(fit) is not None:
+        return RemovedFit(id=fit.id, status="cancelled")
+    if only != "cancel" and await in_write_thread(context.store.remove_fit, fit):
+        return RemovedFit(id=fit.id, status="deleted")
+    row = await context.fit_row(fit)
+    if row.ended:
+        ended = f"The fit has ended as {row.status}, there is nothing to cancel; only=delete deletes it."
+        raise ProblemError("fit-ended", ended)
+    raise ProblemError("fit-not-finished", f"The fit is {row.status}; only=cancel cancels it.")
+
+
+@router.get(
+    "/{fit_id}/events",
+    response_class=EventSourceResponse,
+    response_description="Events until the fit has ended; the data of each is a `FitSummary`.",
+    responses={
+        200: {"content": {"text/event-stream": {"example": openapi.EXAMPLE_EVENTS}}},
+        **openapi.problems("not-found"),
+    },
+)
+async def follow_fit(context: TheContext, caller: TheCaller, begin: TheRow) -> AsyncIterable[ServerSentEvent]:
+    """Send an event at every step of a fit; the event's name is the fit's status, the last one tells its end."""
+    async for row in context.queue.watch(begin.key):
+        if not context.keys.allows(caller):
+            return
+        event = from_row(FitSummary, row, progress=context.queue.progress(row))
+        yield ServerSentEvent(data=event, event=row.status)
+
+
+async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey, seconds: float) -> FitRow:
+    """Return the fit's row when it has ended or after `seconds`.
+
+    The wait ends early when the client goes, which frees its place. What it waited for is for an active key only.
+    """
+    if not seconds:
+        return await context.fit_row(fit)
+    gone = asyncio.create_task(departure(request))
+    try:
+        row = await context.queue.wait(fit, seconds, gone)
+    finally:
+        gone.cancel()
+    if not context.keys.allows(caller):
+        raise InvalidKeyError
+    return row
+
+
+async def _document(context: Context, row: FitRow) -> FitDocument:
+    stored = await context.fit_document(row.key) if row.status == "succeeded" else {}
+    more = {
+        "warnings": (stored.get("report") or {}).get("warnings", []),
+        "components": stored.get("shown"),
+        "model": stored.get("model"),
+    }
+    return from_row(FitDocument, row, progress=context.queue.progress(row), **more)

@@ -1,0 +1,142 @@
+"""Measurements: upload once, fit often."""
+
+import os
+from datetime import datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from pydantic import BaseModel, Field
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import FileResponse, Response
+
+from dsbrdf.samples.reading import table_suffix
+
+from ..compute.computations import MadeFile
+from ..errors import MeasurementNotFoundError
+from ..http import openapi
+from ..http.names import content_disposition
+from ..http.request_body import media_type_of
+from ..http.request_log import IS_HEAD
+from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefers, prefix_of, tagged_reply
+from ..storage.database import in_write_thread
+from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheOptions, name_of
+from .fields import SHA256, Name, Page, from_row, next_page
+from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
+
+
+class MeasurementDocument(BaseModel):
+    """A stored measurement."""
+
+    sha256: Annotated[str, Field(pattern=SHA256, description="Its identity: the sha256 of the file's bytes.")]
+    name: Name
+    size: Annotated[int, Field(description="Length of the file [bytes].")]
+    valid_nodes: Annotated[
+        int, Field(description="Grid nodes with a value in all channels, above the horizon; 0 for samples.")
+    ]
+    created: datetime
+
+
+class MeasurementDetails(MeasurementDocument):
+    """A stored measurement with its fits."""
+
+    fits: Annotated[list[str], Field(description="Ids of its fits, newest first, at most 200 of them.")]
+
+
+class MeasurementList(BaseModel):
+    """A page of measurements, newest first."""
+
+    items: list[MeasurementDocument]
+
+
+router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=CHECKED_QUERY)
+
+_VARY = {"Vary": "Accept"}
+_MOST_FITS = 200
+_ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document instead of the file.")
+
+
+@router.post(
+    "",
+    status_code=201,
+    response_description="The measurement is stored; `Location` is its address.",
+    responses={
+        200: {"description": "The measurement was stored before.", "model": MeasurementDocument},
+        **openapi.problems(*openapi.UPLOAD_PROBLEMS),
+    },
+    openapi_extra={
+        "parameters": [*PARAMETERS, *TABLE_PARAMETERS],
+        **openapi.body("A MERL file, an RGL .bsdf file, or a table of scattered samples.", CONTENT),
+    },
+)
+async def upload_measurement(
+    request: Request, response: Response, context: TheContext, caller: TheCaller, options: TheOptions
+) -> MeasurementDocument:
+    """Store the measurement that is the body: 201, or 200 if the same is stored already.
+
+    A MERL file and a table of samples are stored byte for byte. An RGL file, by `.bsdf` at the end of its name, is
+    stored as the MERL table of its values: `sha256` and `size` are those of the table. The options of a table tell how
+    it is read; they are not stored, a fit is given them again.
+    """
+    media_type = media_type_of(request, *UPLOADED)
+    row, new = await receive_upload(request, context, caller, name_of(request), media_type, options)
+    response.status_code = 201 if new else 200
+    response.headers["Location"] = f"{prefix_of(request)}/v1/measurements/{row.sha256}"
+    return from_row(MeasurementDocument, row)
+
+
+@router.get("", responses=openapi.problems())
+async def list_measurements(
+    request: Request, response: Response, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
+) -> MeasurementList:
+    """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
+    rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, page.before, page.name)
+    response.headers.update(next_page(request, page, rows))
+    return MeasurementList(items=[from_row(MeasurementDocument, row) for row in rows[: page.limit]])
+
+
+@router.get(
+    "/{sha256}",
+    response_class=FileResponse,
+    response_description="The file, byte for byte as it was uploaded; or what is known of it.",
+    responses={
+        200: {"content": {BINARY: openapi.file(BINARY), JSON: {"schema": openapi.reference(MeasurementDetails)}}},
+        **openapi.NOT_MODIFIED,
+        **openapi.problems("not-found", "measurement-damaged"),
+    },
+    openapi_extra={"parameters": [_ACCEPT]},
+)
+async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+    """Return the file as it was uploaded; its ETag is its sha256. `HEAD` tells whether it need not be sent again.
+
+    With `Accept: application/json` the answer is its document: name, size, time of the upload and fits.
+    """
+    row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
+    if prefers(request, JSON, BINARY):  # who accepts anything gets the file
+        fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
+        return tagged_reply(request, from_row(MeasurementDetails, row, fits=fits), headers=_VARY)
+    headers = {"ETag": f'"{sha256}"', **_VARY}
+    path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
+    if known := not_modified(request, headers):
+        return known
+    if IS_HEAD in request.scope:
+        return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
+    try:
+        suffix = ".binary" if row.on_grid else await run_in_threadpool(table_suffix, path)
+        headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
+        file = MadeFile(os.open(path, os.O_RDONLY))
+        return OpenFileResponse(file.descriptor, file, headers | {"Content-Type": BINARY})
+    except FileNotFoundError:  # deleted since its row was read
+        raise MeasurementNotFoundError(sha256) from None
+
+
+@router.delete(
+    "/{sha256}",
+    status_code=204,
+    response_class=Response,
+    responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),
+)
+async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+    """Delete the file; finished fits of it stay, unfinished ones forbid it (409)."""
+    if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
+        raise MeasurementNotFoundError(sha256)
+    return Response(status_code=204)

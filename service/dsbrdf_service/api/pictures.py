@@ -1,0 +1,224 @@
+"""Pictures of fits and of measurements."""
+
+import hashlib
+from collections.abc import Callable, Hashable
+from functools import partial
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from fastapi import APIRouter, Depends, Path, Query, Request
+from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+import dsbrdf
+from dsbrdf.extras import require
+from dsbrdf.rendering.sphere import LIGHTINGS
+
+from ..compute.steps import FIGURES, figure_step, samples_step, sphere_step, spheres_step, table_step
+from ..errors import ProblemError
+from ..http import openapi
+from ..http.request_body import media_type_of
+from ..http.responses import NPY, not_modified, tag_of, tagged_reply
+from ..queue.fit_options import from_wire
+from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheLoadedFit, TheMeasurement, TheOptions, TheRow
+from .fields import PLAIN, Label
+from .points import panorama_from_npy
+from .uploads import TABLE_PARAMETERS
+
+_Route = TypeVar("_Route", bound=Callable[..., Any])
+
+router = APIRouter(prefix="/v1", tags=["figures"], dependencies=CHECKED_QUERY)
+
+_MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml", "npy": NPY}
+_MAX_PANORAMA = 16_000_000  # bytes
+_Size = Annotated[int, Query(ge=8, le=256, description="Pixels along a side."), PLAIN]
+_Lighting = Annotated[
+    Literal[*LIGHTINGS],  # type: ignore[valid-type]
+    Query(description="Three lights, or a sky with sun and window."),
+]
+_Component = Annotated[Label | None, Query(description="One component instead of the whole fit.")]
+_Most = Annotated[int, Query(ge=1, le=100_000, description="So many at most."), PLAIN]
+_Figure = Annotated[
+    Literal[*FIGURES],  # type: ignore[valid-type]
+    Path(description=f"One of {', '.join(FIGURES)}.", examples=["components"]),
+]
+_SphereFormat = Annotated[Literal["png", "npy"], Path(description="`png` or `npy`.", examples=["png"])]
+_ImageFormat = Annotated[Literal["png", "svg"], Path(description="`png` or `svg`.", examples=["svg"])]
+
+
+def _draws(
+    path: str, *problems: str, formats: tuple[str, ...] = ("png",), **declared: Any
+) -> Callable[[_Route], _Route]:
+    """Return the decorator of a route that answers with what it draws, in one of these formats."""
+    kinds, method = ("not-found", "measurement-damaged", *problems), "GET"
+    if "requestBody" in declared:
+        kinds, method = (*kinds, "too-large", *openapi.BODY_PROBLEMS), "POST"
+    content = {_MEDIA_TYPES[name]: openapi.file(_MEDIA_TYPES[name]) for name in formats}
+    responses = openapi.NOT_MODIFIED | openapi.problems(*kinds)
+    responses[200] = {"description": "What is drawn.", "content": content}
+    about: dict[str, Any] = {"response_class": Response, "responses": responses, "openapi_extra": declared}
+    return router.api_route(path, methods=[method], **about)
+
+
+_draws_npy = partial(_draws, formats=("npy",))
+_draws_sphere = partial(_draws, formats=("png", "npy"))
+_PANORAMA = openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {NPY: openapi.file(NPY)})
+
+
+class _Drawing:
+    """Answers a request with what a step draws, unless the client has it."""
+
+    def __init__(self, request: Request, context: TheContext, caller: TheCaller) -> None:
+        self._request, self._context, self._owner = request, context, caller.owner
+
+    async def __call__(self, step: Callable[..., bytes], *arguments: Any, of: Hashable = None) -> Response:
+        """Return what `step` draws: the address, the owner and what it is `of` determine it."""
+        path = self._request.scope["path"]
+        key = self._owner, path, self._request.url.query, of
+        headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
+        if known := not_modified(self._request, headers):
+            return known
+        content = await self._context.in_process(self._request, key, step, *arguments)
+        return Response(content, 200, headers, _MEDIA_TYPES[path.rpartition(".")[2]])
+
+
+Draw = Annotated[_Drawing, Depends()]
+
+
+async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[np.float32], bytes]:
+    """Return the panorama in the body, and its digest."""
+    media_type_of(request, NPY)
+    async with context.bodies.received(request, _MAX_PANORAMA) as body:
+        pixels = panorama_from_npy(body).astype(np.float32)
+        return pixels, hashlib.sha256(body).digest()
+
+
+_Panorama = Annotated[tuple[NDArray[np.float32], bytes], Depends(_panorama_in)]
+
+
+@_draws_sphere("/fits/{fit_id}/figures/sphere.{file_format}", "fit-not-finished")
+async def draw_sphere(
+    draw: Draw,
+    fit: TheLoadedFit,
+    file_format: _SphereFormat,
+    size: _Size = 128,
+    lighting: _Lighting = LIGHTINGS[0],
+    component: _Component = None,
+) -> Response:
+    """Return a lit sphere of the fit, or of one component: a picture, or its linear RGB radiance.
+
+    The radiance is float32 (size, size, 3), from the top. The picture has the exposure of the fit: the 99th percentile
+    of that whole sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
+    """
+    return await draw(sphere_step, file_format, fit.model, fit.part(component), lighting, size)
+
+
+@_draws("/fits/{fit_id}/figures/spheres.png", "fit-not-finished")
+async def draw_spheres(draw: Draw, context: TheContext, fit: TheLoadedFit, row: TheRow, size: _Size = 128) -> Response:
+    """Return one picture of spheres under three lights: measured, fit, their difference times 4, then each component.
+
+    All have the exposure of the measurement; where none is stored on a grid, the first is the fit, with its own.
+    """
+    parts, stored = list(fit.decomposition), None
+    try:
+        stored = await context.stored_measurement(row.owner, row.measurement)
+    except ProblemError as error:
+        if error.kind != "not-found":  # it is deleted, or a table of samples
+            raise
+    return await draw(spheres_step, fit.model, parts, stored, size, of=stored and stored.sha256)
+
+
+@_draws("/fits/{fit_id}/figures/thumbnail.png", "fit-not-finished")
+async def get_thumbnail(request: Request, context: TheContext, row: TheRow) -> Response:
+    """Return a small sphere under three lights: the fit, and on the left its measurement if that is on a grid.
+
+    It is drawn with the fit, and kept as long as it.
+    """
+    kept = await run_in_threadpool(context.store.thumbnail, row.key)
+    return tagged_reply(request, kept, _MEDIA_TYPES["png"])
+
+
+@_draws_sphere("/fits/{fit_id}/figures/sphere.{file_format}", "fit-not-finished", **_PANORAMA)
+async def draw_sphere_in_panorama(
+    draw: Draw,
+    fit: TheLoadedFit,
+    file_format: _SphereFormat,
+    panorama: _Panorama,
+    size: _Size = 128,
+    component: _Component = None,
+) -> Response:
+    """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
+    pixels, digest = panorama
+    return await draw(sphere_step, file_format, fit.model, fit.part(component), pixels, size, of=digest)
+
+
+@_draws("/fits/{fit_id}/figures/{figure}.{image_format}", "fit-not-finished", "not-installed", formats=("png", "svg"))
+async def draw_figure(
+    draw: Draw,
+    context: TheContext,
+    fit: TheLoadedFit,
+    row: TheRow,
+    figure: _Figure,
+    image_format: _ImageFormat,
+    dark: Annotated[bool, Query(description="For a dark background, which is seen through it.")] = False,
+) -> Response:
+    """Return a figure of the fit and its measurement, which must still be stored.
+
+    `profiles` measured and fitted values over theta_half; `components` the red channel's components with
+    their own lobes; `lobes` its lobes in the model; `parameters` height, half width, kappa and elongation of the
+    components' own lobes over theta_diff; `residual` the relative difference over theta_half and theta_diff.
+    Of a table of samples, `profiles` and `residual` have the samples; there are no `components` and `lobes`.
+    """
+    stored = await context.stored_measurement(row.owner, row.measurement, row.name, "any")
+    require("plot", "matplotlib", purpose="figures")
+    return await draw(figure_step, figure, image_format, fit.model, stored, from_wire(row.options), dark, of=row.name)
+
+
+@_draws_sphere("/measurements/{sha256}/figures/sphere.{file_format}")
+async def draw_measurement(
+    draw: Draw,
+    stored: TheMeasurement,
+    file_format: _SphereFormat,
+    size: _Size = 128,
+    lighting: _Lighting = LIGHTINGS[0],
+) -> Response:
+    """Return the same of the measurement, which is interpolated; the picture has an exposure of its own."""
+    return await draw(sphere_step, file_format, stored, stored, lighting, size)
+
+
+@_draws_sphere("/measurements/{sha256}/figures/sphere.{file_format}", **_PANORAMA)
+async def draw_measurement_in_panorama(
+    draw: Draw, stored: TheMeasurement, file_format: _SphereFormat, panorama: _Panorama, size: _Size = 128
+) -> Response:
+    """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
+    pixels, digest = panorama
+    return await draw(sphere_step, file_format, stored, stored, pixels, size, of=digest)
+
+
+@_draws_npy("/measurements/{sha256}/table.npy")
+async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
+    """Return ln(value + 1e-6) at the nodes of the MERL grid: float16 (theta_half, theta_diff, phi_diff, RGB), 8.7 MB.
+
+    Linear interpolation of it is the measurement as the spheres show it; a texture of a graphics card can hold it.
+    """
+    return await draw(table_step, stored)
+
+
+@_draws_npy("/measurements/{sha256}/samples.npy", parameters=TABLE_PARAMETERS)
+async def get_samples(
+    draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, options: TheOptions, most: _Most = 5000
+) -> Response:
+    """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random.
+
+    The options of a table tell how it is read, as for its fit.
+    """
+    stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
+    return await draw(samples_step, stored, options.of_table(), most)
+
+
+@_draws_npy("/fits/{fit_id}/samples.npy")
+async def get_fitted_samples(draw: Draw, context: TheContext, row: TheRow, most: _Most = 5000) -> Response:
+    """Return the same of the table of a fit, read with the options of the fit: values are those of the BRDF in 1/sr."""
+    stored = await context.stored_measurement(row.owner, row.measurement, kind="samples")
+    return await draw(samples_step, stored, from_wire(row.options), most)

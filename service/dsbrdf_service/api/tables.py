@@ -1,0 +1,66 @@
+"""Tables of samples: what is understood of one, before it is uploaded."""
+
+import hashlib
+from typing import Annotated
+
+from fastapi import APIRouter
+from pydantic import BaseModel, Field
+from starlette.requests import Request
+
+from dsbrdf.output.table_summary import ANGLE_NAMES
+
+from ..compute.steps import understood_step
+from ..http import openapi
+from ..http.request_body import media_type_of
+from .context import CHECKED_QUERY, TheCaller, TheContext, TheOptions
+from .fields import Range, Share
+from .uploads import CONTENT, MOST_CONVERTED, TABLE_PARAMETERS, TABLES, read_table
+
+
+class ColumnDocument(BaseModel):
+    """A column of a table."""
+
+    name: str
+    read_as: Annotated[str | None, Field(description="What it means; null if it is not read.")]
+    unit: Annotated[str, Field(description="As the table says it, empty if it does not.")]
+
+
+class TableDocument(BaseModel):
+    """What is understood of a table of samples."""
+
+    n_rows: int
+    n_samples: Annotated[int, Field(description="Rows that can be fitted.")]
+    columns: list[ColumnDocument]
+    ranges: Annotated[
+        dict[str, Range],
+        Field(description=f"Smallest and largest of {', '.join(ANGLE_NAMES)} [degrees], red, green and blue [1/sr]."),
+    ]
+    angles_of_incidence: Annotated[list[float] | None, Field(description="theta_in [degrees], if they are few.")]
+    in_plane_of_incidence: Annotated[Share, Field(description="Share of the samples.")]
+    warnings: list[str]
+    first: Annotated[list[list[float]], Field(description="The first samples, with numbers as those of `ranges`.")]
+
+
+router = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=CHECKED_QUERY)
+
+
+@router.post(
+    "",
+    responses=openapi.problems("too-large", "measurement-format", *openapi.BODY_PROBLEMS),
+    openapi_extra={
+        "parameters": [*TABLE_PARAMETERS, openapi.ENCODING],
+        **openapi.body("A table of scattered samples.", {name: CONTENT[name] for name in TABLES}),
+    },
+)
+async def describe_table(
+    request: Request, context: TheContext, caller: TheCaller, options: TheOptions
+) -> TableDocument:
+    """Return columns, units, ranges, planes, warnings and the first samples of the table that is the body.
+
+    Nothing is stored: so a table can be looked at, and the right options found, before it is uploaded.
+    """
+    media_type_of(request, *TABLES)
+    async with context.bodies.received(request, MOST_CONVERTED) as content:
+        key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
+        found = await read_table(request, context, key, understood_step, content, options.of_table())
+    return TableDocument(**found)

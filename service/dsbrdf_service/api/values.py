@@ -1,0 +1,211 @@
+"""BRDF values of a fit and of its components, and the components themselves."""
+
+from functools import partial
+from io import BytesIO
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Path, Request
+from fastapi.routing import APIRoute
+from pydantic import BaseModel
+from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from dsbrdf.components.shares import LABELS
+from dsbrdf.model.reflectance import ReflectanceModel
+
+from ..access.authentication import CALLER
+from ..compute.steps import Array, StoredMeasurement, measured_step
+from ..errors import ProblemError
+from ..http import openapi
+from ..http.request_body import media_type_of
+from ..http.responses import JSON, NPY, prefers
+from ..storage.schema import FitKey
+from .context import Context, TheContext, TheFit, TheMeasurement, check_query
+from .fields import Label, Rgb
+from .points import FORMS, Points, batch_step, from_json, from_npy, from_query
+
+
+class _DirectRoute(APIRoute):
+    """A route whose function gets its dependencies and path parameters without FastAPI's validation.
+
+    FastAPI describes it like any other. A GET takes a third less time without FastAPI's solving of dependencies,
+    validation and exit stacks; an id that nothing can have is not found.
+    """
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.app = self._answer
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        request, parameters = Request(scope, receive, send), scope["path_params"]
+        fit = FitKey(scope[CALLER].owner, parameters.pop("fit_id"))
+        response: Response = await self.endpoint(request, scope["app"].state.context, fit, **parameters)
+        await response(scope, receive, send)
+
+
+class Values(BaseModel):
+    """BRDF values, one RGB triple for each point [1/sr]."""
+
+    values: list[Rgb]
+
+
+class MeasuredValues(BaseModel):
+    """Values of a measurement, one RGB triple for each point [1/sr]; null where nothing was measured."""
+
+    values: list[Rgb | None]
+
+
+router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"], route_class=_DirectRoute)
+measured = APIRouter(prefix="/v1/measurements/{sha256}/brdf", tags=["values"])
+_Component = Annotated[Label, Path(description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]])]
+
+_MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
+_BLOCK = 4096  # points that are evaluated at a time
+_MAX_BODY = 16_000_000  # bytes: a hundred thousand pairs of directions as JSON, with all digits
+_MAX_POINTS = 100_000
+_MUCH_JSON = 1 << 20  # bytes that are read in some 50 ms, in which no other thread runs
+
+
+def _query_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return a member of a document of points as a parameter of a query, which repeats for several points."""
+    several = schema.get("anyOf", [schema])[0]
+    is_vector = several["items"]["type"] == "array"
+    described = {
+        "description": schema.get("description", "Angles in degrees") + (", as x,y,z" * is_vector),
+        "schema": {"type": "array", "items": _VECTOR if is_vector else several["items"]},
+    }
+    example = {"example": schema["examples"][0]} if "examples" in schema else {}
+    return {"name": name, "in": "query", "explode": True, **described, **example}
+
+
+_VECTOR = {"type": "string", "pattern": r"^[^,]+,[^,]+,[^,]+$"}
+_QUERY = {
+    "parameters": [
+        _query_parameter(name, schema)
+        for form in FORMS
+        for name, schema in form.model_json_schema()["properties"].items()
+    ]
+}
+_BATCH = openapi.body(
+    "Points, in degrees or as unit vectors.",
+    {
+        JSON: {"schema": {"oneOf": [openapi.reference(form) for form in FORMS]}, "examples": openapi.EXAMPLE_POINTS},
+        NPY: openapi.file(NPY),
+    },
+) | {"parameters": [openapi.ENCODING]}
+_GET_PROBLEMS = openapi.problems("not-found", "fit-not-finished")
+_POST_RESPONSES = {
+    200: {"description": "One RGB triple for each point.", "content": {NPY: openapi.file(NPY)}},
+    **openapi.problems("not-found", "fit-not-finished", "too-large", *openapi.BODY_PROBLEMS),
+}
+_OF_MEASUREMENT = openapi.problems("not-found", "measurement-damaged")
+_get = partial(router.get, response_model=Values, responses=_GET_PROBLEMS, openapi_extra=_QUERY)
+_post = partial(router.post, response_model=Values, responses=_POST_RESPONSES, openapi_extra=_BATCH)
+
+
+@_get("/brdf")
+async def get_values(request: Request, context: TheContext, fit: TheFit) -> Response:
+    """Return the fit's values; parameters repeat for several points."""
+    return await _values(request, context, fit, None)
+
+
+@_get("/components/{label}/brdf")
+async def get_component_values(request: Request, context: TheContext, fit: TheFit, label: _Component) -> Response:
+    """Return one component's values; those of all components add up to the fit's. One without light is not found."""
+    return await _values(request, context, fit, label)
+
+
+@_post("/brdf")
+async def post_values(request: Request, context: TheContext, fit: TheFit) -> Response:
+    """Return the fit's values at a batch of points, JSON or .npy in, by `Accept` JSON or .npy out.
+
+    A .npy array holds (n, 2) or (n, 3) angles in degrees: theta_half, theta_diff and, where it is not 90, phi_diff;
+    or (n, 6) or (n, 2, 3) directions. The answer is (n, 3) float64, 0 where a direction is below the horizon.
+    A request has at most 100,000 points.
+    """
+    return await _values(request, context, fit, None)
+
+
+@_post("/components/{label}/brdf")
+async def post_component_values(request: Request, context: TheContext, fit: TheFit, label: _Component) -> Response:
+    """Return one component's values at a batch of points, as for the whole fit."""
+    return await _values(request, context, fit, label)
+
+
+@measured.get("", response_model=MeasuredValues, responses=_OF_MEASUREMENT, openapi_extra=_QUERY)
+async def get_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
+    """Return the measurement's own values, interpolated between its nodes; parameters repeat for several points.
+
+    A value is null where no node beside it was measured, as below the horizon.
+    """
+    return await _measured_values(request, context, stored)
+
+
+@measured.post("", response_model=MeasuredValues, responses=_OF_MEASUREMENT | _POST_RESPONSES, openapi_extra=_BATCH)
+async def post_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
+    """Return the measurement's own values at a batch of points, as for a fit; NaN in .npy stands for null."""
+    return await _measured_values(request, context, stored)
+
+
+async def _values(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
+    """Return the values of a fit or of a component: a few at once, more in a turn."""
+    model = (await context.models.get(fit)).part(label)
+    points, media_type = await _points(request, context)
+    if points.theta_half.size <= _MAX_INLINE and media_type == JSON:
+        return Response(to_json({"values": model.evaluate(*points).tolist()}), media_type=JSON)
+    content = await context.computations.run(request, object(), lambda: _encoded(_in_blocks(model, points), media_type))
+    return Response(content, media_type=media_type)
+
+
+async def _measured_values(request: Request, context: Context, stored: StoredMeasurement) -> Response:
+    """Return a measurement's values, which a process of its own interpolates."""
+    points, media_type = await _points(request, context)
+    values = await context.in_process(request, object(), measured_step, stored, *points)
+    return Response(await run_in_threadpool(_encoded, values, media_type), media_type=media_type)
+
+
+async def _points(request: Request, context: Context) -> tuple[Points, str]:
+    """Return the points of a query or a body, and the media type of the answer.
+
+    Many points are read in a turn, and much JSON in a process of its own.
+    """
+    if request.method == "GET":
+        return from_query(request.scope["query_string"]), JSON
+    await check_query(request)
+    media_type = media_type_of(request, JSON, NPY)
+    async with context.bodies.received(request, _MAX_BODY) as body:
+        if len(body) > _MUCH_JSON and media_type == JSON:
+            points = await context.computations.run_in_process(request, object(), batch_step, body)
+        else:
+            read = from_npy if media_type == NPY else from_json
+            points = await context.computations.run(request, object(), partial(read, body))
+    if points.theta_half.size > _MAX_POINTS:
+        detail = f"{points.theta_half.size} points are more than the {_MAX_POINTS} that one request may have."
+        raise ProblemError("too-large", detail)
+    return points, NPY if prefers(request, NPY, JSON) else JSON
+
+
+def _in_blocks(model: ReflectanceModel, points: Points) -> Array:
+    """Return a model's values, computed in blocks, which take less memory."""
+    starts = range(0, points.theta_half.size, _BLOCK)
+    values = [model.evaluate(*(angle[start : start + _BLOCK] for angle in points)) for start in starts]
+    return np.concatenate([*values, np.empty((0, 3))])
+
+
+def _encoded(values: Array, media_type: str) -> bytes:
+    """Return values as .npy or JSON, where null stands for NaN; JSON in blocks so that other threads have their turn.
+
+    pydantic's encoder takes a ninth of the time of Python's, and all other threads wait for it.
+    """
+    if media_type == NPY:
+        file = BytesIO()
+        np.save(file, values)
+        return file.getvalue()
+    triples: list[list[float] | None] = values.tolist()
+    for row in np.flatnonzero(np.isnan(values[:, 0])):
+        triples[row] = None
+    blocks = (to_json(triples[start : start + _BLOCK]) for start in range(0, len(triples), _BLOCK))
+    return b'{"values":[%b]}' % b",".join(block[1:-1] for block in blocks)

@@ -1,0 +1,245 @@
+"""The life of a fit: accepted, running, then succeeded, failed or cancelled.
+
+The state of a fit is in the store; here are the tasks that wait for a free slot or for the engine, their progress, and
+who waits for a change.
+"""
+
+import asyncio
+import logging
+import sqlite3
+from collections.abc import AsyncIterator, Callable
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from typing import Any, NamedTuple, TypeVar, TypeVarTuple
+
+from anyio import CancelScope, move_on_after
+from prometheus_client import Counter, Histogram
+from starlette.concurrency import run_in_threadpool
+
+from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitDocument, FitTask, Outcome
+
+from ..errors import FitNotFoundError, MeasurementDamagedError
+from ..log import bind
+from ..settings import Settings
+from ..storage.database import in_write_thread
+from ..storage.schema import Caller, FitKey, FitRow
+from ..storage.store import Store
+from .fit_options import from_wire
+from .turns import FairTurns, result_of
+
+logger = logging.getLogger(__name__)
+
+Values = TypeVarTuple("Values")
+T = TypeVar("T")
+
+_RETRY_DELAY = 5.0  # seconds between attempts at what the machine does not allow now: to write, to start a process
+_DISK_ERRORS = (OSError, sqlite3.DatabaseError)
+_MIN_POLL_INTERVAL = 0.05  # seconds between looks at a row that is ahead of this process, or behind it, by one step
+_LOST_DELAY = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
+
+
+@dataclass
+class _RunningFit:
+    """An unfinished fit in this process; its task is cancelled by its scope, which lets calls in threads end."""
+
+    task: "asyncio.Task[None]"
+    scope: CancelScope
+    progress: float = 0.0
+    changed: "asyncio.Future[None]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
+
+    def notify(self) -> None:
+        """Wake everyone who waits for a change."""
+        self.changed.set_result(None)
+        self.changed = asyncio.get_running_loop().create_future()
+
+
+class FitMeters(NamedTuple):
+    """What is counted and timed of fits."""
+
+    waiting: Histogram
+    fitting: Histogram
+    retries: Counter
+
+
+class FitQueue:
+    """Runs fits, and lets requests wait for them or follow them."""
+
+    def __init__(self, store: Store, engine: Engine, settings: Settings, meters: FitMeters) -> None:
+        self._store = store
+        self._engine = engine
+        self._turns = FairTurns(settings.workers)
+        self._settings = settings
+        self._meters = meters
+        self._loop = asyncio.get_running_loop()
+        self._stopping: asyncio.Future[None] = self._loop.create_future()
+        self._running: dict[FitKey, _RunningFit] = {}
+
+    async def start(self) -> None:
+        """Run again what an earlier process left unfinished."""
+        for key in await run_in_threadpool(self._store.resume):
+            self._begin(key)
+
+    def release_waiters(self) -> None:
+        """Give everyone who waits for a fit or follows one its present state: the service is about to end."""
+        if not self._stopping.done():
+            self._stopping.set_result(None)
+
+    async def close(self) -> None:
+        """Stop all fits; their rows stay unfinished, so that the next process runs them."""
+        self.release_waiters()
+        unfinished = list(self._running.values())
+        for running in unfinished:
+            running.scope.cancel()
+        await asyncio.gather(*(running.task for running in unfinished))
+
+    async def submit(
+        self, caller: Caller, sha256: str, options: dict[str, Any], name: str | None = None
+    ) -> tuple[FitRow, bool]:
+        """Accept a fit or find the same one, as `Store.add_fit`; the row is durable."""
+        limit = self._settings.queue_limit
+        row, new = await in_write_thread(self._store.add_fit, caller, sha256, options, limit, name)
+        if new and not self._stopping.done():
+            self._begin(row.key)
+        return row, new
+
+    async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow:
+        """Return the fit's row at its end, after `seconds` or at one of `ends`; raises as `Store.fit`."""
+        with move_on_after(seconds):
+            async for _ in self.watch(key, *ends, each_step=False):
+                pass
+        return await run_in_threadpool(self._store.fit, key)
+
+    def progress(self, row: FitRow) -> float:
+        """Return the finished share of a fit, 0 to 1."""
+        if row.status == "succeeded":
+            return 1.0
+        running = self._running.get(row.key)
+        return 0.0 if running is None else running.progress
+
+    async def watch(self, key: FitKey, *ends: "asyncio.Future[None]", each_step: bool = True) -> AsyncIterator[FitRow]:
+        """Yield the fit's row now and at its end, or at `each_step`, until it has ended, is deleted, or at `ends`."""
+        ends = (self._stopping, *ends)
+        while True:
+            running = self._running.get(key)
+            change = None if running is None else running.changed if each_step else running.task
+            try:
+                row = await run_in_threadpool(self._store.fit, key)
+            except FitNotFoundError:
+                return
+            yield row
+            if row.ended or any(end.done() for end in ends):
+                return
+            if change is None:  # the row is ahead of, or behind, this process by one step
+                await asyncio.sleep(_MIN_POLL_INTERVAL)
+            else:
+                await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
+
+    async def cancel(self, key: FitKey) -> FitRow | None:
+        """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
+        running = self._running.get(key)  # before the row changes: the same request may begin another one after it
+        row = await in_write_thread(self._store.cancel_fit, key)
+        if row is not None and running is not None:
+            running.scope.cancel()
+        return row
+
+    def _begin(self, key: FitKey) -> None:
+        previous, scope = self._running.get(key), CancelScope()
+        if previous is not None:  # its row has ended, and this is another one
+            previous.scope.cancel()
+        task = asyncio.create_task(self._run(key, scope, previous.task if previous else None))
+        self._running[key] = running = _RunningFit(task, scope)
+
+        def forget(_: "asyncio.Task[None]") -> None:
+            if self._running.get(key) is running:
+                del self._running[key]
+            running.notify()
+
+        task.add_done_callback(forget)
+
+    async def _run(self, key: FitKey, scope: CancelScope, previous: "asyncio.Task[None] | None") -> None:
+        bind("fit", str(key))
+        with scope:
+            if previous is not None:
+                with CancelScope(shield=True):
+                    await asyncio.wait([previous])
+            try:
+                async with self._turns.turn(key.owner):
+                    while not await self._attempt(key):
+                        pass
+            except Exception:
+                # The row stays unfinished, and the next start of the service runs the fit again.
+                logger.exception("the fit could not be brought to its end")
+
+    async def _attempt(self, key: FitKey) -> bool:
+        """Run a fit once; return whether it is over."""
+        row = await _write(self._store.start_fit, key)
+        if row is None:
+            return True
+        self._set_progress(key, 0.0)
+        if row.started is not None and row.attempts == 1:
+            seconds = max(0.0, row.started - row.created)  # a clock may have been set back
+            self._meters.waiting.observe(seconds)
+        with self._meters.fitting.time():
+            outcome = await self._compute(row)
+        if isinstance(outcome, Fault) and outcome.origin == "system":
+            await asyncio.sleep(_LOST_DELAY)
+            if self._stopping.done():  # its process was ended together with this one: the next one runs it
+                return True
+            if row.attempts < self._settings.fit_attempts:
+                logger.warning("the fit runs again: %s", outcome.message)
+                self._meters.retries.inc()
+                return False
+        await _write(self._record, row.key, outcome)
+        return True
+
+    async def _compute(self, row: FitRow) -> Outcome:
+        """Run the fit of a row after checking its file; wait as long as no process can be started."""
+        while True:
+            try:
+                damage = await run_in_threadpool(self._store.blobs.damage, row.measurement)
+                if damage is not None:
+                    return Fault("system", "MeasurementDamaged", MeasurementDamagedError(damage).detail)
+                path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
+                task = FitTask(str(row.key), path, options, row.measurement, with_thumbnail=True)
+                outcome = await result_of(self._engine.submit(task, partial(self._progress_in_loop, row.key)))
+                if isinstance(outcome, FitDocument):
+                    return outcome
+            except OSError as error:
+                outcome = Fault("system", NOT_STARTED, f"The fit could not be started: {error}.")
+            except Exception as error:
+                logger.exception("the engine broke")
+                message = f"The engine broke with {type(error).__name__}; the log says why."
+                return Fault("system", "EngineFailed", message)
+            if outcome.type != NOT_STARTED:
+                return outcome
+            logger.warning("%s Trying again in %g s.", outcome.message, _RETRY_DELAY)
+            await asyncio.sleep(_RETRY_DELAY)
+
+    def _record(self, key: FitKey, outcome: Outcome) -> None:
+        """Write how a fit has ended."""
+        if isinstance(outcome, FitDocument):
+            self._store.complete_fit(key, outcome.text, outcome.metrics, outcome.thumbnail)
+            logger.info("the fit has succeeded")
+        else:
+            self._store.fail_fit(key, asdict(outcome))
+            logger.warning("the fit has failed: %s", outcome.message)
+
+    def _progress_in_loop(self, key: FitKey, share: float) -> None:
+        """Take a share from another thread."""
+        self._loop.call_soon_threadsafe(self._set_progress, key, share)
+
+    def _set_progress(self, key: FitKey, share: float) -> None:
+        running = self._running.get(key)
+        if running is not None:
+            running.progress = share
+            running.notify()
+
+
+async def _write(write: Callable[[*Values], T], *values: *Values) -> T:
+    """Call `write` in a thread, repeatedly while the disk refuses it, so that no computed fit is lost."""
+    while True:
+        try:
+            return await in_write_thread(write, *values)
+        except _DISK_ERRORS as error:
+            logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _RETRY_DELAY)
+            await asyncio.sleep(_RETRY_DELAY)

@@ -1,0 +1,138 @@
+"""Lists and names: pages newest first, names given with what is sent, shown, filtered by, and those of files."""
+
+import pytest
+
+from dsbrdf import FitOptions
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf_service.client import Client
+from dsbrdf_service.http.names import content_disposition, given_name
+from tests.support.server import QUICK, Server, assert_problem
+
+
+@pytest.fixture(scope="module")
+def other(data: bytes) -> bytes:
+    """A measurement that no other test sends."""
+    return data[:-8] + b"\0" * 7 + b"\xc0"
+
+
+def names_of(server: Server, noun: str, **query: str) -> list[str | None]:
+    return [item["name"] for item in server.http.get(f"/v1/{noun}", params=query).json()["items"]]
+
+
+def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: bytes) -> None:
+    fit = server.http.post("/v1/fits", params={**QUICK, "name": "Näckel 1"}, content=other).json()
+    assert fit["name"] == "Näckel 1"
+    assert (
+        names_of(server, "fits", name="Näckel 1") == names_of(server, "measurements", name="Näckel 1") == ["Näckel 1"]
+    )
+    assert names_of(server, "fits", name="nobody's") == []
+    file = server.http.get(f"/v1/measurements/{fit['measurement']}")
+    assert file.headers["content-disposition"] == "attachment; filename*=UTF-8''N%C3%A4ckel%201.binary"
+
+    # The same again is renamed, not fitted; without a name it keeps the one that it has.
+    named = {"Content-Disposition": 'attachment; filename="/data/mine/nickel.binary"'}
+    again = server.http.post("/v1/fits", params=QUICK, content=other, headers=named)
+    assert (again.status_code, again.json()["id"], again.json()["name"]) == (200, fit["id"], "nickel")
+    assert server.http.post("/v1/fits", params=QUICK, content=other).json()["name"] == "nickel"
+    assert names_of(server, "measurements", name="nickel") == ["nickel"]
+    for query, name in (("format=json&component=layers", "nickel-layers.json"), ("format=merl", "nickel.binary")):
+        export = server.http.head(f"/v1/fits/{fit['id']}/export?{query}")
+        assert export.headers["content-disposition"] == f'attachment; filename="{name}"'
+
+    # A fit of a stored measurement has its name, or one of its own.
+    document = {"measurement": fit["measurement"], "options": {**QUICK, "em_iterations": 4}}
+    assert server.http.post("/v1/fits", json=document).json()["name"] == "nickel"
+    assert server.http.post("/v1/fits", json=document, params={"name": "b"}).json()["name"] == "b"
+    page = server.http.get("/v1/fits", params={"name": "nickel", "limit": 1})
+    assert page.links == {}
+    assert [item["name"] for item in server.http.get("/v1/fits", params={"name": "b"}).json()["items"]] == ["b"]
+    with Client(str(server.http.base_url)) as client:
+        assert client.upload(other) == fit["measurement"]
+        options = FitOptions(method="paper", n_lobes=1, em_iterations=5)  # of a fit that is not there yet
+        assert [client.submit(other, options, name=name)["name"] for name in ("c", "d", None)] == ["c", "d", "d"]
+
+
+@pytest.mark.parametrize("name", ["", " a", "a/b", "a\\b", "a\nb", "x" * 101, "\x00", "\u202e"])
+def test_invalid_names_are_refused_and_nothing_is_stored(server: Server, name: str) -> None:
+    before = server.files()
+    for noun in ("fits", "measurements"):
+        answer = server.http.post(f"/v1/{noun}", params={"name": name}, content=b"not even a measurement")
+        assert "A name has 1 to 100" in assert_problem(answer, 422, "invalid-argument")
+    assert server.files() == before
+
+
+@pytest.mark.parametrize(
+    ("header", "name"),
+    [
+        ("", None),
+        ("inline", None),
+        ("attachment; filename=nickel.binary", "nickel"),
+        ('attachment; filename="a \\"b\\".binary"', 'a "b"'),
+        ('attachment; filename="C:\\\\data\\\\nickel.binary"', "nickel"),
+        ("attachment; filename=\"x\"; filename*=UTF-8''N%C3%A4ckel.binary", "Näckel"),
+        ("attachment; filename=" + "Näckel".encode().decode("latin-1"), "Näckel"),
+        (content_disposition('ä;"'), 'ä;"'),
+        ("attachment; filename*=iso-8859-1'en'%A3%20rates; filename=x", "£ rates"),
+        ("attachment; FileName = nickel ; size=3", "nickel"),
+        ('attachment; filename="never closed', None),
+        *((f"attachment; filename*={charset}''a", None) for charset in ("idna", "undefined", "utf-7", "x" * 100)),
+        ("attachment; filename*=" + "9" * 900, None),
+        (f"attachment; filename*{'9' * 900}=a; filename=b", "b"),
+    ],
+)
+def test_name_of_a_file_is_read_from_its_header(header: str, name: str | None) -> None:
+    assert given_name(None, header) == name
+
+
+@pytest.mark.parametrize("part", [";", ';"', '; a="', "; filename=", "=\\"])
+def test_only_a_short_header_is_read_for_a_name(part: str) -> None:
+    with pytest.raises(InvalidArgumentError, match="at most 1024 characters"):
+        given_name(None, part * 1025)
+
+
+def numbers(items: list[dict[str, dict[str, int]]]) -> list[int]:
+    return [item["options"]["em_iterations"] for item in items]
+
+
+def test_fits_are_listed_newest_first_page_by_page(server: Server, stored: str) -> None:
+    def submit(iterations: int) -> None:
+        options = {"method": "paper", "n_lobes": 1, "em_iterations": iterations}
+        document = {"measurement": stored, "options": options}
+        assert server.http.post("/v1/fits", params={"name": "a&b"}, json=document).json()["status"] == "succeeded"
+
+    for iterations in range(11, 16):
+        submit(iterations)
+    whole = server.http.get("/v1/fits", params={"name": "a&b", "limit": 5})
+    assert numbers(whole.json()["items"]) == [15, 14, 13, 12, 11]
+    assert whole.links == {}
+    assert {"components", "model"}.isdisjoint(whole.json()["items"][0])
+    page = server.http.get("/v1/fits", params={"name": "a&b", "limit": 2})
+    pages = [numbers(page.json()["items"])]
+    # The cursor stays valid when fits come and go.
+    submit(16)
+    assert server.http.delete(f"/v1/fits/{page.json()['items'][1]['id']}").json()["status"] == "deleted"
+    while "next" in page.links and len(pages) < 9:
+        page = server.http.get(page.links["next"]["url"])
+        pages.append(numbers(page.json()["items"]))
+    assert pages == [[15, 14], [13, 12], [11]]
+
+
+def test_measurements_are_listed(server: Server, data: bytes) -> None:
+    one, other = (
+        server.http.post("/v1/measurements", params={"name": "listed"}, content=data[:-8] + end * 8).json()
+        for end in (b"\0", b"\1")
+    )
+    first = server.http.get("/v1/measurements", params={"name": "listed", "limit": 1})
+    assert first.json()["items"] == [other]
+    assert server.http.get(first.links["next"]["url"]).json()["items"] == [one]
+
+
+def test_fit_gets_another_name_or_none(server: Server, fitted: str) -> None:
+    path = f"/v1/fits/{fitted}"
+    before = server.http.get(path).json()
+    for name in ("brushed nickel", None, before["name"]):
+        answer = server.http.patch(path, json={"name": name})
+        assert answer.json() == server.http.get(path).json() == {**before, "name": name}
+    for wrong in ({"name": "a/b"}, {"name": ""}, {"name": 3}, {}, {"name": "a", "status": "failed"}):
+        assert_problem(server.http.patch(path, json=wrong), 422, "invalid-argument")
+    assert_problem(server.http.patch(f"/v1/fits/{'0' * 32}", json={"name": "a"}), 404, "not-found")

@@ -1,0 +1,221 @@
+"""What requests compute: nothing for clients that have left, nothing twice, and the keys take turns."""
+
+import asyncio
+import json
+import os
+import signal
+import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.requests import ClientDisconnect, Request
+from starlette.types import Message
+
+from dsbrdf.components import decomposition
+from dsbrdf.engines.engine import FitLimits
+from dsbrdf_service.access.authentication import CALLER_NAME
+from dsbrdf_service.api import exports, pictures, uploads, values
+from dsbrdf_service.compute import steps
+from dsbrdf_service.compute.computations import Computations
+from dsbrdf_service.storage.schema import Caller
+from tests.support.application import FIT, Application, Blocked, application
+from tests.support.processes import wait_until
+from tests.support.server import QUICK, Server
+from tests.support.stores import add
+
+pytestmark = pytest.mark.anyio
+Block = Callable[[object, str], Blocked]
+_ANGLES = "theta_half_deg=10&theta_diff_deg=30"
+FIT_PATH = f"/v1/fits/{FIT}"
+EXPORT, SPHERE = f"{FIT_PATH}/export?format=bsdf", f"{FIT_PATH}/figures/sphere.png?size=16"
+SPHERES = f"{FIT_PATH}/figures/spheres.png?size=16"
+COMPONENTS = ("specular_spike", "specular_lobe", "diffuse")
+OF_COMPONENTS = [
+    FIT_PATH,
+    f"{FIT_PATH}/components",
+    f"{FIT_PATH}/components/diffuse/brdf?{_ANGLES}",
+    f"{FIT_PATH}/export?format=json&component=layers",
+    f"{SPHERE}&component=diffuse",
+]
+LONG_BATCH = json.dumps({"theta_half_deg": [1.25] * 10_000, "theta_diff_deg": [2.25] * 10_000}).encode()
+
+
+@pytest.fixture
+async def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Application]:
+    async with application(tmp_path, monkeypatch) as started:
+        yield started
+
+
+@pytest.fixture
+def key(running: Application) -> str:
+    """A key that has a fit."""
+    return running.new_key()
+
+
+@pytest.fixture
+def block(monkeypatch: pytest.MonkeyPatch) -> Block:
+    """Replace a function of a module by one that returns when it may."""
+
+    def replace(place: object, name: str) -> Blocked:
+        blocked = Blocked(getattr(place, name))
+        monkeypatch.setattr(place, name, lambda *arguments, **named: blocked(*arguments, **named))
+        return blocked
+
+    return replace
+
+
+async def until_waiting(running: Application, n_requests: int) -> None:
+    """Return when so many requests wait for a computation."""
+    computations = running.app.state.context.computations
+    async with asyncio.timeout(60.0):
+        while sum(one.n_waiting for one in computations._in_progress.values()) < n_requests:
+            await asyncio.sleep(0.005)
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "targets"),
+    [
+        (exports, "export_step", [EXPORT, *(f"{EXPORT}&component={label}" for label in COMPONENTS)]),
+        (pictures, "sphere_step", [SPHERE, *(f"{SPHERE}&component={label}" for label in COMPONENTS)]),
+        (pictures, "spheres_step", [SPHERES, SPHERES]),
+    ],
+)
+async def test_what_nobody_waits_for_is_not_computed(
+    running: Application, key: str, block: Block, place: object, name: str, targets: list[str]
+) -> None:
+    blocked = block(place, name)
+    asked = [running.ask(target, key) for target in targets]
+    await blocked.until_called()
+    await asyncio.gather(*(one.leave() for one in asked))  # at once, though the first is being computed
+    blocked.may_return.set()
+    again = await running.ask(targets[-1], key).end()
+    assert again.status == 200
+    assert len(blocked.calls) <= 2
+
+
+async def test_components_come_with_the_fit(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decomposition, "fit_structures", None)
+    asked = [running.ask(target, key) for target in OF_COMPONENTS]
+    batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
+    assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
+
+
+async def test_one_picture_is_drawn_once_for_all_who_wait_for_it(running: Application, key: str, block: Block) -> None:
+    blocked, alice, bob = block(pictures, "sphere_step"), key, running.new_key()
+    first, second, others = (running.ask(SPHERE, who) for who in (alice, alice, bob))
+    await until_waiting(running, 3)
+    await first.leave()
+    blocked.may_return.set()
+    await asyncio.gather(second.end(), others.end())
+    assert second.body == others.body != b""
+    assert len(blocked.calls) == 2  # of one fit of each key
+
+
+async def test_a_long_computation_holds_up_no_other(running: Application, key: str, block: Block) -> None:
+    blocked = block(uploads, "conversion_step")
+    upload = running.ask("/v1/measurements", key, "POST", b"a table", "text/csv")
+    await blocked.until_called()
+    others = [running.ask(target, key) for target in (EXPORT, SPHERE)]
+    others.append(running.ask(f"{FIT_PATH}/brdf", key, "POST", LONG_BATCH))
+    assert [(await one.end()).status for one in others] == [200] * 3
+    blocked.may_return.set()
+    assert (await upload.end()).status == 422
+
+
+async def test_what_is_asked_for_together_is_not_mixed_up(running: Application, key: str) -> None:
+    spheres = [SPHERE, SPHERE.replace("16", "17"), f"{SPHERE}&component=diffuse", f"{SPHERE}&lighting=environment"]
+    shaders = [
+        f"{FIT_PATH}/export?format=glsl{more}" for more in ("", "&component=diffuse", "&name=paint", "&sampling=true")
+    ]
+    asked = [running.ask(target, key) for target in (*spheres, *shaders, EXPORT, f"{EXPORT}&component=diffuse")]
+    answers = [await one.end() for one in asked]
+    assert [one.status for one in answers] == [200] * len(answers)
+    assert len({one.body for one in answers}) == len(answers)
+
+
+async def test_measurement_that_is_deleted_before_it_is_drawn_is_not_found(
+    running: Application, key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caller = Caller(key.split("_")[1])
+    sha256 = add(running.store, b"a measurement", caller)
+
+    def delete_and_draw(*arguments: Any) -> bytes:
+        assert running.store.remove_measurement(caller.owner, sha256)
+        return steps.sphere_step(*arguments)
+
+    monkeypatch.setattr(pictures, "sphere_step", delete_and_draw)
+    answer = await running.ask(f"/v1/measurements/{sha256}/figures/sphere.png", key).end()
+    assert answer.status == 404
+    assert "There is no measurement" in json.loads(answer.body)["detail"]
+
+
+async def test_keys_take_turns_with_long_batches(running: Application, key: str, block: Block) -> None:
+    blocked, alice, bob = block(values, "from_json"), key, running.new_key()
+    of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
+    await blocked.until_called()
+    of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
+    await until_waiting(running, 7)
+    blocked.may_return.set()
+    await asyncio.gather(*(one.end() for one in (*of_alice, of_bob)))
+    assert [one.status for one in of_alice] == [200] * 6
+    bodies = [arguments[0] for arguments in blocked.calls]
+    assert bodies.index(LONG_BATCH[:-2] + b",1]}") <= 2
+
+
+async def test_full_disk_under_an_export_is_507(
+    running: Application, key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exports, "export_step", lambda *_: Path("/dev/full").write_bytes(b"a table"))
+    answer = await running.ask(f"{FIT_PATH}/export?format=merl", key).end()
+    assert (answer.status, json.loads(answer.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
+
+
+class Client:
+    """A client that leaves when it is told to."""
+
+    def __init__(self) -> None:
+        self.leaves = asyncio.Event()
+        self.request = Request({"type": "http", "method": "GET", CALLER_NAME: "key one"}, self._receive)
+
+    async def _receive(self) -> Message:
+        await self.leaves.wait()
+        return {"type": "http.disconnect"}
+
+
+async def test_end_of_a_computation_that_was_given_up_leaves_the_next_one_shared() -> None:
+    computed: list[str] = []
+    busy, first, computations = threading.Event(), Client(), Computations(FitLimits(10.0, 1024))
+
+    async def ask(client: Client, name: str, steps: int = 0) -> None:
+        for _ in range(steps):
+            await asyncio.sleep(0)
+        compute = busy.wait if name == "busy" else lambda: computed.append(name)
+        await computations.run(client.request, name, compute)
+
+    before, given_up = asyncio.create_task(ask(Client(), "busy")), asyncio.create_task(ask(first, "values"))
+    await asyncio.sleep(0)
+    first.leaves.set()
+    with pytest.raises(ClientDisconnect):
+        await given_up
+    # The third comes when the task of the first has ended, the second at once: before its next step.
+    third = asyncio.create_task(ask(Client(), "values", steps=10))
+    asyncio.get_running_loop().call_later(0.1, busy.set)
+    async with asyncio.timeout(60.0):
+        await ask(Client(), "values")
+        await asyncio.gather(before, third)
+    await computations.close()
+    assert computed == ["values"]
+
+
+def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server()
+    fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
+    request = f"GET /v1/fits/{fit}/export?format=materialx HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+    with closing(server.connection(request)):
+        wait_until(lambda: bool(server.workers()))
+        (worker,) = server.workers()
+        os.kill(worker, signal.SIGSTOP)  # by itself it does not end any more
+    wait_until(lambda: worker not in server.workers(), 20.0)  # before its time is up

@@ -1,0 +1,298 @@
+"""The pages in a browser: every state and control, no message of the browser, no request to another host."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsbrdf.rendering.image_metrics import displayed, psnr
+from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from tests.service.http.page.conftest import Site
+from tests.support.browser import PAINTED, SPHERE, Browser, Visit, expect, new_context
+from tests.support.guarded import Guarded
+from tests.support.server import ENDLESS
+
+pytestmark = pytest.mark.slow
+
+
+def test_key_is_asked_for_kept_in_the_tab_and_forgotten(visit: Visit, site: Site) -> None:
+    visitor = visit(f"/fits/{site.fits['glossy']}", header=None, webgl=False)
+    page = visitor.page
+    dialog = page.get_by_role("dialog", name="Sign in")
+    expect(dialog).to_be_visible()
+    page.keyboard.press("Escape")
+    for wrong in ("dsbrdf_wrong", "schlüssel €"):
+        page.get_by_label("API key").fill(wrong)
+        page.get_by_role("button", name="Sign in").click()
+        expect(dialog.get_by_role("alert")).to_contain_text("no valid key")
+    page.get_by_label("API key").fill(site.key)
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("heading", name="glossy")).to_be_visible()
+    expect(dialog).to_be_hidden()
+    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 128)
+    assert visitor.context.cookies() == []
+    assert page.evaluate("localStorage.length") == 0
+    assert [url for _, url, _ in visitor.requests if site.key in url] == []
+    page.get_by_role("link", name="Fits").click()
+    expect(page.locator(".card").nth(1)).to_be_visible()
+    page.get_by_role("button", name="Sign out").click()
+    expect(dialog).to_be_visible()
+    assert page.evaluate("sessionStorage.length") == 0
+
+
+def test_key_of_another_sees_nothing_and_other_sites_get_nothing(
+    visit: Visit, site: Site, browser: "Browser", guarded: Guarded
+) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}", header=guarded.new_key("other"), webgl=False).page
+    expect(page.get_by_role("alert")).to_contain_text("There is no fit")
+    page.goto("/")
+    expect(page.get_by_role("heading", name="Fit your first material")).to_be_visible()
+    # A page of another origin, in the browser of someone who has signed in and has cookies that were planted.
+    context = new_context(browser, site.address, site.key)
+    context.add_cookies([{"name": name, "value": site.key, "url": site.address} for name in ("key", "dsbrdf_key")])
+    foreign = context.new_page()
+    foreign.route("http://elsewhere.example/*", lambda route: route.fulfill(body="<p>", content_type="text/html"))
+    foreign.goto("http://elsewhere.example/")
+    found = foreign.evaluate(
+        """async ([site, path]) => {
+          const frame = document.createElement("iframe");
+          frame.src = site + path;
+          document.body.append(frame);
+          const ask = (options) => fetch(`${site}/v1${path}`, { credentials: "include", ...options })
+            .then((answer) => [answer.type, answer.status], () => "refused");
+          const got = await Promise.all([{}, { method: "DELETE" }, { mode: "no-cors" }].map(ask));
+          await new Promise((resolve) => { frame.onload = resolve; setTimeout(resolve, 2000); });
+          try { return [...got, frame.contentDocument?.body.textContent]; } catch { return [...got, "closed"]; }
+        }""",
+        [site.address, f"/fits/{fit}"],
+    )
+    context.close()
+    assert found[:2] == ["refused"] * 2
+    assert found[2] in ("refused", ["opaque", 0])
+    assert found[3] in ("closed", "", None)
+    assert site.read(f"/v1/fits/{fit}").json()["status"] == "succeeded"
+
+
+def test_file_is_hashed_then_sent_once_and_may_be_cancelled(visit: Visit, plastic_file: Path, guarded: Guarded) -> None:
+    visitor = visit("/", header=guarded.new_key("first"), webgl=False)
+    page = visitor.page
+    expect(page.get_by_role("heading", name="Fit your first material")).to_be_visible()
+    page.route("**/v1/fits?*", lambda route: route.continue_() if "json" in str(route.request.headers) else None)
+    page.locator("#file").set_input_files(plastic_file)
+    expect(page.get_by_role("status").filter(has_text="Sending plastic.binary, 35.0 MB")).to_be_visible()
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator("#said")).to_contain_text("The upload was cancelled.")
+    page.unroute_all()
+    page.get_by_text("Options").click()
+    for _ in range(2):
+        page.get_by_label("n_lobes", exact=True).select_option("1")
+        page.get_by_label("method", exact=True).select_option("paper")
+        page.locator("#file").set_input_files(plastic_file)
+        page.wait_for_url("**/fits/*")
+        expect(page.get_by_role("heading", name="plastic")).to_be_visible()
+        expect(page.get_by_text("Result:")).to_contain_text("dB")
+        page.get_by_role("link", name="Fits").click()
+        page.get_by_text("Options").click()
+    expect(page.locator(".card")).to_have_count(1)
+    sent = [kind.removeprefix("application/") for method, _, kind in visitor.requests if method == "POST"]
+    assert sent == ["json", "octet-stream", "json", "octet-stream", "json"]
+
+
+def test_fit_without_a_result_says_why_and_is_deleted(visit: Visit, site: Site, guarded: Guarded, data: bytes) -> None:
+    options = {name: ",".join(map(str, value)) if isinstance(value, list) else value for name, value in ENDLESS.items()}
+    own = replace(site, header=guarded.new_key("unlucky"))
+    failing = own.submit(data, "failing", method="paper", n_lobes=8, mask=10, horizon_cutoff_deg=2)
+    endless = own.submit(data, "endless", prefer="respond-async", **options)
+    page = visit(f"/fits/{endless}", header=own.header, webgl=False).page
+    expect(page.locator("[data-text=state]")).to_have_text(re.compile("Fitting|Waiting for its turn"))
+    expect(page.get_by_role("progressbar")).to_be_visible()
+    page.get_by_role("button", name="Cancel the fit").click()
+    expect(page.get_by_text("This fit was cancelled.")).to_be_visible()
+    page.goto(f"/fits/{failing}")
+    expect(page.locator(".fault:visible")).to_have_text(own.read(f"/v1/fits/{failing}").json()["error"]["message"])
+    expect(page.get_by_text("The measurement or the options do not allow a fit.")).to_be_visible()
+    expect(page.get_by_role("progressbar")).to_be_hidden()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.get_by_role("button", name="Delete").click()
+    page.wait_for_url(f"{site.address}/")
+    expect(page.locator(".card-name")).to_have_text(["endless"])
+    page.get_by_role("button", name="Delete endless").click()
+    expect(page.locator(".card")).to_have_count(0)
+    assert own.read("/v1/fits").json()["items"] == []
+
+
+def test_plots_follow_their_sliders_and_a_picture_stands_where_webgl_is_missing(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}", webgl=False).page
+    expect(page.get_by_text("This browser has no WebGL 2")).to_be_visible()
+    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 128)
+    for control in (SPHERE, ".toggles"):
+        expect(page.locator(control)).to_be_hidden()
+    page.locator("#plots").scroll_into_view_if_needed()  # plots are drawn when they are seen
+    components = page.locator(".components .name").count()
+    assert components > 1
+    sliders = (("#profiles", "theta_diff", "60", "theta_diff 60"), ("#plane", "theta_in", "70", "light at 70"))
+    for panel, slider, place, said in sliders:
+        plot = page.locator(panel)
+        curves, picture = plot.locator(".plot .curve"), plot.locator(".plot svg")
+        expect(curves).to_have_count(3 + 3 * components)
+        expect(plot.locator(".plot .point")).to_have_count(3)
+        expect(plot.locator("[data-label]")).to_have_count(6 + components)
+        before = curves.first.get_attribute("d")
+        page.get_by_label(f"{slider} in degrees").fill(place)
+        expect(picture).to_have_attribute("aria-label", re.compile(f"{said} degrees, log"))
+        assert curves.first.get_attribute("d") != before
+        plot.locator("[name$=channel]").select_option("green")
+        expect(plot.locator("[data-label]")).to_have_count(components + 2)  # measured, and the fit
+        expect(plot.locator(".legend")).to_contain_text("diffuse")
+        plot.locator("[name$=axis]").select_option("linear")
+        expect(picture).to_have_attribute("aria-label", re.compile("linear axis"))
+    page.locator("#profiles [name=range]").select_option("peak")
+    expect(page.locator("#profiles .plot")).not_to_contain_text("90°")
+
+
+def test_plots_tell_values_by_pointer_and_keys(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}", webgl=False).page
+    page.locator("#plots").scroll_into_view_if_needed()
+    picture, legend, seen = page.locator("#plane .plot svg"), page.locator("#plane .legend"), list[int]()
+    picture.hover(position={"x": 300, "y": 100})
+    for key in ("ArrowRight", "Tab"):
+        place = re.search(r"at θ_out (-?[\d.]+)°", legend.inner_text())
+        assert place is not None
+        seen.append(round(float(place[1])))
+        into, to = np.radians((-45, seen[-1]))
+        directions = (np.array([np.sin(angle), 0.0, np.cos(angle)]) for angle in (into, to))
+        told = float(legend.locator('[data-label="red, fit"] b').inner_text())
+        assert told == pytest.approx(site.model(fit).evaluate_directions(*directions)[0], rel=0.02)
+        picture.press(key)
+    assert seen[1] == seen[0] + 2
+    expect(legend).not_to_contain_text("at θ_out")
+
+
+def test_page_of_a_fit_has_a_verdict_a_name_figures_and_downloads(visit: Visit, site: Site) -> None:
+    fit = site.fits["glossy"]
+    page = visit(f"/fits/{fit}").page
+    expect(page.get_by_role("heading", name="Result:")).to_contain_text(site.read(f"/v1/fits/{fit}").json()["likeness"])
+    expect(page.get_by_text("Mean absolute logarithmic error")).to_be_hidden()
+    page.get_by_text("Metrics", exact=True).click()
+    expect(page.get_by_text("Mean absolute logarithmic error")).to_be_visible()
+    page.get_by_text("What the numbers mean").click()
+    expect(page.get_by_text("Reflectance of its facets at normal incidence.")).to_be_visible()
+    page.locator("#figures summary").click()
+    for picture in page.locator(".drawn img").all():
+        expect(picture).not_to_have_js_property("naturalWidth", 0)
+    names = iter(("<b>matt & dry", "glossy"))
+    page.on("dialog", lambda dialog: dialog.accept(next(names)))
+    for name in ("<b>matt & dry", "glossy"):
+        page.get_by_role("button", name="Rename").click()
+        expect(page.locator("h1")).to_have_text(name)
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.locator(PAINTED).wait_for()
+    page.locator(".downloads").scroll_into_view_if_needed()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="glsl").click()
+    assert download.value.suggested_filename == "glossy.glsl"
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visit, site: Site) -> None:
+    page = visit("/").page
+    cards = page.locator(".card:visible")
+    cards.nth(1).wait_for()
+    search = page.get_by_role("searchbox")
+    search.fill("GLOS")
+    expect(cards).to_have_count(1)
+    search.fill("nothing like it")
+    expect(page.get_by_text("No fits found for “nothing like it”.")).to_be_visible()
+    search.fill("")
+    page.get_by_label("Sort by").select_option("likeness")
+    expect(page.locator(".card-name").first).to_have_text("glossy")
+    button = page.get_by_role("button", name="Compare two")
+    expect(button).to_be_disabled()
+    page.get_by_label("compare glossy").check()
+    page.get_by_label("compare rough").check()
+    button.click()
+    expect(page.get_by_role("heading", level=1)).to_contain_text(" and ")
+    expect(page.locator(PAINTED)).to_have_count(2)
+    expect(page.locator("table.components")).to_have_count(2)
+    painted = page.locator(SPHERE).nth(1)
+    page.locator("#plots").scroll_into_view_if_needed()
+    expect(page.locator("#profiles .plot .curve")).to_have_count(2)
+    expect(page.locator("#profiles .legend")).to_contain_text("glossy, measured")
+    size = painted.evaluate("canvas => canvas.width")
+    fits = [site.fits[name] for name in ("glossy", "rough")]
+    views = [site.exposure(fit) for fit in fits]
+    assert max(views) > 1.1 * min(views)  # both have the lower one
+    seen = [displayed(render_sphere(site.model(fit), size=size), min(views)) for fit in fits]
+    expected = psnr(seen[0], seen[1], sphere_normals(size)[1])
+    near = "|".join(f"{expected + more:.1f}" for more in (-0.05, 0.0, 0.05))
+    expect(page.locator("#likeness")).to_contain_text(re.compile(f"({near}) dB"))
+    before = painted.get_attribute("data-painted") or ""
+    page.locator(SPHERE).first.click()
+    expect(painted).not_to_have_attribute("data-painted", before)
+
+
+def test_list_takes_several_files_says_what_is_wrong_with_one_and_is_sorted(
+    visit: Visit, guarded: Guarded, tmp_path: Path
+) -> None:
+    header = guarded.new_key("several")
+    page = visit("/?name=zzz", header=header, webgl=False).page
+    expect(page.get_by_text("No fits found for “zzz”.")).to_be_visible()
+    rows = [f"{light},{seen},{1 + seen / 100}" for light in (0, 40) for seen in range(-75, 76, 5)]
+    contents = {
+        "a.csv": ["theta_in,theta_out,value", *rows],
+        "bad.csv": ["a,b", "1,2"],
+        "b.csv": ["theta_in,theta_out,value", *rows[1:]],
+    }
+    for name, lines in contents.items():
+        (tmp_path / name).write_text("\n".join(lines))
+    page.goto("/")
+    page.get_by_text("Options").click()
+    page.get_by_label("n_lobes", exact=True).select_option("1")
+    page.locator("#file").set_input_files([tmp_path / name for name in contents])
+    expect(page.locator("#said")).to_contain_text("bad.csv: The table lacks columns")
+    expect(page.locator("#said")).to_contain_text("Sent: 2 of 3.")
+    page.goto("/")
+    names = page.locator(".card-name")
+    expect(names).to_have_text(["b", "a"])
+    page.get_by_label("Sort by").select_option("name")
+    expect(names).to_have_text(["a", "b"])
+    for fit in guarded.server.http.get("/v1/fits", headers=header).json()["items"]:
+        guarded.server.http.delete(f"/v1/fits/{fit['id']}?only=cancel", headers=header)
+
+
+def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic_file: Path) -> None:
+    visitor = visit("/", webgl=False, offline=False)
+    page = visitor.page
+    expect(page.locator(".card").nth(1)).to_be_visible()
+    cards = page.locator(".card").count()
+    visitor.context.set_offline(True)
+    page.once("dialog", lambda dialog: dialog.accept())
+    attempts: tuple[Callable[[], object], ...] = (
+        page.get_by_role("button", name="Delete glossy").click,
+        lambda: page.locator("#file").set_input_files(plastic_file),
+    )
+    for attempt in attempts:
+        attempt()
+        expect(page.locator("#said")).to_contain_text("cannot be reached")
+        page.get_by_role("button", name="Close").click()
+        expect(page.locator("#said")).to_be_hidden()
+    expect(page.locator(".card")).to_have_count(cards)
+    visitor.context.set_offline(False)
+    page.goto(f"/fits/{site.fits['glossy']}")
+    folded = page.get_by_text("Options of the fit")
+    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 128)
+    visitor.context.set_offline(True)
+    folded.click()
+    expect(page.locator("#said")).to_contain_text("cannot be reached")
+    visitor.context.set_offline(False)
+    folded.click()
+    folded.click()  # what could not be had is asked for again
+    expect(page.locator(".fitted-by")).to_contain_text("n_lobes")
+    assert all("ERR_INTERNET_DISCONNECTED" in fault for fault in visitor.faults)
+    visitor.faults.clear()
+    assert site.read(f"/v1/fits/{site.fits['glossy']}").status_code == 200

@@ -1,0 +1,113 @@
+"""Tables of samples in a browser, an example of one, and what axe finds on all pages."""
+
+import re
+from itertools import product
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from tests.service.http.page.conftest import Site
+from tests.support.browser import PAINTED, Visit, expect
+from tests.support.guarded import Guarded
+
+pytest.importorskip("axe_playwright_python", reason='"axe_playwright_python" is not installed')
+
+from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
+
+pytestmark = pytest.mark.slow
+
+
+def test_newcomer_tries_an_example_and_sees_its_samples(visit: Visit, guarded: Guarded) -> None:
+    page = visit("/", header=guarded.new_key("newcomer"), webgl=False).page
+    page.get_by_text("Options").click()
+    for name, value in (("n_lobes", "1"), ("ring_lobes", "0")):
+        page.get_by_label(name, exact=True).select_option(value)
+    page.get_by_role("button", name="Try an example").click()
+    page.wait_for_url("**/fits/*")
+    expect(page.get_by_role("heading", name="example paint")).to_be_visible()
+    expect(page.locator(".components")).to_contain_text("diffuse")
+    alpha = page.locator(".components tr").filter(has_text="alpha").inner_text()
+    assert float(alpha.split()[1]) == pytest.approx(0.15, rel=0.1)
+    page.locator("#plots").scroll_into_view_if_needed()
+    expect(page.locator("#profiles .legend")).to_contain_text("red, samples within 3°")
+    expect(page.locator("#profiles .plot .point")).to_have_count(3)
+    expect(page.locator("#plane .plot .point").first).to_have_attribute("d", re.compile("M.*M"))
+    page.get_by_label("theta_diff in degrees").fill("89")
+    expect(page.locator("#profiles")).to_contain_text(re.compile(r"There are no samples here; most are at \d+°"))
+    page.locator("#figures summary").click()
+    expect(page.locator("#residual")).not_to_have_js_property("naturalWidth", 0)
+    page.get_by_role("link", name="Its measurement").click()
+    expect(page.locator("#its-fits a")).to_have_count(1)
+    expect(page.locator(".columns")).to_contain_text("theta_diff")
+    page.locator("#profiles").scroll_into_view_if_needed()
+    expect(page.locator("#profiles .plot .point")).to_have_count(3)
+    expect(page.locator("#profiles .plot .curve")).to_have_count(0)
+    largest = page.locator(".samples tr").filter(has_text="Largest").get_by_role("cell").last
+    before = float(largest.inner_text())
+    page.get_by_text("Options").click()
+    page.get_by_label("scale", exact=True).fill("10")
+    page.get_by_label("scale", exact=True).blur()
+    expect(largest).not_to_have_text(f"{before:g}")
+    assert float(largest.inner_text()) == pytest.approx(10 * before, rel=1e-3)
+    page.get_by_role("link", name="Fits").click()
+    expect(page.locator(".card")).to_have_count(1)
+    expect(page.get_by_role("button", name="Try an example")).to_be_hidden()
+
+
+def test_table_is_understood_before_it_is_sent(visit: Visit, guarded: Guarded, tmp_path: Path) -> None:
+    header = guarded.new_key("laboratory")
+    visitor = visit("/", header=header, webgl=False)
+    page = visitor.page
+    table = tmp_path / "tile.csv"
+    angles = product((0, 30, 60), range(-80, 81, 5))
+    rows = [f"{light},{seen},{100 * (0.1 + np.exp(-(((seen - light) / 15) ** 2)))}" for light, seen in angles]
+    table.write_text("\n".join(["AOI,AOR,reflectance", *rows]))
+    page.locator("#file").set_input_files(table)
+    shown = page.locator("#table")
+    expect(shown.get_by_role("alert")).to_contain_text("The table lacks columns for the values")
+    button = page.get_by_role("button", name="Fit this table")
+    expect(button).to_be_disabled()
+    for name, value in (("columns", "value=reflectance"), ("scale", "0.01")):
+        page.get_by_label(name, exact=True).fill(value)
+        page.get_by_label(name, exact=True).blur()
+    expect(shown.locator(".columns tr").last).to_have_text("reflectancevaluenone")
+    expect(shown.locator(".samples tr").filter(has_text="Largest")).to_contain_text("1.1")
+    expect(shown).to_contain_text("99 rows, 99 samples. The light comes at 0°, 30°, 60°. 100 % of the samples lie in")
+    assert guarded.server.http.get("/v1/measurements", headers=header).json()["items"] == []
+    expect(button).to_be_enabled()
+    button.click()
+    page.wait_for_url("**/fits/*")
+    page.get_by_role("button", name="Cancel the fit").click()
+    expect(page.get_by_text("This fit was cancelled.")).to_be_visible()
+    (fit,) = guarded.server.http.get("/v1/fits", headers=header).json()["items"]
+    assert fit["options"]["columns"] == ["value=reflectance"]
+    assert fit["options"]["scale"] == 0.01
+
+
+def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site, data: bytes) -> None:
+    glossy, rough = site.fits["glossy"], site.fits["rough"]
+    failed = site.submit(data, "failing", method="paper", n_lobes=8, mask=10, horizon_cutoff_deg=2)
+    table = "theta_in,theta_out,value\n" + "\n".join(f"{a},{b},1" for a, b in product((0, 40), range(-80, 81, 5)))
+    sent = site.http.post("/v1/measurements", content=table, headers={**site.header, "Content-Type": "text/csv"})
+    page = visit("/", bypass_csp=True).page  # the policy of the pages keeps axe out too
+    # Light and dark differ in colours only.
+    brief: dict[str, Any] = {"resultTypes": ["violations"]}
+    schemes: list[tuple[Literal["light", "dark"], dict[str, Any]]] = [
+        ("light", brief),
+        ("dark", brief | {"runOnly": ["cat.color"]}),
+    ]
+    measured = [sent.json()["sha256"], site.read(f"/v1/fits/{glossy}").json()["measurement"]]
+    fits = [f"/fits/{fit}" for fit in (glossy, failed, "0" * 32)]
+    for path in ("/", *fits, f"/compare?fit={glossy}&fit={rough}", *(f"/measurements/{one}" for one in measured)):
+        page.goto(path)
+        expect(page.locator("main")).not_to_have_attribute("aria-busy", "true")
+        if glossy in path:
+            page.locator(PAINTED).first.wait_for()
+        for folded in page.locator("main details").all():
+            folded.locator("summary").click()
+        for scheme, rules in schemes if path in ("/", *fits[:2]) else schemes[:1]:
+            page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+            found = Axe().run(page, options=rules)
+            assert found.violations_count == 0, f"{path}, {scheme}: {found.generate_report()}"

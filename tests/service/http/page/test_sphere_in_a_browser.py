@@ -1,0 +1,221 @@
+"""The sphere of a fit in a browser: what is painted, the light, views, zoom and what the address keeps."""
+
+import base64
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dsbrdf.components.decomposition import decompose
+from dsbrdf.data.measurement import Measurement
+from dsbrdf.output.sphere_panels import encode_png
+from dsbrdf.rendering.environment import THREE_LIGHTS, EnvironmentMap
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from tests.service.http.page.conftest import Site
+from tests.support.browser import PAINTED, SPHERE, FloatRect, Page, Visit, expect
+
+pytestmark = pytest.mark.slow
+
+BOXES = ".toggles input"
+PIXELS = """canvas => {
+  const gl = canvas.getContext("webgl2"), pixels = new Uint8Array(4 * canvas.width * canvas.height);
+  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  let text = "";
+  for (let i = 0; i < pixels.length; i += 4096) text += String.fromCharCode(...pixels.subarray(i, i + 4096));
+  return btoa(text);
+}"""
+
+
+def pixels(page: Page) -> np.ndarray:
+    """What the canvas shows, shape (size, size, 4), from the top, in [0, 1]."""
+    values = np.frombuffer(base64.b64decode(page.locator(SPHERE).evaluate(PIXELS)), np.uint8)
+    size = round((values.size / 4) ** 0.5)
+    return values.reshape(size, size, 4)[::-1] / 255.0
+
+
+def repaint(page: Page, act: Callable[[], object]) -> np.ndarray:
+    """What the canvas shows after an act that paints it again."""
+    canvas = page.locator(SPHERE)
+    before = canvas.get_attribute("data-painted") or ""
+    act()
+    expect(canvas).not_to_have_attribute("data-painted", before)
+    return pixels(page)
+
+
+def choose(page: Page, name: str, option: str) -> np.ndarray:
+    """What the canvas shows after a choice in the form of controls."""
+    return repaint(page, lambda: page.locator(f"#controls [name={name}]").select_option(option))
+
+
+def box_of(page: Page, selector: str) -> "FloatRect":
+    """Where an element is."""
+    page.locator(SPHERE).scroll_into_view_if_needed()
+    box = page.locator(selector).bounding_box()
+    assert box is not None
+    return box
+
+
+def painted(visit: Visit, site: Site, **options: Any) -> Page:
+    """The page of a fit whose sphere is there."""
+    page: Page = visit(f"/fits/{site.fits['glossy']}", **options).page
+    page.locator(PAINTED).wait_for()
+    return page
+
+
+def test_fit_and_measurement_are_shown_as_the_library_renders_them(
+    visit: Visit, site: Site, plastic: Measurement
+) -> None:
+    page, model = painted(visit, site), site.model(site.fits["glossy"])
+    shown = pixels(page)
+    size = len(shown)
+    _, mask = sphere_normals(size)
+    expected = displayed(render_sphere(model, size=size), site.exposure(site.fits["glossy"]))
+    assert np.abs(shown[..., :3] - expected)[mask].mean() < 0.5 / 255
+    assert np.array_equal(shown[..., 3] == 1.0, mask)
+    for lighting in ("three_lights", "environment"):
+        rendered = [render_sphere(material, lighting=lighting, size=size) for material in (plastic, model)]
+        factor = exposure(rendered[1], mask) if lighting == "environment" else site.exposure(site.fits["glossy"])
+        measured, fitted = (displayed(image, factor) for image in rendered)
+        if lighting != "three_lights":
+            choose(page, "lighting", lighting)
+        middle = size // 2
+        whole, half, differing = (choose(page, "show", shown)[..., :3] for shown in ("measured", "half", "difference"))
+        tolerance = (0.5 if lighting == "three_lights" else 1.5) / 255  # pictures of 256 pixels under environment light
+        assert np.abs(whole - measured)[mask].mean() < tolerance
+        assert np.array_equal(half[:, : middle - 2], whole[:, : middle - 2])
+        assert np.abs(half - fitted)[:, middle + 2 :][mask[:, middle + 2 :]].mean() < tolerance
+        expected = np.clip(4.0 * np.abs(measured - fitted), 0.0, 1.0)
+        assert np.abs(differing - expected)[mask].mean() < 4 * tolerance
+    choose(page, "show", "half")
+    assert not np.array_equal(repaint(page, lambda: page.locator("[name=wipe]").fill("0.5")), half)
+
+
+def test_light_line_and_exposure_are_under_mouse_and_keyboard(visit: Visit, site: Site) -> None:
+    page = painted(visit, site)
+    first, canvas, box = pixels(page), page.locator(SPHERE), box_of(page, SPHERE)
+    middle = box["y"] + box["height"] / 2
+    dragged = repaint(page, lambda: page.mouse.click(box["x"] + 0.6 * box["width"], middle - 0.1 * box["height"]))
+    assert np.abs(dragged - first).mean() > 0.01
+    canvas.focus()
+    assert not np.array_equal(repaint(page, lambda: page.keyboard.press("ArrowLeft")), dragged)
+    darker = repaint(page, lambda: page.keyboard.press("-"))
+    expect(page.locator("#controls")).to_contain_text("-0.5 EV")
+    assert darker.mean() < dragged.mean()
+    assert choose(page, "lighting", "one").mean() < darker.mean()
+    canvas.focus()
+    assert np.array_equal(repaint(page, lambda: page.keyboard.press("r")), first)
+    light, wipe = (page.locator(f"[name={name}]") for name in ("highlight", "wipe"))
+    before = light.input_value()
+    choose(page, "show", "half")
+    page.mouse.move(box["x"] + box["width"] / 2, middle)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.7 * box["width"], middle)
+    page.mouse.up()
+    moved = float(wipe.input_value())
+    assert moved == pytest.approx(0.4, abs=0.02)
+    canvas.press("[")
+    assert float(wipe.input_value()) == pytest.approx(moved - 0.05)
+    expect(page).to_have_url(re.compile(f"wipe={moved - 0.05:g}"))
+    assert light.input_value() == before
+    handle, stage = box_of(page, ".handle"), box_of(page, ".stage")
+    assert handle["x"] + handle["width"] / 2 == pytest.approx(box["x"] + (0.95 + moved) / 2 * box["width"], abs=3)
+    assert handle["y"] >= box["y"] + box["height"]
+    assert handle["y"] + handle["height"] <= stage["y"] + stage["height"]
+
+
+def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) -> None:
+    page = painted(visit, site)
+    page.locator(BOXES).first.uncheck()
+    choose(page, "lighting", "one")
+    page.get_by_label("theta_diff in degrees").fill("40")
+    for name, value in (("exposure", "-1.5"), ("zoom", "1")):
+        page.locator(f"[name={name}]").fill(value)
+    repaint(page, lambda: page.locator(SPHERE).click(position={"x": 200, "y": 150}))
+    expect(page).to_have_url(re.compile("highlight"))
+    page.wait_for_timeout(600)  # the picture and the address are at rest
+    before, address = pixels(page), page.url
+    page.goto("/")
+    page.goto(address)
+    page.locator(PAINTED).wait_for()
+    expect(page.get_by_label("theta_diff in degrees")).to_have_value("40")
+    expect(page.locator("#controls")).to_contain_text("-1.5 EV")
+    assert np.array_equal(pixels(page), before)
+    repaint(page, page.get_by_role("button", name="Reset").click)
+    expect(page.locator("[name=lighting]")).to_have_value("three_lights")
+
+
+def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site: Site) -> None:
+    page = painted(visit, site, device_scale_factor=1)
+    canvas = page.locator(SPHERE)
+    size = canvas.evaluate("canvas => canvas.width")
+    box = box_of(page, SPHERE)
+    page.mouse.move(box["x"] + 200, box["y"] + 200)
+    before = canvas.get_attribute("data-painted") or ""
+    page.mouse.down()
+    for step in range(6):
+        page.mouse.move(box["x"] + 200 + 15 * step, box["y"] + 200)
+    page.mouse.up()
+    expect(canvas).not_to_have_attribute("data-painted", before)
+    assert int(canvas.get_attribute("data-rough") or size) < 0.7 * size
+    expect(canvas).to_have_js_property("width", size)  # the sharp picture comes when the light rests
+
+
+def test_values_under_the_pointer_are_the_fits(visit: Visit, site: Site) -> None:
+    page = painted(visit, site)
+    page.locator(SPHERE).hover(position={"x": 150, "y": 180})
+    expect(page.locator(".hint")).to_contain_text("1/sr")
+    found = re.match(r"θ_half ([\d.]+)°, θ_diff ([\d.]+)°: ([\d.]+),", page.locator(".hint").inner_text())
+    assert found is not None
+    half, diff, red = map(float, found.groups())
+    box = box_of(page, SPHERE)
+    x, y = 2 * 150 / box["width"] - 1, 1 - 2 * 180 / box["height"]
+    light = np.array(THREE_LIGHTS[0].direction)
+    middle = light + np.array([0.0, 0.0, 1.0])
+    normal = np.array([x, y, np.sqrt(1 - x * x - y * y)])
+    assert half == pytest.approx(np.degrees(np.arccos(normal @ middle / np.linalg.norm(middle))), abs=0.2)
+    assert diff == pytest.approx(20.0, abs=0.1)
+    near = site.model(site.fits["glossy"]).evaluate(np.radians(half), np.radians(diff))
+    assert red == pytest.approx(near[0], rel=0.1)  # phi_diff is another, the lobe hardly depends on it there
+
+
+def test_components_are_hidden_and_shown(visit: Visit, site: Site) -> None:
+    page = painted(visit, site)
+    parts = [pixels(page)] + [repaint(page, box.uncheck) for box in page.locator(BOXES).all()]
+    assert len(parts) > 2
+    assert all(part.mean() < whole.mean() for whole, part in pairwise(parts))
+    assert parts[-1][..., :3].max() == 0.0
+    alone = repaint(page, page.locator(f"{BOXES}[value=diffuse]").check)
+    diffuse = render_sphere(decompose(site.model(site.fits["glossy"]))["diffuse"], size=len(alone))
+    expected = displayed(diffuse, site.exposure(site.fits["glossy"]))
+    assert np.abs(alone[..., :3] - expected)[sphere_normals(len(alone))[1]].mean() < 0.5 / 255
+
+
+def test_panorama_of_ones_own_lights_the_sphere(visit: Visit, site: Site, plastic: Measurement, tmp_path: Path) -> None:
+    levels = np.full((256, 512, 3), 0.2)
+    levels[:, 256:, :2] = 0.8
+    room, square = (tmp_path / name for name in ("room.png", "square.png"))
+    room.write_bytes(encode_png(levels))
+    square.write_bytes(encode_png(levels[:, 128:384]))
+    page, own = painted(visit, site), "#panorama"
+    sky = choose(page, "lighting", "environment")
+    seen = [repaint(page, lambda: page.set_input_files(own, room)), choose(page, "show", "measured")]
+    _, mask = sphere_normals(len(sky))
+    around = EnvironmentMap.from_pixels(((levels[::2, ::2] + 0.055) / 1.055) ** 2.4)
+    rendered = [
+        render_sphere(one, lighting=around, size=len(sky)) for one in (site.model(site.fits["glossy"]), plastic)
+    ]
+    for shown, expected in zip(seen, rendered, strict=True):
+        assert np.abs(shown[..., :3] - displayed(expected, exposure(rendered[0], mask)))[mask].mean() < 1.5 / 255
+    choose(page, "show", "fit")
+    lobe = page.locator(f"{BOXES}[value=specular_lobe]")
+    assert repaint(page, lobe.uncheck).mean() < seen[0].mean()
+    repaint(page, lobe.check)
+    assert np.array_equal(repaint(page, lambda: page.set_input_files(own, square)), sky)
+    expect(page.locator("#said")).to_contain_text(
+        "square.png is no panorama: choose a .png or .jpg picture twice as wide"
+    )

@@ -1,0 +1,290 @@
+"""Requests that meet in the middle of each other: what each is told stays true, and nothing is computed twice."""
+
+import asyncio
+import errno
+import sqlite3
+import threading
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import CancelledError, Future
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+import dsbrdf
+from dsbrdf.engines.engine import NOT_STARTED, Fault, FitDocument, FitTask, Outcome
+from dsbrdf.output.serialize import to_json
+from dsbrdf_service.compute.models import ModelCache
+from dsbrdf_service.errors import FitNotFoundError
+from dsbrdf_service.http.metrics import Metrics
+from dsbrdf_service.queue import fit_queue
+from dsbrdf_service.queue.fit_options import to_wire
+from dsbrdf_service.queue.fit_queue import FitQueue
+from dsbrdf_service.settings import Settings
+from dsbrdf_service.storage.schema import Caller, FitKey, FitRow
+from dsbrdf_service.storage.store import Store
+from tests.support.random_models import random_model
+from tests.support.stores import LOCAL, add
+
+pytestmark = pytest.mark.anyio
+OPTIONS, PATIENCE = dsbrdf.FitOptions(), 60.0  # seconds
+LOST = Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
+
+
+@cache
+def stored_text() -> str:
+    model = random_model()
+    return to_json(model, None, dsbrdf.decompose(model))
+
+
+class Fit(Future[Outcome]):
+    """A fit that can be cancelled while it runs, as those of engines."""
+
+    def cancel(self) -> bool:
+        if not self.done():
+            self.set_exception(CancelledError())
+        return False
+
+
+class Engine:
+    """Ends fits when it may, each with another number as its metrics, so that one can tell which has ended."""
+
+    def __init__(self) -> None:
+        self.outcomes: list[Outcome | Exception] = []  # of the next ones, in place of results
+        self.begun: list[str] = []
+        self.holds = True
+        self.held: list[tuple[Fit, int]] = []
+
+    def submit(self, task: FitTask, on_progress: Callable[[float], None]) -> Fit:
+        self.begun.append(task.fit_id)
+        self.held.append((Fit(), len(self.begun)))
+        fit = self.held[-1][0]
+        if not self.holds:
+            self.go_on()
+        return fit
+
+    def go_on(self) -> None:
+        """End what is held, and all that comes."""
+        self.holds = False
+        for fit, number in self.held:
+            if not fit.done():
+                outcome = self.outcomes.pop(0) if self.outcomes else FitDocument(stored_text(), {"run": number})
+                fit.set_exception(outcome) if isinstance(outcome, Exception) else fit.set_result(outcome)
+        self.held.clear()
+
+
+class _Slow(NamedTuple):
+    """A call that has got to its pause, the end of the pause, and that of the first such call."""
+
+    there: threading.Event
+    on: threading.Event
+    over: threading.Event
+
+
+class Race:
+    """A store with one measurement, and a queue of fits on it."""
+
+    workers = 1
+
+    def __init__(self, folder: Path) -> None:
+        self.store = Store(folder)
+        self.engine: Any = Engine()
+        self.measurement = add(self.store)
+        self.begin()
+
+    def begin(self) -> None:
+        self.queue = FitQueue(self.store, self.engine, Settings(workers=self.workers), Metrics().fit_meters)
+
+    async def submit(self, caller: Caller = LOCAL, options: dsbrdf.FitOptions = OPTIONS) -> FitKey:
+        row, _ = await self.queue.submit(caller, self.measurement, to_wire(options))
+        return row.key
+
+    async def until_it_runs(self) -> None:
+        await until(lambda: bool(self.engine.begun))
+
+    async def end(self, key: FitKey) -> FitRow:
+        self.engine.go_on()
+        return await self.queue.wait(key, PATIENCE)
+
+    def slow_down(self, monkeypatch: pytest.MonkeyPatch, name: str, *pauses: float, after: bool = False) -> _Slow:
+        """Make calls of the store pause, one after the other, before they work or after it."""
+        original = getattr(self.store, name)
+        slow = _Slow(threading.Event(), threading.Event(), threading.Event())
+        rest = iter(pauses)
+
+        def work(*arguments: Any) -> Any:
+            answer = original(*arguments) if after else None
+            slow.there.set()
+            slow.on.wait(next(rest, 0.0))
+            answer = answer if after else original(*arguments)
+            slow.over.set()
+            return answer
+
+        monkeypatch.setattr(self.store, name, work)
+        return slow
+
+
+@pytest.fixture
+async def place(tmp_path: Path) -> AsyncIterator[Race]:
+    race = Race(tmp_path / "data")
+    try:
+        yield race
+    finally:
+        await race.queue.close()
+        race.store.close()
+
+
+async def until(happened: Callable[[], bool]) -> None:
+    async with asyncio.timeout(PATIENCE):
+        while not happened():
+            await asyncio.sleep(0.001)
+
+
+async def test_fit_requested_during_its_cancellation_runs(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
+    key = await place.submit()
+    await place.until_it_runs()
+    slow = place.slow_down(monkeypatch, "cancel_fit", 0.5, after=True)
+    cancelling = asyncio.create_task(place.queue.cancel(key))
+    await until(slow.there.is_set)  # the row is cancelled, its process is still to be ended
+    again = asyncio.create_task(place.submit())
+    assert await cancelling is not None
+    assert await again == key
+    row = await place.end(key)
+    assert row.status == "succeeded"
+    assert row.metrics == {"run": 2}
+
+
+@pytest.mark.parametrize("late", ["complete_fit", "start_fit"])
+async def test_cancelled_attempt_cannot_overwrite_the_next_one(
+    place: Race, monkeypatch: pytest.MonkeyPatch, late: str
+) -> None:
+    place.workers = 2  # the next attempt need not wait for its turn
+    await place.queue.close()
+    place.begin()
+    slow = place.slow_down(monkeypatch, late, 0.3, 0.6)
+    key = await place.submit()
+    place.engine.go_on()
+    await until(slow.there.is_set)  # a thread is about to write what is not true any more
+    place.engine.holds = True
+    runs = len(place.engine.begun)
+    cancelling = asyncio.create_task(place.queue.cancel(key))
+    await until(lambda: place.store.fit(key).status == "cancelled")
+    assert await place.submit() == key  # while the first attempt is still ending
+    assert (await cancelling) is not None
+    await until(slow.over.is_set)  # it has written
+    row = await place.end(key)
+    assert row.status == "succeeded"
+    assert row.metrics == {"run": runs + 1}
+
+
+@pytest.mark.parametrize("after", [False, True])
+async def test_request_during_completion_gets_the_result(
+    place: Race, monkeypatch: pytest.MonkeyPatch, after: bool
+) -> None:
+    slow = place.slow_down(monkeypatch, "complete_fit", 10.0, after=after)
+    key = await place.submit()
+    place.engine.go_on()
+    await until(slow.there.is_set)
+    others = [asyncio.create_task(place.submit()) for _ in range(5)]
+    assert {await other for other in others} == {key}
+    slow.on.set()
+    assert (await place.end(key)).status == "succeeded"
+    assert len(place.engine.begun) == 1
+
+
+async def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(
+    place: Race, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key = await place.submit()
+    await place.until_it_runs()
+    slow = place.slow_down(monkeypatch, "fit", PATIENCE)
+    waiting = asyncio.create_task(place.queue.wait(key, PATIENCE))
+    await asyncio.sleep(0)
+    await place.queue.cancel(key)
+    await until(slow.there.is_set)
+    assert await place.submit() == key
+    slow.on.set()  # the row that is read now is the new one's
+    place.engine.go_on()
+    assert (await waiting).status == "succeeded"
+
+
+@pytest.mark.parametrize("error", [sqlite3.OperationalError("disk I/O error"), OSError(5, "Input/output error")])
+async def test_result_is_written_when_the_disk_works_again(
+    place: Race, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    monkeypatch.setattr(fit_queue, "_RETRY_DELAY", 0.01)
+    complete = place.store.complete_fit
+    failures = iter([error, error])
+
+    def fail_twice(*arguments: Any) -> Any:
+        for failure in failures:
+            raise failure
+        return complete(*arguments)
+
+    monkeypatch.setattr(place.store, "complete_fit", fail_twice)
+    row = await place.end(await place.submit())
+    assert (row.status, len(place.engine.begun)) == ("succeeded", 1)
+
+
+async def test_engine_exception_is_a_system_fault(place: Race) -> None:
+    place.engine.outcomes += [RuntimeError("can't start new thread")]
+    row = await place.end(await place.submit())
+    assert (row.status, row.attempts) == ("succeeded", 2)
+    place.engine.outcomes += [RuntimeError("can't start new thread")] * 2
+    place.store.remove_fit(row.key)
+    row = await place.end(await place.submit())
+    assert row.error is not None
+    assert (row.error["origin"], row.error["type"]) == ("system", "EngineFailed")
+
+
+async def test_fit_is_retried_when_processes_cannot_be_started(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit_queue, "_RETRY_DELAY", 0.01)
+    not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
+    too_many = OSError(errno.EMFILE, "Too many open files")
+    place.engine.outcomes += [not_started, too_many, not_started]
+    row = await place.end(await place.submit())
+    assert (row.status, row.attempts) == ("succeeded", 1)
+
+
+async def test_queued_fits_alternate_between_owners(place: Race) -> None:
+    callers = [Caller("many"), Caller("one"), Caller("two")]
+    for caller in callers:
+        add(place.store, caller=caller)
+    many, one, two = [
+        [await place.submit(caller, dsbrdf.FitOptions(mask=(1 + n) / 10)) for n in range(count)]
+        for caller, count in zip(callers, (5, 1, 2), strict=True)
+    ]
+    for key in (*many, *one, *two):
+        await place.end(key)
+    # The second of many was next when the others came; behind it they take turns.
+    order = [*many[:2], *one, two[0], many[2], two[1], *many[3:]]
+    assert place.engine.begun == [str(key) for key in order]
+
+
+async def test_model_is_that_of_the_fit_as_it_is_now(place: Race) -> None:
+    models = ModelCache(place.store, 8)
+    key = await place.submit()
+    await place.end(key)
+    first = await models.get(key)
+    assert await models.get(key) is first
+    assert place.store.remove_fit(key)  # as another process does it
+    with pytest.raises(FitNotFoundError):
+        await models.get(key)
+    await place.end(await place.submit())
+    again = await models.get(key)
+    assert await models.get(key) is again is not first
+
+
+async def test_restart_does_not_count_as_an_attempt(place: Race) -> None:
+    key = await place.submit()
+    for starts in range(1, 5):
+        await until(lambda: len(place.engine.begun) == starts)  # noqa: B023 (called at once)
+        await place.queue.close()
+        place.begin()
+        assert place.store.resume() == [key]
+        row = place.store.fit(key)
+        assert (row.status, row.attempts, row.started) == ("accepted", 0, None)
+        await place.queue.start()
+    place.engine.outcomes += [LOST]
+    assert (await place.end(key)).status == "succeeded"
