@@ -5,7 +5,7 @@ WRONG_PATH_ERRORS = (FileNotFoundError, FileExistsError, IsADirectoryError, NotA
 
 
 def one_of(names: tuple[str, ...] | list[str]) -> str:
-    """Return names as a sentence has them: ``a, b or c``."""
+    """Join names for a sentence: ``a, b or c``."""
     return f"{', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else names[0]
 
 
@@ -26,7 +26,7 @@ class ModelFormatError(DSBRDFError, ValueError):
 
 
 class ImageFormatError(DSBRDFError, ValueError):
-    """A picture of radiance is damaged, of another kind, or not one of all directions."""
+    """An environment map is damaged, in an unknown format, or does not cover all directions."""
 
 
 class FitError(DSBRDFError):

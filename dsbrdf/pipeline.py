@@ -24,7 +24,7 @@ from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, Found
 from dsbrdf.paper.paper_method import fit_slicewise
 from dsbrdf.process_settings import one_blas_thread
 from dsbrdf.report_warnings import (
-    LARGEST_EXPECTED,
+    MAX_EXPECTED_ERROR,
     accuracy_warnings,
     convergence_sentence,
     fit_warnings,
@@ -46,8 +46,10 @@ from dsbrdf.version import versions
 
 FEW_SAMPLES = 200
 """Fewer scattered samples than this are fitted by layers."""
-_EXACT_ROUNDS = 3  # fits of scattered samples where they are: each knows better how to move them to their rows
-_MOST_EXACT = 30_000  # scattered samples that are fitted where they are; of more, so many taken at random
+# Each fit of samples at their own angles improves the model that moves them to whole degrees of theta_diff.
+REFINEMENT_ROUNDS = 3
+# A random choice of this size is refined where there are more samples.
+MAX_REFINED_SAMPLES = 30_000
 
 
 @one_blas_thread
@@ -70,8 +72,8 @@ def fit(
     options : FitOptions, optional
         Defaults to ``FitOptions()``.
     progress : callable, optional
-        Called with the share of the work done, 0 to 1, at least once an iteration. What it raises ends the fit and
-        reaches the caller.
+        Called with the fraction of the work done, 0 to 1, at least once an iteration. An exception that it
+        raises ends the fit and reaches the caller.
     **choices
         Single options by name, such as ``n_lobes=2``, instead of ``options``; the other parameters below.
 
@@ -175,8 +177,8 @@ def _fit_samples(
     clock.lap("profiles")
     found, mixture = fit_global(table, options, lambda share: progress(0.1 + 0.7 * share), clock.lap)
     if len(bright.values) >= FEW_SAMPLES:
-        chosen = np.random.default_rng(0).permutation(len(bright.values)) < _MOST_EXACT
-        for _ in range(_EXACT_ROUNDS):
+        chosen = np.random.default_rng(0).permutation(len(bright.values)) < MAX_REFINED_SAMPLES
+        for _ in range(REFINEMENT_ROUNDS):
             data = sample_rows(bright.take(chosen), table, options, prediction, found.model)
             found, mixture = refine_at_samples(data, mixture, found.growth)
         clock.lap("refine at samples")
@@ -184,7 +186,7 @@ def _fit_samples(
     without = left_out_values(known, prediction, found.model)
     left_out, rows = left_out_errors(known, without, options.horizon_cutoff)
     expected = expected_error(prediction, found.model)
-    pairs = pairs_to_measure(prediction, found.model) if expected > LARGEST_EXPECTED else ()
+    pairs = pairs_to_measure(prediction, found.model) if expected > MAX_EXPECTED_ERROR else ()
     clock.lap("left out")
     amplitude = found.model.amplitude / units.factor
     if np.all(samples.values == samples.values[:, :1]):  # grey, to the last bit

@@ -23,12 +23,17 @@ The matrices of a fit are so small that several threads are slower than one, on 
 `one_blas_thread` does the same in a process that has NumPy already.
 """
 _blas_lock = threading.Lock()
-_blas_limits: list[Any] = []  # the limit, which knows how many threads there were, then an entry for each computation
+# First the limiter, which remembers the number of threads before it, then an entry for each running computation.
+_blas_limits: list[Any] = []
 
-_BLAS_MEMORY = 96 << 20  # bytes, more than the two libraries take, which is 64 MB
-_THREAD_TIMEOUT = 10.0  # seconds that a thread has to begin
+# The BLAS libraries of NumPy and SciPy reserve 64 MB together.
+_BLAS_MEMORY_BYTES = 96 << 20
+_THREAD_START_TIMEOUT_S = 10.0
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # glibc's names for them begin with M_
+# Parameters of glibc's mallopt: M_TRIM_THRESHOLD, M_MMAP_THRESHOLD and M_ARENA_MAX.
+_TRIM_THRESHOLD = -1
+_MMAP_THRESHOLD = -3
+_ARENA_MAX = -8
 
 
 def core_count() -> int:
@@ -37,7 +42,7 @@ def core_count() -> int:
 
 
 def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Make a function compute with one BLAS thread; the last of those that run at once puts the number back."""
+    """Decorate a function to compute with one BLAS thread; the last concurrent call restores the former number."""
 
     @wraps(compute)
     def limited(*args: _P.args, **kwargs: _P.kwargs) -> _R:
@@ -58,7 +63,8 @@ def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
 
 @cache
 def _blas() -> Any:
-    from threadpoolctl import ThreadpoolController  # not before something is computed: commands have to start at once
+    # Imported at the first computation, so that commands start at once.
+    from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
@@ -83,15 +89,16 @@ def end_with_parent() -> None:
 
     # `Thread.start` would wait for ever for a thread that has no memory to begin.
     _thread.start_new_thread(watch, ())
-    if not begun.acquire(timeout=_THREAD_TIMEOUT):
+    if not begun.acquire(timeout=_THREAD_START_TIMEOUT_S):
         raise MemoryError("the thread that watches the parent process could not begin")
 
 
-@one_blas_thread  # which takes some itself, the first time
+@one_blas_thread
 def reserve_blas_memory() -> None:
     """Let the BLAS libraries of NumPy and SciPy take their working memory now, before a limit is set.
 
-    OpenBLAS takes it with the first operation that needs it, keeps it, and asks for ever where there is none.
+    OpenBLAS allocates this memory with the first operation that needs it, keeps it, and waits for ever if there is
+    none.
 
     Raises MemoryError if a limit that is set already leaves too little.
     """
@@ -99,7 +106,7 @@ def reserve_blas_memory() -> None:
     from scipy.linalg import lapack
 
     try:
-        mmap.mmap(-1, _BLAS_MEMORY).close()
+        mmap.mmap(-1, _BLAS_MEMORY_BYTES).close()
     except OSError:
         raise MemoryError("there is too little memory for BLAS") from None
     matrix = np.eye(256)
@@ -113,7 +120,7 @@ def keep_freed_memory() -> None:
     By default, glibc returns large buffers to the system, and every page of a new one costs a page fault: a tenth of
     the time of a fit. Other C libraries have no such setting.
     """
-    _mallopt({_MMAP_THRESHOLD: 1 << 25, _TRIM_THRESHOLD: 1 << 30})  # the first is the largest that all versions accept
+    _mallopt({_MMAP_THRESHOLD: 1 << 25, _TRIM_THRESHOLD: 1 << 30})
 
 
 def return_freed_memory() -> None:
@@ -123,7 +130,7 @@ def return_freed_memory() -> None:
     as long as it works; a threshold that is set stays. It also gives nearly each thread a heap of its own, and memory
     that is free in one cannot be used by another; two are enough. Other C libraries have neither parameter.
     """
-    # Without the second, each large buffer would be taken from the system anew.
+    # Without a trim threshold, the C library would ask the system anew for each large buffer.
     _mallopt({_MMAP_THRESHOLD: 1 << 20, _TRIM_THRESHOLD: 2 << 20, _ARENA_MAX: 2})
 
 
@@ -135,6 +142,6 @@ def _mallopt(settings: dict[int, int]) -> None:
 
 
 def trim_memory() -> None:
-    """Return what is free between small buffers, which the C library keeps for ever; takes some milliseconds."""
+    """Return free memory between small buffers, which the C library would keep, to the system; takes milliseconds."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -1,7 +1,7 @@
-"""What a user should know before using a fitted model, in one sentence each.
+"""Warnings about a fitted model, one sentence each.
 
-The limits were chosen on 70 reference materials, 8 of the RGL database and 62 stand-ins of MERL's, so that one alone,
-the one that is fitted worst, goes beyond any: the comment of each limit says how far they go.
+The limits were chosen on 70 reference materials, 8 of the RGL database and 62 stand-ins for MERL's, so that only the
+material with the worst fit exceeds one: the comment of each limit says how far the other materials go.
 """
 
 from collections.abc import Iterator
@@ -16,11 +16,16 @@ from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-_RIM = np.radians(85.0)  # data that end later leave a thin line of a sphere; those of the materials reach 88
-_LARGEST_ALBEDO = 1.0 + 5e-4  # more than what three digits round to 1; the materials reach 0.93
-_LARGEST_ASYMMETRY = 0.15  # of the signal, as from noise of 20 % on each sample; the materials have up to 0.11
-_LARGEST_ALBEDO_ERROR = 0.15  # relative_rms hardly sees the diffuse part; the materials have up to 0.06
-_LARGEST_MISFIT = 0.1  # of the signal; one of the materials, chm_mint, has 0.15, the others up to 0.05
+# Data that end beyond this angle leave a thin line of a sphere; the data of all materials reach 88 degrees.
+_COMPLETE_ANGLE = np.radians(85.0)
+# Three digits round an albedo up to this one to 1; the materials reach 0.93.
+_MAX_ALBEDO = 1.0 + 5e-4
+# Noise of 20 % on each sample causes an asymmetry of this size; the materials have up to 0.11.
+_MAX_RELATIVE_ASYMMETRY = 0.15
+# The diffuse part hardly changes relative_rms, but the albedo; the materials have up to 0.06.
+_MAX_ALBEDO_ERROR = 0.15
+# Relative to the signal; one of the materials, chm_mint, has 0.15, the others up to 0.05.
+_MAX_RELATIVE_MISFIT = 0.1
 
 
 def fit_warnings(
@@ -34,21 +39,21 @@ def fit_warnings(
 ) -> Iterator[str]:
     """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its model.
 
-    Of scattered samples in a wrong unit `dsbrdf.samples.units` speaks.
+    If `is_unit_wrong`, `dsbrdf.samples.units` has already warned about the unit, and the albedo is not mentioned.
     """
     if not np.all(knots.converged):
         yield convergence_sentence(knots, in_slices=in_slices)
     valid = np.any(data.folded.weight > 0.0, axis=(0, 3))
     ends = {"theta_diff": THETA_DIFF[valid.any(axis=1)].max(), "theta_half": THETA_HALF[valid.any(axis=0)].max()}
     for name, last in ends.items():
-        if last < _RIM:
+        if last < _COMPLETE_ANGLE:
             yield (
                 f"The measurement has no valid samples beyond {name} = {np.degrees(last):.0f} degrees: the model is "
                 "extrapolated there."
             )
     values = np.array(albedo.albedo)
     row, channel = np.unravel_index(values.argmax(), values.shape)
-    if values[row, channel] > _LARGEST_ALBEDO and not is_unit_wrong:
+    if values[row, channel] > _MAX_ALBEDO and not is_unit_wrong:
         yield (
             f"The model reflects more light than it receives: its directional albedo is {values[row, channel]:.3f} at "
             f"{np.degrees(albedo.theta_out[row]):.0f} degrees in the {CHANNELS[channel]} channel, so that rendered "
@@ -58,7 +63,7 @@ def fit_warnings(
 
 
 def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:
-    """What stopped before it converged: the fit, or how many of its slices, of all channels."""
+    """Return the sentence about a fit, or slices of it, that stopped before convergence."""
     stopped = np.logical_not(knots.converged)
     bound, count = np.array(knots.iterations)[stopped].max(), np.count_nonzero(stopped)
     several = in_slices and count > 1
@@ -74,7 +79,7 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
     error, floor, albedo_error = metrics.relative_rms, metrics.symmetric_floor, metrics.albedo_error
     if error is None or floor is None or albedo_error is None:
         return
-    if floor > _LARGEST_ASYMMETRY:
+    if floor > _MAX_RELATIVE_ASYMMETRY:
         yield (
             f"The samples deviate by {floor:.1%} from their mean over phi_diff, -phi_diff and 180 degrees - phi_diff, "
             "where a reciprocal isotropic material has one value: the measurement is noisy, or the material sparkles "
@@ -82,22 +87,27 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
         )
     # Two samples make a folded mean, so that independent noise gives relative_rms = sqrt(2) symmetric_floor.
     misfit = np.sqrt(max(error**2 - 2.0 * floor**2, 0.0))
-    if misfit > _LARGEST_MISFIT:
+    if misfit > _MAX_RELATIVE_MISFIT:
         yield (
             f"The error of the fit is {error:.1%}, where the best reciprocal isotropic model would have {floor:.1%}: "
             "the lobes do not follow the measurement, so compare images of both before you use the model."
         )
-    if albedo_error > _LARGEST_ALBEDO_ERROR:
+    if albedo_error > _MAX_ALBEDO_ERROR:
         yield (
             f"The directional albedo of the model differs from the measurement's by {albedo_error:.1%}, the mean over "
             "some angles and channels: rendered images will be too bright or too dark."
         )
 
 
-LARGEST_EXPECTED = 0.1
-"""Expected error over all directions from which on a report says where to measure next."""
-_OUT_OF_PLANE = 0.02  # sines of both angles to the normal times that of the turn
-_LARGE, _MUCH_LARGER, _WORTH_A_WORD = 0.3, 2.0, 0.05  # errors
+MAX_EXPECTED_ERROR = 0.1
+"""Expected error over all directions beyond which a report says where to measure next."""
+# Product of the sines of both polar angles and of the azimuth between them; below it, directions share a plane.
+_MIN_OUT_OF_PLANE_SINE = 0.02
+_MAX_SAMPLE_MISFIT = 0.3
+# The error at samples left out is reported if it is this many times the error at the samples of the fit ...
+_REPORTED_ERROR_RATIO = 2.0
+# ... and at least so large.
+_MIN_REPORTED_ERROR = 0.05
 
 
 def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str, few: int) -> Iterator[str]:
@@ -111,22 +121,22 @@ def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str,
             "samples and corrected near them; more samples would tell more."
         )
     first, second = samples.omega_in, samples.omega_out
-    if np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).max() < _OUT_OF_PLANE:
+    if np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).max() < _MIN_OUT_OF_PLANE_SINE:
         yield (
             "All samples lie in one plane of incidence: out of it the model has highlights as those of most materials; "
             "of a few they are several times as bright there, as only samples out of the plane tell."
         )
-    if here > _LARGE:
+    if here > _MAX_SAMPLE_MISFIT:
         yield (
             f"The model misses the samples by {here:.0%} of their size: look for values that are no measurements, for "
             "wrong units of the angles, and for a mirror direction on the wrong side."
         )
-    if left_out >= max(_MUCH_LARGER * here, _WORTH_A_WORD):
+    if left_out >= max(_REPORTED_ERROR_RATIO * here, _MIN_REPORTED_ERROR):
         yield (
             f"At samples left out of a fit relative_rms is {left_out:.3g}, at those of the fit {here:.3g}: between the "
             "samples the error is more like the larger one."
         )
-    if expected > LARGEST_EXPECTED:
+    if expected > MAX_EXPECTED_ERROR:
         yield (
             f"Over all directions an error of {expected:.0%} is to be expected: where there are no samples, the model "
             "is what layers that explain the samples are like there; measure_next has the directions that would tell "

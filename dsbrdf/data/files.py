@@ -1,4 +1,4 @@
-"""Files: written completely or not at all, and told by their first bytes what they are."""
+"""Writing files atomically, and recognising kinds of files by their first bytes."""
 
 import os
 from collections.abc import Iterable
@@ -7,10 +7,10 @@ from secrets import token_hex
 
 
 def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memoryview]) -> None:
-    """Write parts to a file; one that exists is replaced in one step, so that no process ever sees half of it.
+    """Write the parts of a file atomically, so that no process ever sees half of it.
 
-    They are written to a temporary file in the same folder first. After an error, `path` is unchanged and the
-    temporary file is removed; an OSError names `path`.
+    The parts are first written to a temporary file in the same folder, which then replaces an existing
+    one. After an error, `path` is unchanged and the temporary file is removed; an OSError names `path`.
     """
     target = Path(path)
     # Fifty characters, of four bytes at most, do not make the name longer than a file system allows.
@@ -18,7 +18,7 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
     try:
         file = temporary.open("xb")
     except OSError as error:
-        error.filename = str(target)  # the name that the caller knows
+        error.filename = str(target)  # The caller does not know the temporary name.
         raise
     try:
         with file:
@@ -48,5 +48,5 @@ _KINDS = {
 
 
 def known_kind(start: bytes) -> str | None:
-    """Return the kind of file that begins with these bytes, such as "a PNG image"; None for any other."""
+    """Return the kind of file that begins with these bytes, such as "a PNG image", or None."""
     return next((kind for magic, kind in _KINDS.items() if start.startswith(magic)), None)

@@ -84,7 +84,7 @@ def directions(
 
 
 def spherical(theta: ArrayLike, phi: ArrayLike) -> Array:
-    """Return unit vectors (..., 3) of angles to the normal and azimuths that broadcast [rad]."""
+    """Return unit vectors (..., 3) from polar angles and azimuths [rad], which broadcast."""
     theta, phi = np.broadcast_arrays(theta, phi)
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
@@ -96,9 +96,10 @@ def random_directions(generator: np.random.Generator, cosine: Array) -> Array:
 
 
 def incident_cosines(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> tuple[Array, Array]:
-    """Return the cosines (...) between omega_in, omega_out and the surface normal, of angles that broadcast [rad].
+    """Return the cosines of omega_in and omega_out to the surface normal from half and difference angles [rad].
 
-    They are ``cos(theta_half) cos(theta_diff) -/+ sin(theta_half) sin(theta_diff) cos(phi_diff)``.
+    The angles broadcast. The two cosines are
+    ``cos(theta_half) cos(theta_diff) -/+ sin(theta_half) sin(theta_diff) cos(phi_diff)``.
     """
     half, diff, phi = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
     mean = np.cos(half) * np.cos(diff)
@@ -107,9 +108,10 @@ def incident_cosines(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: Arr
 
 
 def above_horizon(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, cutoff: float = np.pi / 2) -> Mask:
-    """Return whether both directions are above the horizon and at most `cutoff`, in (0, pi/2], from the normal [rad].
+    """Return whether both directions lie above the horizon and within `cutoff` [rad] of the normal.
 
-    The cutoff itself is inside; the horizon is not. Raises InvalidArgumentError if the cutoff is out of range.
+    The cutoff, in (0, pi/2], is itself inside; the horizon is not. Raises InvalidArgumentError if the cutoff is out of
+    range.
     """
     check_horizon_cutoff(cutoff)
     cosine = np.minimum(*incident_cosines(theta_half, theta_diff, phi_diff))
@@ -126,7 +128,7 @@ def check_horizon_cutoff(cutoff: float | None) -> None:
 
 
 def check_directions(name: str, omega: ArrayLike, *, below_horizon: bool = False) -> Array:
-    """Return directions (..., 3) scaled to exact unit length; the name is theirs in the error message.
+    """Return directions (..., 3) scaled to exact unit length; error messages call them by `name`.
 
     Raises InvalidArgumentError if the shape is another, a number is not finite, a length differs from 1 by more than
     1e-6, or a direction points below the horizon (z < 0) and that is not accepted.
@@ -155,9 +157,10 @@ def _vectors(name: str, omega: ArrayLike) -> Array:
 
 
 def checked_angles(**named: ArrayLike) -> tuple[Array, ...]:
-    """Return angles as arrays; an InvalidArgumentError says if they are no numbers or do not broadcast."""
+    """Return angles as arrays; raise InvalidArgumentError if they are not numeric or do not broadcast."""
     arrays = tuple(_numbers(name, value) for name, value in named.items())
-    if len({array.shape for array in arrays}) == 1:  # the check below costs as much as a point
+    # Equal shapes need no check, and the check takes as long as the evaluation of one point.
+    if len({array.shape for array in arrays}) == 1:
         return arrays
     try:
         np.broadcast_shapes(*(array.shape for array in arrays))

@@ -34,12 +34,13 @@ QUARTER = PHI_DIFF.size // 2 + 1
 
 @lru_cache(maxsize=4)
 def nodes_above_horizon(cutoff: float = np.pi / 2) -> Mask:
-    """Return which nodes (90, 90, 180) have both directions above the horizon, and within the cutoff of the normal.
+    """Return a mask (90, 90, 180) of the nodes with both directions above the horizon and within the cutoff.
 
-    Read-only, and cached; see `dsbrdf.data.geometry.above_horizon`.
+    The mask is read-only and cached; see `dsbrdf.data.geometry.above_horizon`.
     """
     above = np.empty(GRID_SHAPE, dtype=np.bool_)
-    for row, theta_half in enumerate(THETA_HALF):  # row by row, because the whole grid at once needs 50 MB
+    # The whole grid at once would need 50 MB.
+    for row, theta_half in enumerate(THETA_HALF):
         above[row, :, :QUARTER] = above_horizon(theta_half, THETA_DIFF[:, np.newaxis], PHI_DIFF[:QUARTER], cutoff)
     above[:, :, QUARTER:] = above[:, :, QUARTER - 2 : 0 : -1]
     above.flags.writeable = False

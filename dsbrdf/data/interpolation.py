@@ -21,12 +21,14 @@ from dsbrdf.data.geometry import checked_angles
 from dsbrdf.data.grid import GRID_SHAPE
 from dsbrdf.errors import InvalidArgumentError
 
-_FLOOR = 1e-6  # Added before the logarithm, for values of 0; far below any reflectance that can be seen [1/sr].
-_POINTS_AT_ONCE = 65536  # Keeps the corners of a block in the processor's cache.
+# Added before the logarithm, so that 0 has one; far below any visible reflectance.
+_LOG_OFFSET_PER_SR = 1e-6
+# The corners of a block of points stay in the processor's cache.
+_POINTS_PER_BLOCK = 65536
 
 
 class Grid(Protocol):
-    """What is needed of a `dsbrdf.Measurement`."""
+    """Attributes of `dsbrdf.Measurement` that the interpolation reads."""
 
     @property
     def stored(self) -> Array: ...  # noqa: D102
@@ -58,8 +60,8 @@ class InterpolatedMeasurement:
             raise InvalidArgumentError("an angle must be a finite number")
         flat = [angle.ravel() for angle in angles]
         values = np.empty((flat[0].size, 3))
-        for start in range(0, flat[0].size, _POINTS_AT_ONCE):
-            block = slice(start, start + _POINTS_AT_ONCE)
+        for start in range(0, flat[0].size, _POINTS_PER_BLOCK):
+            block = slice(start, start + _POINTS_PER_BLOCK)
             values[block] = self._values(*(angle[block] for angle in flat)).T
         return values.reshape(*angles[0].shape, 3)
 
@@ -72,15 +74,15 @@ class InterpolatedMeasurement:
         return found
 
     def _values(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values at N points, shape (3, N)."""
+        """Return values at N points, shape (3, N)."""
         stored = self.measurement.stored.reshape(3, -1)
         scale = self.measurement.scale[:, np.newaxis]
         logarithm = np.zeros((3, theta_half.size))
         for weight, (row, diff, column) in _corners(theta_half, theta_diff, phi_diff):
             nodes = self.source[:, row, diff, column]
             found = stored[:, nodes[0]] if len(nodes) == 1 else np.take_along_axis(stored, nodes, axis=1)
-            logarithm += weight * np.log(found * scale + _FLOOR)
-        return np.maximum(np.exp(logarithm) - _FLOOR, 0.0)
+            logarithm += weight * np.log(found * scale + _LOG_OFFSET_PER_SR)
+        return np.maximum(np.exp(logarithm) - _LOG_OFFSET_PER_SR, 0.0)
 
 
 def _corners(
@@ -114,16 +116,16 @@ def interpolate(measurement: Grid) -> InterpolatedMeasurement:
 
 
 def _cells(position: Array, count: int) -> tuple[Indices, Array]:
-    """Lower node of the cell that holds each position, and the share of the upper one, at most 1: the last is held."""
+    """Return the cell below each position, and the weight of its upper node; beyond the last node the weight is 1."""
     lower = np.minimum(position.astype(np.intp), count - 2)
     return lower, np.minimum(position - lower, 1.0)
 
 
 def _nearest_valid(valid: Mask) -> NDArray[np.int32]:
-    """Flat index of the node whose value each node takes.
+    """Return for each node the flat index of the nearest node with a value.
 
-    It is looked for towards theta_diff = 0 first, farther above the horizon; then away from there; then at the nearest
-    other (theta_half, phi_diff) that has a valid node.
+    The search goes towards theta_diff = 0 first, farther above the horizon; then in the other direction; then to the
+    nearest (theta_half, phi_diff) that has a valid node.
     """
     steps = np.arange(GRID_SHAPE[1], dtype=np.int8)[:, np.newaxis]
     diff = np.maximum.accumulate(np.where(valid, steps, np.int8(-1)), axis=1)

@@ -28,8 +28,8 @@ class Measurement:
         Factor of each channel from ``stored`` to the BRDF in 1/sr.
     valid : ndarray of bool, shape (90, 90, 180)
         Nodes with a value, one >= 0, in some channel, and both directions strictly above the horizon, read-only. A
-        negative number means no value in its channel: a saturated yellow is darker in blue than noise, and has red and
-        green all the same.
+        negative number means no value in its channel only: a saturated yellow can be darker than the noise in blue, and
+        still have values in red and green.
     name : str
         The material's name, by default that of its file.
     sha256 : str
@@ -69,11 +69,11 @@ class Measurement:
 
     @cached_property
     def interpolated(self) -> InterpolatedMeasurement:
-        """The same with a value everywhere, also where nothing was measured."""
+        """The interpolated measurement, which has a value everywhere, also where nothing was measured."""
         return interpolate(self)
 
     def known(self, row: int) -> Mask:
-        """Where each channel has a value in the theta_half row, shape (3, 90 theta_diff, 180 phi_diff)."""
+        """Return a mask of the values of each channel in a theta_half row, shape (3, 90 theta_diff, 180 phi_diff)."""
         return self.valid[row] & (self.stored[:, row] >= 0.0)
 
     @property

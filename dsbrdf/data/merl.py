@@ -75,10 +75,10 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
 
 
 def map_merl(path: str | os.PathLike[str], sha256: str) -> Measurement:
-    """Return a measurement whose file has been checked before: it is mapped, neither read whole nor checked again.
+    """Return the measurement in a file that was validated before, as a memory map without another check.
 
-    The file, whose digest is `sha256`, must not change as long as the measurement is used. A ValueError says that it
-    is shorter than a measurement.
+    The file, whose digest is `sha256`, must not change as long as the measurement is used. Raises ValueError if the
+    file is shorter than a measurement.
     """
     source = Path(path)
     with source.open("rb") as file:

@@ -25,7 +25,7 @@ SMALLEST_VALID_SHARE = 0.01
 
 _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 SHAPE = (len(CHANNELS), *GRID_SHAPE)
-_PIECE_SIZE = 1 << 20
+_PIECE_BYTES = 1 << 20
 _AXES = ("theta_half", "theta_diff", "phi_diff")
 _NOT_FINITE = "NaN or infinite; every value must be finite."
 _TOO_LARGE = "1e8/sr, which no reflectance has; stored values are the BRDF in 1/sr times 1500 / (1, 1.15, 1.66)."
@@ -82,13 +82,17 @@ class MerlChecker:
     def __init__(self) -> None:
         self.n_bytes = 0
         self._header = b""
-        self._rest = b""  # the first bytes of eight values, a byte of bits, that continue in the next piece
+        # The next piece continues this incomplete group of eight values, which fill one byte of bits.
+        self._rest = b""
         self._n_values = 0
-        self._measured = np.zeros(NODES // 8, dtype=np.uint8)  # bits: some channel is not negative
-        self._positive = np.zeros(NODES // 8, dtype=np.uint8)  # bits: some channel is positive
-        self._n_measured = [0] * len(CHANNELS)  # nodes above the horizon that are not negative
+        # A bit for each node: some channel is not negative, or positive.
+        self._measured = np.zeros(NODES // 8, dtype=np.uint8)
+        self._positive = np.zeros(NODES // 8, dtype=np.uint8)
+        # For each channel, the number of nodes above the horizon that are not negative.
+        self._n_measured = [0] * len(CHANNELS)
         self._above = nodes_above_horizon().reshape(-1)
-        self._faults: dict[str, tuple[int, str]] = {}  # how many values have a fault, and where the first is
+        # For each fault, the number of values that have it and the place of the first one.
+        self._faults: dict[str, tuple[int, str]] = {}
 
     def update(self, piece: bytes | bytearray | memoryview) -> None:
         """Check the next bytes, of any length.
@@ -118,7 +122,8 @@ class MerlChecker:
         Raises MeasurementFormatError if the length is wrong, a value is NaN or infinite or above 1e8/sr, a channel is
         negative at more than 99 % of the nodes above the horizon, or all valid nodes are zero.
         """
-        check_header(self._header)  # which `update` has done unless there are fewer bytes than a header has
+        # `update` has checked the header unless there are fewer bytes than it has.
+        check_header(self._header)
         check_length(self.n_bytes)
         for fault, (verb, verb_of_many) in (_NOT_FINITE, ("is", "are")), (_TOO_LARGE, ("exceeds", "exceed")):
             count, first = self._faults.get(fault, (0, ""))
@@ -148,11 +153,13 @@ class MerlChecker:
             part, values = values[: NODES - node], values[NODES - node :]
             self._n_values += part.size
             nodes, octets = slice(node, node + part.size), slice(node // 8, (node + part.size) // 8)
-            with np.errstate(invalid="ignore"):  # NumPy warns when it compares a signalling NaN
+            # NumPy warns when it compares a signalling NaN.
+            with np.errstate(invalid="ignore"):
                 largest, smallest, limit = part.max(), part.min(), LARGEST_VALUE / SCALE[channel]
                 if not (np.isfinite(largest) and np.isfinite(smallest)):
                     self._record(_NOT_FINITE, ~np.isfinite(part), channel, node)
-                if largest > limit:  # false if the maximum is NaN, which is reported first
+                # A maximum of NaN is not greater, and is reported before.
+                if largest > limit:
                     self._record(_TOO_LARGE, (part > limit) & self._above[nodes], channel, node)
                 measured = part >= 0.0
                 self._n_measured[channel] += int(np.count_nonzero(measured & self._above[nodes]))
@@ -175,8 +182,8 @@ def checked_values(data: bytes | memoryview) -> tuple[Array, Mask, str]:
     """
     view = memoryview(data).cast("B")
     checker, digest = MerlChecker(), hashlib.sha256()
-    for start in range(0, len(view), _PIECE_SIZE):
-        piece = view[start : start + _PIECE_SIZE]
+    for start in range(0, len(view), _PIECE_BYTES):
+        piece = view[start : start + _PIECE_BYTES]
         checker.update(piece)
         digest.update(piece)
     valid = checker.finish()

@@ -1,4 +1,4 @@
-"""The reduction of a measurement to what a model can see of it: profiles over phi_diff, and over bins of it.
+"""The exact reduction of a measurement to profiles: sums over phi_diff, or over bins of phi_diff.
 
 The model does not depend on phi_diff, so the squared error of any such model ``m`` splits, for every
 (channel, theta_diff, theta_half), into
@@ -36,16 +36,17 @@ WEIGHTINGS = ("plain", "cosine", "log")
 
 _BIN_OF = np.minimum(np.minimum(np.arange(180), 180 - np.arange(180)) * N_BINS // 90, N_BINS - 1)
 IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)
-"""1 where a sample of phi_diff lies in a bin, else 0, shape (180, 9)."""
+"""Membership of each phi_diff of the grid in each bin, 1 or 0, shape (180, 9)."""
 SAMPLES_IN_BIN = IN_BIN[:QUARTER] * np.where(np.arange(QUARTER) % (QUARTER - 1) == 0, 1.0, 2.0)[:, None]
-"""How many samples in a bin each phi_diff up to 90 degrees stands for, mirrored ones too, shape (91, 9)."""
+"""Number of grid samples, mirrored ones included, that each phi_diff up to 90 degrees represents, shape (91, 9)."""
 _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
 _BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(N_BINS))
 OUTLIER = 6.0
-"""Standard deviations from the median at which a sample begins to count less; at twice as many it counts nothing."""
+"""Distance from the median, in standard deviations, beyond which weights fall; at twice this distance they are 0."""
 NORMAL_QUARTILE = 1.1503
-"""Third quartile of the absolute deviations of a normal distribution, in its standard deviations."""
-_FEW_IN_BIN = 5  # with fewer samples in a bin, half of them may be outliers: bins beside it help
+"""Third quartile of the absolute deviation of a normal distribution, in standard deviations."""
+# With fewer samples, half of a bin may be outliers: the bins beside it are used too.
+_MIN_SAMPLES_FOR_MEDIAN = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ class Profiles:
     horizon_cutoff, weighting, robust
         The options of `profiles`; ``folded`` is not weighted.
     name, sha256 : str
-        Of the measurement.
+        Name and digest of the measurement.
     """
 
     mean: Array
@@ -142,7 +143,7 @@ def profiles(
 
 
 def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
-    """Samples of the theta_half row ``i`` that count, shape (3, 90 theta_diff, 180 phi_diff)."""
+    """Return a mask (3, 90 theta_diff, 180 phi_diff) of the samples of the theta_half row ``i`` that are used."""
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     return measurement.known(i) & nodes_above_horizon(cutoff)[i]
 
@@ -160,15 +161,15 @@ def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust
 
 
 def _trusted_in_bins(samples: Array, known: Mask) -> Array:
-    """Weights of samples (3, 90, 180): low where a sample lies far from the others of its bin.
+    """Return weights of samples (3, 90, 180), low where a sample lies far from the others of its bin.
 
-    A bin of a few samples cannot tell which of them are outliers: there the samples of the bins beside it help.
+    A bin of a few samples cannot tell which of them are outliers, and takes in the samples of the bins beside it.
     """
     weights = np.zeros(samples.shape)
     for members, beside in zip(_MEMBERS, _BESIDE, strict=True):
         weights[..., members] = _outlier_weights(samples[..., members], known[..., members])
         count = known[..., members].sum(axis=2)
-        few = np.flatnonzero(((count > 0) & (count < _FEW_IN_BIN)).any(axis=0))
+        few = np.flatnonzero(((count > 0) & (count < _MIN_SAMPLES_FOR_MEDIAN)).any(axis=0))
         if few.size:
             around = np.concatenate([members, beside])
             judged = _outlier_weights(samples[:, few[:, None], around], known[:, few[:, None], around])
@@ -177,7 +178,7 @@ def _trusted_in_bins(samples: Array, known: Mask) -> Array:
 
 
 def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
-    """Weighted mean, summed weight and within-sum over the last axis; zeros where there is no weight."""
+    """Return the weighted mean, summed weight and within-sum over the last axis; zeros where the weight is 0."""
     total = weights.sum(-1)
     mean = np.einsum("...p,...p->...", weights, samples) / np.where(total > 0, total, 1.0)
     deviation = samples - mean[..., None]
@@ -185,14 +186,15 @@ def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
 
 
 def _outlier_weights(samples: Array, used: Mask) -> Array:
-    """1 near the median over phi_diff, falling to 0 far from it, in units of the third quartile of the deviations.
+    """Return weights that are 1 near the median over phi_diff and fall to 0 far from it.
 
     The samples of a bin often lie in two groups, phi_diff and 180 degrees - phi_diff: the median of the deviations
     would see the larger group alone and take the other one for outliers. Without outliers all weights are 1.
     """
     count = used.sum(axis=-1, keepdims=True)
     masked = np.where(used, samples, np.nan)
-    ordered = np.sort(masked, axis=-1)  # NaN sorts last
+    # NaN sorts last.
+    ordered = np.sort(masked, axis=-1)
     lower = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=-1)
     median = np.where(count > 0, 0.5 * (lower + np.take_along_axis(ordered, count // 2, axis=-1)), 0.0)
     deviations = np.sort(np.abs(masked - median), axis=-1)

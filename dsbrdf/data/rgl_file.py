@@ -1,6 +1,6 @@
-"""What files of the RGL material database are made of: tensor files, and warps (Dupuy and Jakob 2018, section 4).
+"""Tensor files and warps, of which the files of the RGL material database consist (Dupuy and Jakob 2018, section 4).
 
-A tensor file has named arrays one after the other. All numbers are little-endian:
+A tensor file stores named arrays one after the other, with little-endian numbers:
 
     "tensor_file" 0x00, version 1 0 (two bytes), number of fields (uint32), and for each field
     length of the name (uint16), name, number of axes (uint16), type (uint8), offset of the data (uint64),
@@ -27,9 +27,9 @@ from dsbrdf.errors import MeasurementFormatError
 class Warp:
     """One warp, or T of them with one parameter, between which everything is linear."""
 
-    density: Array  # normalised: 1 for a uniform one, (..., H, W)
-    conditional: Array  # integral of each row up to each column, (..., H, W)
-    marginal: Array  # integral up to each row, 0 to 1, (..., H)
+    density: Array  # (..., H, W)
+    conditional: Array  # (..., H, W)
+    marginal: Array  # (..., H)
 
     @classmethod
     def of(cls, table: ArrayLike) -> "Warp":
@@ -85,9 +85,9 @@ class Warp:
 
 
 def bilinear(table: Array, x: Array, y: Array, of: Indices | None = None) -> Array:
-    """Values of a table (..., H, W) between its nodes at points (n,) of the unit square, x along the columns.
+    """Interpolate a table (..., H, W) at points (n,) of the unit square, x along the columns.
 
-    With ``of`` the first axis of the table is that of several tables, and point n is of the table ``of[n]``.
+    If ``of`` is given, the table is a stack of tables, and point n is looked up in the table ``of[n]``.
     """
     row, down = _cell(y, table.shape[-2])
     column, across = _cell(x, table.shape[-1])
@@ -98,29 +98,32 @@ def bilinear(table: Array, x: Array, y: Array, of: Indices | None = None) -> Arr
 
 
 def _cell(position: Array, count: int) -> tuple[Indices, Array]:
-    """Lower node of the cell that holds each position, 0 to 1, and the share of the upper one."""
+    """Return the cell below each position, 0 to 1, and the interpolation weight of its upper node."""
     lower = np.clip((position * (count - 1)).astype(np.intp), 0, count - 2)
     return lower, position * (count - 1) - lower
 
 
 def _running(values: Array) -> Array:
-    """Integral from the first node to each, along the last axis. Nodes are 1 apart, and values linear between them."""
+    """Integrate along the last axis from the first node to each; nodes are 1 apart, values linear in between."""
     steps = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]), axis=-1)
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), steps], axis=-1)
 
 
 def _invert_linear(start: Array, end: Array, area: Array) -> Array:
-    """Share t of a cell at which the integral of a density that runs from start to end reaches an area."""
+    """Return the fraction of a cell at which the integral of a linear density from start to end reaches an area."""
     slope = end - start
     root = np.sqrt(np.maximum(start * start + 2.0 * area * slope, 0.0))
-    below = start + root  # the stable form of (root - start) / slope
+    # The stable form of (root - start) / slope.
+    below = start + root
     return np.clip(np.where(below > 0.0, 2.0 * area / np.where(below > 0.0, below, 1.0), 0.0), 0.0, 1.0)
 
 
 _MAGIC = b"tensor_file\0\x01\x00"
-_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8")  # type 1 is the first
-_ALIGNMENT = 8
-_MOST_FIELDS, _MOST_AXES = 64, 8
+# The number of a type in the file is its place here, counted from 1.
+_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8")
+_ALIGNMENT_BYTES = 8
+_MAX_FIELDS = 64
+_MAX_AXES = 8
 
 
 def encode_tensors(fields: Mapping[str, NDArray[Any]]) -> bytes:
@@ -130,7 +133,7 @@ def encode_tensors(fields: Mapping[str, NDArray[Any]]) -> bytes:
     offset = len(_MAGIC) + 4 + sum(2 + len(names[name]) + 2 + 1 + 8 + 8 * arrays[name].ndim for name in fields)
     heads, bodies = [_MAGIC, struct.pack("<I", len(fields))], []
     for name, array in arrays.items():
-        gap = -offset % _ALIGNMENT
+        gap = -offset % _ALIGNMENT_BYTES
         offset += gap
         code = _TYPES.index(array.dtype.str[1:]) + 1
         heads += [struct.pack("<H", len(names[name])), names[name], struct.pack("<HBQ", array.ndim, code, offset)]
@@ -149,7 +152,8 @@ def parse_tensors(data: bytes) -> dict[str, NDArray[Any]]:
         raise MeasurementFormatError("The file is not a tensor file of version 1.0, as an RGL .bsdf file must be.")
     try:
         return _fields(data)
-    except (struct.error, ValueError, OverflowError):  # of NumPy, if an array is longer than the data
+    # NumPy raises the last two if an array is longer than the data.
+    except (struct.error, ValueError, OverflowError):
         raise MeasurementFormatError("The tensor file is damaged or cut off: a field lies outside of it.") from None
 
 
@@ -163,7 +167,7 @@ def _fields(data: bytes) -> dict[str, NDArray[Any]]:
         return values
 
     (count,) = take("I")
-    if count > _MOST_FIELDS:
+    if count > _MAX_FIELDS:
         raise ValueError
     fields = {}
     for _ in range(count):
@@ -171,7 +175,7 @@ def _fields(data: bytes) -> dict[str, NDArray[Any]]:
         (raw,) = take(f"{length}s")
         axes, code, offset = take("HBQ")
         shape = take(f"{axes}Q")
-        if axes > _MOST_AXES or not 1 <= code <= len(_TYPES):
+        if axes > _MAX_AXES or not 1 <= code <= len(_TYPES):
             raise ValueError
         kind = np.dtype("<" + _TYPES[code - 1])
         fields[raw.decode()] = np.frombuffer(data, kind, prod(shape), offset).reshape(shape)

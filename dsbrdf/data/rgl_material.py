@@ -28,9 +28,12 @@ from dsbrdf.data.rgl_file import Warp, bilinear, parse_tensors
 from dsbrdf.errors import MeasurementFormatError
 
 _AXES = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "rgb": 5}
-_LARGEST_FILE = 1 << 28  # [bytes]; those of the data base have at most 100 MB
-_POINTS_AT_ONCE = 32768
-_N_PAIRS, _LEAST_COSINE = 4000, float(np.cos(np.radians(75.0)))  # where reciprocity is looked at
+# The files of the RGL data base have at most 100 MB.
+_MAX_FILE_BYTES = 1 << 28
+_POINTS_PER_BLOCK = 32768
+# Random pairs of directions, at most 75 degrees from the normal, at which reciprocity is tested.
+_RECIPROCITY_PAIRS = 4000
+_MIN_RECIPROCITY_COSINE = float(np.cos(np.radians(75.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +43,7 @@ class RglMaterial:
     theta_i: Array
     ndf: Array  # (H, W)
     sigma: Array  # (H, W)
-    vndf: Warp  # one for each theta_i
+    vndf: Warp  # (T, H, W)
     rgb: Array  # (T, 3, H, W)
     name: str
 
@@ -53,8 +56,8 @@ class RglMaterial:
         second = check_directions("omega_out", omega_out, below_horizon=True)
         above = np.flatnonzero((first[:, 2] > 0.0) & (second[:, 2] > 0.0))
         values = np.zeros((len(first), 3))
-        for start in range(0, above.size, _POINTS_AT_ONCE):
-            block = above[start : start + _POINTS_AT_ONCE]
+        for start in range(0, above.size, _POINTS_PER_BLOCK):
+            block = above[start : start + _POINTS_PER_BLOCK]
             values[block] = self._values(first[block], second[block])
         return values
 
@@ -64,13 +67,15 @@ class RglMaterial:
         return self.evaluate_directions(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape)
 
     def non_reciprocity(self) -> float:
-        """How much swapped directions differ: the median of the difference of their values over their mean.
+        """Return the median relative difference of the values when the two directions are exchanged.
 
         Directions are spread evenly over the hemisphere, up to 75 degrees from the normal; one of a pair in four is
         near the mirror direction.
         """
         generator = np.random.default_rng(0)
-        first, second = random_directions(generator, generator.uniform(_LEAST_COSINE, 1.0, (2, _N_PAIRS)))
+        first, second = random_directions(
+            generator, generator.uniform(_MIN_RECIPROCITY_COSINE, 1.0, (2, _RECIPROCITY_PAIRS))
+        )
         near = first[::4] * [-1.0, -1.0, 1.0] + generator.normal(0.0, 0.05, first[::4].shape)
         second[::4] = near / np.linalg.norm(near, axis=1)[:, np.newaxis]
         one, other = (self.evaluate_directions(*pair).mean(axis=1) for pair in ((first, second), (second, first)))
@@ -110,8 +115,8 @@ class RglMaterial:
         above = np.argwhere(nodes_above_horizon())
         values, valid = np.full((3, *GRID_SHAPE), -1.0), np.zeros(GRID_SHAPE, dtype=np.bool_)
         lowest = np.cos(self.theta_i[-1]) - 1e-6
-        for start in range(0, len(above), _POINTS_AT_ONCE):
-            i, j, k = nodes = tuple(above[start : start + _POINTS_AT_ONCE].T)
+        for start in range(0, len(above), _POINTS_PER_BLOCK):
+            i, j, k = nodes = tuple(above[start : start + _POINTS_PER_BLOCK].T)
             pair = directions(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF[k])
             total, count = np.zeros((i.size, 3)), np.zeros(i.size)
             for first, second in (pair, pair[::-1]):
@@ -130,9 +135,9 @@ def read_rgl(path: str | os.PathLike[str]) -> RglMaterial:
     """
     source = Path(path)
     with source.open("rb") as file:
-        data = file.read(_LARGEST_FILE + 1)
-    if len(data) > _LARGEST_FILE:
-        raise MeasurementFormatError(f"The file is longer than {_LARGEST_FILE} bytes, unlike any isotropic material.")
+        data = file.read(_MAX_FILE_BYTES + 1)
+    if len(data) > _MAX_FILE_BYTES:
+        raise MeasurementFormatError(f"The file is longer than {_MAX_FILE_BYTES} bytes, unlike any isotropic material.")
     return parse_rgl(data, source.stem)
 
 

@@ -113,6 +113,7 @@ def _noisy(values: Array, noise: float, seed: int) -> Array:
     factor = np.random.default_rng(seed).standard_normal(values.shape)
     factor *= np.sqrt(variance)
     factor -= variance / 2
-    np.exp(factor, out=factor)  # in place: new memory for 35 MB takes longer than the arithmetic
+    # In place: new memory for 35 MB takes longer than the arithmetic.
+    np.exp(factor, out=factor)
     factor *= values
     return factor

@@ -1,4 +1,4 @@
-"""What a bin of samples counts in the fit of all rows.
+"""Weights of the bins of samples in the fit of all rows.
 
 ``plain``
     Every sample within the horizon cutoff counts alike: the paper's squared error of f. Beyond the cutoff, where
@@ -25,18 +25,20 @@ from dsbrdf.data.reduction import FoldedProfiles
 SEEN_POWER = 1.2
 """Errors count relative to f to this power."""
 DARK = 0.02
-"""Of a typical value: errors of darker ones count as those of this one."""
-_SMALLEST_FLOOR = 1e-4  # of the squared signal: a material without phi_diff has no floor to measure by
+"""Fraction of a typical value below which the errors of values count as those of this fraction."""
+# Relative to the squared signal; the floor of a material that does not depend on phi_diff is nearly 0.
+_MIN_RELATIVE_FLOOR = 1e-4
 _TRUST_POWER = 8
 TINY = 1e-300
 """Keeps a sum of weights from being 0."""
-_SMALLEST_SHARE = 1e-3  # of a node at theta_half = 0, whose solid angle is nearly none
+# The solid angle of a node at theta_half = 0 is nearly 0, but its value is the peak.
+_MIN_RELATIVE_SOLID_ANGLE = 1e-3
 
 
 def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | None) -> Array:
-    """Weights of the bins, shape (3, 90 theta_diff, 90 theta_half, 9).
+    """Return weights of the bins, shape (3, 90 theta_diff, 90 theta_half, 9).
 
-    Beyond the cutoff, an angle to the normal [rad], samples count less; None trusts all of them.
+    Samples beyond the cutoff, an angle to the normal [rad], get smaller weights; with None all are trusted alike.
     """
     # Both cosines to the normal are level -/+ swing cos(phi_diff).
     level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
@@ -62,11 +64,11 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
 
 
 def _floor(folded: FoldedProfiles, weight: Array) -> float:
-    """Weighted squared error of the mean over phi_diff, but never less than a trace of the squared signal."""
+    """Return the weighted squared error of the mean over phi_diff, at least a small fraction of the squared signal."""
     mean = _over_phi(folded.mean, weight)[..., None]
     scatter = float(np.sum(weight * (folded.mean - mean) ** 2))
     signal = float(np.sum(weight * folded.mean**2))
-    return scatter + _SMALLEST_FLOOR * signal or 1.0
+    return scatter + _MIN_RELATIVE_FLOOR * signal or 1.0
 
 
 def _over_phi(values: Array, weight: Array) -> Array:
@@ -75,22 +77,22 @@ def _over_phi(values: Array, weight: Array) -> Array:
 
 
 def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
-    """1 within the cutoff, falling to 0 at the horizon, of the smaller cosine to the normal; 1 without a cutoff."""
+    """Return 1 within the cutoff, falling to 0 at the horizon, for the smaller of the two cosines to the normal."""
     if horizon_cutoff is None or np.cos(horizon_cutoff) < 1e-9:
         return np.ones_like(lowest)
     return np.asarray(np.minimum(lowest / np.cos(horizon_cutoff), 1.0) ** _TRUST_POWER)
 
 
 def seen_weight(lit: Array, mean: Array, typical: float, power: float = SEEN_POWER) -> Array:
-    """Weights of errors as a screen shows them, of those of radiance, the mean over phi_diff and a typical value."""
+    """Turn weights of errors of radiance into weights of errors as a screen shows them."""
     return np.asarray(lit / (mean + DARK * typical + 1e-12) ** power)
 
 
 def center_share(theta_half: Array) -> Array:
-    """1 from 1 degree on; below, the solid angle of a node in units of that at 1 degree."""
-    return np.asarray(np.minimum((theta_half / CENTER_CUTOFF) ** 1.5 + _SMALLEST_SHARE, 1.0))
+    """Return the solid angle of the nodes below 1 degree in units of a node at 1 degree; 1 beyond."""
+    return np.asarray(np.minimum((theta_half / CENTER_CUTOFF) ** 1.5 + _MIN_RELATIVE_SOLID_ANGLE, 1.0))
 
 
 def interval_ends(nodes: Array, last: float = np.pi / 2) -> Array:
-    """Ends of the intervals that ascending angles (n,) stand for, from 0 to the last, shape (n + 1,)."""
+    """Return the ends (n + 1,) of the intervals that ascending angles (n,) represent, from 0 to the last angle."""
     return np.concatenate([[0.0], 0.5 * (nodes[1:] + nodes[:-1]), [last]])

@@ -1,10 +1,11 @@
 """Algorithm 1 of Nishino 2009 on a batch of slices: expectation-maximisation for mixtures of hemi-EPDs.
 
-A slice is the profile of one channel at one theta_diff. The E-step gives every lobe its share of the data,
+A slice is the profile of one channel at one theta_diff. The E-step computes the responsibility of every lobe for the
+data,
 
     q_k(theta) = l_k(theta) / sum_j l_j(theta),
 
-and the M-step fits each lobe alone to its share by Levenberg-Marquardt,
+and the M-step fits each lobe alone to its part q_k L of the data by Levenberg-Marquardt,
 
     argmin over (kappa, gamma)_k of  sum_n w_n (q_k(theta_n) L_n - l(theta_n; kappa, gamma))**2,
 
@@ -28,12 +29,12 @@ from dsbrdf.arrays import Array, Mask
 EM_KAPPA_BOUNDS = (1e-9, 40.0)
 """Values above 1e8 / sr are not accepted, and log(1 + 1e8) = 18.4: twice that leaves room to extrapolate."""
 EM_GAMMA_BOUNDS = (1e-4, 1e7)
-"""From flat to a fiftieth of a degree."""
-_LOWER = np.log([EM_KAPPA_BOUNDS[0], EM_GAMMA_BOUNDS[0]])
-_UPPER = np.log([EM_KAPPA_BOUNDS[1], EM_GAMMA_BOUNDS[1]])
+"""Half widths from a flat lobe to a fiftieth of a degree."""
+_LOWER_LOG_BOUNDS = np.log([EM_KAPPA_BOUNDS[0], EM_GAMMA_BOUNDS[0]])
+_UPPER_LOG_BOUNDS = np.log([EM_KAPPA_BOUNDS[1], EM_GAMMA_BOUNDS[1]])
 
 EM_TOLERANCE = 1e-4
-"""A slice has converged when an iteration changes its curve by less than this share of the data's norm."""
+"""Change of a slice's curve in one iteration, relative to the norm of the data, below which the slice has converged."""
 M_STEP_TOLERANCE = 1e-9
 M_STEP_ITERATIONS = 200
 
@@ -42,10 +43,10 @@ M_STEP_ITERATIONS = 200
 class SliceFits:
     """Mixtures fitted to a batch of slices."""
 
-    kappa: Array  # (slices, lobes), the largest first
+    kappa: Array  # (slices, lobes)
     gamma: Array  # (slices, lobes)
-    iterations: NDArray[np.int64]  # of the EM algorithm, (slices,)
-    converged: Mask  # whether the curve stopped moving within the iterations allowed, (slices,)
+    iterations: NDArray[np.int64]  # (slices,)
+    converged: Mask  # (slices,)
 
 
 def fit_slices(
@@ -67,7 +68,7 @@ def fit_slices(
     where there are no samples. `on_iteration` is called with the number of each iteration.
     """
     log_cos = np.log(np.cos(theta_half))
-    upper = np.tile(_UPPER, (len(mean), 1))
+    upper = np.tile(_UPPER_LOG_BOUNDS, (len(mean), 1))
     upper[:, 0] = np.log(np.clip(largest_kappa, 2.0 * EM_KAPPA_BOUNDS[0], EM_KAPPA_BOUNDS[1]))
     parameters = np.minimum(initialize(theta_half, mean, weight, n_lobes), upper[:, None])
     used = np.zeros(len(mean), np.int64)
@@ -98,7 +99,7 @@ def fit_slices(
 
 
 def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> Array:
-    """Starting log-parameters, shape (slices, lobes, 2): one lobe from all data, then halved for each next one.
+    """Return starting log-parameters (slices, lobes, 2): one lobe from all data, halved for each further lobe.
 
     Kappa comes from the peak, gamma from the angle at which the data fall to half of it.
     """
@@ -112,7 +113,7 @@ def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> A
     gamma = np.log(np.cos(_half_width(kappa))) / np.log(np.cos(width))
     halving = 0.5 ** np.arange(n_lobes)
     start = np.log(np.stack([kappa, np.clip(gamma, *EM_GAMMA_BOUNDS)], axis=-1)[:, None, :] * halving[:, None])
-    return np.clip(start, _LOWER, _UPPER)
+    return np.clip(start, _LOWER_LOG_BOUNDS, _UPPER_LOG_BOUNDS)
 
 
 def _half_width(kappa: Array) -> Array:
@@ -125,32 +126,32 @@ def _half_width(kappa: Array) -> Array:
 
 
 def lobe_curves(log_cos: Array, parameters: Array) -> Array:
-    """Lobes of shape (..., N) for log-parameters of shape (..., 2) at the angles with these log-cosines."""
+    """Evaluate lobes (..., N) with log-parameters (..., 2) at the angles with these log-cosines (N,)."""
     kappa, gamma = np.exp(parameters[..., 0, None]), np.exp(parameters[..., 1, None])
     return np.expm1(kappa * np.exp(gamma * log_cos))
 
 
 def e_step(curves: Array) -> Array:
-    """Responsibilities, shape (slices, lobes, N), that sum to 1 over the lobes (Nishino 2009, Algorithm 1).
+    """Compute responsibilities (slices, lobes, N), which sum to 1 over the lobes (Nishino 2009, Algorithm 1).
 
-    Where every lobe has underflowed to zero the lobes share alike.
+    Where every lobe has underflowed to zero, all responsibilities are equal.
     """
     total = curves.sum(axis=1, keepdims=True)
     return np.where(total > 0, curves / np.where(total > 0, total, 1.0), 1.0 / curves.shape[1])
 
 
 def huber_weights(residual: Array, weight: Array) -> Array:
-    """Huber's weights for residuals of shape (slices, N), their scale from the median of |residual|."""
+    """Return Huber's weights of residuals (slices, N); the scale comes from the median of |residual|."""
     size = np.abs(residual)
     scale = 1.345 * 1.4826 * np.nanmedian(np.where(weight > 0, size, np.nan), axis=1, keepdims=True)
     return np.where(size <= scale, 1.0, scale / np.where(size > 0, size, 1.0))
 
 
 def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: Array) -> Array:
-    """Fit every lobe alone to its share q_k L of the data, `targets` (slices, lobes, N), from log-parameters `start`.
+    """Fit every lobe alone to `targets` (slices, lobes, N), its part q_k L of the data, from log-parameters `start`.
 
-    The log-parameters, and those returned, have the shape (slices, lobes, 2); `upper` (slices, 2) are the largest
-    allowed. `log_cos` (N,) and `weights` (slices, N) are those of the samples.
+    Start and result have the shape (slices, lobes, 2); `upper` (slices, 2) bounds both log-parameters. The samples have
+    log-cosines `log_cos` (N,) and `weights` (slices, N).
     """
     slices, lobes, n = targets.shape
     upper = np.repeat(upper, lobes, axis=0)
@@ -163,9 +164,9 @@ def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: 
     for _ in range(M_STEP_ITERATIONS):
         old = parameters[active]
         cost = np.einsum("pn,pn->p", residual, residual)
-        at_bound = np.stack([old <= _LOWER, old >= upper[active]])
+        at_bound = np.stack([old <= _LOWER_LOG_BOUNDS, old >= upper[active]])
         step = _damped_step(jacobian, residual, damping[active], at_bound)
-        new = np.clip(old + np.clip(step, -2.0, 2.0), _LOWER, upper[active])
+        new = np.clip(old + np.clip(step, -2.0, 2.0), _LOWER_LOG_BOUNDS, upper[active])
         new_residual, new_jacobian = _residuals(log_cos, target[active], root[active], new)
         better = np.einsum("pn,pn->p", new_residual, new_residual) <= cost
         parameters[active[better]] = new[better]
@@ -181,7 +182,7 @@ def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: 
 
 
 def _residuals(log_cos: Array, target: Array, root: Array, parameters: Array) -> tuple[Array, Array]:
-    """Weighted residuals (problems, N) and their derivatives (problems, 2, N) in log kappa and log gamma."""
+    """Return weighted residuals (problems, N) and their derivatives (problems, 2, N) in log kappa and log gamma."""
     kappa, gamma = np.exp(parameters[:, :1]), np.exp(parameters[:, 1:])
     log_power = gamma * log_cos
     exponent = kappa * np.exp(log_power)

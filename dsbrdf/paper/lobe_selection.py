@@ -1,4 +1,4 @@
-r"""How many lobes the paper's method takes: the smallest number that Williams' step-down test finds no worse than most.
+r"""The paper's number of lobes: the smallest that Williams' step-down test does not find worse than the largest.
 
 For K = 1, 2, ... lobes and each block, a slice of a channel (Nishino 2009, section 5), smaller is better of
 
@@ -43,19 +43,36 @@ from dsbrdf.paper import em
 _CONTROL = np.linspace(-9.0, 9.0, 91)
 _CONTROL_WEIGHT = np.exp(-0.5 * _CONTROL**2) * (0.2 / math.sqrt(2.0 * math.pi))
 _LEGENDRE_NODES, _LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(80)
-_NEGLIGIBLE = 1e-18  # probability cut off at either end of the distribution of s
-_CERTAIN = 18.0  # 1 - H, averaged over the control, is below 1e-30 there
+# Probability that is cut off at either end of the distribution of s.
+_CUT_OFF_PROBABILITY = 1e-18
+# Beyond this value of c, 1 - H averaged over the control is below 1e-30.
+_CERTAIN_CRITICAL_VALUE = 18.0
 
 
 @dataclass(frozen=True)
 class WilliamsRow:
-    """What the test says about one number of lobes."""
+    """Result of the test for one number of lobes.
+
+    Attributes
+    ----------
+    n_lobes : int
+        Number of lobes.
+    mean : float
+        Mean of the statistic over the blocks.
+    t : float or None
+        Test statistic; None for the control, and where the residual variance is zero.
+    critical_value : float or None
+        Critical value for t; None for the control, and without degrees of freedom.
+    significant : bool
+        Whether the number is significantly worse than the control. After the first number that is not, the procedure
+        ends, and all further numbers are False.
+    """
 
     n_lobes: int
-    mean: float  # of the statistic over the blocks
-    t: float | None  # None for the control, and where the residual variance is zero
-    critical_value: float | None  # what t is compared with; None for the control, and without degrees of freedom
-    significant: bool  # whether the procedure finds it worse than the control: False from the first that is not
+    mean: float
+    t: float | None
+    critical_value: float | None
+    significant: bool
 
 
 def williams_test(statistic: ArrayLike, alpha: float = 0.01) -> tuple[WilliamsRow, ...]:
@@ -70,7 +87,8 @@ def williams_test(statistic: ArrayLike, alpha: float = 0.01) -> tuple[WilliamsRo
     degrees_of_freedom = (n_groups - 1) * (n_blocks - 1)
     rounding = 8.0 * float(np.finfo(np.float64).eps) * float(np.abs(values).max())
     # Differences from the block means are all that the test depends on; they keep their digits better.
-    centred = (values - values.mean(axis=0))[::-1]  # from here on row i is dose i, the control comes first
+    # From here on, row i is dose i, and row 0 the control.
+    centred = (values - values.mean(axis=0))[::-1]
     means = centred.mean(axis=1)
     variance = float(np.sum((centred - means[:, np.newaxis]) ** 2)) / max(degrees_of_freedom, 1)
     squared_error = 2.0 * variance / n_blocks if variance > rounding**2 else 0.0
@@ -108,10 +126,11 @@ def williams_critical_value(n_doses: int, degrees_of_freedom: float, alpha: floa
 def _exceedance(t: float, n_doses: int, degrees_of_freedom: float) -> float:
     """Probability that the statistic of the largest dose exceeds `t` under the null."""
     half = 0.5 * degrees_of_freedom
-    first = math.sqrt(float(gammaincinv(half, _NEGLIGIBLE)) / half)
-    last = math.sqrt(float(gammainccinv(half, _NEGLIGIBLE)) / half)
-    if t > 0:  # with few degrees of freedom and a large t only small s count
-        last = min(last, max(_CERTAIN / (math.sqrt(2.0) * t), 2.0 * first))
+    first = math.sqrt(float(gammaincinv(half, _CUT_OFF_PROBABILITY)) / half)
+    last = math.sqrt(float(gammainccinv(half, _CUT_OFF_PROBABILITY)) / half)
+    # With few degrees of freedom and a large t, only small s contribute.
+    if t > 0:
+        last = min(last, max(_CERTAIN_CRITICAL_VALUE / (math.sqrt(2.0) * t), 2.0 * first))
     s = first + 0.5 * (last - first) * (1.0 + _LEGENDRE_NODES)
     log_density = (
         (degrees_of_freedom - 1.0) * np.log(s) - half * s**2 + half * math.log(half) - float(gammaln(half))
@@ -123,7 +142,8 @@ def _exceedance(t: float, n_doses: int, degrees_of_freedom: float) -> float:
 
 def _leaves_half_line(c: Array, n_steps: int) -> Array:
     """``1 - H_k(c)`` by Spitzer's identity, written for the complements so that small tails keep digits."""
-    single = [ndtr(-math.sqrt(j) * c) for j in range(1, n_steps + 1)]  # 1 - Phi(c sqrt(j))
+    # Each is 1 - Phi(c sqrt(j)).
+    single = [ndtr(-math.sqrt(j) * c) for j in range(1, n_steps + 1)]
     leaves = [np.zeros_like(c)]
     for k in range(1, n_steps + 1):
         terms = (single[j - 1] + leaves[k - j] * (1.0 - single[j - 1]) for j in range(1, k + 1))
@@ -134,7 +154,7 @@ def _leaves_half_line(c: Array, n_steps: int) -> Array:
 LARGEST_AUTOMATIC = 5
 """Upper bound of the automatic number of lobes (Nishino 2009, section 5)."""
 BACKGROUND = 0.01
-"""Share of a uniform density in the probability."""
+"""Weight of the uniform density that is mixed into the probability."""
 
 
 def choose_n_lobes(

@@ -25,7 +25,8 @@ from dsbrdf.paper.lobe_selection import LARGEST_AUTOMATIC, choose_n_lobes
 PAPER_SLICES = np.radians(np.arange(0.0, 90.0, 5.0))
 """The 18 slices of the paper, 0 to 85 degrees [rad]."""
 _ANGLES = THETA_HALF[OUTSIDE_CENTER]
-_SEARCH_SHARE = 0.8  # of the work, where the number of lobes is chosen
+# Fraction of the progress that the choice of the number of lobes takes.
+_SELECTION_PROGRESS = 0.8
 
 
 def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> FoundModel:
@@ -41,7 +42,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     largest_kappa, n_nodes = _largest_kappa(data, rows), np.count_nonzero(weight, axis=2)
 
     def fit(chosen: Mask, n_lobes: int, done: float, share: float) -> em.SliceFits:
-        """Run Algorithm 1 on chosen slices (3, D), a share of the work after what is done."""
+        """Run Algorithm 1 on chosen slices (3, D); `share` is its fraction of the progress after `done`."""
         return em.fit_slices(
             _ANGLES,
             mean[chosen],
@@ -59,7 +60,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
         compared = n_nodes >= 2 * LARGEST_AUTOMATIC
         if not compared.any(axis=1).all():
             compared = n_nodes >= 2
-        n_lobes, done, share = 1, _SEARCH_SHARE, _SEARCH_SHARE / LARGEST_AUTOMATIC
+        n_lobes, done, share = 1, _SELECTION_PROGRESS, _SELECTION_PROGRESS / LARGEST_AUTOMATIC
         if compared.any():
             n_lobes, selection = choose_n_lobes(
                 _ANGLES,
@@ -86,37 +87,40 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
 
 
 def _largest_kappa(data: Profiles, rows: Indices) -> Array:
-    """Kappa of a lobe that peaks at twice the largest value of the slice, shape (3, D); no bound without its centre.
+    """Return the kappa (3, D) of a lobe that peaks at twice the largest value of the slice.
 
-    Below 1 degree the lobes are not fitted: without a bound one that falls steeply just outside can reach any height.
+    Below 1 degree the lobes are not fitted: without this bound a lobe that falls steeply just outside could reach any
+    height there. A slice without its centre has no bound.
     """
     centre_seen = np.any(data.weight[:, rows][:, :, ~OUTSIDE_CENTER] > 0, axis=2)
     return np.where(centre_seen, np.log1p(2.0 * data.mean[:, rows].max(axis=2)), np.inf)
 
 
 def _nearest_fitted(fitted: Mask) -> Indices:
-    """Index, shape (3, D), of the fitted slice nearest to each slice of its channel; 0 if there is none."""
+    """Return for each slice the index (3, D) of the nearest fitted slice of its channel; 0 if there is none."""
     index = np.arange(fitted.shape[1])
     distance = np.where(fitted[:, None, :], np.abs(index[:, None] - index), np.inf)
     return np.argmin(distance, axis=2)
 
 
 def _spread(values: NDArray[Any], fitted: Mask, nearest: Indices) -> NDArray[Any]:
-    """Values (fitted slices, ...) at all slices (3, D, ...): those without data take the nearest slice's."""
+    """Spread values (fitted slices, ...) over all slices (3, D, ...); a slice without data takes the nearest value."""
     full = np.zeros((*fitted.shape, *values.shape[1:]), values.dtype)
     full[fitted] = values
     return full[np.arange(len(fitted))[:, None], nearest]
 
 
 def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
-    """Mean residual where theta_half < 1 degree by solid angle, shape (3, D); without data that of the nearest slice.
+    """Return the mean residual by solid angle where theta_half < 1 degree, shape (3, D).
 
-    Never negative: a term that is taken away somewhere would make the model negative between the nodes.
+    The residual is never negative: subtracting a term would make the model negative between the nodes. A slice without
+    data takes the value of the nearest slice.
     """
     center = np.flatnonzero(~OUTSIDE_CENTER)
     solid_angle = np.diff(-np.cos(interval_ends(THETA_HALF[center], CENTER_CUTOFF)))
     weight = data.weight[:, rows][:, :, center] * solid_angle
-    log_cos = 0.5 * np.log1p(-(np.sin(THETA_HALF[center]) ** 2))  # keeps the digits of small angles
+    # This form keeps the digits of small angles.
+    log_cos = 0.5 * np.log1p(-(np.sin(THETA_HALF[center]) ** 2))
     lobes = np.expm1(kappa[..., None] * np.exp(gamma[..., None] * log_cos)).sum(axis=2)
     total = weight.sum(-1)
     residual = np.sum(weight * (data.mean[:, rows][:, :, center] - lobes), axis=-1) / np.where(total > 0, total, 1.0)
@@ -124,7 +128,7 @@ def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
 
 
 def _bounds_hit(slices: em.SliceFits, largest_kappa: Array) -> Mask:
-    """Whether any lobe of a slice stands at a bound; a vanishing or flat lobe at its lower bound is no fault."""
+    """Return whether any lobe of a slice stands at a bound; lower bounds, of vanishing or flat lobes, do not count."""
     low = (slices.kappa <= em.EM_KAPPA_BOUNDS[0] * (1 + 1e-9)) | (slices.gamma <= em.EM_GAMMA_BOUNDS[0] * (1 + 1e-9))
     highest = np.minimum(largest_kappa, em.EM_KAPPA_BOUNDS[1])[:, None]
     high = (slices.kappa >= highest * (1 - 1e-9)) | (slices.gamma >= em.EM_GAMMA_BOUNDS[1] * (1 - 1e-9))
