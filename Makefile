@@ -1,10 +1,15 @@
-# Every target first creates the environment in .venv if it is missing, which takes about a minute.
+# Every target first installs what it needs into .venv, if that is missing: half a minute for `demo` and `serve`.
 PYTHON ?= python3
 DURATION ?= 30
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+TESTS_READY := $(VENV)/.tests-ready
 DOCS_READY := $(VENV)/.docs-ready
+# uv does not read the settings of pip: the index and the certificates that pip is configured with are passed on.
+PIP_SETTING = $$($(BIN)/pip config list | sed -n "s/.*\.$(1)='\(.*\)'/\1/p" | head -1)
+UV = UV_DEFAULT_INDEX="$${UV_DEFAULT_INDEX:-$(call PIP_SETTING,index-url)}" SSL_CERT_FILE="$${SSL_CERT_FILE:-$(call PIP_SETTING,cert)}" $(BIN)/uv
+CHECKED := --python $(BIN)/python --require-hashes
 
 # On matrices as small as these, several BLAS threads are slower than one.
 export OMP_NUM_THREADS ?= 1
@@ -18,16 +23,22 @@ export PYTHONDONTWRITEBYTECODE :=
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/'
 
-$(READY): requirements.lock pyproject.toml
+$(READY): .ci/installer.lock service/requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "dsbrdf needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ...")'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@echo "Creating the environment in $(VENV) ..."
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/installer.lock
+	@$(UV) pip sync $(CHECKED) service/requirements.lock
+	@$(BIN)/uv pip install --python $(BIN)/python --offline --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# What builds the documentation is a third of all packages and is needed for nothing else: it is installed only here.
+# Tests and checks need three times as many packages as the service.
+$(TESTS_READY): $(READY) requirements.lock
+	@$(UV) pip install $(CHECKED) -r requirements.lock
+	@touch $@
+
 $(DOCS_READY): $(READY) docs/requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r docs/requirements.lock
+	@$(UV) pip install $(CHECKED) -r docs/requirements.lock
 	@touch $@
 
 demo: $(READY)  ## start the service, POST a measurement, print lobes and values, save a figure
@@ -39,13 +50,13 @@ serve: $(READY)  ## run the service on http://127.0.0.1:8000
 docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
 	@$(BIN)/python docs/_ext/build.py
 
-test: $(READY)  ## run all tests, on up to four cores
+test: $(TESTS_READY)  ## run all tests, on up to four cores
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 
-quick: $(READY)  ## run the tests of library and service that are not marked as slow
+quick: $(TESTS_READY)  ## run the tests of library and service that are not marked as slow
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile -m 'not slow' tests/library tests/service
 
-check: $(READY)  ## check format, lint, types and security
+check: $(TESTS_READY)  ## check format, lint, types and security
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -57,31 +68,33 @@ types:  ## check the types of the page's modules
 	@mkdir -p $(TSC) && cp .ci/package.json .ci/package-lock.json $(TSC)/ && npm ci --silent --prefix $(TSC)
 	$(TSC)/node_modules/.bin/tsc --project .ci/tsconfig.json
 
-audit: $(READY)  ## check the pinned dependencies for known vulnerabilities
+audit: $(TESTS_READY)  ## check the pinned dependencies for known vulnerabilities
 	@$(BIN)/python .ci/audit.py
 
-fix: $(READY)  ## format and repair what can be repaired automatically
+fix: $(TESTS_READY)  ## format and repair what can be repaired automatically
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(READY)  ## run all benchmarks except the long ones
+bench: $(TESTS_READY)  ## run all benchmarks except the long ones
 	$(BIN)/python -m benchmarks
 
-soak: $(READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
+soak: $(TESTS_READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
 	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
 	DSBRDF_SOAK=1 $(BIN)/python -m pytest
 
 prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
 	docker/prove.sh
 
+COMPILE = $(UV) pip compile --universal --python-version 3.11 --upgrade --generate-hashes \
+  --no-emit-index-url --no-emit-find-links --no-header --quiet
+
 lock: $(READY)  ## pin the newest dependencies
-	$(PYTHON) -m venv $(VENV)/lock && $(VENV)/lock/bin/pip install --quiet uv
-	$(VENV)/lock/bin/uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --upgrade \
-	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --quiet -o requirements.lock
-	$(VENV)/lock/bin/uv pip compile pyproject.toml --extra service --extra client --extra plot --extra cli \
-	  --group docs --universal --python-version 3.11 --upgrade \
-	  --constraint requirements.lock \
-	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --quiet -o docs/requirements.lock
+	echo uv | $(COMPILE) - -o .ci/installer.lock
+	$(COMPILE) pyproject.toml --all-extras --group build --group dev -o requirements.lock
+	$(COMPILE) pyproject.toml --extra service --extra client --extra plot --extra cli --group build \
+	  --constraint requirements.lock -o service/requirements.lock
+	$(COMPILE) pyproject.toml --extra service --extra client --extra plot --extra cli --group docs \
+	  --constraint requirements.lock -o docs/requirements.lock
 
 clean:  ## remove the environment and caches
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis out docs/_build docs/generated

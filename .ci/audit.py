@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 TOP = Path(__file__).parent.parent
-LOCKS = (TOP / "requirements.lock", TOP / "docs" / "requirements.lock")
-SECONDS = 180
+LOCKS = [TOP / lock for lock in (".ci/installer.lock", "requirements.lock", "docs/requirements.lock")]
+TIMEOUT_S = 180
 COMMAND = [
     *(word for lock in LOCKS for word in ("-r", str(lock))),
     "--disable-pip",
@@ -47,9 +47,9 @@ def audit() -> tuple[list[dict[str, Any]], str]:
     """Return what pip-audit says of each dependency, or why it says nothing."""
     command = [str(Path(sys.executable).parent / "pip-audit"), *COMMAND]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)  # noqa: S603 (fixed command)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S)  # noqa: S603 (fixed command)
     except subprocess.TimeoutExpired:
-        return [], f"pip-audit has not finished within {SECONDS} s."
+        return [], f"pip-audit has not finished within {TIMEOUT_S} s."
     try:
         found: list[dict[str, Any]] = json.loads(done.stdout)["dependencies"]
     except ValueError:

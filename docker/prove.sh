@@ -49,12 +49,17 @@ build() {
   holds "a fresh Debian root" debootstrap --variant=minbase trixie "$scratch/root"
   chroot "$scratch/root" apt-get clean
   tar --directory "$scratch/root" --create . | podman import --quiet - "$base" >/dev/null
-  # pip reaches its index as it does on this machine.
-  printf '[global]\ncert = /mnt/certificates\n' >"$scratch/pip.conf"
-  ! index=$(python3 -m pip config get global.index-url 2>/dev/null) || echo "index-url = $index" >>"$scratch/pip.conf"
+  # pip and uv reach their index as pip does on this machine.
+  printf '[global]\ncert = /etc/ssl/certs/ca-certificates.crt\n' >"$scratch/pip.conf"
+  printf 'system-certs = true\n' >"$scratch/uv.toml"
+  if index=$(python3 -m pip config get global.index-url 2>/dev/null); then
+    echo "index-url = $index" >>"$scratch/pip.conf"
+    printf '[[index]]\nurl = "%s"\ndefault = true\n' "$index" >>"$scratch/uv.toml"
+  fi
   for target in service proxy; do
     holds "the image of the $target builds" podman build --isolation chroot --format docker --layers=false --pull=never \
-      --volume "$scratch/pip.conf:/etc/pip.conf:ro" --volume /etc/ssl/certs/ca-certificates.crt:/mnt/certificates:ro \
+      --volume "$scratch/pip.conf:/etc/pip.conf:ro" --volume "$scratch/uv.toml:/etc/uv/uv.toml:ro" \
+      --volume /etc/ssl/certs/ca-certificates.crt:/etc/ssl/certs/ca-certificates.crt:ro \
       --ignorefile "$here/Dockerfile.dockerignore" --file "$here/Dockerfile" --target "$target" \
       --tag "dsbrdf-$target" "$here/.."
   done
@@ -101,7 +106,7 @@ service_alone() {
   for place in /data /tmp; do
     holds "it can write to $place" podman exec "$name" touch "$place/x"
   done
-  for module in pip pytest mypy hatchling httpx; do
+  for module in pip uv pytest mypy hatchling httpx; do
     fails "$module is not in the image" podman exec "$name" /opt/dsbrdf/bin/python3 -c "import $module"
   done
   podman exec "$name" /opt/dsbrdf/bin/python3 -c 'import dsbrdf; from dsbrdf.data.synthetic import synthetic_measurement

@@ -53,8 +53,10 @@ def test_image_is_minimal_and_unprivileged() -> None:
     assert re.search(r'^ENTRYPOINT \["dsbrdf"\]\nCMD \["serve"\]$', final, re.MULTILINE)
     assert not re.search(r"^ADD |curl |wget ", DOCKERFILE, re.MULTILINE)
     assert "pip" not in final
-    for line in re.findall(r"pip(?: --python \S+)? install.*", DOCKERFILE):
-        assert "--require-hashes" in line or "--no-index" in line
+    installations = re.findall(r"pip (?:install|sync).*", DOCKERFILE)
+    assert len(installations) == 4
+    for line in installations:
+        assert "--require-hashes" in line or "--offline" in line
 
 
 def test_files_copied_by_the_dockerfile_are_let_in_and_exist() -> None:

@@ -6,7 +6,7 @@ import inspect
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from graphlib import TopologicalSorter
 from importlib.metadata import entry_points
 from importlib.util import resolve_name
@@ -25,6 +25,7 @@ FOLDERS = {"dsbrdf": ROOT, "dsbrdf_service": ROOT / "service"}
 LIBRARY = sorted((ROOT / "dsbrdf").rglob("*.py"))
 SOURCES = sorted(path for folder in ("dsbrdf", "service", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
 COMMAND_LINE = ROOT / "dsbrdf/cli"
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())
 LIGHT_COMMANDS = {"dsbrdf.cli.main", "dsbrdf.cli.arguments"}  # without the extra cli
 
 
@@ -172,31 +173,41 @@ def test_no_module_is_named_like_a_public_name() -> None:
     assert {f"dsbrdf.{name}" for name in dsbrdf.__all__} & set(modules_of("dsbrdf")) == set()
 
 
+def pinned_by(lock: str) -> set[tuple[str, str]]:
+    """Names and versions; a package may have a version for old Pythons, and another for new ones."""
+    return set(re.findall(r"^([\w.-]+)==(\S+)", (ROOT / lock).read_text(), re.MULTILINE))
+
+
 @pytest.mark.parametrize(
-    ("lock", "of_docs"), [("requirements.lock", False), ("docs/requirements.lock", True)], ids=["all", "docs"]
+    ("lock", "extras", "groups"),
+    [
+        (".ci/installer.lock", [], []),
+        ("service/requirements.lock", ["service", "client", "plot", "cli"], ["build"]),
+        ("requirements.lock", PROJECT["project"]["optional-dependencies"], ["build", "dev"]),
+        ("docs/requirements.lock", ["service", "client", "plot", "cli"], ["docs"]),
+    ],
+    ids=["installer", "service", "all", "docs"],
 )
-def test_the_lock_pins_with_hashes_and_names_no_registry(lock: str, of_docs: bool) -> None:
-    lines = (ROOT / lock).read_text().splitlines()
-    requirements = [line for line in lines if line and not line.startswith((" ", "#"))]
-    assert len(requirements) > 20
-    assert [line for line in requirements if not re.match(r"^[A-Za-z0-9._-]+==\S+( ;.*)? \\$", line)] == []
-    assert [line for line in lines if "://" in line or "--index" in line or "--extra-index" in line] == []
-    pinned = {re.split(r"==", line)[0].lower() for line in requirements}
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    extras = project["project"]["optional-dependencies"]
-    needs = [*(name for names in extras.values() for name in names), *project["dependency-groups"]["dev"]]
-    if of_docs:
-        needs = project["dependency-groups"]["docs"]
-    assert {re.split(r"[><=\[]", name)[0].lower() for name in needs} - pinned == set()
+def test_the_lock_pins_with_hashes_and_names_no_registry(
+    lock: str, extras: Iterable[str], groups: Iterable[str]
+) -> None:
+    text = (ROOT / lock).read_text()
+    hashed = re.findall(r"^\S+==.* \\\n +--hash=sha256:\w{64}", text, re.MULTILINE)
+    assert len(hashed) == len(re.findall(r"^[^ #\n]", text, re.MULTILINE)) > 0
+    assert "://" not in text
+    assert "--index" not in text
+    assert "--extra-index" not in text
+    needs = [name for extra in extras for name in PROJECT["project"]["optional-dependencies"][extra]]
+    needs += [name for group in groups for name in PROJECT["dependency-groups"][group]]
+    wanted = {re.split(r"[><=\[]", need)[0].lower() for need in needs}
+    assert wanted - {name for name, _ in pinned_by(lock)} == set()
 
 
-def test_both_locks_pin_the_same_versions() -> None:
-    everything, docs = (
-        dict(re.findall(r"^([\w.-]+)==(\S+)", (ROOT / lock).read_text(), re.MULTILINE))
-        for lock in ("requirements.lock", "docs/requirements.lock")
-    )
-    assert "numpy" in docs
-    assert everything | docs == docs | everything
+@pytest.mark.parametrize("lock", ["service/requirements.lock", "docs/requirements.lock"])
+def test_the_locks_pin_the_same_versions(lock: str) -> None:
+    everything, part = pinned_by("requirements.lock"), pinned_by(lock)
+    assert "numpy" in {name for name, _ in part}
+    assert {name for name, _ in part - everything} & {name for name, _ in everything} == set()
 
 
 def test_no_file_names_a_machine_path() -> None:
