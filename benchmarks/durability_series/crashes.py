@@ -22,7 +22,7 @@ from benchmarks.durability_series.harness import (
 )
 from benchmarks.durability_series.stateful_clients import LONG, OPTIONS, StatefulClient, running_clients
 from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf_service.admin.purge import purge
+from dsbrdf_service.storage.removal import purge
 from tests.support.server import Server
 
 _CLIENTS = 4

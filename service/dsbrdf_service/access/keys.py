@@ -8,13 +8,11 @@ import hashlib
 import hmac
 import re
 import secrets
-import time
-from contextlib import closing
-from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from ..storage.database import FILE_NAME, Database
+from ..storage.database import Database
+from ..storage.keys import active_key, insert_key, is_active
 from ..storage.schema import Caller
 
 if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
@@ -24,46 +22,14 @@ _KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
 _NO_SECRET = b"\0" * hashlib.sha256().digest_size
 _MB = 1_000_000
 _BURST_SECONDS = 5.0
-_SHOWN = ("id", "name", "created", "revoked", "requests_per_second", "stored_mb", "queued_fits", "metrics")
-_SELECT_ACTIVE = (
-    "SELECT secret_sha256, coalesce(requests_per_second, ?), coalesce(stored_mb, ?), coalesce(queued_fits, ?), metrics"
-    " FROM keys WHERE revoked IS NULL AND id = ?"
-)
 
 
 def add_key(database: Database, name: str, **fields: Any) -> tuple[str, str]:
     """Make a key, with other `fields` of its row; return its id and the key itself, which cannot be shown again."""
     key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
     digest = hashlib.sha256(secret.encode()).hexdigest()
-    values = {"id": key_id, "name": name, "created": time.time(), "secret_sha256": digest, **fields}
-    marks = ", ".join(f":{name}" for name in values)
-    with database.transaction() as db:
-        db.execute(f"INSERT INTO keys ({', '.join(values)}) VALUES ({marks})", values)  # noqa: S608
+    insert_key(database, {"id": key_id, "name": name, "secret_sha256": digest, **fields})
     return key_id, f"dsbrdf_{key_id}_{secret}"
-
-
-def all_keys(database: Database) -> list[dict[str, Any]]:
-    """Return every key without its secret, in the order in which they were made."""
-    rows = database.rows(f"SELECT {', '.join(_SHOWN)} FROM keys ORDER BY rowid")  # noqa: S608
-    return [dict(zip(_SHOWN, row, strict=True)) for row in rows]
-
-
-def revoke_key(database: Database, key_id: str) -> bool:
-    """Revoke a key and cancel its waiting fits, what is stored with it stays; return whether there was such a key."""
-    now = time.time()
-    with database.transaction() as db:
-        waiting = "UPDATE fits SET status = 'cancelled', finished = ? WHERE owner = ? AND status = 'accepted'"
-        db.execute(waiting, (now, key_id))
-        query = "UPDATE keys SET revoked = coalesce(revoked, ?) WHERE id = ?"
-        return db.execute(query, (now, key_id)).rowcount > 0
-
-
-def has_active_key(folder: Path) -> bool:
-    """Return whether a data folder, which need not exist, has a key that is not revoked."""
-    if not (folder / FILE_NAME).exists():
-        return False
-    with closing(Database(folder, exclusive=False)) as database:
-        return bool(database.rows("SELECT 1 FROM keys WHERE revoked IS NULL LIMIT 1"))
 
 
 class Keys:
@@ -83,7 +49,7 @@ class Keys:
         if parts is None:
             return None
         key_id = parts[1].decode()
-        row = self._database.row_now(_SELECT_ACTIVE, *self._usual, key_id)
+        row = active_key(self._database, key_id, *self._usual)
         expected = _NO_SECRET if row is None else bytes.fromhex(row[0])
         right = hmac.compare_digest(hashlib.sha256(parts[2]).digest(), expected)
         if row is None or not right:
@@ -106,5 +72,4 @@ class Keys:
 
     def allows(self, caller: Caller) -> bool:
         """Return whether the key of a caller is still active; a caller without key is always allowed."""
-        query = "SELECT 1 FROM keys WHERE id = ? AND revoked IS NULL"
-        return not caller.owner or self._database.row_now(query, caller.owner) is not None
+        return not caller.owner or is_active(self._database, caller.owner)

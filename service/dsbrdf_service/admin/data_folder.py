@@ -13,7 +13,7 @@ from dsbrdf.cli.commands import run_words
 
 from .. import DEFAULT_DATA_DIR
 from ..errors import DataFolderError
-from ..storage.database import FILE_NAME
+from ..storage.database import is_data_folder
 
 DataDir = Annotated[Path | None, Parameter(metavar="DIR", help="The service's folder.")]
 Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
@@ -25,7 +25,7 @@ def data_folder(given: Path | None, *, existing: bool = True) -> Path:
     Raises DataFolderError if it is to be an `existing` one and no service has made it.
     """
     folder = given or Path(os.environ.get("DSBRDF_DATA_DIR") or DEFAULT_DATA_DIR)
-    if existing and not (folder / FILE_NAME).exists():
+    if existing and not is_data_folder(folder):
         raise DataFolderError(f"{folder} is no data folder of a service; --data-dir names one")
     return folder
 

@@ -7,9 +7,7 @@ from pathlib import Path
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.commands import new_application
 
-from ..storage.blobs import Blobs
-from ..storage.database import read_only
-from ..storage.schema import VERSION
+from ..storage import inspection
 from .data_folder import DataDir, Json, data_folder, run_on_folder
 
 
@@ -36,39 +34,30 @@ def _examine(*, data_dir: DataDir = None, json: Json = False) -> int:
 
 
 def _database(folder: Path) -> tuple[bool, str]:
-    ((version,),) = read_only(folder, "PRAGMA user_version")
-    if version != VERSION:
+    if not inspection.is_of_this_release(folder):
         return False, "another release made it, with other tables: use that release"
-    faults = [fault for (fault,) in read_only(folder, "PRAGMA integrity_check(3)")]
-    if faults != ["ok"]:
+    if faults := inspection.database_faults(folder):
         return False, f"{'; '.join(faults)}: restore the folder from a copy"
-    ((fits,),) = read_only(folder, "SELECT count(*) FROM fits")
-    return True, f"intact, {fits} fits"
+    return True, f"intact, {inspection.count_fits(folder)} fits"
 
 
 def _measurements(folder: Path) -> tuple[bool, str]:
-    """Compare every file with the sha256 of its row; one whose row has gone meanwhile is no fault."""
-    blobs = Blobs(folder)
-    faults = {sha256: fault for sha256 in _stored(folder) if (fault := blobs.damage(sha256))}
-    still = _stored(folder)
-    for sha256 in faults.keys() & still:
-        number = f"{len(faults)} of {len(still)} files are damaged or missing"
-        return False, f"{number}, first {sha256} ({faults[sha256]}): upload that measurement again"
-    return True, f"{len(still)} files are what their rows say"
+    faults = inspection.damaged_files(folder)
+    n_files = len(inspection.measurements_with_rows(folder))
+    for sha256, fault in faults.items():
+        number = f"{len(faults)} of {n_files} files are damaged or missing"
+        return False, f"{number}, first {sha256} ({fault}): upload that measurement again"
+    return True, f"{n_files} files are what their rows say"
 
 
 def _files(folder: Path) -> tuple[bool, str]:
-    files = set(Blobs(folder).all())  # before their rows: a file is placed before its row is committed
-    if without := files - _stored(folder):
+    without, n_files = inspection.files_without_rows(folder)
+    if without:
         return False, (
-            f"{len(without)} of {len(files)} files have no row: a newer copy of the database may have them, an upload "
+            f"{len(without)} of {n_files} files have no row: a newer copy of the database may have them, an upload "
             "of the same measurement makes one, and dsbrdf purge --files-without-rows removes those that nobody needs"
         )
-    return True, f"{len(files)} files have rows"
-
-
-def _stored(folder: Path) -> set[str]:
-    return {sha256 for (sha256,) in read_only(folder, "SELECT DISTINCT sha256 FROM measurements")}
+    return True, f"{n_files} files have rows"
 
 
 CHECKS = {"database": _database, "measurements": _measurements, "files": _files}

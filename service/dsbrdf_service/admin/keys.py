@@ -11,8 +11,9 @@ from cyclopts.validators import Number
 from dsbrdf.cli.arguments import print_error, print_json
 from dsbrdf.cli.commands import Whole, new_application
 
-from ..access.keys import add_key, all_keys, revoke_key
-from ..storage.database import FILE_NAME, Database
+from ..access.keys import add_key
+from ..storage.database import Database, is_data_folder
+from ..storage.keys import all_keys, revoke_key
 from .data_folder import DataDir, Json, data_folder, refuse, run_on_folder
 
 _MAX_NAME = 100
@@ -58,7 +59,7 @@ def _add(
     data_dir: DataDir = None,
 ) -> None:
     folder = data_folder(data_dir, existing=False)
-    if not (folder / FILE_NAME).exists():
+    if not is_data_folder(folder):
         print_error(f"{folder.resolve()} becomes a new data folder; the key is for a server of that folder only")
     with closing(Database(folder, exclusive=False)) as database:
         limits = {"requests_per_second": requests_per_second, "stored_mb": stored_mb, "queued_fits": queued_fits}

@@ -25,13 +25,13 @@ from dsbrdf.cli.commands import new_application, run_words
 from dsbrdf.extras import MissingExtraError
 from dsbrdf.process_settings import return_freed_memory, trim_memory
 
-from ..access.keys import has_active_key
 from ..api.context import Context
 from ..app import create_app, make_engine
 from ..errors import DataFolderError, validation_sentence
 from ..http.limits import Connection
 from ..log import configure
 from ..settings import Settings
+from ..storage.keys import has_active_key
 from ..storage.store import Store
 from .data_folder import refuse
 

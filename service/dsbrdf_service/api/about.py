@@ -54,7 +54,7 @@ async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
     """Return requests, fits, times and sizes of all in Prometheus' text format; an API key has to be made for that."""
     if not caller.metrics:
         raise ProblemError("not-found", "There are no metrics for this key; dsbrdf keys add --metrics makes one.")
-    metrics = await run_in_threadpool(context.metrics.exposition, context.store.database)
+    metrics = await run_in_threadpool(context.metrics.exposition, context.store)
     return Response(metrics, media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
 

@@ -9,8 +9,8 @@ from typing import Any, get_args
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 
 from ..queue.fit_queue import FitMeters
-from ..storage.database import Database
 from ..storage.schema import Status
+from ..storage.store import Store
 
 NO_ROUTE = "unknown"
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
@@ -45,12 +45,10 @@ class Metrics:
         counter.inc()
         histogram.observe(seconds)
 
-    def exposition(self, database: Database) -> bytes:
-        """Return everything in Prometheus' text format, with what is stored in the database now."""
-        numbers = dict(database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
+    def exposition(self, store: Store) -> bytes:
+        """Return everything in Prometheus' text format, with what is stored now."""
+        numbers = store.fits_by_status()
         for state in get_args(Status):
             self._fits.labels(state).set(numbers.get(state, 0))
-        files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
-        ((stored_bytes,),) = database.rows(files)
-        self._stored_bytes.set(stored_bytes)
+        self._stored_bytes.set(store.measurement_bytes())
         return generate_latest(self._registry)

@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import shutil
 import sqlite3
 from collections.abc import Callable
 from functools import partial
@@ -27,7 +26,7 @@ class Readiness:
         self._checks: dict[str, Callable[[], None]] = {
             "The database": store.check,
             "The folder of measurements": store.blobs.check,
-            "The disk": partial(_check_space, store, settings.min_free_mb),
+            "The disk": partial(store.check_space, settings.min_free_mb),
             "The engine": engine.check,
         }
         self._current = ""  # which is being checked
@@ -62,9 +61,3 @@ class Readiness:
                 reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
                 faults.append(f"{name} is not ready: {reason.rstrip('.')}.")
         return " ".join(faults) or None
-
-
-def _check_space(store: Store, least_mb: int) -> None:
-    free = shutil.disk_usage(store.folder).free >> 20
-    if free < least_mb:
-        raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")

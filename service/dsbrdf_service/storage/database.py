@@ -117,12 +117,17 @@ class Database:
             )
 
 
+def is_data_folder(folder: Path) -> bool:
+    """Return whether a folder has a service's database."""
+    return (folder / FILE_NAME).exists()
+
+
 def check_integrity(folder: Path) -> None:
     """Read the whole database of a folder, about a second for two gigabytes; raise DataFolderError if it is damaged.
 
     A damaged table can lack rows: what they tell of would be answered as if it had never been.
     """
-    if not (folder / FILE_NAME).exists():
+    if not is_data_folder(folder):
         return
     try:
         ((fault,),) = read_only(folder, "PRAGMA integrity_check(1)")

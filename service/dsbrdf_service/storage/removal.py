@@ -7,12 +7,23 @@ such files. No file goes on doubt.
 import shutil
 import sqlite3
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
+from pathlib import Path
 
 from .blobs import Blobs
 from .database import Database
+from .schema import IS_UNFINISHED
 
 _ROOM = 1 << 24  # bytes of free disk space that writing to the database does not use up
+_ROWS_PER_TRANSACTION = 50  # so that a running server waits for a moment at most
+
+_OLD_FITS = f"FROM fits WHERE NOT {IS_UNFINISHED} AND coalesce(finished, created) < :before"
+# A fit that remains keeps its measurement; an old fit is removed before.
+_OLD_MEASUREMENTS = (
+    "FROM measurements AS m WHERE created < :before AND NOT EXISTS (SELECT 1 FROM fits AS f"  # noqa: S608
+    " WHERE f.owner = m.owner AND f.measurement = m.sha256"
+    f" AND (f.{IS_UNFINISHED} OR coalesce(f.finished, f.created) >= :before))"
+)
 
 
 def remove_rows(db: sqlite3.Connection, blobs: Blobs, rows: Sequence[tuple[int, str]]) -> list[str]:
@@ -46,3 +57,41 @@ def remove_files(database: Database, blobs: Blobs, names: Iterable[str]) -> list
 
 def _has_row(db: sqlite3.Connection, sha256: str) -> bool:
     return db.execute("SELECT 1 FROM measurements WHERE sha256 = ?", (sha256,)).fetchone() is not None
+
+
+def purge(folder: Path, before: float | None, *, files_without_rows: bool = False) -> dict[str, int]:
+    """Remove what is older than the time `before` [s since 1970], and perhaps the files that have no row.
+
+    Return how many fits, measurements and files without rows that were, and how many bytes of files.
+
+    Raises DataFolderError if the folder cannot be opened, or its database is damaged.
+    """
+    blobs, purged = Blobs(folder), {"fits": 0, "measurements": 0, "files_without_rows": 0, "bytes": 0}
+    with closing(Database(folder, exclusive=False)) as database:
+        if before is not None:
+            while gone := _remove_fits(database, before):
+                purged["fits"] += gone
+            while (removed := _remove_measurements(database, blobs, before))[0]:
+                purged["measurements"] += removed[0]
+                purged["bytes"] += removed[1]
+        if files_without_rows:
+            names = set(blobs.all()) - {sha256 for (sha256,) in database.rows("SELECT sha256 FROM measurements")}
+            sizes = remove_files(database, blobs, names)
+            purged["files_without_rows"] = len(sizes)
+            purged["bytes"] += sum(sizes)
+    return purged
+
+
+def _remove_fits(database: Database, before: float) -> int:
+    query = f"DELETE FROM fits WHERE rowid IN (SELECT rowid {_OLD_FITS} LIMIT {_ROWS_PER_TRANSACTION})"  # noqa: S608
+    with database.transaction() as db:
+        return db.execute(query, {"before": before}).rowcount
+
+
+def _remove_measurements(database: Database, blobs: Blobs, before: float) -> tuple[int, int]:
+    """Remove some old measurements; return how many, and how many bytes of files."""
+    query = f"SELECT m.rowid, sha256 {_OLD_MEASUREMENTS} LIMIT {_ROWS_PER_TRANSACTION}"
+    with database.transaction() as db:
+        old = db.execute(query, {"before": before}).fetchall()
+        unwanted = remove_rows(db, blobs, old)
+    return len(old), sum(remove_files(database, blobs, unwanted))

@@ -28,6 +28,7 @@ from .schema import (
     FitKey,
     FitRow,
     MeasurementRow,
+    Status,
     checksum,
     columns,
 )
@@ -288,6 +289,22 @@ class Store:
             db.execute("UPDATE fits SET status = 'accepted', started = NULL, attempts = 0 WHERE status = 'running'")
             rows = db.execute("SELECT owner, id FROM fits WHERE status = 'accepted' ORDER BY rowid")
             return [FitKey(*row) for row in rows]
+
+    def fits_by_status(self) -> dict[Status, int]:
+        """Return how many fits of all owners have each status."""
+        return dict(self.database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
+
+    def measurement_bytes(self) -> int:
+        """Return the bytes of all files of measurements, each counted once."""
+        files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
+        ((size,),) = self.database.rows(files)
+        return int(size)
+
+    def check_space(self, least_mb: int) -> None:
+        """Raise RuntimeError if fewer MB of the disk are free."""
+        free = shutil.disk_usage(self.folder).free >> 20
+        if free < least_mb:
+            raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")
 
     def check(self) -> None:
         """Raise sqlite3.Error or OSError unless rows can be read and written."""

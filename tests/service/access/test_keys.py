@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from dsbrdf_service.access import keys as keys_module
-from dsbrdf_service.access.keys import Keys, add_key, revoke_key
+from dsbrdf_service.access.keys import Keys, add_key
 from dsbrdf_service.errors import InvalidKeyError
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.database import Database
+from dsbrdf_service.storage.keys import revoke_key
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.guarded import Guarded, keys_command

@@ -1,0 +1,64 @@
+"""The rows of API keys; the id of a key is the owner of what is stored with it."""
+
+import time
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from .database import Database, is_data_folder
+
+_SHOWN = ("id", "name", "created", "revoked", "requests_per_second", "stored_mb", "queued_fits", "metrics")
+_SELECT_ACTIVE = (
+    "SELECT secret_sha256, coalesce(requests_per_second, ?), coalesce(stored_mb, ?), coalesce(queued_fits, ?), metrics"
+    " FROM keys WHERE revoked IS NULL AND id = ?"
+)
+
+
+def insert_key(database: Database, values: Mapping[str, Any]) -> None:
+    """Write the row of a new key, which was made now."""
+    values = {"created": time.time(), **values}
+    marks = ", ".join(f":{name}" for name in values)
+    with database.transaction() as db:
+        db.execute(f"INSERT INTO keys ({', '.join(values)}) VALUES ({marks})", values)  # noqa: S608
+
+
+def all_keys(database: Database) -> list[dict[str, Any]]:
+    """Return every key without its secret, in the order in which they were made."""
+    rows = database.rows(f"SELECT {', '.join(_SHOWN)} FROM keys ORDER BY rowid")  # noqa: S608
+    return [dict(zip(_SHOWN, row, strict=True)) for row in rows]
+
+
+def revoke_key(database: Database, key_id: str) -> bool:
+    """Revoke a key and cancel its waiting fits; return whether there was such a key.
+
+    What is stored with the key stays.
+    """
+    now = time.time()
+    with database.transaction() as db:
+        waiting = "UPDATE fits SET status = 'cancelled', finished = ? WHERE owner = ? AND status = 'accepted'"
+        db.execute(waiting, (now, key_id))
+        query = "UPDATE keys SET revoked = coalesce(revoked, ?) WHERE id = ?"
+        return db.execute(query, (now, key_id)).rowcount > 0
+
+
+def has_active_key(folder: Path) -> bool:
+    """Return whether a data folder, which need not exist, has a key that is not revoked."""
+    if not is_data_folder(folder):
+        return False
+    with closing(Database(folder, exclusive=False)) as database:
+        return bool(database.rows("SELECT 1 FROM keys WHERE revoked IS NULL LIMIT 1"))
+
+
+def active_key(database: Database, key_id: str, *usual: float) -> tuple[str, float, int, int, int] | None:
+    """Return the secret's sha256 and the limits of an active key, for the event loop; None if there is no such key.
+
+    The `usual` limits replace those that the key has not: requests per second, stored MB, queued fits. The last number
+    says whether the key may read the metrics.
+    """
+    return database.row_now(_SELECT_ACTIVE, *usual, key_id)
+
+
+def is_active(database: Database, key_id: str) -> bool:
+    """Return whether a key is not revoked, for the event loop."""
+    return database.row_now("SELECT 1 FROM keys WHERE id = ? AND revoked IS NULL", key_id) is not None
