@@ -8,11 +8,9 @@ import resource
 import signal
 import socket
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial, wraps
-from pathlib import Path
 from typing import Annotated, Any, cast
 
 import uvicorn
@@ -101,7 +99,7 @@ def _serve(given: Mapping[str, Any]) -> int:
         store.close()
         print_error(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.")
         return 1
-    _keep_temporary_files_in(store.running)
+    store.keep_temporary_files()
     configure(settings)
     return_freed_memory()
     _raise_descriptor_limit()
@@ -182,14 +180,6 @@ def _raise_descriptor_limit() -> None:
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(OSError, ValueError):  # some systems report more than they allow
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-
-
-def _keep_temporary_files_in(folder: Path) -> None:
-    """Put the fork server's socket where the next start removes what a killed server has left."""
-    # A socket's path has at most 107 characters; through the open folder's descriptor it is always short.
-    descriptor = Path(f"/proc/self/fd/{os.open(folder, os.O_RDONLY)}")
-    if descriptor.is_dir():
-        tempfile.tempdir = str(descriptor)
 
 
 def _check_address(host: str, port: int) -> None:

@@ -67,9 +67,9 @@ async def export_fit(
     key, place = ("export", row.key, *wanted.model_dump().values()), FORMATS[wanted.format].time
     if place != "short":
         made = await context.computations.make_file(
-            request, key, export_step, model, wanted.format, name, folder=context.store.blobs.temporary, place=place
+            request, key, export_step, model, wanted.format, name, blobs=context.store.blobs, place=place
         )
-        return OpenFileResponse(made.descriptor, made, headers)
+        return OpenFileResponse(made, headers)
     report = loaded.report if wanted.component is None else None
     export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
     return Response(await context.computations.run(request, key, export), 200, headers)

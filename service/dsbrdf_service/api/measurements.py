@@ -11,13 +11,13 @@ from starlette.responses import FileResponse, Response
 
 from dsbrdf.samples.reading import table_suffix
 
-from ..compute.computations import MadeFile
 from ..errors import MeasurementNotFoundError
 from ..http import openapi
 from ..http.names import content_disposition
 from ..http.request_body import media_type_of
 from ..http.request_log import IS_HEAD
 from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefers, prefix_of, tagged_reply
+from ..storage.blobs import OpenFile
 from ..storage.database import in_write_thread
 from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheOptions, name_of
 from .fields import SHA256, Name, Page, from_row, next_page
@@ -123,8 +123,8 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     try:
         suffix = ".binary" if row.on_grid else await run_in_threadpool(table_suffix, path)
         headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
-        file = MadeFile(os.open(path, os.O_RDONLY))
-        return OpenFileResponse(file.descriptor, file, headers | {"Content-Type": BINARY})
+        file = OpenFile(os.open(path, os.O_RDONLY))
+        return OpenFileResponse(file, headers | {"Content-Type": BINARY})
     except FileNotFoundError:  # deleted since its row was read
         raise MeasurementNotFoundError(sha256) from None
 

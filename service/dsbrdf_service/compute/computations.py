@@ -6,14 +6,10 @@ computed in a process of its own, which gives way to the one that answers.
 
 import asyncio
 import errno
-import os
-import weakref
 from collections.abc import Awaitable, Callable, Hashable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from tempfile import mkstemp
 from typing import Any, Literal, TypeVar, get_args
 
 from anyio import CancelScope
@@ -27,20 +23,12 @@ from dsbrdf.errors import InvalidArgumentError
 from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
 from ..queue.turns import FairTurns, result_of
-from ..storage.blobs import PREFIX
+from ..storage.blobs import Blobs, OpenFile
 
 T = TypeVar("T")
 
 Place = Literal["short", "medium", "long"]
 """Where something is computed, by its time: at most some 50 ms, about a second, or longer."""
-
-
-class MadeFile:
-    """An open file, which is closed when nobody has it any more."""
-
-    def __init__(self, descriptor: int) -> None:
-        self.descriptor = descriptor
-        weakref.finalize(self, os.close, descriptor)
 
 
 @dataclass
@@ -101,25 +89,21 @@ class Computations:
         raise ProblemError("internal", f"The answer could not be computed ({found.type}); ask for it again.")
 
     async def make_file(
-        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, folder: Path, place: Place
-    ) -> "MadeFile":
+        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, blobs: Blobs, place: Place
+    ) -> OpenFile:
         """Return the file that ``step(*arguments, path, on_progress)`` writes, which is called as by `run_in_process`.
 
-        It is in `folder`, without a name when this returns, and goes with the last request that has it.
+        The file is a temporary one of `blobs`, and goes with the last request that has it.
 
         Raises OSError too if it cannot be made.
         """
 
-        async def work() -> MadeFile:
-            descriptor, path = mkstemp(prefix=PREFIX, dir=folder)
-            made = MadeFile(descriptor)
-            try:
+        async def work() -> OpenFile:
+            with blobs.temporary_file() as (file, path):
                 await self._called(step, *arguments, path)
-            finally:
-                Path(path).unlink()
-            return made
+            return file
 
-        made: MadeFile = await self._wait(request, key, work, place)
+        made: OpenFile = await self._wait(request, key, work, place)
         return made
 
     async def close(self) -> None:

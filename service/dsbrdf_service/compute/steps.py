@@ -192,10 +192,10 @@ def understood_step(content: bytes, options: TableOptions, _: OnProgress) -> dic
 
 
 def export_step(
-    model: DSBRDF | LayeredModel | Component, file_format: str, title: str, path: str, _: OnProgress
+    model: DSBRDF | LayeredModel | Component, file_format: str, title: str, path: Path, _: OnProgress
 ) -> None:
     """Write a file with a model, as `export_model` makes it, for formats that take long or make long files."""
-    Path(path).write_bytes(export_model(model, file_format, title=title))
+    path.write_bytes(export_model(model, file_format, title=title))
 
 
 def conversion_step(path: Path, kind: Kind, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:

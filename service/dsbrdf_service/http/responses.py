@@ -1,7 +1,6 @@
 """Responses: JSON documents with strong ETags, files, and links to the next page."""
 
 import hashlib
-import os
 import re
 from collections.abc import Mapping
 
@@ -10,6 +9,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
+
+from ..storage.blobs import OpenFile
 
 BINARY = "application/octet-stream"
 JSON = "application/json"
@@ -55,10 +56,10 @@ def not_modified(request: Request, headers: Mapping[str, str]) -> Response | Non
 
 
 class OpenFileResponse(Response):
-    """An open file, which is sent to its end even if it is deleted meanwhile; what it `keeps` closes the file."""
+    """An open file, which is sent to its end even if it is deleted meanwhile."""
 
-    def __init__(self, descriptor: int, keeps: object, headers: Mapping[str, str]) -> None:
-        self._descriptor, self._keeps, self._size = descriptor, keeps, os.fstat(descriptor).st_size
+    def __init__(self, file: OpenFile, headers: Mapping[str, str]) -> None:
+        self._file, self._size = file, file.size
         super().__init__(headers={**headers, "Content-Length": str(self._size)})
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:  # noqa: ARG002 (ASGI's signature)
@@ -66,7 +67,7 @@ class OpenFileResponse(Response):
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         n_sent, is_last = 0, False
         while not is_last:
-            piece = await run_in_threadpool(os.pread, self._descriptor, _PIECE, n_sent)
+            piece = await run_in_threadpool(self._file.read, _PIECE, n_sent)
             n_sent += len(piece)
             is_last = n_sent >= self._size or not piece
             await send({"type": "http.response.body", "body": piece, "more_body": not is_last})

@@ -196,14 +196,14 @@ class FitQueue:
         """Run the fit of a row after checking its file; wait as long as no process can be started."""
         while True:
             try:
-                damage = await run_in_threadpool(self._store.blobs.damage, row.measurement)
-                if damage is not None:
-                    return Fault("system", "MeasurementDamaged", MeasurementDamagedError(damage).detail)
-                path, options = self._store.blobs.path(row.measurement), from_wire(row.options)
+                path = await run_in_threadpool(self._store.sound_file, row.measurement)
+                options = from_wire(row.options)
                 task = FitTask(str(row.key), path, options, row.measurement, with_thumbnail=True)
                 outcome = await result_of(self._engine.submit(task, partial(self._progress_in_loop, row.key)))
                 if isinstance(outcome, FitDocument):
                     return outcome
+            except MeasurementDamagedError as error:
+                return Fault("system", "MeasurementDamaged", error.detail)
             except OSError as error:
                 outcome = Fault("system", NOT_STARTED, f"The fit could not be started: {error}.")
             except Exception as error:

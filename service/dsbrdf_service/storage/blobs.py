@@ -10,7 +10,9 @@ import os
 import re
 import stat
 import tempfile
+import weakref
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -54,6 +56,23 @@ class Incoming:
         self.path.unlink(missing_ok=True)
 
 
+class OpenFile:
+    """A file to be read, which is closed when nobody has it any more; it stays readable if it is deleted meanwhile."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        weakref.finalize(self, os.close, descriptor)
+
+    @property
+    def size(self) -> int:
+        """The length of the file [bytes]."""
+        return os.fstat(self._descriptor).st_size
+
+    def read(self, n_bytes: int, position: int) -> bytes:
+        """Return at most `n_bytes` bytes from a position on."""
+        return os.pread(self._descriptor, n_bytes, position)
+
+
 class Blobs:
     """Measurement files, named by the sha256 of their bytes, in ``blobs`` and ``tmp`` of the data folder."""
 
@@ -73,6 +92,16 @@ class Blobs:
     def incoming(self) -> Incoming:
         """Return a new temporary file."""
         return Incoming(self.temporary)
+
+    @contextmanager
+    def temporary_file(self) -> Iterator[tuple[OpenFile, Path]]:
+        """Yield a file that the block writes by its path, which has no name any more when the block has ended."""
+        descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=self.temporary)
+        file = OpenFile(descriptor)
+        try:
+            yield file, Path(name)
+        finally:
+            Path(name).unlink()
 
     def place(self, incoming: Incoming) -> None:
         """Move a closed incoming file to its place; durable when this returns.

@@ -6,8 +6,10 @@ Every method is safe to call from any thread and returns when the change is dura
 import hashlib
 import json
 import logging
+import os
 import shutil
 import sqlite3
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -82,6 +84,13 @@ class Store:
         """Release the folder."""
         self.database.close()
 
+    def keep_temporary_files(self) -> None:
+        """Put this process's temporary files, such as the fork server's socket, where the next start removes them."""
+        # A socket's path has at most 107 characters; through the open folder's descriptor it is always short.
+        descriptor = Path(f"/proc/self/fd/{os.open(self.running, os.O_RDONLY)}")
+        if descriptor.is_dir():
+            tempfile.tempdir = str(descriptor)
+
     def add_measurement(
         self, caller: Caller, incoming: Incoming, name: str | None = None
     ) -> tuple[MeasurementRow, bool]:
@@ -107,6 +116,13 @@ class Store:
         for row in self.database.rows(f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}", owner, sha256):
             return MeasurementRow(*row)
         raise MeasurementNotFoundError(sha256)
+
+    def sound_file(self, sha256: str) -> Path:
+        """Return the file of a measurement, which has the bytes that it is named by; raises MeasurementDamagedError."""
+        damage = self.blobs.damage(sha256)
+        if damage is not None:
+            raise MeasurementDamagedError(damage)
+        return self.blobs.path(sha256)
 
     def measurement_file(
         self, owner: str, sha256: str, *, drawn: Literal["grid", "samples", "any"] | None = None
@@ -305,6 +321,10 @@ class Store:
         free = shutil.disk_usage(self.folder).free >> 20
         if free < least_mb:
             raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")
+
+    def check_files(self) -> None:
+        """Raise OSError unless a file can be written."""
+        self.blobs.check()
 
     def check(self) -> None:
         """Raise sqlite3.Error or OSError unless rows can be read and written."""
