@@ -56,9 +56,10 @@ test: $(TESTS_READY)  ## run all tests, on up to four cores
 quick: $(TESTS_READY)  ## run the tests of library and service that are not marked as slow
 	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile -m 'not slow' tests/library tests/service
 
-check: $(TESTS_READY)  ## check format, lint, types and security
+check: $(TESTS_READY)  ## check format, lint, prose, types and security
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/python .ci/prose.py
 	$(BIN)/mypy
 	$(BIN)/bandit --quiet --recursive --configfile pyproject.toml dsbrdf service
 

@@ -27,11 +27,12 @@ from dsbrdf.pipeline import fit
 ROUGHNESSES = (0.03, 0.06, 0.1, 0.15, 0.35)
 GROUNDS = {"red": (0.40, 0.16, 0.10), "grey": (0.50, 0.50, 0.50), "dark": (0.10, 0.08, 0.06)}
 COAT = (0.04, 0.04, 0.04)
-SMOOTH = 0.15  # roughness up to which a highlight is told from the ground
+MAX_SEPARABLE_ROUGHNESS = 0.15  # A rougher highlight is as wide as the diffuse part.
 NOISE = 0.02
 DENT_ANGLES = np.radians([0.0, 30.0, 45.0])
-UNDER, AROUND = np.radians(np.linspace(0.0, 12.0, 49)), np.radians(np.linspace(8.0, 40.0, 65))
-LEAST_SHARE = 0.05
+ANGLES_UNDER_HIGHLIGHT = np.radians(np.linspace(0.0, 12.0, 49))
+ANGLES_AROUND_HIGHLIGHT = np.radians(np.linspace(8.0, 40.0, 65))
+MIN_DIFFUSE_FRACTION = 0.05
 # integral of cos (1 - (1 - cos / 2)**5) d cos from 0 to 1, by which the diffuse term's albedo is known
 _FALL = 0.5 - 4.0 * ((1.0 - 0.5**6) / 6.0 - (1.0 - 0.5**7) / 7.0)
 
@@ -55,11 +56,12 @@ def print_known() -> None:
         widths = ", ".join(f"{np.degrees(part.half_width):.1f}" for part in parts if part.half_width is not None)
         errors = f"diffuse {albedo_errors[-1]:6.1%}, colour of the highlight {colour_errors[-1]:.3f}"
         print(f"{name:5} roughness {roughness:4g}: {errors}, half widths {widths}", flush=True)
-    smooth = np.tile(np.array(ROUGHNESSES) <= SMOOTH, len(GROUNDS))
+    smooth = np.tile(np.array(ROUGHNESSES) <= MAX_SEPARABLE_ROUGHNESS, len(GROUNDS))
     albedo, colour = np.array(albedo_errors), np.array(colour_errors)
     print(
-        f"diffuse albedo: median {np.median(albedo):.1%}, to roughness {SMOOTH} at most {albedo[smooth].max():.1%}, "
-        f"largest {albedo.max():.1%}; colour of the highlight, to roughness {SMOOTH} at most {colour[smooth].max():.3f}"
+        f"diffuse albedo: median {np.median(albedo):.1%}, largest {albedo.max():.1%}; up to roughness"
+        f" {MAX_SEPARABLE_ROUGHNESS} at most {albedo[smooth].max():.1%}, and the colour of the highlight at most"
+        f" {colour[smooth].max():.3f}"
     )
 
 
@@ -68,13 +70,16 @@ def dents(parts: Decomposition) -> list[float]:
     if parts.diffuse is None:
         return []
     found = []
-    measure = np.sin(2.0 * AROUND)
+    measure = np.sin(2.0 * ANGLES_AROUND_HIGHLIGHT)
     for theta_diff in DENT_ANGLES.tolist():
-        whole, around = parts.model.evaluate(AROUND, theta_diff), parts.diffuse.evaluate(AROUND, theta_diff)
-        under = parts.diffuse.evaluate(UNDER, theta_diff)
+        whole, around = (
+            parts.model.evaluate(ANGLES_AROUND_HIGHLIGHT, theta_diff),
+            parts.diffuse.evaluate(ANGLES_AROUND_HIGHLIGHT, theta_diff),
+        )
+        under = parts.diffuse.evaluate(ANGLES_UNDER_HIGHLIGHT, theta_diff)
         share = (measure @ around) / (measure @ whole)
         deviation = np.abs(under / around.max(axis=0) - 1.0).max(axis=0)
-        found += deviation[share > LEAST_SHARE].tolist()
+        found += deviation[share > MIN_DIFFUSE_FRACTION].tolist()
     return found
 
 

@@ -39,7 +39,7 @@ CALM = {
     "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false",
 }
 """Environment of scheduler and workers that docs/cluster.md recommends."""
-SHORT = {"method": "paper", "n_lobes": 4}
+FOUR_LOBE_FIT = {"method": "paper", "n_lobes": 4}
 """Options of the fits during kills: about a second each, and a kill every few seconds."""
 
 
@@ -167,7 +167,7 @@ def _break(
         asked = 0
         for _ in range(times):
             while _unfinished(server) < 4:
-                _submit(server, sha256, **SHORT, em_iterations=100 + asked)
+                _submit(server, sha256, **FOUR_LOBE_FIT, em_iterations=100 + asked)
                 asked += 1
             wait_until(lambda: bool(running.fitting()), PATIENCE)
             time.sleep(moments.uniform(0.0, 1.0))

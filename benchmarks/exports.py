@@ -44,10 +44,13 @@ from dsbrdf.rendering.environment import THREE_LIGHTS
 from dsbrdf.rendering.image_metrics import displayed, exposure, psnr
 from dsbrdf.rendering.sphere import Source, render_sphere, sphere_normals
 
-SIZE, FINER = 96, 4
+SIZE = 96  # pixels
+SAMPLES_PER_PIXEL_SIDE = 4
 ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
-N_SAMPLES, N_REPEATS = 100_000, 3
-LEAST, FAR = 1e-3, 0.1
+N_SAMPLES = 100_000
+N_REPEATS = 3
+MIN_REFERENCE_VALUE = 1e-3  # 1/sr; relative errors of smaller values would say nothing.
+MAX_CLOSE_ERROR = 0.1
 SPECTRAL_SAMPLES = [430.0, 490.0, 550.0, 620.0]
 """Wavelengths at which spectral files are compared [nm]."""
 HEADS = {
@@ -107,7 +110,7 @@ def errors(mitsuba: Any, path: Path, expected: Array, wi: Array, wo: Array) -> A
     values = np.array(
         loaded(mitsuba, path).eval(mitsuba.BSDFContext(), seen, mitsuba.Vector3f(wo.T.astype(np.float32)))
     )
-    return np.abs(values.T / wo[:, 2:] - expected) / np.maximum(expected, LEAST)
+    return np.abs(values.T / wo[:, 2:] - expected) / np.maximum(expected, MIN_REFERENCE_VALUE)
 
 
 def round_trips(measurement: Measurement, model: DSBRDF, files: Files) -> list[float]:
@@ -121,7 +124,7 @@ def round_trips(measurement: Measurement, model: DSBRDF, files: Files) -> list[f
     mitsuba = variant("llvm_ad_rgb")
     exact = errors(mitsuba, files.model, of_fit, wi, wo)
     found = [errors(mitsuba, path, values, wi, wo) for path, values in ((files.fit, of_fit), (files.data, of_data))]
-    far = float((found[0].max(axis=1) > FAR).mean())
+    far = float((found[0].max(axis=1) > MAX_CLOSE_ERROR).mean())
     tables = [float(np.median(error)) for error in (found[0], spectral, found[1])]
     return [float(np.median(exact)), float(exact.max()), tables[0], far, *tables[1:]]
 
@@ -143,7 +146,7 @@ def picture(mitsuba: Any, path: Path) -> Array:
             "type": "orthographic",
             "to_world": mitsuba.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
             "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}},
-            "sampler": {"type": "stratified", "sample_count": 4 * FINER**2},
+            "sampler": {"type": "stratified", "sample_count": 4 * SAMPLES_PER_PIXEL_SIDE**2},
         },
         "sphere": {"type": "sphere", "bsdf": loaded(mitsuba, path)},
     }
@@ -160,13 +163,17 @@ def picture(mitsuba: Any, path: Path) -> Array:
 
 def reference(source: Source) -> Array:
     """Sphere by this library, pixels being means over points."""
-    finer = render_sphere(source, size=SIZE * FINER)
-    return finer.reshape(SIZE, FINER, SIZE, FINER, 3).mean(axis=(1, 3))
+    finer = render_sphere(source, size=SIZE * SAMPLES_PER_PIXEL_SIDE)
+    return finer.reshape(SIZE, SAMPLES_PER_PIXEL_SIDE, SIZE, SAMPLES_PER_PIXEL_SIDE, 3).mean(axis=(1, 3))
 
 
 def spheres(measurement: Measurement, model: DSBRDF, files: Files) -> list[float]:
     """Figures of `HEADS` "spheres"."""
-    inside = np.asarray(sphere_normals(SIZE * FINER)[1].reshape(SIZE, FINER, SIZE, FINER).all(axis=(1, 3)))
+    inside = np.asarray(
+        sphere_normals(SIZE * SAMPLES_PER_PIXEL_SIDE)[1]
+        .reshape(SIZE, SAMPLES_PER_PIXEL_SIDE, SIZE, SAMPLES_PER_PIXEL_SIDE)
+        .all(axis=(1, 3))
+    )
     measured, mitsuba = reference(measurement), variant("llvm_ad_rgb")
     factor = exposure(measured, inside)
     pictures = [reference(model), *(picture(mitsuba, path) for path in (files.model, files.fit, files.data))]

@@ -30,7 +30,8 @@ Truth = Callable[[Array, Array], Array]
 
 NAMES = "satin,aurora_white,golden_yellow,nickel,pickled-oak,merl_white-paint"
 COUNTS = ((True, 300), (True, 5000), (False, 50), (False, 100), (False, 300), (False, 1000), (False, 5000))
-NOISE, N_OTHERS = 0.02, 6000
+NOISE = 0.02
+N_OTHERS = 6000
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -22,7 +22,7 @@ from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.pipeline import fit
 
-STEP = float(np.radians(0.001))
+ANGLE_STEP = float(np.radians(0.001))
 REACH = np.radians(np.linspace(-0.2, 0.2, 9))
 HEADS = ("negative", "not finite", "reciprocity", "step half", "step diff", "step phi", "sum of parts")
 
@@ -55,7 +55,10 @@ def check(model: DSBRDF, omega_in: Array, omega_out: Array) -> list[float]:
     swapped = model.evaluate_directions(omega_out, omega_in)
     parts = [component.evaluate_directions(omega_in, omega_out) for component in decompose(model)]
     theta_half, theta_diff, phi_diff = half_difference(omega_in, omega_out)
-    theta_half, theta_diff = np.minimum(theta_half, np.pi / 2 - STEP), np.minimum(theta_diff, np.pi / 2 - STEP)
+    theta_half, theta_diff = (
+        np.minimum(theta_half, np.pi / 2 - ANGLE_STEP),
+        np.minimum(theta_diff, np.pi / 2 - ANGLE_STEP),
+    )
     here = model.evaluate_unmasked(theta_half, theta_diff, phi_diff)
     scale = here.copy()
     for shift in REACH.tolist():
@@ -64,7 +67,7 @@ def check(model: DSBRDF, omega_in: Array, omega_out: Array) -> list[float]:
         )
     steps = []
     for axis in range(3):
-        moved = [angle + STEP * (n == axis) for n, angle in enumerate((theta_half, theta_diff, phi_diff))]
+        moved = [angle + ANGLE_STEP * (n == axis) for n, angle in enumerate((theta_half, theta_diff, phi_diff))]
         steps.append(float((np.abs(model.evaluate_unmasked(*moved) - here) / scale).max()))
     return [
         float(np.count_nonzero(value < 0.0) + sum(np.count_nonzero(part < 0.0) for part in parts)),

@@ -23,7 +23,7 @@ from dsbrdf.pipeline import fit
 from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness
 
 HEADS = ("seconds", "numbers", "model", "", "layers", "", "OpenPBR", "", "seconds")
-SHARES = {"smallest": 0.0, "median": 0.5, "largest": 1.0}
+QUANTILES = {"smallest": 0.0, "median": 0.5, "largest": 1.0}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,8 +52,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     row.append(sphere_likeness(*pair)[0])
             rows.append([*row, of_surface])
             print_row(f"{measurement.name:30}{found.structure:38}", rows[-1])
-    for share, level in SHARES.items():
-        print_row(f"{share} of {len(rows)}", np.quantile(rows, level, axis=0).tolist())
+    for quantile, level in QUANTILES.items():
+        print_row(f"{quantile} of {len(rows)}", np.quantile(rows, level, axis=0).tolist())
     return 0
 
 

@@ -251,7 +251,7 @@ class Client:
             self._tally.faults.append(f"{request}: {answer.status_code} {answer.text[:300]}")
 
 
-STEPS: tuple[Callable[[Client], None], ...] = (
+CLIENT_STEPS: tuple[Callable[[Client], None], ...] = (
     Client.fit_file,
     Client.fit_file,
     Client.fit_stored,

@@ -31,7 +31,7 @@ FIGURES = (*METRICS, "numbers", "seconds")
 DIGITS = {"psnr": 1, "numbers": 0, "seconds": 2}
 """Decimal places of the figures that do not have 4."""
 WIDTH = 16
-SHARES = {"min": 0.0, "median": 0.5, "p90": 0.9, "max": 1.0}
+QUANTILES = {"min": 0.0, "median": 0.5, "p90": 0.9, "max": 1.0}
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def summary(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, float]]]:
 
 def _spread(rows: Sequence[Row], figure: str) -> dict[str, float]:
     values = [value for row in rows if (value := row.figures[figure]) is not None]
-    return {name: float(np.quantile(values, share)) if values else float("nan") for name, share in SHARES.items()}
+    return {name: float(np.quantile(values, share)) if values else float("nan") for name, share in QUANTILES.items()}
 
 
 def print_row(name: str, figures: Mapping[str, float | None], lobes: str = "") -> None:
@@ -101,7 +101,7 @@ def print_summary(rows: Sequence[Row]) -> None:
     """Print the spread of each database and of all materials."""
     for group, figures in summary(rows).items():
         count = len(rows) if group == "all" else sum(row.name.split("_")[0] == group for row in rows)
-        for share in SHARES:
+        for share in QUANTILES:
             spread = {figure: shares[share] for figure, shares in figures.items()}
             print_row(f"{share} of {group} ({count})", spread)
 

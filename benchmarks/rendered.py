@@ -33,7 +33,10 @@ from dsbrdf.output.sphere_panels import compare_spheres
 from dsbrdf.pipeline import fit
 from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness
 
-FIT, GGX, TABLE, PEER = "fit", "2 GGX", "phi means", "peer"
+FIT = "fit"
+GGX = "2 GGX"
+TABLE = "phi means"
+PEER = "peer"
 WAYS = (FIT, GGX, TABLE, PEER)
 WIDTH = 16
 SHEET_SIZE = 160

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.exports import LEAST, pairs
+from benchmarks.exports import MIN_REFERENCE_VALUE, pairs
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.interpolation import interpolate
 from dsbrdf.data.merl import encode_merl, parse_merl
@@ -38,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         expected = material.evaluate_directions(first, second).mean(axis=1)
         figures = [float(material.non_reciprocity())]
         for values in (of_table, *copies):
-            error = np.abs(values.mean(axis=1) - expected) / np.maximum(expected, LEAST)
+            error = np.abs(values.mean(axis=1) - expected) / np.maximum(expected, MIN_REFERENCE_VALUE)
             figures += [float(np.median(error)), float(np.quantile(error, 0.95))]
         print(f"{path.name:28}" + "".join(f"{figure:10.4f}" for figure in figures), flush=True)
     return 0

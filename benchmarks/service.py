@@ -235,7 +235,7 @@ def _library(file: Path, options: dict[str, int]) -> tuple[float, float]:
 def _processor_seconds(server: Server) -> float:
     """Return the processor time of the web process, of its helpers and of the fits that have ended [s]."""
     fields = [Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in server.helpers()]
-    of_helpers = sum(int(number) for of_one in fields for number in of_one[11:15])  # of their children too
+    of_helpers = sum(int(number) for of_one in fields for number in of_one[11:15])  # includes their children
     return server.cpu_seconds() + of_helpers / os.sysconf("SC_CLK_TCK")
 
 

@@ -26,7 +26,8 @@ from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 from tests.support.webgl import ShaderCall, time_glsl
 
 SIZE = 128
-N_TILES, N_REPEATS = 16, 11
+N_TILES = 16
+N_REPEATS = 11
 GGX = """
 vec3 ggx(vec3 i, vec3 o) {
   if (i.z < 0.0 || o.z < 0.0) return vec3(0.0);
@@ -39,14 +40,14 @@ vec3 ggx(vec3 i, vec3 o) {
 
 vec3 dsbrdf(vec3 i, vec3 o) {  // one evaluation alone takes too little time to be measured
   vec3 sum = vec3(0.0);
-  for (int count = 0; count < TIMES; ++count) {
+  for (int count = 0; count < CALLS_PER_PIXEL; ++count) {
     sum += ggx(i, o);
     o = vec3(0.8 * o.x - 0.6 * o.y, 0.6 * o.x + 0.8 * o.y, o.z);
   }
   return sum;
 }
 """
-TIMES = 32
+CALLS_PER_PIXEL = 32
 NOTHING = "vec3 dsbrdf(vec3 i, vec3 o) { return i + o; }"
 
 
@@ -63,12 +64,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         for measurement in chosen_measurements(arguments):
             model = fit(measurement).model
             components = decompose(model)
-            sources = {"nothing": NOTHING, "GGX": GGX.replace("TIMES", str(TIMES)), "model": glsl_function(model)}
+            sources = {
+                "nothing": NOTHING,
+                "GGX": GGX.replace("CALLS_PER_PIXEL", str(CALLS_PER_PIXEL)),
+                "model": glsl_function(model),
+            }
             sources |= {"layers": glsl_function(components.layers), "parts": glsl_function(next(iter(components)))}
             calls = {n: ShaderCall(s, "dsbrdf(a, b)", first, second) for n, s in sources.items()}
             with tempfile.TemporaryDirectory() as folder:
                 times = time_glsl(calls, Path(folder), N_REPEATS)
-            one = (times["GGX"] - times["nothing"]) / TIMES
+            one = (times["GGX"] - times["nothing"]) / CALLS_PER_PIXEL
             ratios = [(times[n] - times["nothing"]) / one for n in [*sources][2:]]
             measured = render_sphere(measurement, size=SIZE)
             factor = exposure(measured, inside)

@@ -23,16 +23,16 @@ from statistics import median
 from typing import NamedTuple
 
 from benchmarks.durability_series.harness import Harness
-from benchmarks.load import STEPS, Client, Tally
+from benchmarks.load import CLIENT_STEPS, Client, Tally
 from dsbrdf.data.merl import write_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from tests.support.server import Server
 
 _OUT = Path("out")
 _INTERVAL = 3.0  # seconds
-_MOST_DRIFT = 0.02
-_FEW = 3  # descriptors
-_SHOWN = 10  # faults
+_MAX_MEMORY_DRIFT = 0.02
+_MAX_NEW_DESCRIPTORS = 3
+_N_SHOWN_FAULTS = 10
 
 
 class Sample(NamedTuple):
@@ -89,9 +89,9 @@ def soak(harness: Harness, seconds: float) -> tuple[list[Sample], tuple[int, int
 @contextmanager
 def _clients(harness: Harness, address: str, tally: Tally) -> Iterator[None]:
     over = threading.Event()
-    with ThreadPoolExecutor(len(STEPS)) as pool:
+    with ThreadPoolExecutor(len(CLIENT_STEPS)) as pool:
         futures = []
-        for number, step in enumerate(STEPS):
+        for number, step in enumerate(CLIENT_STEPS):
             bodies = [harness.variant(2 * number + i) for i in range(2)]
             client = Client(address, bodies, tally, harness.random.getrandbits(32))
             futures.append(pool.submit(client.run, step, over))
@@ -144,12 +144,12 @@ def _judge(samples: Sequence[Sample], idle: tuple[int, int], tally: Tally, log: 
     print(f"stack traces in the log: {log.count('Traceback')}")
     names = Sample._fields
     web, descriptors = names.index("web_mb"), names.index("descriptors")
-    misses = tally.faults[:_SHOWN]
+    misses = tally.faults[:_N_SHOWN_FAULTS]
     if tally.server_errors():
         misses.append(f"{tally.server_errors()} answers of 500 or more")
-    if late[web] > (1 + _MOST_DRIFT) * early[web]:
+    if late[web] > (1 + _MAX_MEMORY_DRIFT) * early[web]:
         misses.append("the memory of the web process has drifted")
-    if late[descriptors] > early[descriptors] + _FEW or idle[1] > idle[0] + _FEW:
+    if late[descriptors] > early[descriptors] + _MAX_NEW_DESCRIPTORS or idle[1] > idle[0] + _MAX_NEW_DESCRIPTORS:
         misses.append("descriptors are not flat")
     for miss in misses:
         print(f"missed: {miss}", file=sys.stderr)

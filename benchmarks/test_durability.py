@@ -11,7 +11,7 @@ from dsbrdf.data.merl import write_merl
 from tests.support.materials import glossy_plastic
 from tests.support.soak import SOAK
 
-TIMES = {name: one.times for name, one in SERIES.items()} if SOAK else {"server-kill": 1, "disk": 1}
+ROUNDS_OF_SERIES = {name: one.times for name, one in SERIES.items()} if SOAK else {"server-kill": 1, "disk": 1}
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def measurement(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     end_fitting_process()
 
 
-@pytest.mark.parametrize("name", TIMES)
+@pytest.mark.parametrize("name", ROUNDS_OF_SERIES)
 def test_series_loses_nothing_and_leaves_nothing_behind(name: str, measurement: Path) -> None:
-    measured, faults = run(name, TIMES[name], 1, measurement)
+    measured, faults = run(name, ROUNDS_OF_SERIES[name], 1, measurement)
     assert not faults, f"{measured}: {faults}"

@@ -29,9 +29,11 @@ from dsbrdf.output.sphere_panels import compare_spheres
 
 Array = NDArray[np.float64]
 
-START_TIMEOUT = 60.0  # seconds
-STOP_TIMEOUT = 10.0  # seconds
-SHOWN_NODES, SHOWN_ROWS = (10, 20, 60), (0, 60)  # of theta_half and theta_diff, for the table of values
+START_TIMEOUT_S = 60.0
+STOP_TIMEOUT_S = 10.0
+# The table of values shows these nodes of the MERL grid.
+SHOWN_THETA_HALF_NODES = (10, 20, 60)
+SHOWN_THETA_DIFF_NODES = (0, 60)
 
 
 def main(folder: Path) -> None:
@@ -74,7 +76,7 @@ def stop(process: subprocess.Popen[bytes]) -> None:
     """Ask a process to end, and kill it if it does not."""
     process.terminate()
     try:
-        process.wait(STOP_TIMEOUT)
+        process.wait(STOP_TIMEOUT_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
@@ -82,7 +84,7 @@ def stop(process: subprocess.Popen[bytes]) -> None:
 
 def address_when_ready(process: subprocess.Popen[bytes], log: Path) -> str | None:
     """Wait until the service is ready and return its URL, found in its log; None if it ends or takes too long."""
-    deadline = time.monotonic() + START_TIMEOUT
+    deadline = time.monotonic() + START_TIMEOUT_S
     while process.poll() is None and time.monotonic() < deadline:
         found = re.search(r"http://[\d.]+:\d+", log.read_text(errors="replace"))
         with suppress(httpx.TransportError):  # the service does not listen yet, or is busy
@@ -150,7 +152,7 @@ def _show_metrics(report: dsbrdf.FitReport | None) -> None:
 
 def _show_values(client: httpx.Client, fit: dict[str, Any], measurement: dsbrdf.Measurement) -> None:
     """Print measured values beside those of the service."""
-    nodes = np.array([(i, j) for j in SHOWN_ROWS for i in SHOWN_NODES])
+    nodes = np.array([(i, j) for j in SHOWN_THETA_DIFF_NODES for i in SHOWN_THETA_HALF_NODES])
     theta_half, theta_diff = np.degrees(THETA_HALF[nodes[:, 0]]), np.degrees(THETA_DIFF[nodes[:, 1]])
     measured = measurement.values[:, nodes[:, 0], nodes[:, 1], 90].T
     fitted = _values(client, fit, "brdf", theta_half, theta_diff)

@@ -21,7 +21,7 @@ from benchmarks.durability_series.harness import (
     query_database,
     same_bits,
 )
-from benchmarks.durability_series.stateful_clients import LONG
+from benchmarks.durability_series.stateful_clients import TWO_LOBE_FIT
 from tests.support.server import QUICK, Server
 
 _RAW = {"Content-Type": "application/octet-stream"}
@@ -135,7 +135,7 @@ def same_file(harness: Harness, times: int) -> str:
 def full_disk(harness: Harness, times: int) -> str:
     """Fill the disk while a fit runs, send more than there is room for, then make room, first through the service."""
     recovered = 0.0
-    (model,) = harness.models(LONG)
+    (model,) = harness.models(TWO_LOBE_FIT)
     with _small_disk(harness.folder / "disk") as disk, harness.server(disk, min_free_mb="1") as server:
         server.start()
         for number in range(times):
@@ -143,7 +143,7 @@ def full_disk(harness: Harness, times: int) -> str:
                 server.http.post("/v1/measurements", content=harness.variant(variant)).json()["sha256"]
                 for variant in (3 * number, 3 * number + 1)
             )
-            fit_id = server.submit(sha256, prefer="respond-async", **LONG).json()["id"]
+            fit_id = server.submit(sha256, prefer="respond-async", **TWO_LOBE_FIT).json()["id"]
             server.until_running(fit_id)
             filler = _fill(disk)
             _refusals(harness, server, sha256)

@@ -20,7 +20,7 @@ from benchmarks.durability_series.harness import (
     same_bits,
     temporary_files,
 )
-from benchmarks.durability_series.stateful_clients import LONG, OPTIONS, StatefulClient, running_clients
+from benchmarks.durability_series.stateful_clients import OPTIONS, TWO_LOBE_FIT, StatefulClient, running_clients
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf_service.storage.removal import purge
 from tests.support.server import Server
@@ -149,7 +149,7 @@ class _Pair:
 
     def __init__(self, harness: Harness) -> None:
         self._harness = harness
-        self._options = [{**LONG, "n_lobes": 4, "mask": mask} for mask in (0.5, 0.6)]
+        self._options = [{**TWO_LOBE_FIT, "n_lobes": 4, "mask": mask} for mask in (0.5, 0.6)]
         self._models = harness.models(*self._options)
         self._fits: list[str] = []
 
@@ -209,7 +209,7 @@ def terminated(harness: Harness, times: int) -> str:
         for _ in range(times):
             server.start()
             sha256 = server.http.post("/v1/measurements", content=harness.variant(0)).json()["sha256"]
-            answers = [server.submit(sha256, prefer="respond-async", **LONG, mask=i / 10) for i in range(4)]
+            answers = [server.submit(sha256, prefer="respond-async", **TWO_LOBE_FIT, mask=i / 10) for i in range(4)]
             fits = [answer.json()["id"] for answer in answers]
             with _held_open(server, fits):
                 time.sleep(harness.random.uniform(0.1, 1.0))

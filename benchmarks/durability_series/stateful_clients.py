@@ -14,10 +14,10 @@ import dsbrdf
 from benchmarks.durability_series.harness import Harness, same_bits
 from tests.support.server import QUICK
 
-LONG: dict[str, Any] = {"method": "paper", "n_lobes": 2}
+TWO_LOBE_FIT: dict[str, Any] = {"method": "paper", "n_lobes": 2}
 OPTIONS: tuple[dict[str, Any], ...] = (
     *({**QUICK, "mask": tenths / 10} for tenths in range(4)),
-    LONG,
+    TWO_LOBE_FIT,
     {"n_lobes": 2, "ring_lobes": 0},
 )
 """Fits that clients ask for, with both methods; the last two take about a second, the others a fraction of it."""

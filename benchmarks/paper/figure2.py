@@ -16,7 +16,7 @@ __all__ = ["FIGURE"]
 PREFERRED = ("nickel", "specular-blue-phenolic", "orange-paint", "satin_purple", "vch_golden_yellow")
 PAPERS_CHOICE = {"nickel": 5, "specular-blue-phenolic": 4, "orange-paint": 2}
 _SIZE = 128
-_ALIKE = 1.0  # of two PSNR [dB]: a difference that nobody sees
+_MAX_INVISIBLE_PSNR_GAIN = 1.0  # dB
 
 
 def _choose(materials: Sequence[Material]) -> list[Material]:
@@ -100,8 +100,9 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             "The spheres become visually indistinguishable from the data once the optimal number is used.",
             "agrees" if min(at_choice) > 40.0 else "agrees in part" if max(at_choice) > 40.0 else "differs",
             f"PSNR at the chosen number [dB]: {shown}; above 40 dB two spheres look the same. More lobes would add"
-            f" {max(later):.1f} dB at most; on {sum(gain < _ALIKE for gain in later)} of {len(later)} materials less"
-            f" than {_ALIKE:g} dB. The default fit is closer than any of the five on {better} of {len(seen)}.",
+            f" {max(later):.1f} dB at most; on {sum(gain < _MAX_INVISIBLE_PSNR_GAIN for gain in later)} of {len(later)}"
+            f" materials less than {_MAX_INVISIBLE_PSNR_GAIN:g} dB. The default fit is closer than any of the five on"
+            f" {better} of {len(seen)}.",
         ),
         Claim(
             "The model captures the BRDF with only a small number of parameters: 3 x 2K x 18.",

@@ -27,13 +27,15 @@ PREFERRED = (
     "vch_golden_yellow",
 )
 PARTS = ("lobe 1", "lobe 2", "lobe 3", *(label.replace("_", " ") for label in LABELS))
-_COUNT, _SIZE = 8, 128
-_FAINT = 0.02  # of the whole albedo: nobody sees the colour of less
-_COLOURED, _GREY = 0.4, 0.2  # saturation
+_N_MATERIALS = 8
+_SIZE = 128
+_MIN_COLOURED_ALBEDO_FRACTION = 0.02  # The colour of a darker part cannot be seen.
+_MIN_SATURATION_OF_COLOURED = 0.4
+_MAX_SATURATION_OF_GREY = 0.2
 
 
 def _choose(materials: Sequence[Material]) -> list[Material]:
-    return choose(materials, PREFERRED, _COUNT)
+    return choose(materials, PREFERRED, _N_MATERIALS)
 
 
 def _measure(material: Material) -> Numbers:
@@ -100,11 +102,17 @@ def _is_split(one: Computed, bright: Sequence[str], coloured: str) -> bool | Non
     """Whether colour sits in one part only; None for a material whose fit has no coloured part worth the name."""
     parts = _parts(one)
     total = sum(parts[name].sum() for name in (*bright, coloured) if name in parts)
-    seen = [name for name in (*bright, coloured) if name in parts and parts[name].sum() > _FAINT * total]
+    seen = [
+        name
+        for name in (*bright, coloured)
+        if name in parts and parts[name].sum() > _MIN_COLOURED_ALBEDO_FRACTION * total
+    ]
     found = {name: float(saturation(parts[name])) for name in seen}
-    if max(found.values()) < _COLOURED:
+    if max(found.values()) < _MIN_SATURATION_OF_COLOURED:
         return None
-    return found.get(coloured, 0.0) >= _COLOURED and all(found[name] < _GREY for name in bright if name in found)
+    return found.get(coloured, 0.0) >= _MIN_SATURATION_OF_COLOURED and all(
+        found[name] < _MAX_SATURATION_OF_GREY for name in bright if name in found
+    )
 
 
 def _count(computed: Sequence[Computed], bright: Sequence[str], coloured: str) -> tuple[int, int]:
@@ -124,9 +132,10 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
         Claim(
             "For materials with some matte appearance the 3rd lobe solely encodes the colour of the material.",
             "agrees" if of and split == of else "agrees in part" if split else "differs",
-            f"Saturation of at least {_COLOURED} in the last part and below {_GREY} in the others: on {split} of {of}"
-            f" coloured materials for the 3 lobes of the paper's procedure, on {split_default} of {of_default} for the"
-            " components of the default fit. Metals and effect paints are counted too: their highlights are coloured,"
+            f"Saturation of at least {_MIN_SATURATION_OF_COLOURED} in the last part and below"
+            f" {_MAX_SATURATION_OF_GREY} in the others: on {split} of {of} coloured materials for"
+            f" the 3 lobes of the paper's procedure, on {split_default} of {of_default} for the components of the"
+            " default fit. Metals and effect paints are counted too: their highlights are coloured,"
             " and the sentence cannot hold for them. The paper's lobes are sorted by kappa, slice by slice and channel"
             f" by channel, and nothing else holds them together. Saturation of the parts: {listed}.",
         ),

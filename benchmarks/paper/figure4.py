@@ -34,7 +34,8 @@ INNER_ROWS = 76
 """Rows of theta_diff, 0 to 75 degrees: of the paper's slices the last with data within the horizon cutoff is at 75."""
 INNER = ("paper_to_75_deg", "default_to_75_deg", "floor_to_75_deg")
 _SIZE = 96
-_WORST, _BEST = 5, 3  # materials whose spheres are shown
+_N_WORST_SHOWN = 5
+_N_BEST_SHOWN = 3
 
 
 def _measure(material: Material) -> Numbers:
@@ -88,8 +89,8 @@ def _table(computed: Sequence[Computed]) -> list[Row]:
 def _draw(computed: Sequence[Computed]) -> Figure:
     ordered = _sorted(computed)
     shown = list(range(len(ordered)))
-    if len(shown) > _WORST + _BEST:
-        shown = shown[:_WORST] + shown[-_BEST:]
+    if len(shown) > _N_WORST_SHOWN + _N_BEST_SHOWN:
+        shown = shown[:_N_WORST_SHOWN] + shown[-_N_BEST_SHOWN:]
     figure = new_figure("Figure 4: relative RMS of every material", max(11.0, 0.19 * len(ordered)), 10.5)
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=[1.15, 1.0])[:, 0]
     _draw_errors(above.subplots(), ordered)

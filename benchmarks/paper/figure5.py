@@ -23,16 +23,17 @@ __all__ = ["FACTORS", "FIGURE", "won"]
 FACTORS = (1, 2, 4, 8, 12, 16, 24)
 WAYS = ("default", "table", "paper", "table_of_means", "guided_table")
 PREFERRED = ("nickel", "specular-blue-phenolic", "orange-paint")
-_MEASURED, _COUNT = 8, 11
-_MODERATE = 4
+_N_MEASURED = 8
+_N_MATERIALS = 11
+_MODERATE_FACTOR = 4
 _ROUNDING = 1e-9  # an error below is that of a table with all rows
 
 
 def _choose(materials: Sequence[Material]) -> list[Material]:
     """Up to 8 measurements, then stand-ins of the materials that the paper shows elsewhere."""
-    measured = choose([material for material in materials if material.measured], (), _MEASURED)
+    measured = choose([material for material in materials if material.measured], (), _N_MEASURED)
     others = [material for material in materials if material not in measured]
-    return measured + choose(others, PREFERRED, min(_COUNT - len(measured), len(PREFERRED)))
+    return measured + choose(others, PREFERRED, min(_N_MATERIALS - len(measured), len(PREFERRED)))
 
 
 def _measure(material: Material) -> Numbers:
@@ -132,7 +133,7 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
     guided = np.where(guided > _ROUNDING, guided, 0.0)
     of_paper = [won(*pair) for pair in zip(paper, means, strict=True)]
     of_default = [won(*pair) for pair in zip(default, means, strict=True)]
-    moderate = FACTORS.index(_MODERATE)
+    moderate = FACTORS.index(_MODERATE_FACTOR)
     of_guided = [won(*pair) for pair in zip(guided, table, strict=True)]
     cost = default[:, moderate] / default[:, 0]
     return [
@@ -142,7 +143,7 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             _verdict(of_guided),
             "Where what the default fit leaves at the kept rows is interpolated and added to it, the error is at or"
             f" below that of the table alone at these factors, materials: {_counts(of_guided)}. Error of the table over"
-            f" it at factor {_MODERATE}: {np.median(table[:, moderate] / guided[:, moderate]):.2f} (median).",
+            f" it at factor {_MODERATE_FACTOR}: {np.median(table[:, moderate] / guided[:, moderate]):.2f} (median).",
         ),
         Claim(
             "The same against a table that knows nothing of phi_diff, like the paper's lobes.",
@@ -155,8 +156,8 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
         Claim(
             "The model is robust against subsampling.",
             "agrees" if np.median(cost) < 1.2 else "agrees in part",
-            f"With every {_MODERATE}th row the default fit's error on all data is {np.median(cost):.2f} times that with"
-            f" all rows (median; {cost.min():.2f} to {cost.max():.2f}).",
+            f"With every {_MODERATE_FACTOR}th row the default fit's error on all data is {np.median(cost):.2f} times"
+            f" that with all rows (median; {cost.min():.2f} to {cost.max():.2f}).",
         ),
     ]
 
@@ -171,7 +172,7 @@ def _moderate_claim(computed: Sequence[Computed], default: Array, table: Array) 
     gains = ", ".join(
         f"{factor}: {gain:.2f}" for factor, gain in zip(FACTORS, np.median(table / default, axis=0), strict=True)
     )
-    hopeless = int(np.sum(default[:, 0] > table[:, FACTORS.index(_MODERATE)]))
+    hopeless = int(np.sum(default[:, 0] > table[:, FACTORS.index(_MODERATE_FACTOR)]))
     return Claim(
         "The model achieves higher accuracy than interpolation even when the data are only reduced moderately.",
         _verdict(against),
@@ -179,14 +180,14 @@ def _moderate_claim(computed: Sequence[Computed], default: Array, table: Array) 
         f"{listed}. Materials, of {len(computed)}, at each factor: {_counts(against)}; of the {len(measured)}"
         f" measured ones: {_counts(measured)}. Error of the table over that of the default fit, median: {gains}."
         f" On {hopeless} of {len(computed)} the error of the default fit with all rows is above that of the table"
-        f" with every {_MODERATE}th already, which stores a million numbers: rows cannot mend that. With so few"
+        f" with every {_MODERATE_FACTOR}th already, which stores a million numbers: rows cannot mend that. With so few"
         " rows that peaks fall between them, neither is of use.",
     )
 
 
 def _verdict(found: Sequence[Sequence[int]]) -> Verdict:
     """Agreement where the model wins at a moderate factor on most materials."""
-    share = np.mean([_MODERATE in factors for factors in found])
+    share = np.mean([_MODERATE_FACTOR in factors for factors in found])
     if share > 0.8:
         return "agrees"
     return "agrees in part" if any(found) else "differs"

@@ -25,10 +25,13 @@ __all__ = ["FIGURE", "embedding", "features", "nearest"]
 
 
 SPACES = ("theta_diff_0", "all_slices")
-_N_LOBES, _SIZE = 3, 64
+_N_LOBES = 3
+_SIZE = 64
 _NEIGHBORS = 7
 _N_NEAREST = 3
-_KAPPA_RANGE, _GAMMA_RANGE = (1e-3, 20.0), (1e-2, 1e5)  # beyond these a lobe is flat, dark or a mirror: no difference
+# Lobes beyond these ranges all look flat, dark or like a mirror.
+_KAPPA_RANGE = (1e-3, 20.0)
+_GAMMA_RANGE = (1e-2, 1e5)
 
 
 def _measure(material: Material) -> Numbers:

@@ -34,7 +34,7 @@ PREFERRED = (
 )
 """Three pairs: a metal and a paint, a metallic paint and a felt, two plastics of different gloss."""
 LOBES = 3
-STEPS = (0.0, 0.25, 0.5, 0.75, 1.0)
+FRACTIONS_OF_SECOND = (0.0, 0.25, 0.5, 0.75, 1.0)
 _FAMILY = FitOptions().lobe
 _KNOTS = THETA_DIFF[::2]
 _FAINTEST = 1e-9  # [1/sr]: what an amplitude is at least, so that it has a logarithm
@@ -110,7 +110,7 @@ def _table(computed: Sequence[Computed]) -> list[Row]:
         }
         for first, second in _pairs(computed)
         for way, seen in _seen(first, second).items()
-        for share, (peak, aside, width) in zip(STEPS, seen, strict=True)
+        for share, (peak, aside, width) in zip(FRACTIONS_OF_SECOND, seen, strict=True)
     ]
 
 
@@ -118,8 +118,10 @@ def _seen(first: Computed, second: Computed) -> dict[str, Array]:
     """Peak, value at 45 degrees and half width of the highlight at theta_diff = 0, (steps, 3), of both ways."""
     ends = between(first, second, 0.0), between(first, second, 1.0)
     return {
-        "parameters": np.array([_highlight(between(first, second, share).evaluate_unmasked) for share in STEPS]),
-        "values": np.array([_highlight(_blend(*ends, share)) for share in STEPS]),
+        "parameters": np.array(
+            [_highlight(between(first, second, share).evaluate_unmasked) for share in FRACTIONS_OF_SECOND]
+        ),
+        "values": np.array([_highlight(_blend(*ends, share)) for share in FRACTIONS_OF_SECOND]),
     }
 
 
@@ -139,11 +141,11 @@ def _draw(computed: Sequence[Computed]) -> Figure:
     figure = new_figure(
         "Between two materials: parameters (above) and values (below) interpolated", 11.5, 3.6 * len(pairs)
     )
-    axes = figure.subplots(2 * len(pairs), len(STEPS) + 2, squeeze=False)
+    axes = figure.subplots(2 * len(pairs), len(FRACTIONS_OF_SECOND) + 2, squeeze=False)
     for index, (first, second) in enumerate(pairs):
         ends = between(first, second, 0.0), between(first, second, 1.0)
         above, below = axes[2 * index], axes[2 * index + 1]
-        for number, share in enumerate(STEPS, start=1):
+        for number, share in enumerate(FRACTIONS_OF_SECOND, start=1):
             parameters = sphere(between(first, second, share).evaluate_unmasked, _SIZE)
             _draw_exposed(above[number], parameters, f"{share:g}")
             _draw_exposed(below[number], sphere(_blend(*ends, share), _SIZE))
@@ -165,7 +167,7 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
     pairs = _pairs(computed)
     seen = [_seen(first, second) for first, second in pairs]
     steady = {way: sum(_steady(one[way]) for one in seen) for way in ("parameters", "values")}
-    middle = STEPS.index(0.5)
+    middle = FRACTIONS_OF_SECOND.index(0.5)
     widths = "; ".join(
         f"{first.label} to {second.label} "
         + ", ".join(f"{np.degrees(one[way][middle, 2]):.1f} ({way})" for way in ("parameters", "values"))

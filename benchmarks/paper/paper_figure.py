@@ -28,7 +28,9 @@ Row = Mapping[str, object]
 
 LIGHTING = "environment"
 """The light of all spheres: a sky with sun, ground and window in place of the paper's light probe."""
-PAPER_COLOUR, DEFAULT_COLOUR, FLOOR_COLOUR = "#c92a2a", "#1c5fb8", "#868e96"
+PAPER_COLOUR = "#c92a2a"
+DEFAULT_COLOUR = "#1c5fb8"
+FLOOR_COLOUR = "#868e96"
 
 
 @dataclass(frozen=True)

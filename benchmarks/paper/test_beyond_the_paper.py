@@ -39,13 +39,13 @@ def test_interpolation_shows_both_ways_for_each_pair(
 ) -> None:
     monkeypatch.setattr(interpolation, "fit_quietly", lambda *_: two_lobe_fit)
     monkeypatch.setattr(interpolation, "_SIZE", 16)
-    monkeypatch.setattr(interpolation, "STEPS", (0.0, 0.5, 1.0))
+    monkeypatch.setattr(interpolation, "FRACTIONS_OF_SECOND", (0.0, 0.5, 1.0))
     (tmp_path / "other.binary").symlink_to(material.file)
     pair = [material, Material(tmp_path / "other.binary", tmp_path)]
     made = make(interpolation.FIGURE, pair, tmp_path)
     with (tmp_path / "interpolation.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
-    assert [line["share"] for line in lines] == [str(share) for share in interpolation.STEPS] * 2
+    assert [line["share"] for line in lines] == [str(share) for share in interpolation.FRACTIONS_OF_SECOND] * 2
     assert {line["other"] for line in lines} == {"other"}
     # Both are the same material: nothing changes on the way, and the fit is what is shown.
     angles = np.linspace(0.0, np.pi / 2, 1801)

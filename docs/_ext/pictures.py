@@ -17,9 +17,12 @@ from dsbrdf.output.sphere_panels import compare_spheres, cut_out
 README_PICTURE = Path(__file__).parents[1] / "_static" / "spheres.webp"
 README_MATERIALS = ("rgl_aurora_white", "rgl_satin_purple", "rgl_acrylic_felt_pink")
 _README_COLUMNS = ("measured", "fit", "specular spike", "specular lobe", "diffuse")
-_README_SIZE, _README_GAP, _README_TEXT = 320, 16, 44  # pixels: of a sphere, between two, and of a line of text
+_README_SPHERE_SIZE = 320  # pixels
+_README_GAP = 16  # pixels
+_README_LINE_HEIGHT = 44  # pixels
 MEASURED = Path(__file__).parents[1] / "_static" / "measured"
-_SIZE, _STRIP = 224, 128  # pixels of a sphere as it is drawn, and in a strip
+_DRAWN_SPHERE_SIZE = 224  # pixels
+_STRIP_SPHERE_SIZE = 128  # pixels
 _METRICS = ("relative_rms", "excess", "psnr")
 
 
@@ -29,24 +32,24 @@ def readme_picture(folder: Path) -> bytes:
     from matplotlib.figure import Figure
     from PIL import Image
 
-    step, rows = _README_SIZE + _README_GAP, len(README_MATERIALS)
-    width, height = _README_TEXT + step * len(_README_COLUMNS), _README_TEXT + step * rows
+    step, rows = _README_SPHERE_SIZE + _README_GAP, len(README_MATERIALS)
+    width, height = _README_LINE_HEIGHT + step * len(_README_COLUMNS), _README_LINE_HEIGHT + step * rows
     canvas = FigureCanvasAgg(Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0, facecolor="none"))
     text = {"color": "0.5", "fontsize": 22, "ha": "center", "va": "center"}  # seen on white and on black
     for row, name in enumerate(README_MATERIALS):
         measurement = dsbrdf.read_merl(folder / f"{name}.binary")
         panels = compare_spheres(
-            measurement, dsbrdf.fit(measurement).model, lighting="environment", size=_README_SIZE
+            measurement, dsbrdf.fit(measurement).model, lighting="environment", size=_README_SPHERE_SIZE
         ).panels
         below = step * (rows - 1 - row)
         title = name.removeprefix("rgl_").replace("_", " ")
         canvas.figure.text(22 / width, (below + step / 2) / height, title, rotation=90, **text)
         for column, panel in enumerate(_README_COLUMNS):
             if panel in panels:
-                canvas.figure.figimage(cut_out(panels[panel]), _README_TEXT + step * column, below)
+                canvas.figure.figimage(cut_out(panels[panel]), _README_LINE_HEIGHT + step * column, below)
     for column, panel in enumerate(_README_COLUMNS):
-        place = _README_TEXT + step * (column + 0.5)
-        canvas.figure.text(place / width, 1.0 - _README_TEXT / 2 / height, panel, **text)
+        place = _README_LINE_HEIGHT + step * (column + 0.5)
+        canvas.figure.text(place / width, 1.0 - _README_LINE_HEIGHT / 2 / height, panel, **text)
     canvas.draw()
     file = BytesIO()
     Image.fromarray(np.asarray(canvas.buffer_rgba())).save(file, "webp", quality=90)
@@ -64,10 +67,10 @@ def write_measured(folder: Path) -> None:
     for path in sorted(folder.glob("rgl_*.binary")):
         measurement = dsbrdf.read_merl(path)
         result = dsbrdf.fit(measurement)
-        panels = compare_spheres(measurement, result.model, size=_SIZE).seen
+        panels = compare_spheres(measurement, result.model, size=_DRAWN_SPHERE_SIZE).seen
         spheres = np.concatenate([cut_out(panel) for panel in panels.values()], axis=1)
         strip = Image.fromarray(np.rint(255.0 * spheres).astype(np.uint8))
-        strip = strip.resize((_STRIP * len(panels), _STRIP), Image.Resampling.LANCZOS)
+        strip = strip.resize((_STRIP_SPHERE_SIZE * len(panels), _STRIP_SPHERE_SIZE), Image.Resampling.LANCZOS)
         strip.save(MEASURED / f"{path.stem}.webp", quality=85)
         metrics = {name: round(result.report.metrics[name] or 0.0, 4) for name in _METRICS}
         table[path.stem] = {"panels": [*panels], "n_lobes": result.model.n_lobes, **metrics}

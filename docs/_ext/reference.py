@@ -51,7 +51,7 @@ def _help_of(command: Callable[[Sequence[str]], int], *words: str) -> str:
 def openapi_document() -> Document:
     """Return the OpenAPI document of the service."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Duplicate Operation ID")  # of GET and HEAD
+        warnings.filterwarnings("ignore", message="Duplicate Operation ID")  # GET and HEAD share one.
         return create_app(Settings()).openapi()
 
 

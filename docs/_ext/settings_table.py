@@ -9,7 +9,8 @@ from dsbrdf_service.admin.serve import flags
 from dsbrdf_service.settings import PREFIX, Settings
 
 PAGE = Path(__file__).parents[1] / "operations.md"
-_BEGIN, _END = "<!-- settings:", "<!-- end of settings -->"
+_BEGIN = "<!-- settings:"
+_END = "<!-- end of settings -->"
 _SIGNS = {Ge: "from {0.ge}", Gt: "above {0.gt}", Le: "to {0.le}"}
 
 

@@ -19,7 +19,7 @@ def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: p
     words = ["201 Created", "200 OK", "90 % range", "half width", "kappa", "F0 red", "relative_rms", "excess", "male"]
     assert [word for word in words if word not in out] == []
     rows = re.findall(r"^ +[\d.]+° +\d+°((?: +[\d.]+){6})$", out, re.MULTILINE)
-    assert len(rows) == len(demo.SHOWN_NODES) * len(demo.SHOWN_ROWS)
+    assert len(rows) == len(demo.SHOWN_THETA_HALF_NODES) * len(demo.SHOWN_THETA_DIFF_NODES)
     peak = [float(word) for word in rows[0].split()]
     assert peak[1::2] == pytest.approx(peak[0::2], rel=0.1)  # fitted next to measured
     found = {row[0]: [float(word or "nan") for word in row[1:]] for row in _COMPONENT.findall(out)}

@@ -88,7 +88,9 @@ class Visitor:
         )
 
     def _on_console(self, message: Any) -> None:
-        expected = message.text.startswith(_REPORTED) or "GPU stall due to ReadPixels" in message.text  # by the tests
+        expected = (
+            message.text.startswith(_REPORTED) or "GPU stall due to ReadPixels" in message.text
+        )  # The tests cause it.
         if message.type in ("error", "warning") and not expected:
             self.faults.append(message.text)
 

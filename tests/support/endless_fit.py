@@ -4,7 +4,9 @@ from typing import Any
 
 from dsbrdf import FitOptions
 
-_LOBES, _RINGS = 8, 7  # as many as there may be
+# These are the largest numbers that a fit may have.
+_LOBES = 8
+_RINGS = 7
 _KNOTS = tuple(range(90))  # one every degree
 
 OPTIONS = FitOptions(n_lobes=_LOBES, ring_lobes=_RINGS, knots_deg=_KNOTS, robust=True)

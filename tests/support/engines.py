@@ -18,7 +18,7 @@ from tests.support.processes import wait_until
 T = TypeVar("T")
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=3)
 MIDDLE = FitOptions(method="paper", n_lobes=4, em_iterations=100)
-SLOW = FitOptions(n_lobes=8, ring_lobes=2)
+SLOW_FIT = FitOptions(n_lobes=8, ring_lobes=2)
 ENDLESS = endless_fit.OPTIONS
 LIMITS = FitLimits(seconds=120.0, memory_mb=4096)
 PATIENCE = 120.0

@@ -119,19 +119,25 @@ def ashikhmin_shirley(exponent: float, specular: Color, ground: Color) -> Materi
     return Material((ashikhmin_shirley_specular(exponent, specular),), (ashikhmin_shirley_diffuse(ground, specular),))
 
 
-GREEN, BLUE, ORANGE, YELLOW = (0.10, 0.45, 0.15), (0.06, 0.12, 0.42), (0.72, 0.27, 0.05), (0.70, 0.58, 0.08)
-WHITE, DARK, BROWN, PINK = (0.88, 0.87, 0.84), (0.030, 0.030, 0.035), (0.22, 0.13, 0.08), (0.60, 0.28, 0.33)
+GREEN = (0.10, 0.45, 0.15)
+BLUE = (0.06, 0.12, 0.42)
+ORANGE = (0.72, 0.27, 0.05)
+YELLOW = (0.70, 0.58, 0.08)
+WHITE = (0.88, 0.87, 0.84)
+BLACK = (0.030, 0.030, 0.035)
+BROWN = (0.22, 0.13, 0.08)
+PINK = (0.60, 0.28, 0.33)
 
 CATALOGUE = {
     "plastic_green_03": plastic_material(0.03, GREEN),
     "plastic_blue_08_beckmann": plastic_material(0.08, BLUE, kind="beckmann"),
     "plastic_white_12": plastic_material(0.12, WHITE, ior=1.46),
     "plastic_orange_25_beckmann": plastic_material(0.25, ORANGE, ior=1.55, kind="beckmann"),
-    "plastic_dark_07": plastic_material(0.07, DARK),
+    "plastic_dark_07": plastic_material(0.07, BLACK),
     "plastic_yellow_30": plastic_material(0.30, YELLOW),
     "plastic_white_50": plastic_material(0.50, WHITE),
     "plastic_brown_15_mixed": plastic_material(0.15, BROWN, ior=1.7, mixed=True),
-    "plastic_dark_35_beckmann": plastic_material(0.35, DARK, kind="beckmann"),
+    "plastic_dark_35_beckmann": plastic_material(0.35, BLACK, kind="beckmann"),
     "chromium_06": metal(0.06, "Cr"),
     "silver_15_beckmann": metal(0.15, "Ag", "beckmann"),
     "nickel_25": metal(0.25, "Ni_palik"),

@@ -9,8 +9,8 @@ from dsbrdf.arrays import Array
 from tests.support.foreign_materials import Material
 
 ANGLES_DEG = (0.0, 40.0, 70.0)
-LEAST_F0 = 0.02  # of a channel, for a relative error
-NO_LIGHT = 1e-3  # of all light: what is less is no component
+MIN_F0 = 0.02  # Below it, the relative error of a channel says nothing.
+MIN_LIGHT_OF_COMPONENT = 1e-3  # A part with a smaller fraction of all light is no component.
 
 
 def directional_rule(theta_out: float) -> tuple[Array, Array, Array]:
@@ -84,7 +84,7 @@ class Judgement:
     def inside(self) -> bool:
         """Whether the range holds the true share."""
         low, high = self.range
-        return low - NO_LIGHT <= self.true_share <= high + NO_LIGHT
+        return low - MIN_LIGHT_OF_COMPONENT <= self.true_share <= high + MIN_LIGHT_OF_COMPONENT
 
 
 def judged(parts: dsbrdf.Decomposition, truth: Truth) -> Judgement:
@@ -112,7 +112,7 @@ def layer_errors(parts: dsbrdf.Decomposition, truth: Truth) -> tuple[float | Non
     """Relative errors of alpha and of F0's worst channel: 1 without a layer, None if the truth is not one layer."""
     if truth.alpha is None or truth.f0 is None:
         return None, None
-    bright = truth.f0 > LEAST_F0
+    bright = truth.f0 > MIN_F0
     surfaces = [part for part in parts if part.f0 is not None]
     if not surfaces:
         return 1.0, 1.0 if bright.any() else None

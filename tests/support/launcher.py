@@ -131,7 +131,7 @@ def _serve_requests(program: str) -> None:
         _warm_up()
     gc.freeze()  # a collection in a fork would write into all that it shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
-    running: dict[int, int] = {}  # by the descriptor that tells of the end
+    running: dict[int, int] = {}  # The key is the descriptor that becomes readable at the end.
     with selectors.DefaultSelector() as selector:
         selector.register(sys.stdin.fileno(), selectors.EVENT_READ)
         while True:
@@ -159,7 +159,7 @@ def _warm_up() -> None:
         import_module(f"matplotlib.{module}")
     measurement = import_module("tests.support.materials").glossy_plastic()
     library = import_module("dsbrdf")
-    with warnings.catch_warnings(action="ignore"):  # that it has not converged
+    with warnings.catch_warnings(action="ignore"):  # Three iterations do not converge.
         library.decompose(library.fit(measurement, method="paper", n_lobes=1, em_iterations=3).model)
 
 

@@ -46,7 +46,7 @@ def generated_function(document: Any) -> str:
     shader_module.HwShaderGenerator.bindLightShader(light, 1, context)
     source = generator.generate("check", document.getMaterialNodes()[0], context).getSourceCode("pixel")
     declared = document.getDataLibrary().getNodeDef("ND_open_pbr_surface_surfaceshader").getInputs()
-    inputs = {one.getName(): one.getValue() for one in declared if one.getType() in ("float", "color3")}  # by default
+    inputs = {one.getName(): one.getValue() for one in declared if one.getType() in ("float", "color3")}
     return _as_function(source, inputs | asdict(surface_of(document)))
 
 

@@ -17,11 +17,8 @@ from tests.support import endless_fit
 from tests.support.launcher import ForkedProcess, launcher
 from tests.support.processes import alive, children, wait_until
 
-# Options of fits that take no time, about a second, and minutes: a test that wants to find a fit unfinished should
-# not have to hurry.
+# Fits that take no time, and minutes: a test that wants to find a fit unfinished should not have to hurry.
 QUICK: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3}
-
-SLOW: dict[str, Any] = {"method": "paper", "n_lobes": 8, "robust": True, "em_iterations": 10_000}
 
 ENDLESS = endless_fit.ON_THE_WIRE
 
@@ -42,7 +39,7 @@ class Server:
         self.data_dir = data_dir
         self.environment = {f"DSBRDF_{name.upper()}": value for name, value in environment.items()}
         self.log = data_dir.parent / f"{data_dir.name}.log"
-        self.http = httpx.Client()  # of no use until there is an address
+        self.http = httpx.Client()  # `connect` replaces it when the address is known.
 
     @classmethod
     @contextmanager

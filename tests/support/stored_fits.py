@@ -16,7 +16,8 @@ from dsbrdf.data.merl import encode_merl
 from tests.support.materials import glossy_plastic
 from tests.support.server import Server
 
-THETA_HALF, THETA_DIFF = np.radians([[0.0], [5.0], [20.0], [60.0]]), np.radians([0.0, 30.0, 60.0])
+THETA_HALF = np.radians([[0.0], [5.0], [20.0], [60.0]])
+THETA_DIFF = np.radians([0.0, 30.0, 60.0])
 
 
 def write(folder: Path) -> None:

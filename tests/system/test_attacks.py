@@ -62,7 +62,7 @@ class Target:
             assert media_type == "application/problem+json", (name, media_type)
             assert set(problem) == {"type", "title", "status", "detail", "instance"}, name
             assert problem["status"] == status, name
-            text = json.dumps({**problem, "instance": ""})  # which is what the client has sent
+            text = json.dumps({**problem, "instance": ""})  # The client has sent it.
             assert not [leak for leak in (*LEAKS, str(self.server.data_dir)) if leak in text], (name, text)
             assert "root:x:0" not in problem["instance"]
 
@@ -78,8 +78,10 @@ def target(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[Ta
         yield Target(server, data)
 
 
-MEASUREMENT, JSON, NPY = "application/octet-stream", "application/json", "application/x-npy"
-STORED_BLOCK = b"\0\0\0\xff\xff"  # of a gzip member that goes on, without content
+MEASUREMENT = "application/octet-stream"
+JSON = "application/json"
+NPY = "application/x-npy"
+STORED_BLOCK = b"\0\0\0\xff\xff"  # It continues a gzip member, without content.
 GZIP_HEAD = b"\x1f\x8b\x08%c\0\0\0\0\0\xff"
 
 
@@ -138,8 +140,15 @@ OTHER_WORDS = """
     '%20OR%20'1'='1 1;DROP%20TABLE%20fits $%7Bjndi:ldap:%2f%2fx%7D %3Cscript%3Ealert(1)%3C%2fscript%3E %1b%5b2J
     %0aINFO%20fake
 """
-LONG = ["%D9%A3" * 32, "%F0%9D%9F%98" * 32, "%61" * 4000, "g" * 32, "%25" * 32, *("a" * n for n in (31, 33, 63, 65))]
-IDS = [*OUT_OF_THE_FOLDER.split(), *NEARLY_AN_ID.split(), *OTHER_WORDS.split(), *LONG]
+LONG_WORDS = [
+    "%D9%A3" * 32,
+    "%F0%9D%9F%98" * 32,
+    "%61" * 4000,
+    "g" * 32,
+    "%25" * 32,
+    *("a" * n for n in (31, 33, 63, 65)),
+]
+IDS = [*OUT_OF_THE_FOLDER.split(), *NEARLY_AN_ID.split(), *OTHER_WORDS.split(), *LONG_WORDS]
 TARGETS = [
     ("GET", "/v1/fits/{id}"),
     ("DELETE", "/v1/fits/{id}"),

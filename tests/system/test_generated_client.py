@@ -99,7 +99,7 @@ def test_values_and_components(call: Callable[..., Any], fit: Any) -> None:
     np.testing.assert_allclose(np.sum([part.parsed.values for part in parts], axis=0), one, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", [name for name in FORMATS if name != "materialx"])  # which takes 20 s
+@pytest.mark.parametrize("name", [name for name in FORMATS if name != "materialx"])  # It would take 20 s.
 def test_every_export_is_bytes(call: Callable[..., Any], fit: Any, name: str) -> None:
     layers = model("ExportFitComponentType0").LAYERS  # exported faster than the whole fit
     exported = call("export.export_fit", fit.id, format_=model("ExportFitFormat")(name), component=layers)

@@ -71,7 +71,7 @@ def test_sigterm_answers_waiting_requests_and_stops(own_server: Callable[..., Se
         waiting = f"\ndsbrdf_requests_in_progress {len([*streams, *polls, post]) + 1.0}\n"  # and the one that asks
         wait_until(lambda: waiting in server.http.get("/metrics").text)
         server.process.send_signal(signal.SIGTERM)
-        code = server.process.wait(timeout=40)  # which open requests are given here: none of them had to be cut off
+        code = server.process.wait(timeout=40)  # Open requests are given that long here: none had to be cut off.
         answers = [poll.result() for poll in polls]
         accepted = post.result()
         told = [stream.result() for stream in streams]
@@ -265,7 +265,7 @@ def test_a_fit_has_the_limits_of_the_settings(
 
 def test_start_that_could_harm_is_refused(server: Server, tmp_path: Path) -> None:
     folder = tmp_path / "data"
-    for host in ("0.0.0.0", "::", "example.org", "10.0.0.1"):  # that others can reach, without keys
+    for host in ("0.0.0.0", "::", "example.org", "10.0.0.1"):  # Others can reach these, without keys.
         refused = run_main(main, "--host", host, "--port", "0", "--data-dir", str(folder))
         assert (refused.returncode, "--insecure" in refused.stderr, folder.exists()) == (2, True, False)
     refused = run_main(main, "--port", "0", "--data-dir", str(server.data_dir))

@@ -32,7 +32,7 @@ def test_the_options_of_a_table_are_flags(tmp_path: Path) -> None:
     assert (stored.columns, stored.missing, stored.scale, stored.phi) == (("blue=azure",), (-999.0,), 0.01, "mirror")
     assert "samples, fit and residual" in printed("plot", tmp_path / "odd.json", odd, "-o", tmp_path / "odd.png")
     compared = document("compare", tmp_path / "odd.json", odd, "--json")
-    assert compared["likeness"]["relative_rms"] == pytest.approx(error, rel=0.05)  # which leaves grazing angles out
+    assert compared["likeness"]["relative_rms"] == pytest.approx(error, rel=0.05)  # It leaves grazing angles out.
     assert "error of the fit " in printed("convert", odd, tmp_path / "odd.binary", *flags)
     at_node = read_merl(tmp_path / "odd.binary").values[:, 30, 30, 90]  # theta_half 10, theta_diff 30 degrees
     np.testing.assert_allclose(at_node, felt.evaluate(*angles), rtol=0.05)

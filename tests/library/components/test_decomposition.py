@@ -22,7 +22,9 @@ from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow
 
-ROUGHNESS, RED, COAT = 0.06, (0.40, 0.16, 0.10), (0.04, 0.04, 0.04)
+ROUGHNESS = 0.06
+RED = (0.40, 0.16, 0.10)
+COAT = (0.04, 0.04, 0.04)
 
 
 def student_model(*lobes: tuple[float, tuple[float, float, float]]) -> DSBRDF:

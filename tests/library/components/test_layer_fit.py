@@ -16,10 +16,14 @@ def surface(f0: tuple[float, float, float], alpha: float, under_coat: float = 0.
     return SpecularLayer(f0, 0.9, alpha, 2.0, (0.0, 0.0), 0.5, under_coat)
 
 
-GLASS, COPPER, GOLD = (0.045, 0.045, 0.045), (0.3, 0.2, 0.1), (0.95, 0.75, 0.35)
+GLASS = (0.045, 0.045, 0.045)
+COPPER = (0.3, 0.2, 0.1)
+GOLD = (0.95, 0.75, 0.35)
 GROUND = DiffuseLayer((0.4, 0.15, 0.05), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
 YARN = DiffuseLayer((0.4, 0.15, 0.05), (0.0, 0.0, 0.6, 0.0, 0.5, 0.0))
-COAT, PLASTIC, METAL = surface(GLASS, 0.02), surface(GLASS, 0.2), surface(GOLD, 0.15)
+COAT = surface(GLASS, 0.02)
+PLASTIC = surface(GLASS, 0.2)
+METAL = surface(GOLD, 0.15)
 # The evidence is that of a fit of today: what is known beforehand of each layer decides on it.
 MATERIALS: dict[str, tuple[tuple[Layer, ...], float]] = {
     "diffuse": ((GROUND,), -328.10),

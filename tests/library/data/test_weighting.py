@@ -75,7 +75,7 @@ def test_balanced_lets_dark_nodes_count_more_than_plain_does_whatever_the_unit(f
     plain, balanced = (bin_weights(folded, name, CUTOFF) for name in ("plain", "balanced"))
     loud = bin_weights(replace(folded, mean=1e3 * folded.mean), "balanced", CUTOFF)
     np.testing.assert_allclose(loud * 1e6, balanced, rtol=1e-6)
-    bright, dark = (0, 0, 9, 4), (0, 0, 60, 4)  # of red, at normal incidence: in the highlight, and beside it
+    bright, dark = (0, 0, 9, 4), (0, 0, 60, 4)  # red, at normal incidence: in the highlight, and beside it
     assert folded.mean[bright] > 4.0 * folded.mean[dark]
     assert balanced[dark] / balanced[bright] > 2.0 * plain[dark] / plain[bright]
 

@@ -25,7 +25,7 @@ from tests.support.engines import (
     MIDDLE,
     PATIENCE,
     QUICK,
-    SLOW,
+    SLOW_FIT,
     Stage,
     fault_of,
     ignore,
@@ -128,7 +128,7 @@ def test_worker_without_permission_for_child_processes_is_not_used(
 def test_fit_over_the_memory_of_its_worker_is_a_compute_fault(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker("--memory-limit", "200MiB")
-    outcome, _ = run(Stage(own_cluster), FitTask("one", plastic_file, SLOW))
+    outcome, _ = run(Stage(own_cluster), FitTask("one", plastic_file, SLOW_FIT))
     assert outcome == Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
 
 

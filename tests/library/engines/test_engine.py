@@ -28,7 +28,7 @@ from tests.support.engines import (
     LIMITS,
     PATIENCE,
     QUICK,
-    SLOW,
+    SLOW_FIT,
     Stage,
     content,
     ignore,
@@ -103,7 +103,7 @@ def fitted_by_library(file: Path, options: FitOptions) -> tuple[FitResult, list[
         ("other", QUICK, LIMITS, ("input", "MeasurementFormatError", "a MERL measurement has (90, 90, 180)")),
         ("plastic", NO_DATA_LEFT, LIMITS, ("input", "FitError", "leave no slice with enough valid samples")),
         ("gone", QUICK, LIMITS, ("system", "MeasurementUnreadable", "not be read: No such file or directory.")),
-        ("plastic", SLOW, FitLimits(60.0, 200), ("compute", "MemoryLimit", "more memory than a fit may use.")),
+        ("plastic", SLOW_FIT, FitLimits(60.0, 200), ("compute", "MemoryLimit", "more memory than a fit may use.")),
         ("plastic", ENDLESS, FitLimits(0.5, 4096), ("compute", "TimeLimit", "took longer than the 0.5 s that a fit")),
     ],
     ids=["no measurement", "no data left", "no file", "memory", "time"],
@@ -159,7 +159,7 @@ def test_future_of_a_cancelled_fit_is_done_when_its_process_has_ended(plastic_fi
         fit = engine.submit(FitTask("one", plastic_file, ENDLESS), ignore)
         victims = until(lambda: forked(os.getpid()), bool)
         for victim in victims:
-            os.kill(victim, signal.SIGSTOP)  # by itself it does not end any more
+            os.kill(victim, signal.SIGSTOP)  # It does not end by itself any more.
         begin = time.monotonic()
         fit.cancel()
         with pytest.raises(CancelledError):
@@ -174,7 +174,7 @@ def test_fits_at_once_are_as_many_as_the_engine_has_workers(plastic_file: Path) 
     with started(LocalEngine(2)) as engine:
         for number in range(3):
             shares.append([])
-            engine.submit(FitTask(str(number), plastic_file, SLOW), shares[-1].append)
+            engine.submit(FitTask(str(number), plastic_file, SLOW_FIT), shares[-1].append)
         wait_until(lambda: bool(shares[0] and shares[1]), PATIENCE)
         assert not shares[2]
         assert len(forked(os.getpid())) == 2

@@ -13,7 +13,8 @@ from dsbrdf.fitting.structure import ELONGATION_BOUNDS, REACH_BOUNDS, Mixture, S
 from dsbrdf.model.lobe_families import FAMILIES
 from dsbrdf.model.lobes import half_width
 
-ROWS, COLUMNS = np.arange(0, 80, 9), np.array([0, 6, 14, 22, 30, 45, 60, 75])
+ROWS = np.arange(0, 80, 9)
+COLUMNS = np.array([0, 6, 14, 22, 30, 45, 60, 75])
 KNOTS = np.radians([0.0, 40.0, 68.0])  # rows go beyond
 SMOOTHING = (1e-4, 3e-4, 2e-4)  # far above the usual, so that it counts in the tests
 
@@ -105,7 +106,7 @@ def test_single_precision_is_nearly_the_same(family: str) -> None:
     assert single.values(unknowns).dtype == single.evaluate(unknowns).parts[0][1].dtype == np.float32
     near = double.evaluate(unknowns + 0.1), single.evaluate(unknowns + 0.1)
     assert near[1].cost == pytest.approx(near[0].cost, rel=1e-4)
-    for factor in (1e-20, 1e20):  # of the unit
+    for factor in (1e-20, 1e20):  # The unit is wrong by this factor.
         wrong_unit = replace(double.data, mean=double.data.mean * factor, weight=double.data.weight / factor**2)
         assert wrong_unit.single() is wrong_unit
     for found, expected in zip(single.linearize(near[1]), double.linearize(near[0]), strict=True):

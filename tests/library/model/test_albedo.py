@@ -120,7 +120,7 @@ def test_angles_of_any_shape_equal_a_loop() -> None:
     ],
 )
 def test_a_surface_that_returns_too_much_is_found(albedo: float, words: str) -> None:
-    report = white_furnace(single_lobe(1.0, 1e-12, albedo / np.pi))  # with gamma 1e-12 a lobe is a constant
+    report = white_furnace(single_lobe(1.0, 1e-12, albedo / np.pi))  # A lobe with gamma 1e-12 is a constant.
     assert report.albedo == pytest.approx(albedo, rel=1e-5)
     assert report.conserves_energy == (albedo <= 1.0)
     assert words in str(report)

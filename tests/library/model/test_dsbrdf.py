@@ -170,7 +170,7 @@ def test_repr_is_short_and_says_what_it_is() -> None:
 
 
 def test_numbers_that_count() -> None:
-    model = random_model()  # of the four lobes one has a center
+    model = random_model()  # One of its four lobes has a center.
     assert model.is_ring.tolist() == [False, True, False, False]
     assert model.n_numbers == 3 * 6 * 4 + 6 * 4 + 6 * 4 + 6 + 5 * 4
     assert papers_model().n_numbers == 3 * 4 * 3 * 3 + 3 * 4
@@ -185,7 +185,7 @@ def test_model_keeps_its_own_read_only_arrays() -> None:
 
 
 ONE = np.ones((1, 2, 1))
-GOOD: dict[str, Any] = {
+VALID_ARGUMENTS: dict[str, Any] = {
     "theta_diff": [0.0, 0.5],
     "amplitude": np.ones((3, 2, 1)),
     "kappa": ONE,
@@ -231,9 +231,9 @@ GOOD: dict[str, Any] = {
     ],
 )  # fmt: skip
 def test_impossible_models_are_refused(changed: dict[str, Any], sentence: str) -> None:
-    DSBRDF(**GOOD)
+    DSBRDF(**VALID_ARGUMENTS)
     with pytest.raises(InvalidArgumentError, match=sentence) as caught:
-        DSBRDF(**(GOOD | changed))
+        DSBRDF(**(VALID_ARGUMENTS | changed))
     assert "\n" not in str(caught.value)
 
 

@@ -99,7 +99,7 @@ def test_many_samples_have_the_stretch_and_the_disc_of_the_density(
 
 
 def test_a_surface_as_stretched_as_a_part_of_the_mixture_is_sampled_by_it_most() -> None:
-    across = 1e-3 ** (6.0 / 13.0) * np.exp(-0.5)  # of the roughnesses between 0.001 and 1
+    across = 1e-3 ** (6.0 / 13.0) * np.exp(-0.5)  # It lies among the roughnesses between 0.001 and 1.
     along = np.e * across
 
     def reflected(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:

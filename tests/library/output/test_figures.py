@@ -43,7 +43,8 @@ from tests.support.random_models import papers_model
 
 pytestmark = pytest.mark.slow
 
-MODEL, PAINT = papers_model(), mixture(2, 0)  # the first has a delta term, and a shape for each channel
+MODEL = papers_model()  # It has a delta term, and a shape for each channel.
+PAINT = mixture(2, 0)
 ELONGATED = replace(MODEL, elongation=np.array([[1.5, 0.5, -0.5]]), delta=np.zeros_like(MODEL.delta))
 
 

@@ -13,7 +13,7 @@ from tests.support.known_models import plain_lobe
 from tests.support.soak import repeats
 
 CUTOFF = float(np.radians(80.0))
-ITERATIONS = repeats(3, 6)  # of the plain version, each of which takes a tenth of a second
+ITERATIONS = repeats(3, 6)  # One of the plain version takes a tenth of a second.
 OUTSIDE = np.radians(1.0) <= THETA_HALF
 ANGLES = THETA_HALF[OUTSIDE]
 

@@ -100,7 +100,8 @@ def test_wavelengths_that_cannot_be_a_color_are_told() -> None:
         parse_samples(table((*DIRECTION, "wavelength", "value"), columns))
 
 
-MATRIX_IN, MATRIX_OUT = np.arange(0.0, 80.0, 15.0), np.arange(-80.0, 81.0, 10.0)
+MATRIX_IN = np.arange(0.0, 80.0, 15.0)
+MATRIX_OUT = np.arange(-80.0, 81.0, 10.0)
 MATRIX = 0.1 + np.exp(-(((MATRIX_OUT[:, None] - MATRIX_IN) / 12.0) ** 2))
 
 

@@ -84,19 +84,19 @@ def without(content: bytes, part: str) -> bytes:
     return file.getvalue()
 
 
-GOOD = spreadsheet(Data=[NAMES, *ROWS])
+VALID_SPREADSHEET = spreadsheet(Data=[NAMES, *ROWS])
 
 
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (lambda: declared_longer(GOOD, 1 << 30), "The spreadsheet is longer than"),
+        (lambda: declared_longer(VALID_SPREADSHEET, 1 << 30), "The spreadsheet is longer than"),
         (
-            lambda: without(GOOD, "xl/_rels/workbook.xml.rels"),
+            lambda: without(VALID_SPREADSHEET, "xl/_rels/workbook.xml.rels"),
             "The spreadsheet cannot be read; save its sheet as .csv.",
         ),
-        (lambda: without(GOOD, "xl/workbook.xml"), "a table, in a text or in a spreadsheet"),
-        (lambda: GOOD[:2000], "a table, in a text or in a spreadsheet"),
+        (lambda: without(VALID_SPREADSHEET, "xl/workbook.xml"), "a table, in a text or in a spreadsheet"),
+        (lambda: VALID_SPREADSHEET[:2000], "a table, in a text or in a spreadsheet"),
         (lambda: spreadsheet(Data=[["x" * 32_000] * 2100]), "The sheet has more than"),
         (lambda: spreadsheet(Data=[]), "The table is empty"),
     ],
@@ -110,7 +110,7 @@ def test_a_spreadsheet_that_is_no_table_is_refused(content: Callable[[], bytes],
 def test_without_the_extra_the_way_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     with pytest.raises(MissingExtraError) as caught:
-        parse_samples(GOOD)
+        parse_samples(VALID_SPREADSHEET)
     assert str(caught.value) == (
         "openpyxl must be installed for spreadsheets, which can also be saved as .csv: pip install 'dsbrdf[xlsx]'"
     )

@@ -112,7 +112,7 @@ def test_what_a_key_has_begun_is_refused_when_it_is_revoked(own_server: Callable
     def follow(who: dict[str, str]) -> str:
         with server.http.stream("GET", f"/v1/fits/{fit}/events", headers=who) as answer:
             assert answer.status_code == 200
-            return answer.read().decode()  # to an end: a connection that breaks off is an error
+            return answer.read().decode()  # A connection that breaks off is an error.
 
     fit = submit(other)
     wait_until(lambda: server.http.get(f"/v1/fits/{fit}", headers=other).json()["status"] == "running")

@@ -21,7 +21,8 @@ def shown(answer: httpx.Response, *names: str) -> str:
     return text
 
 
-MISSING_FIT, MISSING_MEASUREMENT = "0123456789abcdef" * 2, "fedcba98" * 8
+MISSING_FIT = "0123456789abcdef" * 2
+MISSING_MEASUREMENT = "fedcba98" * 8
 POINTS = {"theta_half_deg": [1.0], "theta_diff_deg": [2.0]}
 
 

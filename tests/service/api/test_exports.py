@@ -24,7 +24,7 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
     text = server.http.get(url, params={"format": "json"})
     assert json.loads(text.text)["format"] == "dsbrdf"
     again, report = from_json(text.text)
-    named = server.http.get(f"/v1/fits/{fitted}").json()["name"]  # by another test, perhaps
+    named = server.http.get(f"/v1/fits/{fitted}").json()["name"]  # Another test may have named it.
     assert named or f"{fitted}.json" in text.headers["content-disposition"]
     assert_same_bits(again, model)
     assert report is not None

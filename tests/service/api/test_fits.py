@@ -58,7 +58,7 @@ def test_repeated_request_returns_the_stored_fit(server: Server, data: bytes, st
         server.submit(stored, prefer="respond-async", n_lobes=1, em_iterations=37),
     ):
         assert again.status_code == 200
-        assert again.json() == first.json()  # with the times of the first computation
+        assert again.json() == first.json()  # The times are those of the first computation.
     assert server.submit(stored, n_lobes=1, em_iterations=5).json()["id"] != first.json()["id"]
 
 

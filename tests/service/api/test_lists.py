@@ -48,7 +48,7 @@ def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: 
     assert [item["name"] for item in server.http.get("/v1/fits", params={"name": "b"}).json()["items"]] == ["b"]
     with Client(str(server.http.base_url)) as client:
         assert client.upload(other) == fit["measurement"]
-        options = FitOptions(method="paper", n_lobes=1, em_iterations=5)  # of a fit that is not there yet
+        options = FitOptions(method="paper", n_lobes=1, em_iterations=5)  # No fit has these yet.
         assert [client.submit(other, options, name=name)["name"] for name in ("c", "d", None)] == ["c", "d", "d"]
 
 

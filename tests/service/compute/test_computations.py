@@ -30,7 +30,8 @@ pytestmark = pytest.mark.anyio
 Block = Callable[[object, str], Blocked]
 _ANGLES = "theta_half_deg=10&theta_diff_deg=30"
 FIT_PATH = f"/v1/fits/{FIT}"
-EXPORT, SPHERE = f"{FIT_PATH}/export?format=bsdf", f"{FIT_PATH}/figures/sphere.png?size=16"
+EXPORT = f"{FIT_PATH}/export?format=bsdf"
+SPHERE = f"{FIT_PATH}/figures/sphere.png?size=16"
 SPHERES = f"{FIT_PATH}/figures/spheres.png?size=16"
 COMPONENTS = ("specular_spike", "specular_lobe", "diffuse")
 OF_COMPONENTS = [
@@ -111,7 +112,7 @@ async def test_one_picture_is_drawn_once_for_all_who_wait_for_it(running: Applic
     blocked.may_return.set()
     await asyncio.gather(second.end(), others.end())
     assert second.body == others.body != b""
-    assert len(blocked.calls) == 2  # of one fit of each key
+    assert len(blocked.calls) == 2  # one for the fit of each key
 
 
 async def test_a_long_computation_holds_up_no_other(running: Application, key: str, block: Block) -> None:
@@ -217,5 +218,5 @@ def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[.
     with closing(server.connection(request)):
         wait_until(lambda: bool(server.workers()))
         (worker,) = server.workers()
-        os.kill(worker, signal.SIGSTOP)  # by itself it does not end any more
+        os.kill(worker, signal.SIGSTOP)  # It does not end by itself any more.
     wait_until(lambda: worker not in server.workers(), 20.0)  # before its time is up

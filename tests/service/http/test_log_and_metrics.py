@@ -151,7 +151,7 @@ def test_output_of_fit_processes_is_in_the_log() -> None:
     handler.setFormatter(LineFormatter())
     of_processes.addHandler(handler)
     bind("fit", "one")
-    fault = processes.call(divmod, 1, on_progress=print).result()  # which a number cannot be divided by
+    fault = processes.call(divmod, 1, on_progress=print).result()  # A number cannot be divided by a function.
     of_processes.removeHandler(handler)
     processes.close()
     assert isinstance(fault, Fault)

@@ -33,7 +33,8 @@ from tests.support.merl_files import filled, with_value
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server, assert_problem
 
-CLIENTS, MEGABYTES = 6, 64
+N_CLIENTS = 6
+MEGABYTES = 64
 
 
 def contents(server: Server) -> tuple[list[Path], list[object]]:
@@ -51,7 +52,7 @@ def gzip_stored(content: bytes) -> bytes:
 
 
 def test_compressed_upload_equals_the_plain_one(server: Server) -> None:
-    data = filled(0.5)  # which takes little time to compress
+    data = filled(0.5)  # It is quick to compress.
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     for encoding, content in (
         ("gzip", gzip_quickly(data)),
@@ -181,7 +182,7 @@ def in_progress(server: Server) -> float:
 def stalled(path: str, data: bytes) -> Iterator[bytes]:
     """Requests that stop: an upload in the middle of its body, an export and a file as answers."""
     upload = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {len(data)}\r\n\r\n".encode()
-    for _ in range(CLIENTS):
+    for _ in range(N_CLIENTS):
         yield f"GET {path}/export?format=merl HTTP/1.1\r\nHost: x\r\n\r\n".encode()
         yield upload + data[:1_000_000]
 
@@ -198,10 +199,10 @@ def test_stalled_clients_take_little_memory(own_server: Callable[..., Server], d
     with ExitStack() as stack:
         for request in stalled(path, data):
             stack.enter_context(closing(server.connection(request)))
-        wait_until(lambda: in_progress(server) > CLIENTS)
+        wait_until(lambda: in_progress(server) > N_CLIENTS)
         assert server.memory() - before < MEGABYTES
         assert server.http.get(f"{path}/brdf?theta_half_deg=0&theta_diff_deg=0").status_code == 200
-        print(f"\n{2 * CLIENTS} stalled clients: +{server.memory() - before:.0f} MB")
+        print(f"\n{2 * N_CLIENTS} stalled clients: +{server.memory() - before:.0f} MB")
     wait_until(lambda: in_progress(server) == 1)
     wait_until(lambda: not list((server.data_dir / "tmp").iterdir()))
 

@@ -28,7 +28,8 @@ from tests.support.random_models import random_model
 from tests.support.stores import LOCAL, add
 
 pytestmark = pytest.mark.anyio
-OPTIONS, PATIENCE = dsbrdf.FitOptions(), 60.0  # seconds
+OPTIONS = dsbrdf.FitOptions()
+MAX_WAIT_S = 60.0
 LOST = Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
 
 
@@ -51,7 +52,7 @@ class Engine:
     """Ends fits when it may, each with another number as its metrics, so that one can tell which has ended."""
 
     def __init__(self) -> None:
-        self.outcomes: list[Outcome | Exception] = []  # of the next ones, in place of results
+        self.outcomes: list[Outcome | Exception] = []  # The next calls end with these in place of results.
         self.begun: list[str] = []
         self.holds = True
         self.held: list[tuple[Fit, int]] = []
@@ -105,7 +106,7 @@ class Race:
 
     async def end(self, key: FitKey) -> FitRow:
         self.engine.go_on()
-        return await self.queue.wait(key, PATIENCE)
+        return await self.queue.wait(key, MAX_WAIT_S)
 
     def slow_down(self, monkeypatch: pytest.MonkeyPatch, name: str, *pauses: float, after: bool = False) -> _Slow:
         """Make calls of the store pause, one after the other, before they work or after it."""
@@ -136,7 +137,7 @@ async def place(tmp_path: Path) -> AsyncIterator[Race]:
 
 
 async def until(happened: Callable[[], bool]) -> None:
-    async with asyncio.timeout(PATIENCE):
+    async with asyncio.timeout(MAX_WAIT_S):
         while not happened():
             await asyncio.sleep(0.001)
 
@@ -198,8 +199,8 @@ async def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(
 ) -> None:
     key = await place.submit()
     await place.until_it_runs()
-    slow = place.slow_down(monkeypatch, "fit", PATIENCE)
-    waiting = asyncio.create_task(place.queue.wait(key, PATIENCE))
+    slow = place.slow_down(monkeypatch, "fit", MAX_WAIT_S)
+    waiting = asyncio.create_task(place.queue.wait(key, MAX_WAIT_S))
     await asyncio.sleep(0)
     await place.queue.cancel(key)
     await until(slow.there.is_set)

@@ -41,7 +41,7 @@ def test_every_reader_refuses_a_damaged_file_in_the_same_way(
     used: tuple[Server, str, str], data: bytes, harm: Callable[[Path], None]
 ) -> None:
     server, sha256, fit = used
-    options = QUICK | {"mask": 0.01 * HARMS.index(harm)}  # of a fit that no other test has
+    options = QUICK | {"mask": 0.01 * HARMS.index(harm)}  # No other test has a fit with these.
     url = f"/v1/measurements/{sha256}"
     senders, drawers = [{}, {"If-None-Match": f'"{sha256}"'}], [f"{url}/figures/sphere.png"]
     drawers += [f"/v1/fits/{fit}/figures/{figure}" for figure in ("profiles.png", "residual.svg")]
@@ -51,12 +51,12 @@ def test_every_reader_refuses_a_damaged_file_in_the_same_way(
     (path,) = server.files()
     harm(path)
     answers = [server.http.get(url, headers=headers) for headers in senders]
-    if harm is not flip:  # of what is drawn, the length is looked at
+    if harm is not flip:  # Whoever draws looks at the length.
         answers += [server.http.get(drawer) for drawer in drawers]
     said = {assert_problem(answer, 404, "measurement-damaged") for answer in answers}
     assert server.http.head(url).status_code == 404
     error = server.submit(sha256, **options).json()["error"]
-    assert error["message"] in said or harm is cut  # which has another digest, too
+    assert error["message"] in said or harm is cut  # A file that is cut has another digest, too.
     assert (error["origin"], error["type"]) == ("system", "MeasurementDamaged")
     assert len(said) == 1 + (harm is cut)
     with Client(str(server.http.base_url)) as client:

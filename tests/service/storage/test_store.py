@@ -148,7 +148,7 @@ def test_uploads_in_progress_count_towards_the_quota_but_one_may_exceed_it(
         async with AsyncExitStack() as stack:
             with monkeypatch.context() as broken:
                 broken.setattr(store.blobs, "incoming", lambda: 1 / 0)
-                with pytest.raises(ZeroDivisionError):  # which reserves nothing
+                with pytest.raises(ZeroDivisionError):  # Nothing is reserved.
                     await stack.enter_async_context(store.uploads.incoming(caller))
             for _ in range(most):
                 await stack.enter_async_context(store.uploads.incoming(caller))

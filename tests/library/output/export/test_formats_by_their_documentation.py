@@ -28,7 +28,8 @@ from tests.support.random_models import papers_model
 
 Array = NDArray[np.float64]
 
-THETA_HALF, PHI_DIFF = np.radians([0.0, 0.5, 1.5, 5.0, 20.0, 45.0, 80.0]), np.radians([0.0, 40.0, 90.0])
+THETA_HALF = np.radians([0.0, 0.5, 1.5, 5.0, 20.0, 45.0, 80.0])
+PHI_DIFF = np.radians([0.0, 40.0, 90.0])
 THETA_DIFF = np.radians([0.0, 10.0, 25.0, 60.0, 80.0])  # some of those that the table has
 GRID = tuple(part.ravel() for part in np.meshgrid(THETA_HALF, THETA_DIFF, PHI_DIFF, indexing="ij"))
 

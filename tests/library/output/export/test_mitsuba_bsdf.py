@@ -27,8 +27,9 @@ pytestmark = pytest.mark.slow
 Array = NDArray[np.float64]
 
 UNIFORM = np.random.default_rng(0).random((3, 50_000)).astype(np.float32)
-STEP = 1e-5  # of a finite difference, relative
-UP, DOWN = [0.6, 0.0, 0.8], [0.6, 0.0, -0.8]
+RELATIVE_DIFFERENCE_STEP = 1e-5
+UP = [0.6, 0.0, 0.8]
+DOWN = [0.6, 0.0, -0.8]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -194,7 +195,7 @@ def test_derivatives_are_those_of_finite_differences(kind: str, llvm: ModuleType
     value = model.evaluate(*angles) * wo[:, 2:]
     for name in PARAMETERS:
         for place in places(model, name):
-            size = STEP * max(1.0, abs(float(getattr(model, name)[place])))
+            size = RELATIVE_DIFFERENCE_STEP * max(1.0, abs(float(getattr(model, name)[place])))
             up, down = (changed(model, name, place, sign * size).evaluate(*angles) for sign in (1.0, -1.0))
             expected = (up - down) / (2.0 * size) * wo[:, 2:]
             tangent = np.zeros(getattr(model, name).shape, np.float32)
