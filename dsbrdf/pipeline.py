@@ -148,7 +148,7 @@ def _result(
         by_channel=(),
         by_theta_diff=(),
         knots=knots,
-        growth=found.growth,
+        search=found.search,
         selection=found.selection,
         albedo=albedo,
         n_numbers=model.n_numbers,
@@ -180,7 +180,8 @@ def _fit_samples(
         chosen = np.random.default_rng(0).permutation(len(bright.values)) < MAX_REFINED_SAMPLES
         for _ in range(REFINEMENT_ROUNDS):
             data = sample_rows(bright.take(chosen), table, options, prediction, found.model)
-            found, mixture = refine_at_samples(data, mixture, found.growth)
+            refined, mixture = refine_at_samples(data, mixture)
+            found = replace(refined, search=found.search)
         clock.lap("refine at samples")
     progress(0.9)
     without = left_out_values(known, prediction, found.model)

@@ -7,7 +7,7 @@ from importlib.metadata import version
 
 __version__ = version("dsbrdf")
 
-ALGORITHM_VERSION = "8"
+ALGORITHM_VERSION = "9"
 """Changed whenever the same measurement and options may give another model; part of the identity of a fit."""
 
 

@@ -145,7 +145,7 @@ def _show_metrics(report: dsbrdf.FitReport | None) -> None:
     """Print how many lobes were tried, and the errors of the fit."""
     if report is None:
         raise RuntimeError("the service exported the fit without its report")
-    tried = [f"{step.n_lobes}{'' if step.pays else ' no'}" for step in report.growth]
+    tried = [f"{step.n_lobes}{'' if step.kept else ' no'}" for step in report.search]
     print(f"\nnumbers of lobes tried on held-out rows: {', '.join(tried)}")
     print(*metrics_lines(report.metrics, 100), sep="\n")
 

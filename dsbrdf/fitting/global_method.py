@@ -2,7 +2,7 @@
 
 Where the paper fits slices one by one and interpolates, this fits all rows of theta_diff at once, up to the horizon,
 with the parameters' control values as unknowns: a lobe keeps its identity from knot to knot and from channel to
-channel. The mixture is grown on thinned rows and columns, then refined on most of them.
+channel. The lobes are found on thinned rows and columns, then refined on most of them.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
 from dsbrdf.data.weighting import DARK, TINY, bin_weights
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
-from dsbrdf.fitting.matching_pursuit import GrowthStep, grow
+from dsbrdf.fitting.lobe_search import Wanted, search
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
 from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
@@ -64,26 +64,21 @@ def fit_global(
     options: FitOptions,
     progress: Callable[[float], None],
     on_stage: Callable[[str], None],
-    split: tuple[Profiles, Profiles] | None = None,
 ) -> tuple[FoundModel, Mixture]:
     """Fit all rows at once, and return the model and the same as a mixture.
 
-    `split` has what lobes are fitted to during the search, and what tells whether a lobe pays; without it, other rows
-    and columns of the data tell. `on_stage` is called with the name of each stage that has ended. Raises FitError if
-    the options leave no data to fit.
+    `on_stage` is called with the name of each stage that has ended. Raises FitError if the options leave no data to
+    fit.
     """
     weight = fit_weights(data, options)
     coarse = _structure(weight, _SEARCH_KNOTS[options.variation], options)
-    fitted, held_out = _search_data(data, weight, split)
-    if held_out.signal == 0.0:
-        held_out = fitted
+    fitted, held_out = _search_data(data, weight)
     tries = itertools.count(1)  # their number is known roughly: each takes its share of half of the work
-    mixture, growth = grow(
+    mixture, steps = search(
         fitted,
         held_out,
         coarse,
-        options.n_lobes,
-        options.ring_lobes,
+        Wanted(options.n_lobes, options.ring_lobes),
         lambda: progress(0.5 * min(next(tries) / _EXPECTED_TRIES, 1.0)),
     )
     fine = _structure(weight, KNOTS[options.variation], options, options.knots)
@@ -93,10 +88,11 @@ def fit_global(
         _select(data, weight, FIT_ROWS, FIT_COLUMNS), mixture, options, lambda share: progress(0.5 + 0.5 * share)
     )
     on_stage("refine")
-    return _found(mixture.structure, solution, weight.sum(axis=(2, 3)) > 0, tuple(growth))
+    found, mixture = _found(mixture.structure, solution, weight.sum(axis=(2, 3)) > 0)
+    return replace(found, search=tuple(steps)), mixture
 
 
-def refine_at_samples(data: FitData, mixture: Mixture, growth: tuple[GrowthStep, ...]) -> tuple[FoundModel, Mixture]:
+def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixture]:
     """Fit the mixture that was found in bins again, to values at the very points where they were measured.
 
     The data have a row for each whole degree of theta_diff that has samples.
@@ -108,12 +104,10 @@ def refine_at_samples(data: FitData, mixture: Mixture, growth: tuple[GrowthStep,
     problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
     solution = minimize(problem, mixture.unknowns, iterations=MAX_ITERATIONS)
     seen = np.isin(THETA_DIFF, data.theta_diff)
-    return _found(structure, solution, np.broadcast_to(seen, (3, seen.size)), growth)
+    return _found(structure, solution, np.broadcast_to(seen, (3, seen.size)))
 
 
-def _found(
-    structure: Structure, solution: Solution, seen: Mask, growth: tuple[GrowthStep, ...]
-) -> tuple[FoundModel, Mixture]:
+def _found(structure: Structure, solution: Solution, seen: Mask) -> tuple[FoundModel, Mixture]:
     """Put a solution and what is reported of it together; `seen` says of each channel which rows had data.
 
     The lobes of the model stand from narrow to wide, rings last.
@@ -126,7 +120,7 @@ def _found(
     knots = model.theta_diff
     nearest = np.clip(np.round(np.degrees(knots)).astype(np.intp), 0, THETA_DIFF.size - 1)
     found = solution.converged, solution.iterations, _bounds_hit(model)
-    return FoundModel(model, KnotReport.from_arrays(knots, seen[:, nearest], *found), growth), mixture
+    return FoundModel(model, KnotReport.from_arrays(knots, seen[:, nearest], *found)), mixture
 
 
 def fit_weights(data: Profiles, options: FitOptions) -> Array:
@@ -140,21 +134,13 @@ def fit_weights(data: Profiles, options: FitOptions) -> Array:
     return weight
 
 
-def weight_per_sample(data: Profiles, weight: Array) -> Array:
-    """What a sample of weight 1 counts in each bin, shape (3, 90, 90, 9), where the `weight` of whole bins is known."""
-    return weight / np.where(data.folded.weight > 0.0, data.folded.weight, 1.0)
-
-
-def _search_data(data: Profiles, weight: Array, split: tuple[Profiles, Profiles] | None) -> tuple[FitData, FitData]:
-    """Return the data that lobes are fitted to during the search, and the data that tell whether a lobe pays."""
-    if split is None:
-        fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS)
-        held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
-    else:
-        each = weight_per_sample(data, weight)
-        fitted, held_out = (_select(part, each * part.folded.weight, FIT_ROWS, FIT_COLUMNS) for part in split)
+def _search_data(data: Profiles, weight: Array) -> tuple[FitData, FitData]:
+    """Return the data that lobes are fitted to during the search, and those that decide how many there are."""
+    fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS)
+    held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
     thinned = fitted.take_bins(_SEARCH_BINS), held_out.take_bins(_SEARCH_BINS)
-    return thinned if thinned[0].signal > 0.0 else (fitted, held_out)
+    fitted, held_out = thinned if thinned[0].signal > 0.0 else (fitted, held_out)
+    return fitted, held_out if held_out.signal > 0.0 else fitted
 
 
 def _apart(angles: Array, axis: Array, filled: Indices, fewest: int) -> list[float]:

@@ -13,7 +13,6 @@ IMM-REP-1999-05) and bounds: an unknown that stands at a bound and is pushed out
 
 A weak pull decides what the data leave open: `SMOOTHING` times the squared signal for each squared second difference of
 control values. Shapes get the strongest: where a lobe is faint they would run from bound to bound between two knots.
-What is known of the lobes beforehand can be added as a `Prior`.
 """
 
 from collections.abc import Callable, Sequence
@@ -147,25 +146,16 @@ class Block:
     across: Array  # tan(theta_half)**2 sin(phi_diff)**2, (r, 1, n)
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """What the U unknowns probably are: the cost of a deviation d is ``d @ matrix @ d``, as a share of the signal."""
-
-    matrix: Array  # symmetric, not negative, (U, U)
-    target: Array  # (U,), equal for all control values of a parameter: the smoothing does not pull against it
-
-
 class MixtureProblem:
-    """The cost of a mixture on data, and its derivatives; `SMOOTHING` and a `Prior` pull at the unknowns."""
+    """The cost of a mixture on data, and its derivatives; `SMOOTHING` pulls at the unknowns."""
 
     def __init__(
         self,
         data: FitData,
         structure: Structure,
         smoothing: tuple[float, float, float] = SMOOTHING,
-        prior: Prior | None = None,
     ) -> None:
-        self.data, self.structure, self._prior = data, structure, prior
+        self.data, self.structure = data, structure
         self.bases = structure.bases(data.theta_diff)
         self._pairs = {
             (i, j): (self.bases[i][:, :, None] * self.bases[j][:, None, :]).reshape(len(data.theta_diff), -1).T
@@ -197,9 +187,8 @@ class MixtureProblem:
     def evaluate(self, unknowns: Array) -> "Evaluation":
         """Cost, and what its derivatives are put together from."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
-        off = unknowns if self._prior is None else unknowns - self._prior.target
-        pull, parts = self._pull(off), []
-        cost = float(off @ pull)
+        pull, parts = self._pull(unknowns), []
+        cost = float(unknowns @ pull)
         for block in self.data.blocks:
             curves, kinds = self._lobes(parameters, block.rows, block.along, block.across)
             residual = parameters[0][block.rows].astype(curves.dtype) @ curves
@@ -229,8 +218,6 @@ class MixtureProblem:
         for part, pull in zip(self.structure.parts, self._pulls, strict=True):
             square = matrix[part, part].reshape(len(pull), -1, len(pull), (part.stop - part.start) // len(pull))
             np.einsum("dpep->dep", square)[...] += pull[:, :, None]
-        if self._prior is not None:
-            matrix += self.data.signal * self._prior.matrix
         return matrix, gradient + at.pull
 
     def _assemble(self, products: Array, slopes: Array) -> tuple[Array, Array]:
@@ -262,11 +249,10 @@ class MixtureProblem:
         spread = self._pairs[i, j] @ blocks.reshape(len(blocks), -1)
         return spread.reshape(self.bases[i].shape[1], self.bases[j].shape[1], *blocks.shape[1:])
 
-    def _pull(self, off: Array) -> Array:
-        """Half the gradient of the cost of smoothing and prior, at a distance from the prior's target."""
-        parts = zip(self._pulls, self.structure.split(off), strict=True)
-        pull = np.concatenate([(matrix @ part).ravel() for matrix, part in parts])
-        return pull if self._prior is None else pull + self.data.signal * (self._prior.matrix @ off)
+    def _pull(self, unknowns: Array) -> Array:
+        """Half the gradient of the cost of the smoothing."""
+        parts = zip(self._pulls, self.structure.split(unknowns), strict=True)
+        return np.concatenate([(matrix @ part).ravel() for matrix, part in parts])
 
     def _lobes(
         self, parameters: tuple[Array, Array, Array], rows: slice, along: Array, across: Array

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
-from dsbrdf.fitting.matching_pursuit import GrowthStep
+from dsbrdf.fitting.lobe_search import SearchStep
 from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -59,7 +59,7 @@ class FoundModel:
 
     model: DSBRDF
     knots: KnotReport
-    growth: tuple[GrowthStep, ...] = ()
+    search: tuple[SearchStep, ...] = ()
     selection: tuple[SelectionStep, ...] = ()
 
 
@@ -103,7 +103,7 @@ class FitReport:
         Errors of each channel that is not black, and of each band of theta_diff with data; empty without metrics.
     knots : KnotReport
         How the fit went at each knot of theta_diff.
-    growth, selection : tuple of GrowthStep, tuple of SelectionStep
+    search, selection : tuple of SearchStep, tuple of SelectionStep
         The lobes that the method "global" tried, and the numbers of lobes that "paper" compared, if not given one.
     albedo, n_numbers : DirectionalAlbedo, int
         Of the model: its directional albedo, and how many numbers it stores.
@@ -121,7 +121,7 @@ class FitReport:
     by_channel: tuple[ChannelErrors, ...]
     by_theta_diff: tuple[BandErrors, ...]
     knots: KnotReport
-    growth: tuple[GrowthStep, ...]
+    search: tuple[SearchStep, ...]
     selection: tuple[SelectionStep, ...]
     albedo: DirectionalAlbedo
     n_numbers: int

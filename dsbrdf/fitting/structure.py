@@ -29,18 +29,10 @@ REACH_BOUNDS = (4e-6, 70.0)
 """From a sixth of a degree, about the narrowest peak that the grid resolves, to flat."""
 OFFSET_BOUNDS = (-1.0, LARGEST_CENTER)
 """From a cusp to a ring at the horizon [rad]."""
-ELONGATION_BOUNDS = (-2.0, 2.0)
+ELONGATION_BOUNDS = (-2.0, 10.0)
 WIDEST_CUSP = 0.25
 """A center is at most so far below 0 [rad]."""
 _SATURATED = 2.5  # limits of a cusp beyond which an offset changes the center by less than a twelfth of the limit
-
-
-@dataclass(frozen=True)
-class ShapeBounds:
-    """Between what kappa and the reach of one lobe may lie."""
-
-    kappa: tuple[float, float] = KAPPA_BOUNDS
-    reach: tuple[float, float] = REACH_BOUNDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +43,6 @@ class Structure:
     knots: tuple[Array, Array, Array]  # of amplitudes, shapes and elongations
     family: str  # one of `dsbrdf.model.lobe_families.FAMILIES`
     theta_half: Array = field(default_factory=lambda: THETA_HALF)  # with data: narrower lobes fit the gaps between
-    bounds_of: tuple[ShapeBounds, ...] = ()  # each lobe; the widest possible ones for all if empty
 
     @property
     def n_lobes(self) -> int:
@@ -103,9 +94,8 @@ class Structure:
             bound = np.empty(self.n_unknowns)
             amplitude, shape, elongation = self.split(bound)
             amplitude[...] = LOG_AMPLITUDE_BOUNDS[side]
-            bounds_of = self.bounds_of or (ShapeBounds(),) * k
-            shape[:, :k] = [np.log(bounds.kappa[side]) for bounds in bounds_of]
-            shape[:, k : 2 * k] = [np.log(bounds.reach[side]) for bounds in bounds_of]
+            shape[:, :k] = np.log(KAPPA_BOUNDS[side])
+            shape[:, k : 2 * k] = np.log(REACH_BOUNDS[side])
             shape[:, 2 * k :], elongation[...] = OFFSET_BOUNDS[side], ELONGATION_BOUNDS[side]
             sides.append(bound)
         about_normal = self.split(sides[0])[1][:, k : 2 * k - self.n_rings]

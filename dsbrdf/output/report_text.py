@@ -139,14 +139,14 @@ def lobes_phrase(model: DSBRDF) -> str:
     return words if rings == 0 else f"{words} ({rings} {'ring' if rings == 1 else 'rings'})"
 
 
-def growth_table(report: FitReport) -> list[str]:
-    """Return a table of the lobes that were tried, one after the other; empty if the fit did not search for them.
+def search_table(report: FitReport) -> list[str]:
+    """Return a table of the numbers of lobes that the fit tried, from the largest down; empty without a search.
 
-    The error is the weighted squared error on samples that no lobe was fitted to, as a share of their squared signal.
+    The error is the weighted squared error on samples that no lobe was fitted to, over their squared signal.
     """
-    lines = [f"{'lobes tried':<14}{'rings':>10}{'error held out':>18}"] if report.growth else []
-    for step in report.growth:
-        verdict = "kept" if step.pays else "does not pay"
+    lines = [f"{'lobes tried':<14}{'rings':>10}{'error held out':>18}"] if report.search else []
+    for step in report.search:
+        verdict = "kept" if step.kept else "too few"
         lines.append(f"{step.n_lobes:<14}{step.ring_lobes:>10}{step.error:>18.3g}   {verdict}")
     return lines
 
@@ -200,7 +200,7 @@ def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: 
     lines += model_text(result.model, lobes=lobes, channel=channel)
     for table in (
         samples_tables(result.report),
-        growth_table(result.report),
+        search_table(result.report),
         selection_table(result.report),
         bands_table(result.report),
     ):

@@ -17,7 +17,7 @@ import dsbrdf
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import SpecularLayer
 from dsbrdf.data.merl import read_merl
-from dsbrdf.fitting.matching_pursuit import GrowthStep
+from dsbrdf.fitting.lobe_search import SearchStep
 from dsbrdf.fitting.report import FitResult, SelectionStep
 from dsbrdf.output.export import export_model, part_of
 from dsbrdf.output.serialize import from_json, load
@@ -153,13 +153,16 @@ def test_show_prints_the_report_that_the_fit_printed(plastic_file: Path, model_f
 def test_show_prints_the_lobes_tried_or_compared_and_the_largest_errors(
     two_lobe_fit: FitResult, tmp_path: Path
 ) -> None:
-    growth = GrowthStep(n_lobes=2, ring_lobes=1, error=1.23e-3, pays=True), GrowthStep(3, 1, 1.2e-3, pays=False)
+    elimination = (
+        SearchStep(3, 1, 1.2e-3, kept=True),
+        SearchStep(n_lobes=2, ring_lobes=1, error=1.23e-3, kept=False),
+    )
     compared = SelectionStep(1, -0.25, 1.5, None, 4.0, 2.5, True), SelectionStep(2, -0.5, 1.25, None, None, None, False)
-    report = replace(two_lobe_fit.report, growth=growth, selection=compared)
+    report = replace(two_lobe_fit.report, search=elimination, selection=compared)
     dsbrdf.save(FitResult(two_lobe_fit.model, report), tmp_path / "fit.json")
     rows = [line.split() for line in printed("show", tmp_path / "fit.json").splitlines()]
     start = rows.index(["lobes", "tried", "rings", "error", "held", "out"])
-    assert rows[start + 1 : start + 3] == [["2", "1", "0.00123", "kept"], ["3", "1", "0.0012", "does", "not", "pay"]]
+    assert rows[start + 1 : start + 3] == [["3", "1", "0.0012", "kept"], ["2", "1", "0.00123", "too", "few"]]
     start = rows.index(["lobes", "E_p", "squared", "error", "t", "critical"])
     assert rows[start + 1 : start + 3] == [["1", "-0.2500", "1.5", "4.000", "2.500", "worse"], ["2", "-0.5000", "1.25"]]
     for band in report.by_theta_diff:

@@ -105,7 +105,7 @@ def test_profiles_give_the_same_model_without_metrics(plastic_profiles: Profiles
     result = fit(plastic_profiles, TWO, progress=shares.append)
     assert result.model == two_lobe_fit.model
     assert (result.report.metrics, result.report.selection) == (Metrics(), ())
-    assert result.report.growth == two_lobe_fit.report.growth
+    assert result.report.search == two_lobe_fit.report.search
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
     assert len(shares) > 8
@@ -134,7 +134,7 @@ def test_report_is_complete_and_plain(plastic_fit: FitResult) -> None:
     assert all(np.shape(table) == shape for name, table in vars(report.knots).items() if name != "theta_diff")
     of_samples = {"relative_rms_left_out", "relative_rms_expected"}
     assert {name for name in METRICS if not isinstance(report.metrics[name], float)} == of_samples
-    last = [step for step in report.growth if step.pays][-1]
+    last = [step for step in report.search if step.kept][-1]
     assert (last.n_lobes, last.ring_lobes) == (model.n_lobes, model.is_ring.sum())
     assert [row.channel for row in report.by_channel] == list(CHANNELS)
     edges = [row.theta_diff for row in report.by_theta_diff]

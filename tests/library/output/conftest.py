@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dsbrdf import DSBRDF
-from dsbrdf.fitting.matching_pursuit import GrowthStep
+from dsbrdf.fitting.lobe_search import SearchStep
 from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, KnotReport, SelectionStep
@@ -26,7 +26,7 @@ def report() -> FitReport:
         by_channel=(ChannelErrors(0.5, 0.25, 0.1, 2.0, 1e-3, "red"),),
         by_theta_diff=(BandErrors(0.0, 0.0, 0.0, None, 0.0, (0.0, 0.1)),),
         knots=KnotReport.from_arrays(numbers[0], True, [False, True, True, False], [[3], [100], [7]], False),
-        growth=(GrowthStep(n_lobes=1, ring_lobes=0, error=1e-5, pays=True),),
+        search=(SearchStep(n_lobes=1, ring_lobes=0, error=1e-5, kept=True),),
         selection=(SelectionStep(1, -0.3, 1.5, None, None, None, False),),
         albedo=DirectionalAlbedo((0.0, 0.5, 1.0), tuple(map(tuple, numbers))),
         n_numbers=378,

@@ -174,7 +174,7 @@ def _set(*path: Any, value: Any = ...) -> Callable[[Document], None]:
             for bad, kind in (("0.1", "str"), (True, "bool"), (10**400, "int"))
         ),
         (_set("report", "n_numbers", value=True), "stored report.n_numbers is of the wrong kind, bool"),
-        (_set("report", "growth", value={}), "stored report.growth is of the wrong kind, dict"),
+        (_set("report", "search", value={}), "stored report.search is of the wrong kind, dict"),
         (_set("report", "timings", "em", value=None), "stored report.timings.em is of the wrong kind, NoneType"),
         (_set("report", "by_theta_diff", 0, "theta_diff", value=[0.0]), "theta_diff has 1 values, not 2"),
         (_set("report", "by_theta_diff", 0, "theta_diff", value=[0.0, 0.1, 0.2]), "theta_diff has 3 values, not 2"),

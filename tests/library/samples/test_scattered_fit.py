@@ -155,7 +155,7 @@ def test_fifty_samples_or_one_plane_are_a_material(truth: dsbrdf.DSBRDF) -> None
     assert few.model.albedo(np.radians([0.0, 30.0, 60.0, 75.0, 85.0])).max() <= 1.0
     assert any("50 samples are few: the model is that of layers" in text for text in few.report.warnings)
     assert not any("in one plane" in text for text in few.report.warnings)
-    result = dsbrdf.fit(in_plane(truth), n_lobes=2, ring_lobes=0)
+    result = dsbrdf.fit(in_plane(truth), n_lobes=3)
     assert median_error(result.model, truth) < 0.05
     assert any("All samples lie in one plane of incidence" in text for text in result.report.warnings)
 
@@ -209,7 +209,7 @@ def test_outliers_of_a_robust_fit_do_not_count(truth: dsbrdf.DSBRDF) -> None:
 
 def test_the_fit_follows_the_level_of_the_samples_up_to_the_limits(truth: dsbrdf.DSBRDF) -> None:
     samples = scattered_samples(truth, 60)
-    levels = np.array([1e-8, 1e8]) / samples.values.max()
+    levels = np.array([1.001e-8, 0.999e8]) / samples.values.max()
     dark, bright = (dsbrdf.fit(scaled(samples, level), n_lobes=2, ring_lobes=0) for level in levels.tolist())
     np.testing.assert_allclose(bright.model.evaluate(0.1, 0.4), 1e16 * dark.model.evaluate(0.1, 0.4), rtol=0.1)
 
@@ -231,7 +231,7 @@ def test_the_fit_follows_the_level_of_the_samples_up_to_the_limits(truth: dsbrdf
     ],
 )
 def test_units_far_off_are_named(factor: float, side: str | None, words: tuple[str, ...], truth: dsbrdf.DSBRDF) -> None:
-    samples = scattered_samples(truth, 60)
+    samples = scattered_samples(truth, 80)
     samples = scaled(samples, factor if side is None else factor * getattr(samples, f"omega_{side}")[:, 2:])
     said = sample_units(samples).sentences
     assert len(said) == bool(words)

@@ -1,0 +1,363 @@
+"""The search for the lobes of a mixture: choose all at once, fit them once, exchange some, drop those of no use.
+
+1. **Choice.** Orthogonal matching pursuit (Pati, Rezaiifar, Krishnaprasad 1993) over a dictionary of lobes of many
+   widths, centers and elongations: the candidate that explains most of the residual joins those chosen, and the
+   amplitudes of all are solved for anew, row by row and channel by channel, none negative (non-negative variants:
+   Bruckstein, Elad, Zibulevsky 2008). It needs normal equations alone and no nonlinear fit between two choices.
+2. **Fit.** One nonlinear least-squares fit of all lobes together, at first with kappa held.
+3. **Exchange.** The lobe that would be missed least makes way for the candidate that explains most of what is left.
+4. **Elimination**, if the number of lobes is not fixed: the lobe that would be missed least is dropped and the others
+   are fitted on, as long as the error on rows of theta_diff that no mixture was fitted to hardly rises.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from dsbrdf.arrays import Array, Indices, Mask
+from dsbrdf.data.weighting import TINY
+from dsbrdf.fitting.least_squares import FitData, MixtureProblem, minimize
+from dsbrdf.fitting.structure import Mixture, Structure
+from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width
+from dsbrdf.model.splines import smooth_control_values
+
+MAX_SEARCHED_LOBES = 8
+"""Number of lobes from which elimination starts."""
+TOLERATED_RISE = 0.01
+"""Fraction of the error on the rows held out by which a dropped lobe may raise it."""
+NEGLIGIBLE_ERROR = 4e-6
+"""Fraction of the weighted squared signal that may be added to it: errors below 0.2 % are nobody's material."""
+WIDTHS_DEG = (0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0)
+RING_WIDTHS_DEG = (0.4, 0.8, 1.5, 3.0, 6.0, 10.0, 16.0, 25.0, 40.0)
+RING_CENTERS_DEG = (1.0, 2.0, 4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0)
+CUSP_WIDTHS_DEG = (0.7, 1.5, 3.0, 6.0, 9.0)
+CUSP_CENTER = -1.5  # half widths
+ELONGATIONS = (0.0, 1.0, 3.0)
+"""The lobes of the dictionary."""
+START_KAPPA = 1.0
+START_ELONGATION = 0.5
+"""Fraction of a candidate's elongation at which the fit starts: too round a lobe is mended sooner than the opposite."""
+MIN_START_HEIGHT = 0.02
+"""Fraction of a typical amplitude that a lobe has at least at the start: a fainter one has no derivatives to follow."""
+NOISE_CORRELATION = 0.16
+MIN_COLUMNS_FOR_RINGS = 8
+MAX_SIMPLE_LOBES = 3
+RIDGE = 1e-3
+FIXED_KAPPA_ITERATIONS = 8
+FIT_ITERATIONS = 30
+EXCHANGES = 2
+EXCHANGE_ITERATIONS = 12
+HEIGHT_SWEEPS = 30
+
+
+@dataclass(frozen=True)
+class SearchStep:
+    """A mixture of the search, and its error where it was not fitted."""
+
+    n_lobes: int
+    ring_lobes: int  # those of the lobes that have a center of their own
+    error: float  # weighted squared error on the rows held out, as a fraction of the squared signal there
+    kept: bool  # whether the search went on with it
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Numbers of lobes, and of rings among them, as in `FitOptions`."""
+
+    n_lobes: int | Literal["auto"]
+    ring_lobes: int | Literal["auto"]
+
+    def limited_to(self, data: FitData) -> "Wanted":
+        """Leave out rings, unless asked for, where data have so few angles theta_half that any ring explains them."""
+        few = data.theta_half.shape[-1] < MIN_COLUMNS_FOR_RINGS
+        return replace(self, ring_lobes=0) if few and self.ring_lobes == "auto" else self
+
+    def max_lobes(self, data: FitData) -> int:
+        """How many lobes are chosen at first: a few angles theta_half cannot tell many lobes apart."""
+        return min(MAX_SEARCHED_LOBES, data.theta_half.shape[-1] + 1) if self.n_lobes == "auto" else self.n_lobes
+
+    def kinds_to_add(self, rings: tuple[bool, ...]) -> tuple[bool, ...]:
+        """Kinds that one more lobe may be of: a lobe about the normal is False, a ring True."""
+        if self.ring_lobes == "auto":
+            return (False, True) if False in rings else (False,)
+        return (True,) if False in rings and sum(rings) < self.ring_lobes else (False,)
+
+    def may_drop(self, rings: tuple[bool, ...]) -> list[bool]:
+        """Which lobes can be spared without breaking the numbers that are fixed."""
+        spare = {False: rings.count(False) > 1, True: self.ring_lobes == "auto" or sum(rings) > self.ring_lobes}
+        return [spare[is_ring] for is_ring in rings]
+
+
+@dataclass(frozen=True, eq=False)
+class _Dictionary:
+    """C candidates: half widths, centers [rad], elongations (C,), and values at the data (R, C, n)."""
+
+    width: Array
+    center: Array
+    elongation: Array
+    curves: Array
+
+    @classmethod
+    def at(cls, data: FitData, family: str) -> "_Dictionary":
+        shapes = [(width, 0.0) for width in WIDTHS_DEG]
+        shapes += [(width, CUSP_CENTER * width) for width in CUSP_WIDTHS_DEG]
+        # Not narrower than the steps of the grid at the center.
+        shapes += [(w, c) for c in RING_CENTERS_DEG for w in RING_WIDTHS_DEG if w >= max(0.12 * c, 0.3 * min(c, 5.0))]
+        width, center = np.radians(shapes).T
+        along, across = data.squared_tangents
+        stretch = np.array(ELONGATIONS) * log_cosine(data.theta_diff)[:, None]
+        ratio = np.exp(stretch)[:, :, None]
+        squared = along / ratio + across * ratio
+        kappa = np.array(START_KAPPA)
+        gamma = gamma_of_half_width(width, kappa, family)
+        curves = np.empty((len(along), len(ELONGATIONS), len(shapes), along.shape[2]))
+        for n in range(len(shapes)):
+            at = None if center[n] == 0.0 else center[n]
+            curves[:, :, n] = lobe_values(squared, kappa, gamma[n], at, family)
+        count = len(ELONGATIONS)
+        elongation = np.repeat(ELONGATIONS, len(shapes))
+        flat = curves.reshape(len(along), -1, along.shape[2])
+        return cls(np.tile(width, count), np.tile(center, count), elongation, flat)
+
+    @property
+    def is_ring(self) -> Mask:
+        """Which candidates have a center."""
+        return self.center != 0.0
+
+
+def search(
+    fitted: FitData,
+    held_out: FitData,
+    empty: Structure,
+    wanted: Wanted,
+    on_stage: Callable[[], None],
+) -> tuple[Mixture, list[SearchStep]]:
+    """Find the lobes of a mixture on the knots of an `empty` structure.
+
+    They are fitted to the data `fitted`; those `held_out` decide how many there are. Returns the mixture with the steps
+    of the search; `on_stage` is called after each fit.
+    """
+    dictionary = _Dictionary.at(fitted, empty.family)
+    trials, wanted = _Trials(held_out, on_stage), wanted.limited_to(fitted)
+    mixture = _fit(fitted, _choose(fitted, empty, dictionary, wanted))
+    is_auto = wanted.n_lobes == "auto"
+    if is_auto and _correlation(fitted, mixture) < NOISE_CORRELATION:
+        trials.add(mixture)
+        if (simple := _simplest(fitted, empty, dictionary, wanted, trials)) is not None:
+            return simple, trials.steps
+    else:
+        for _ in range(EXCHANGES):
+            on_stage()
+            mixture = _exchange(fitted, mixture, dictionary, wanted)
+        trials.add(mixture)
+    while is_auto and any(wanted.may_drop(mixture.structure.rings)):
+        fewer = _minimize(fitted, _without_least(fitted, mixture, wanted), EXCHANGE_ITERATIONS)
+        if not trials.add(fewer):
+            break
+        mixture = fewer
+    return mixture, trials.steps
+
+
+class _Trials:
+    """Mixtures compared by their errors on the rows held out; none may be much worse than the best before it."""
+
+    def __init__(self, held_out: FitData, on_trial: Callable[[], None]) -> None:
+        self.steps: list[SearchStep] = []
+        self._held_out, self._on_trial, self._limit = held_out, on_trial, np.inf
+
+    def add(self, mixture: Mixture) -> bool:
+        """Whether the mixture is good enough to be kept."""
+        self._on_trial()
+        error = _error(self._held_out, mixture) / self._held_out.signal
+        kept = error <= self._limit
+        self.steps.append(SearchStep(mixture.structure.n_lobes, mixture.structure.n_rings, error, kept))
+        self._limit = min(self._limit, (1.0 + TOLERATED_RISE) * error + NEGLIGIBLE_ERROR)
+        return kept
+
+
+def _simplest(
+    data: FitData, empty: Structure, dictionary: _Dictionary, wanted: Wanted, trials: _Trials
+) -> Mixture | None:
+    """Smallest mixture that is as good as the first trial, all of its lobes about the normal if rings are optional."""
+    n_rings, (first,) = 0 if wanted.ring_lobes == "auto" else wanted.ring_lobes, trials.steps
+    for n_lobes in range(n_rings + 1, min(n_rings + MAX_SIMPLE_LOBES + 1, first.n_lobes)):
+        mixture = _fit(data, _choose(data, empty, dictionary, Wanted(n_lobes, n_rings)))
+        if trials.add(mixture):
+            return mixture
+    return None
+
+
+def _fit(data: FitData, start: Mixture) -> Mixture:
+    """Fit all unknowns, at first with kappa held: it trades against the width."""
+    start = _minimize(data, start, FIXED_KAPPA_ITERATIONS, fixed=start.structure.is_kappa())
+    return _minimize(data, start, FIT_ITERATIONS)
+
+
+def _correlation(data: FitData, mixture: Mixture) -> float:
+    """Correlation of the weighted residuals of neighbouring bins of phi_diff, large ones clipped."""
+    residual = MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
+    residual *= np.sqrt(data.weight)
+    limit = 0.3 * float(np.sqrt(np.mean(residual**2))) or 1.0
+    residual = np.clip(residual / limit, -1.0, 1.0)
+    both = (data.weight[..., 1:] > 0) & (data.weight[..., :-1] > 0)
+    first, second = residual[..., 1:][both], residual[..., :-1][both]
+    size = float(np.sqrt(np.sum(first**2) * np.sum(second**2)))
+    return float(np.sum(first * second)) / size if size > 0.0 else 0.0
+
+
+def _choose(data: FitData, empty: Structure, dictionary: _Dictionary, wanted: Wanted) -> Mixture:
+    """Choose candidates one after the other, the amplitudes of all free each time."""
+    (mean, weight), curves, is_ring = data.rows, dictionary.curves, dictionary.is_ring
+    right = (weight * mean) @ curves.transpose(0, 2, 1)
+    size = weight @ np.square(curves).transpose(0, 2, 1)
+    gram, heights = np.empty((*right.shape[:2], 0, right.shape[2])), np.empty((*right.shape[:2], 0))
+    chosen: list[int] = []
+    for _ in range(wanted.max_lobes(data)):
+        own = gram[..., chosen]
+        gain = _gains(right - np.einsum("rhsc,rhs->rhc", gram, heights), size, gram, own)
+        kinds = wanted.kinds_to_add(tuple(is_ring[chosen].tolist()))
+        gain[~np.isin(is_ring, kinds)] = -1.0
+        gain[chosen] = -1.0
+        best = _widest_of_best(gain, dictionary)
+        chosen.append(best)
+        row = (weight * curves[:, best, None]) @ curves.transpose(0, 2, 1)
+        gram = np.concatenate([gram, row[:, :, None]], axis=2)
+        heights = _heights(gram[..., chosen], right[..., chosen], np.pad(heights, ((0, 0), (0, 0), (0, 1))))
+    order = np.argsort(is_ring[chosen], kind="stable")
+    return _start(data, empty, dictionary, np.array(chosen)[order], heights[..., order])
+
+
+def _gains(residual: Array, size: Array, gram: Array, own: Array) -> Array:
+    """Squared error that each candidate explains beside the K chosen ones, whose amplitudes answer to it, (C,).
+
+    The residual's products with the candidates, and the candidates' with themselves, have the shape (R, 3, C); `gram`
+    has those of chosen ones with candidates (R, 3, K, C), `own` with one another.
+    """
+    left, count = size, own.shape[-1]
+    if count:
+        ridge = (RIDGE * np.trace(own, axis1=2, axis2=3)[..., None, None] / count + TINY) * np.eye(count)
+        left = size - np.sum(gram * np.linalg.solve(own + ridge, gram), axis=2)
+    gain = np.maximum(residual, 0.0) ** 2 / np.maximum(left, RIDGE * size + TINY)
+    return np.asarray(gain.sum(axis=(0, 1)))
+
+
+def _widest_of_best(gain: Array, dictionary: _Dictionary) -> int:
+    """Where several candidates do equally well, as on a single column, the widest assumes least."""
+    equal = np.flatnonzero((gain >= (1.0 - 1e-9) * gain.max()) & (gain >= 0.0))
+    return int(equal[dictionary.width[equal].argmax()])
+
+
+def _heights(gram: Array, right: Array, start: Array) -> Array:
+    """Amplitudes, none negative, that solve normal equations: gram (R, 3, K, K), right (R, 3, K).
+
+    Coordinate descent: an exact step in one amplitude after the other.
+    """
+    heights = start.copy()
+    for _ in range(HEIGHT_SWEEPS):
+        for k in range(right.shape[-1]):
+            slope = right[..., k] - np.einsum("rhk,rhk->rh", gram[..., k, :], heights)
+            heights[..., k] = np.maximum(heights[..., k] + slope / (gram[..., k, k] + TINY), 0.0)
+    return heights
+
+
+def _start(data: FitData, empty: Structure, dictionary: _Dictionary, chosen: Indices, heights: Array) -> Mixture:
+    """Mixture of chosen candidates, rings last, with the amplitudes (R, 3, K)."""
+    k, rings = chosen.size, dictionary.is_ring[chosen]
+    structure = replace(empty, rings=tuple(rings.tolist()))
+    unknowns = np.zeros(structure.n_unknowns)
+    amplitude, shape, elongation = structure.split(unknowns)
+    amplitude[...] = _log_amplitudes(data, structure, heights)
+    shape[:, :k] = np.log(START_KAPPA)
+    shape[:, k : 2 * k] = np.log(reach_of_width(dictionary.width[chosen], structure.family))
+    shape[:, 2 * k :] = dictionary.center[chosen[rings]]
+    elongation[...] = START_ELONGATION * dictionary.elongation[chosen]
+    return Mixture(structure, structure.limit(unknowns))
+
+
+def _log_amplitudes(data: FitData, structure: Structure, heights: Array) -> Array:
+    """Control values of log amplitudes, channel by channel, near heights (R, 3, K)."""
+    typical = np.sqrt(np.mean(heights**2, axis=(0, 1)))
+    logs = np.log(np.maximum(heights, MIN_START_HEIGHT * typical + 1e-9))
+    return smooth_control_values(structure.bases(data.theta_diff)[0], logs.reshape(len(logs), -1))
+
+
+def _exchange(data: FitData, mixture: Mixture, dictionary: _Dictionary, wanted: Wanted) -> Mixture:
+    """Put the candidate that explains most in the place of the lobe that is missed least, if that is better."""
+    if not any(wanted.may_drop(mixture.structure.rings)):
+        return mixture
+    other = _with_best(data, _without_least(data, mixture, wanted), dictionary, wanted)
+    other = _minimize(data, other, EXCHANGE_ITERATIONS)
+    return min((mixture, other), key=lambda one: _error(data, one))
+
+
+def _without_least(data: FitData, mixture: Mixture, wanted: Wanted) -> Mixture:
+    """Drop the lobe whose loss costs least, the amplitudes of the others answering."""
+    structure, (mean, weight) = mixture.structure, data.rows
+    k, curves = structure.n_lobes, MixtureProblem(data, structure).curves(mixture.unknowns)
+    weighted = curves[:, None] * weight[:, :, None]
+    gram, right = weighted @ curves.transpose(0, 2, 1)[:, None], (weighted @ mean[..., None])[..., 0]
+    ridge = 1e-6 * np.trace(gram, axis1=2, axis2=3)[..., None, None] / k + TINY
+    inverse = np.linalg.inv(gram + ridge * np.eye(k))
+    loss = (inverse @ right[..., None])[..., 0] ** 2 / np.diagonal(inverse, axis1=2, axis2=3)
+    total = np.where(wanted.may_drop(structure.rings), loss.sum(axis=(0, 1)), np.inf)
+    keep = np.delete(np.arange(k), total.argmin())
+    return _take(mixture, keep)
+
+
+def _take(mixture: Mixture, keep: Indices) -> Mixture:
+    """Keep some of the lobes."""
+    structure = mixture.structure
+    k, rings = structure.n_lobes, np.array(structure.rings)
+    amplitude, shape, elongation = structure.split(mixture.unknowns)
+    centers = 2 * k + np.cumsum(rings)[keep[rings[keep]]] - 1
+    columns = np.concatenate([keep, k + keep, centers])
+    heights = amplitude.reshape(len(amplitude), 3, k)[:, :, keep]
+    parts = heights, shape[:, columns], elongation[:, keep]
+    fewer = replace(structure, rings=tuple(rings[keep].tolist()))
+    return Mixture(fewer, np.concatenate([part.ravel() for part in parts]))
+
+
+def _with_best(data: FitData, mixture: Mixture, dictionary: _Dictionary, wanted: Wanted) -> Mixture:
+    """Add the candidate that explains most of the residual."""
+    problem, (mean, weight) = MixtureProblem(data, mixture.structure), data.rows
+    curves, transposed = problem.curves(mixture.unknowns), dictionary.curves.transpose(0, 2, 1)
+    residual = mean - problem.values(mixture.unknowns).transpose(1, 0, 2, 3).reshape(mean.shape)
+    weighted = curves[:, None] * weight[:, :, None]
+    gram, own = weighted @ transposed[:, None], weighted @ curves.transpose(0, 2, 1)[:, None]
+    size = weight @ np.square(transposed)
+    right = (weight * residual) @ transposed
+    target = weighted @ residual[..., None]
+    ridge = RIDGE * np.trace(own, axis1=2, axis2=3)[..., None, None] / len(own[0, 0]) * np.eye(own.shape[-1])
+    answered = right - np.sum(gram * np.linalg.solve(own + ridge + TINY * np.eye(own.shape[-1]), target), axis=2)
+    gain = _gains(answered, size, gram, own)
+    gain[~np.isin(dictionary.is_ring, wanted.kinds_to_add(mixture.structure.rings))] = -1.0
+    best = _widest_of_best(gain, dictionary)
+    height = np.maximum(right[..., best], 0.0) / (size[..., best] + TINY)
+    added = _start(data, replace(mixture.structure, rings=()), dictionary, np.array([best]), height[..., None])
+    return _join(mixture, added)
+
+
+def _join(mixture: Mixture, added: Mixture) -> Mixture:
+    """Add a mixture of one lobe to another; rings come last."""
+    old, is_ring = mixture.structure, added.structure.n_rings == 1
+    place, k = (old.n_lobes if is_ring else old.n_lobes - old.n_rings), old.n_lobes
+    (amplitudes, shapes, elongations), new = old.split(mixture.unknowns), added.structure.split(added.unknowns)
+    heights = np.insert(amplitudes.reshape(len(amplitudes), 3, k), place, new[0], axis=2)
+    kappas = np.insert(shapes[:, :k], place, new[1][:, 0], axis=1)
+    reaches = np.insert(shapes[:, k : 2 * k], place, new[1][:, 1], axis=1)
+    shape = np.hstack([kappas, reaches, shapes[:, 2 * k :], new[1][:, 2:]])
+    parts = heights, shape, np.insert(elongations, place, new[2][:, 0], axis=1)
+    structure = replace(old, rings=(*old.rings[:place], is_ring, *old.rings[place:]))
+    return Mixture(structure, np.concatenate([part.ravel() for part in parts]))
+
+
+def _minimize(data: FitData, start: Mixture, iterations: int, fixed: Mask | None = None) -> Mixture:
+    problem = MixtureProblem(data, start.structure)
+    return Mixture(start.structure, minimize(problem, start.unknowns, iterations=iterations, fixed=fixed).unknowns)
+
+
+def _error(data: FitData, mixture: Mixture) -> float:
+    residual = MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
+    return float(np.sum(data.weight * residual**2))
