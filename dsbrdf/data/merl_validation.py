@@ -21,14 +21,17 @@ FILE_SIZE = HEADER_SIZE + 3 * NODES * 8
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
 SCALE.flags.writeable = False
 LARGEST_VALUE = 1e8  # [1/sr]; far larger than any BRDF value
+SMALLEST_PEAK = 1e-8  # [1/sr]; a material that reflects less at every angle is darker than any.
 SMALLEST_VALID_SHARE = 0.01
+MIN_LIT_FRACTION = 0.001  # Fewer lit nodes are noise: no angle of theta_half has a profile.
 
 _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 SHAPE = (len(CHANNELS), *GRID_SHAPE)
 _PIECE_BYTES = 1 << 20
 _AXES = ("theta_half", "theta_diff", "phi_diff")
 _NOT_FINITE = "NaN or infinite; every value must be finite."
-_TOO_LARGE = "1e8/sr, which no reflectance has; stored values are the BRDF in 1/sr times 1500 / (1, 1.15, 1.66)."
+_UNIT = "Stored values are the BRDF in 1/sr times 1500 / (1, 1.15, 1.66)."
+_TOO_LARGE = f"1e8/sr, which no reflectance has. {_UNIT}"
 
 
 def check_header(header: bytes | bytearray | memoryview) -> None:
@@ -85,9 +88,9 @@ class MerlChecker:
         # The next piece continues this incomplete group of eight values, which fill one byte of bits.
         self._rest = b""
         self._n_values = 0
-        # A bit for each node: some channel is not negative, or positive.
+        # A bit for each node: some channel is not negative, or at least `SMALLEST_PEAK`.
         self._measured = np.zeros(NODES // 8, dtype=np.uint8)
-        self._positive = np.zeros(NODES // 8, dtype=np.uint8)
+        self._lit = np.zeros(NODES // 8, dtype=np.uint8)
         # For each channel, the number of nodes above the horizon that are not negative.
         self._n_measured = [0] * len(CHANNELS)
         self._above = nodes_above_horizon().reshape(-1)
@@ -120,7 +123,7 @@ class MerlChecker:
         """Return the valid nodes (90, 90, 180), after the last byte: above the horizon, with a value in some channel.
 
         Raises MeasurementFormatError if the length is wrong, a value is NaN or infinite or above 1e8/sr, a channel is
-        negative at more than 99 % of the nodes above the horizon, or all valid nodes are zero.
+        negative at more than 99 % of the nodes above the horizon, or hardly any node has light.
         """
         # `update` has checked the header unless there are fewer bytes than it has.
         check_header(self._header)
@@ -142,8 +145,13 @@ class MerlChecker:
                 f"{CHANNELS[fewest]} channel is {self._n_measured[fewest]}; a measurement needs at least "
                 f"{SMALLEST_VALID_SHARE:.0%} of them in every channel."
             )
-        if not (np.packbits(valid) & self._positive).any():
-            raise MeasurementFormatError("Every valid node is zero in all channels; a measurement has positive values.")
+        # Nodes at theta_half = 0 have no solid angle: a fit would not see their light.
+        n_lit = int(np.bitwise_count(np.packbits(valid) & self._lit)[NODES // 90 // 8 :].sum())
+        if n_lit < MIN_LIT_FRACTION * n_above:
+            raise MeasurementFormatError(
+                f"Of the {n_above} nodes above the horizon {n_lit} have a value of at least {SMALLEST_PEAK:g}/sr at a "
+                f"theta_half above 0; a measurement has light at {MIN_LIT_FRACTION:.1%} of them at least. {_UNIT}"
+            )
         return valid.reshape(GRID_SHAPE)
 
     def _check_values(self, values: Array) -> None:
@@ -164,7 +172,7 @@ class MerlChecker:
                 measured = part >= 0.0
                 self._n_measured[channel] += int(np.count_nonzero(measured & self._above[nodes]))
                 self._measured[octets] |= np.packbits(measured)
-                self._positive[octets] |= np.packbits(part > 0.0)
+                self._lit[octets] |= np.packbits(part >= SMALLEST_PEAK / SCALE[channel])
 
     def _record(self, fault: str, where: Mask, channel: int, start: int) -> None:
         found = np.flatnonzero(where)

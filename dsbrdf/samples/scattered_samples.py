@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.merl_validation import LARGEST_VALUE
+from dsbrdf.data.merl_validation import LARGEST_VALUE, SMALLEST_PEAK
 from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 
 FEWEST_SAMPLES = 50
 """Fewer samples than this do not tell what a material is like."""
-SMALLEST_MAXIMUM = 1e-8
-"""The largest value of samples is at least this [1/sr]."""
 LARGEST_WEIGHT = 1e12
 _UNIT_TOLERANCE = 1e-3
 
@@ -145,7 +143,7 @@ class ScatteredSamples:
         _refuse("is not from 1e-12 to 1e12", "weight", extreme, "weights say how much samples count among each other")
         if not arrays["values"].any():
             raise MeasurementFormatError("Every sample is zero in all channels; a measurement has positive values.")
-        if (largest := arrays["values"].max()) < SMALLEST_MAXIMUM:
+        if (largest := arrays["values"].max()) < SMALLEST_PEAK:
             raise MeasurementFormatError(
                 f"The largest value is {largest:.3g}/sr, darker than any material; the values of a BRDF are in 1/sr."
             )

@@ -97,6 +97,11 @@ def floats(data: bytes) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.frombuffer(data, "<f8", offset=12)
 
 
+def scaled(data: bytes, factor: float) -> bytes:
+    stored = floats(data)
+    return HEADER + np.where(stored > 0.0, stored * factor, stored).tobytes()
+
+
 FAULTS: dict[str, tuple[Make, str]] = {
     "empty": (lambda _: b"", "The data is empty; a MERL measurement has exactly 34992012 bytes"),
     "a cut header": (lambda data: data[:11], "only 11 bytes and seems cut off; a MERL measurement has"),
@@ -121,7 +126,8 @@ FAULTS: dict[str, tuple[Make, str]] = {
         lambda data: data[:5_600_012] + struct.pack("<Q", 0x7FF0000000000001) + data[5_600_020:],
         "NaN or infinite",
     ),
-    "all zero": (lambda _: filled(0.0), "Every valid node is zero"),
+    "all zero": (lambda _: filled(0.0), "1111430 nodes above the horizon 0 have a value of at least 1e-08/sr at a theta_half above"),
+    "another unit": (lambda data: scaled(data, 1e-30), "0 have a value of at least 1e-08/sr"),
     "JSON": (lambda _: json.dumps({"measurement": [1.0] * 1000}).encode(), "The data is JSON"),
     "PNG": (lambda _: b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(1000), "The data is a PNG image"),
     "npy": (lambda data: npy(floats(data)), "The data is a .npy array"),
@@ -183,12 +189,15 @@ def test_file_with_hardly_any_valid_nodes_is_refused() -> None:
         assert (refused in sentence) == bool(color)
 
 
-def test_positive_values_below_the_horizon_do_not_help_one_above_it_does() -> None:
-    values = np.zeros((3, *GRID_SHAPE))
-    values[0][BELOW] = 1.0
-    assert refusal(HEADER + values.tobytes()).startswith("Every valid node is zero")
-    values[2][ABOVE] = 1e-9
-    assert parse_merl(HEADER + values.tobytes()).valid[ABOVE]
+def test_nodes_below_the_horizon_and_single_ones_are_no_measurement() -> None:
+    above = nodes_above_horizon()
+    count = int(0.001 * above.sum()) + 1
+    for lit, elsewhere in ((0, 1.0), (count - 1, 0.0), (count, 0.0)):
+        values = np.where(above, 0.0, np.full((3, *GRID_SHAPE), elsewhere))
+        values[:, 0] = elsewhere  # A fit does not see light at theta_half = 0, which has no solid angle.
+        values[2, 1:].flat[np.flatnonzero(above[1:])[:lit]] = 1e-4  # 1.1e-7/sr
+        sentence = whole(HEADER + values.tobytes())
+        assert (f"{lit} have a value of at least 1e-08/sr" in sentence) == (lit < count)
 
 
 def test_missing_file_directory_and_pipe_are_refused(tmp_path: Path) -> None:
