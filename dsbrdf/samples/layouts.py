@@ -7,7 +7,7 @@ and a value, then the names of the columns after the word VARS, then the samples
 import re
 
 from dsbrdf.samples.names import MEANINGS, is_known, name_and_unit
-from dsbrdf.samples.text_table import TextTable
+from dsbrdf.samples.text_table import TextTable, check_size
 
 _THETAS = {"theta_in", "theta_out"}
 _ASTM_NAMES = re.compile(rb"(?m)^VARS[ \t]+(.*)$")
@@ -45,6 +45,7 @@ def unfolded(table: TextTable) -> TextTable:
     names = _matrix_names(table.names[0])
     if len(names) < 2:
         return table
+    check_size(len(table.rows) * (len(table.names) - 1), 3)
     rows = [[row[0], head, cell] for row in table.rows for head, cell in zip(table.names[1:], row[1:], strict=True)]
     lines = [line for line in table.lines for _ in table.names[1:]]
     return TextTable((*names, "value"), ("", "", ""), rows, lines, table.separator)

@@ -8,13 +8,17 @@ from typing import Any
 
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.extras import require
+from dsbrdf.samples.text_table import MAX_CELLS
 
 SPREADSHEET = ".xlsx"
 ARCHIVE = b"PK\x03\x04"
 """What such a file begins with, as every ZIP archive."""
 _WORKBOOK = "xl/workbook.xml"
-_LARGEST = 1 << 28  # [bytes] of all that is in the file when it is unpacked
-_LONGEST_TEXT = 1 << 26  # [characters]
+_PIECE_BYTES = 1 << 20
+_MAX_UNPACKED_BYTES = 1 << 26
+_MAX_TAGS = 2_000_000  # openpyxl takes 5 s for them; a cell has four.
+_MAX_ROWS = 1 << 20  # The programs that write spreadsheets have no more.
+_MAX_TEXT_LENGTH = 1 << 26  # [characters]
 
 
 def is_spreadsheet(data: bytes) -> bool:
@@ -37,10 +41,9 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
     require("xlsx", "openpyxl", purpose="spreadsheets, which can also be saved as .csv")
     import openpyxl
 
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        if sum(part.file_size for part in archive.infolist()) > _LARGEST:
-            raise MeasurementFormatError(f"The spreadsheet is longer than {_LARGEST} bytes; save its sheet as .csv.")
     try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            _check_work(archive)
         workbook = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         texts = {sheet.title: _text(sheet.iter_rows(values_only=True)) for sheet in workbook.worksheets}
     except (MeasurementFormatError, MemoryError):
@@ -52,15 +55,34 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
     return texts.get(title, "").encode(), notes
 
 
+def _check_work(archive: zipfile.ZipFile) -> None:
+    """Raise MeasurementFormatError if a file takes too long to read: it is unpacked, and its tags are counted."""
+    n_bytes = n_tags = 0
+    for part in archive.namelist():
+        with archive.open(part) as file:
+            while piece := file.read(_PIECE_BYTES):
+                n_bytes, n_tags = n_bytes + len(piece), n_tags + piece.count(b"<")
+                if n_bytes > _MAX_UNPACKED_BYTES or n_tags > _MAX_TAGS:
+                    raise MeasurementFormatError(
+                        f"The spreadsheet has more than {_MAX_TAGS // 4} cells, or {_MAX_UNPACKED_BYTES} bytes when it "
+                        "is unpacked; save its sheet as .csv."
+                    )
+
+
 def _text(rows: Iterable[Sequence[Any]]) -> str:
     """Return rows as lines of one width, which end with a separator; those without anything are empty."""
     lines: list[list[str]] = []
-    length = 0
+    length = n_cells = 0
     for row in rows:
+        n_cells += len(row)
+        # Rows and cells that the file leaves out between others come as empty ones.
+        if n_cells > MAX_CELLS or len(lines) == _MAX_ROWS:
+            most = f"{_MAX_ROWS} rows or {MAX_CELLS} cells, empty ones between others included"
+            raise MeasurementFormatError(f"The sheet has more than {most}; save it as .csv.")
         lines.append([" ".join(str(cell).split()) if cell is not None else "" for cell in row])
         length += sum(map(len, lines[-1])) + len(row)
-        if length > _LONGEST_TEXT:
-            raise MeasurementFormatError(f"The sheet has more than {_LONGEST_TEXT} characters; save it as .csv.")
+        if length > _MAX_TEXT_LENGTH:
+            raise MeasurementFormatError(f"The sheet has more than {_MAX_TEXT_LENGTH} characters; save it as .csv.")
     width = max((at for line in lines for at, cell in enumerate(line, 1) if cell), default=0)
     text = io.StringIO()
     writer = csv.writer(text, delimiter=";", lineterminator="\n")

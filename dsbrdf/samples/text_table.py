@@ -8,7 +8,7 @@ without a known name may stand before it. A line below the names without any num
 import codecs
 import csv
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -20,6 +20,11 @@ from dsbrdf.errors import MeasurementFormatError
 _SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
 _LINES_BEFORE_NAMES = 500
+_LINES_OF_UNITS = 20
+MAX_CELLS = 5_000_000  # They take 5 s and 1 GB to read.
+MAX_COLUMNS = 4096
+_MAX_LINE_LENGTH = 1 << 17  # [characters]; 4096 columns with all their digits are shorter.
+_MAX_HEAD_LENGTH = 1 << 18  # [characters]; the line of names is not looked for behind them.
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 
 
@@ -52,6 +57,17 @@ class TextTable:
         return number
 
 
+def check_size(n_rows: int, n_columns: int) -> None:
+    """Raise MeasurementFormatError if a table takes too long to read; it is asked before the cells are made."""
+    if n_columns > MAX_COLUMNS:
+        raise MeasurementFormatError(f"The table has {n_columns} columns; it may have {MAX_COLUMNS}.")
+    if n_rows * n_columns > MAX_CELLS:
+        raise MeasurementFormatError(
+            f"The table has {n_rows} rows of {n_columns} cells, and it may have {MAX_CELLS} cells; leave out rows, or "
+            "columns that are not needed."
+        )
+
+
 def parse_text_table(data: bytes, count_names: Callable[[str], int]) -> TextTable:
     """Return the table in the bytes of a text.
 
@@ -59,21 +75,22 @@ def parse_text_table(data: bytes, count_names: Callable[[str], int]) -> TextTabl
     MeasurementFormatError says in one sentence what is wrong and what would be right.
     """
     lines = _text(data).splitlines()
+    _check_lengths(lines)
     place, names = _find_names(lines, count_names)
     kept = [(number, line.strip(" ")) for number, line in enumerate(lines[place + 1 :], place + 2) if _is_row(line)]
+    check_size(len(kept), len(names))
     units, separator = ("",) * len(names), ","
-    while kept:
-        separator = _separator_of_rows(kept[0], names)
-        first = _cells(kept[0][1], separator)
+    for row in kept[:_LINES_OF_UNITS]:
+        separator = _separator_of_rows(row, names)
+        first = _cells(row[1], separator)
         if not _has_words(first, separator):
             break
         units = tuple(cell.strip(" []()") for cell in first[: len(names)])
         kept = kept[1:]
-    all_cells = _split([line for _, line in kept], separator)
-    if len(all_cells) != len(kept):  # every line is a row, whatever its quotation marks
-        raise MeasurementFormatError("A quotation mark in the table is not closed on its line.")
-    rows = [_checked_row(cells, number, names) for (number, _), cells in zip(kept, all_cells, strict=True)]
-    return TextTable(names, units, rows, [number for number, _ in kept], separator)
+    numbers = [number for number, _ in kept]
+    split = _split([line for _, line in kept], separator)
+    rows = [_checked_row(cells, number, names) for number, cells in zip(numbers, split, strict=True)]
+    return TextTable(names, units, rows, numbers, separator)
 
 
 def _text(data: bytes) -> str:
@@ -92,10 +109,23 @@ def _is_row(line: str) -> bool:
     return bool(line.strip()) and _COMMENT.match(line) is None
 
 
+def _check_lengths(lines: Sequence[str]) -> None:
+    longest = max(lines, key=len, default="")
+    if len(longest) > _MAX_LINE_LENGTH:
+        raise MeasurementFormatError(
+            f"Line {lines.index(longest) + 1} of the table has {len(longest)} characters; it may have "
+            f"{_MAX_LINE_LENGTH}."
+        )
+
+
 def _find_names(lines: Sequence[str], count_names: Callable[[str], int]) -> tuple[int, tuple[str, ...]]:
     """Return the index of the line that names the columns, and the names."""
     best: tuple[int, int, tuple[str, ...]] = (0, 0, ())
+    length = 0
     for place, line in enumerate(islice(lines, _LINES_BEFORE_NAMES)):
+        length += len(line)
+        if length - len(line) > _MAX_HEAD_LENGTH:
+            break
         words = _COMMENT.sub("", line, count=1).strip()
         for separator in _SEPARATORS:
             names = tuple(name.strip() for name in _cells(words, separator))
@@ -125,14 +155,19 @@ def _separator_of_rows(row: tuple[int, str], names: tuple[str, ...]) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    return next(iter(_split([line], separator)), [])
+    return next(_split([line], separator), [])
 
 
-def _split(lines: Sequence[str], separator: str) -> list[list[str]]:
+def _split(lines: Sequence[str], separator: str) -> Iterator[list[str]]:
+    """Yield the cells of each line, so that the first wrong one ends the reading."""
     blank = separator == " "
     spaced = (line.replace("\t", " ") if blank else line for line in lines)
     try:
-        return list(csv.reader(spaced, delimiter=separator, skipinitialspace=True))
+        reader = csv.reader(spaced, delimiter=separator, skipinitialspace=True)
+        for number, cells in enumerate(reader, 1):
+            if reader.line_num > number:  # Every line is a row, whatever its quotation marks.
+                raise MeasurementFormatError("A quotation mark in the table is not closed on its line.")
+            yield cells
     except csv.Error:
         raise MeasurementFormatError(
             f"The table cannot be split into cells: one is longer than {csv.field_size_limit()} characters, or a "

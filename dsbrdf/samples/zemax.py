@@ -7,13 +7,14 @@ it, 0 towards the normal.
 import os
 import re
 from collections.abc import Sequence
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.text_table import TextTable
+from dsbrdf.samples.text_table import TextTable, check_size
 
 _LONGEST_HEAD = 1 << 16  # [bytes]
 _LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
@@ -22,8 +23,9 @@ _NAMES = ("omega_in_x", "omega_in_y", "omega_in_z", "omega_out_x", "omega_out_y"
 
 
 def is_zemax(data: bytes) -> bool:
-    """Whether a text is such a file."""
-    return b"ScatterRadial" in data and re.search(rb"(?m)^[ \t]*DataBegin[ \t\r]*$", data) is not None
+    """Whether a text begins as such a file."""
+    head = data[:_LONGEST_HEAD]
+    return b"ScatterRadial" in head and re.search(rb"(?m)^[ \t]*DataBegin[ \t\r]*$", head) is not None
 
 
 def begins_as_zemax(path: str | os.PathLike[str]) -> bool:
@@ -36,10 +38,9 @@ def begins_as_zemax(path: str | os.PathLike[str]) -> bool:
 
 def zemax_table(data: bytes) -> TextTable:
     """Return the samples of the file as a table; a MeasurementFormatError says what is wrong."""
-    numbered = enumerate(map(str.split, data.decode("latin-1").splitlines()), 1)
-    at, lines = zip(*((number, line) for number, line in numbered if line and line[0][0] != "#"), strict=True)
-    begin = next(at for at, line in enumerate(lines) if line[0] == "DataBegin")
-    head = lines[:begin]
+    split = enumerate(map(str.split, data.decode("latin-1").splitlines()), 1)
+    lines = ((at, line) for at, line in split if line and line[0][0] != "#")
+    head = [line for _, line in takewhile(lambda numbered: numbered[1][0] != "DataBegin", lines)]
     words = {line[0]: line[1] for line in head if len(line) == 2}
     for name, read in _READ.items():
         if words.get(name, read).lower() != read.lower():
@@ -47,9 +48,9 @@ def zemax_table(data: bytes) -> TextTable:
     _, incidence, azimuth, radial = lists = [_numbers(name, head) for name in _LISTS]
     if lists[0].size != 1:
         raise MeasurementFormatError("The Zemax BSDF file has several sample rotations; a material here is isotropic.")
-    values = zip(lines[begin + 1 :], at[begin + 1 :], strict=True)
-    cells = [(cell, number) for line, number in values if line[0] not in ("TIS", "DataEnd") for cell in line]
     wanted = incidence.size * azimuth.size * radial.size
+    check_size(wanted, len(_NAMES))
+    cells = [(cell, at) for at, line in lines if line[0] not in ("TIS", "DataEnd") for cell in line]
     if len(cells) != wanted:
         raise MeasurementFormatError(f"The Zemax BSDF file has {len(cells)} values, and its angles need {wanted}.")
     grid = np.meshgrid(*map(np.radians, (incidence, azimuth, radial)), indexing="ij")

@@ -126,7 +126,10 @@ FAULTS: dict[str, tuple[Make, str]] = {
         lambda data: data[:5_600_012] + struct.pack("<Q", 0x7FF0000000000001) + data[5_600_020:],
         "NaN or infinite",
     ),
-    "all zero": (lambda _: filled(0.0), "1111430 nodes above the horizon 0 have a value of at least 1e-08/sr at a theta_half above"),
+    "all zero": (
+        lambda _: filled(0.0),
+        "1111430 nodes above the horizon 0 have a value of at least 1e-08/sr at a theta_half above",
+    ),
     "another unit": (lambda data: scaled(data, 1e-30), "0 have a value of at least 1e-08/sr"),
     "JSON": (lambda _: json.dumps({"measurement": [1.0] * 1000}).encode(), "The data is JSON"),
     "PNG": (lambda _: b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(1000), "The data is a PNG image"),

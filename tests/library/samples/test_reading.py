@@ -235,7 +235,29 @@ NO_Z = table((*VECTORS[:5], "z", *CHANNELS), np.hstack([*spherical(ANGLES), RGB]
 WRONG = [
     (WORDS[0].encode(), "There are 0 samples; a fit needs at least "),
     ("\n".join(WORDS[:40]).encode(), "There are 39 samples; a fit needs at least 50."),
-    (table() + b"1;" * 70_000, "cannot be split into cells: one is longer than 131072 characters, or a quotation mark"),
+    (table() + b"1;" * 70_000, "Line 242 of the table has 140000 characters; it may have 131072."),
+    (table() + b"1," * 65_000, "Line 242 of the table has 65001 cells, and the line of names has 7"),
+    (b"theta_in," * 4097 + b"\n1", "The table has 4097 columns; it may have 4096."),
+    (
+        WORDS[0].encode() + b"\n,,,,,,\n" * 715_000,
+        "The table has 715000 rows of 7 cells, and it may have 5000000 cells",
+    ),
+    (WORDS[0].encode() + b"\na,b,c,d,e,f,g" * 100_000, "Line 22 of the table has 'a' in the column 'theta_in'"),
+    ((b"a," * 60_000 + b"\n") * 5 + table(), "has no line that names its columns"),
+    (
+        b"theta_out / theta_in" + b",1" * 1700 + b"\n" + (b"1" + b",1" * 1700 + b"\n") * 1000,
+        "The table has 1700000 rows of 3 cells, and it may have 5000000 cells",
+    ),
+    (
+        b"SampleRotation 1\n0\nAngleOfIncidence 99\n"
+        + b"1 " * 99
+        + b"\nScatterAzimuth 99\n"
+        + b"1 " * 99
+        + b"\nScatterRadial 99\n"
+        + b"1 " * 99
+        + b"\nDataBegin\n1 2 3 4\n",
+        "The table has 970299 rows of 7 cells, and it may have 5000000 cells",
+    ),
     (b"", "The table is empty and has no line that names its columns; it needs one such as theta_in, "),
     ("\n".join(WORDS[1:]).encode(), f"The table begins with '{WORDS[1]}' and has no line that names its columns"),
     (

@@ -1,7 +1,6 @@
 """Spreadsheets with samples: read as the same table in a text is, or refused with a sentence."""
 
 import io
-import struct
 import sys
 import zipfile
 from collections.abc import Callable, Sequence
@@ -66,38 +65,58 @@ def test_lines_in_errors_are_rows_of_the_sheet() -> None:
         parse_samples(spreadsheet(Data=[["a title"], NAMES, *rows]))
 
 
-def declared_longer(content: bytes, size: int) -> bytes:
-    """The archive, of which each part says that it is so long when unpacked."""
-    at = content.index(b"PK\x01\x02")
-    while at >= 0:
-        content = content[: at + 24] + struct.pack("<L", size) + content[at + 28 :]
-        at = content.find(b"PK\x01\x02", at + 4)
-    return content
-
-
-def without(content: bytes, part: str) -> bytes:
+def changed(content: bytes, part: str, now: bytes | None) -> bytes:
+    """The archive with another content of a part, or without it."""
     file = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(file, "w") as new:
+    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as new:
         for name in old.namelist():
             if name != part:
                 new.writestr(name, old.read(name))
+        if now is not None:
+            new.writestr(part, now)
     return file.getvalue()
 
 
 VALID_SPREADSHEET = spreadsheet(Data=[NAMES, *ROWS])
 
 
+NAMESPACE = b"http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+
+
+def with_sheet(rows: bytes) -> bytes:
+    whole = b'<worksheet xmlns="%b"><sheetData>%b</sheetData></worksheet>' % (NAMESPACE, rows)
+    return changed(VALID_SPREADSHEET, "xl/worksheets/sheet1.xml", whole)
+
+
+def with_long_string(rows: bytes) -> bytes:
+    """The sheet, whose cells may share a string of 32,000 characters."""
+    kind = b"application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"
+    types = zipfile.ZipFile(io.BytesIO(VALID_SPREADSHEET)).read("[Content_Types].xml")
+    more = b'<Override PartName="/xl/sharedStrings.xml" ContentType="%b"/></Types>' % kind
+    content = changed(with_sheet(rows), "[Content_Types].xml", types.replace(b"</Types>", more))
+    strings = b'<sst xmlns="%b"><si><t>%b</t></si></sst>' % (NAMESPACE, b"x" * 32_000)
+    return changed(content, "xl/sharedStrings.xml", strings)
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (lambda: declared_longer(VALID_SPREADSHEET, 1 << 30), "The spreadsheet is longer than"),
+        (lambda: with_sheet(b"<row>" + b"<c><v>1</v></c>" * 510_000 + b"</row>"), "has more than 500000 cells, or"),
+        (lambda: with_sheet(b" " * (1 << 26)), "or 67108864 bytes when it is unpacked; save its sheet as .csv."),
         (
-            lambda: without(VALID_SPREADSHEET, "xl/_rels/workbook.xml.rels"),
+            lambda: with_sheet(b'<row r="1"><c><v>1</v></c></row><row r="1048576000"><c><v>1</v></c></row>'),
+            "The sheet has more than 1048576 rows or 5000000 cells, empty ones between others included; save",
+        ),
+        (
+            lambda: changed(VALID_SPREADSHEET, "xl/_rels/workbook.xml.rels", None),
             "The spreadsheet cannot be read; save its sheet as .csv.",
         ),
-        (lambda: without(VALID_SPREADSHEET, "xl/workbook.xml"), "a table, in a text or in a spreadsheet"),
+        (lambda: changed(VALID_SPREADSHEET, "xl/workbook.xml", None), "a table, in a text or in a spreadsheet"),
         (lambda: VALID_SPREADSHEET[:2000], "a table, in a text or in a spreadsheet"),
-        (lambda: spreadsheet(Data=[["x" * 32_000] * 2100]), "The sheet has more than"),
+        (
+            lambda: with_long_string(b"<row>" + b'<c t="s"><v>0</v></c>' * 2100 + b"</row>"),
+            "The sheet has more than 67108864 characters",
+        ),
         (lambda: spreadsheet(Data=[]), "The table is empty"),
     ],
 )
