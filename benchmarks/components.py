@@ -17,12 +17,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_measurements
+from dsbrdf import ConvergenceWarning, Decomposition, decompose, fit, profiles
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import Decomposition, decompose
-from dsbrdf.data.reduction import profiles
-from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.pipeline import fit
+from dsbrdf.data import synthetic_measurement
 
 ROUGHNESSES = (0.03, 0.06, 0.1, 0.15, 0.35)
 GROUNDS = {"red": (0.40, 0.16, 0.10), "grey": (0.50, 0.50, 0.50), "dark": (0.10, 0.08, 0.06)}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dsbrdf.data.measurement import Measurement
+from dsbrdf import Measurement
 from tests.support.materials import glossy_plastic
 
 

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 from benchmarks.durability_series import concurrency, crashes, restores
 from benchmarks.durability_series.harness import Harness
-from dsbrdf.data.merl import write_merl
-from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf import write_merl
+from dsbrdf.data import synthetic_measurement
 
 _SHOWN = 10  # faults of a series
 

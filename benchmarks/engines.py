@@ -20,12 +20,9 @@ from pathlib import Path
 
 import httpx
 
-from dsbrdf.data.merl import write_merl
-from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, Fault, FitTask
-from dsbrdf.engines.local import LocalEngine
-from dsbrdf.fitting.options import FitOptions
+from dsbrdf import FitOptions, write_merl
+from dsbrdf.data import synthetic_measurement
+from dsbrdf.engines import DaskEngine, Engine, Fault, FitTask, LocalEngine
 from tests.support.dask_cluster import DaskCluster
 from tests.support.processes import wait_until
 from tests.support.server import Server

@@ -27,22 +27,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf import DSBRDF, ConvergenceWarning, Measurement, decompose, fit, render_sphere, save
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.errors import ConvergenceWarning
+from dsbrdf.data import half_difference, interpolate
 from dsbrdf.extras import require
-from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.materialx import fit_openpbr
 from dsbrdf.output.export.mitsuba_bsdf import register
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
-from dsbrdf.output.serialize import save
-from dsbrdf.pipeline import fit
-from dsbrdf.rendering.environment import THREE_LIGHTS
-from dsbrdf.rendering.image_metrics import displayed, exposure, psnr
-from dsbrdf.rendering.sphere import Source, render_sphere, sphere_normals
+from dsbrdf.rendering import THREE_LIGHTS, displayed, exposure, psnr, sphere_normals
+from dsbrdf.rendering.sphere import Source
 
 SIZE = 96  # pixels
 SAMPLES_PER_PIXEL_SIDE = 4

@@ -16,14 +16,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf import ConvergenceWarning, FitResult, Measurement, ScatteredSamples, fit
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import half_difference, spherical
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.report import FitResult
-from dsbrdf.pipeline import fit
-from dsbrdf.samples.scattered_samples import ScatteredSamples
+from dsbrdf.data import half_difference, interpolate, spherical
 
 Pairs = tuple[Array, Array]
 Truth = Callable[[Array, Array], Array]

@@ -15,12 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf import DSBRDF, ConvergenceWarning, decompose, fit
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.pipeline import fit
+from dsbrdf.data import half_difference
 
 ANGLE_STEP = float(np.radians(0.001))
 REACH = np.radians(np.linspace(-0.2, 0.2, 9))

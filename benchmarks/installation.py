@@ -14,8 +14,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from dsbrdf.data.merl import write_merl
-from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf import write_merl
+from dsbrdf.data import synthetic_measurement
 from tests.support.processes import ONE_CORE, free_port
 
 PROJECT = Path(__file__).parent.parent

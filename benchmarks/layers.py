@@ -15,12 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.errors import ConvergenceWarning
+from dsbrdf import ConvergenceWarning, decompose, fit, load, render_sphere
 from dsbrdf.output.export.materialx import fit_openpbr
-from dsbrdf.output.serialize import load
-from dsbrdf.pipeline import fit
-from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness
+from dsbrdf.rendering import LIGHTINGS, sphere_likeness
 
 HEADS = ("seconds", "numbers", "model", "", "layers", "", "OpenPBR", "", "seconds")
 QUANTILES = {"smallest": 0.0, "median": 0.5, "largest": 1.0}

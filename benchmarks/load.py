@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.data import FILE_SIZE
 from tests.support.server import QUICK
 
 _KEPT = 20  # fits that a program keeps for its evaluations

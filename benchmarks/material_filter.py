@@ -5,9 +5,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
-from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf import Measurement, read_merl
+from dsbrdf.data import synthetic_measurement
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
 

@@ -18,14 +18,10 @@ from typing import Any
 import numpy as np
 from cyclopts import App
 
+from dsbrdf import ConvergenceWarning, DSBRDFError, FitOptions, Measurement, fit, read_merl
 from dsbrdf.cli.parameters import DEFAULT, Flags
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
-from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.errors import ConvergenceWarning, DSBRDFError
-from dsbrdf.fitting.metrics import METRICS
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.pipeline import fit
+from dsbrdf.data import synthetic_measurement
+from dsbrdf.fitting import METRICS
 
 FIGURES = (*METRICS, "numbers", "seconds")
 DIGITS = {"psnr": 1, "numbers": 0, "seconds": 2}

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import Browser, Request
 
-from dsbrdf.data.merl import encode_merl
-from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.data import encode_merl, synthetic_measurement
 from tests.support.browser import new_context, running_browser
 from tests.support.server import QUICK, Server
 

@@ -22,16 +22,11 @@ import numpy as np
 
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_measurements
 from benchmarks.paper.ggx import fit_ggx
+from dsbrdf import DSBRDF, ConvergenceWarning, Measurement, fit, profiles, read_merl, render_sphere
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
-from dsbrdf.data.reduction import profiles
-from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.output.sphere_panels import compare_spheres
-from dsbrdf.pipeline import fit
-from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness
+from dsbrdf.rendering import LIGHTINGS, sphere_likeness
 
 FIT = "fit"
 GGX = "2 GGX"

@@ -14,10 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.exports import MIN_REFERENCE_VALUE, pairs
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.merl import encode_merl, parse_merl
-from dsbrdf.data.rgl_material import parse_rgl, read_rgl
+from dsbrdf import parse_merl
+from dsbrdf.data import encode_merl, half_difference, interpolate, parse_rgl, read_rgl
 from dsbrdf.output.export.rgl import rgl_bsdf
 
 

@@ -14,10 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf import DSBRDF, ConvergenceWarning, fit
 from dsbrdf.arrays import Array
-from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.pipeline import fit
 
 ANGLES = (0.0, 30.0, 60.0, 75.0, 80.0, 85.0, 87.0, 89.0)
 """theta_out [degrees]."""

@@ -14,15 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.pipeline import fit
+from dsbrdf import DSBRDF, ConvergenceWarning, FitOptions, Measurement, ScatteredSamples, fit
+from dsbrdf.data import half_difference, interpolate
 from dsbrdf.samples.bins import scattered_metrics
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
 LIMIT = 0.03

@@ -27,10 +27,9 @@ import numpy as np
 
 from benchmarks.durability_series.harness import Harness
 from benchmarks.http_load import PeakMemory, Rate, Row, at_once, get_repeatedly, load_generator, post, program
-from dsbrdf.data.merl import write_merl
-from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.output.serialize import from_json
+from dsbrdf import write_merl
+from dsbrdf.data import FILE_SIZE, synthetic_measurement
+from dsbrdf.output import from_json
 from tests.support.server import Server
 
 CONNECTIONS = 16

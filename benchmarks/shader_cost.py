@@ -17,12 +17,9 @@ import numpy as np
 
 from benchmarks.exports import pairs
 from benchmarks.material_filter import add_arguments, chosen_measurements
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.errors import ConvergenceWarning
+from dsbrdf import ConvergenceWarning, decompose, fit, render_sphere
 from dsbrdf.output.export.glsl import glsl_function
-from dsbrdf.pipeline import fit
-from dsbrdf.rendering.image_metrics import displayed, exposure, psnr
-from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from dsbrdf.rendering import displayed, exposure, psnr, sphere_normals
 from tests.support.webgl import ShaderCall, time_glsl
 
 SIZE = 128

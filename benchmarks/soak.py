@@ -24,8 +24,8 @@ from typing import NamedTuple
 
 from benchmarks.durability_series.harness import Harness
 from benchmarks.load import CLIENT_STEPS, Client, Tally
-from dsbrdf.data.merl import write_merl
-from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf import write_merl
+from dsbrdf.data import synthetic_measurement
 from tests.support.server import Server
 
 _OUT = Path("out")

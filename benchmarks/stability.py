@@ -14,13 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
+from dsbrdf import ConvergenceWarning, FitOptions, Measurement, decompose, fit
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.components.shares import LABELS
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.errors import ConvergenceWarning
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.pipeline import fit
+from dsbrdf.components import LABELS
 
 NOISE = 0.01
 CUTOFF = 76.0  # degrees

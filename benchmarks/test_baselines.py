@@ -6,9 +6,8 @@ import pytest
 from benchmarks.paper import ggx
 from benchmarks.paper.ggx import FINE_STRIDE, Nodes, Objective, fit_ggx, microfacet, samples
 from benchmarks.paper.table_interpolation import relative_rms, used_nodes
-from dsbrdf.data.grid import THETA_HALF, nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf import Measurement
+from dsbrdf.data import THETA_HALF, nodes_above_horizon, synthetic_measurement
 from tests.support.materials import polished_metal
 
 CUTOFF = float(np.radians(80.0))

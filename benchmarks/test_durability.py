@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.durability import SERIES, run
 from benchmarks.durability_series.harness import end_fitting_process
-from dsbrdf.data.merl import write_merl
+from dsbrdf import write_merl
 from tests.support.materials import glossy_plastic
 from tests.support.soak import SOAK
 

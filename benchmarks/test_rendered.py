@@ -4,8 +4,8 @@ import numpy as np
 
 from benchmarks.paper.ggx import GGXModel
 from benchmarks.rendered import phi_means
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
+from dsbrdf import Measurement
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
 
 
 def test_ggx_lobes_have_the_same_values_at_points_as_on_the_grid() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.truth import drawn, load_truth, save_truth
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import spherical
+from dsbrdf.data import spherical
 from tests.support.foreign_bsdfs import burley_diffuse, lambert, oren_nayar, principled_diffuse
 from tests.support.foreign_materials import CATALOGUE, Material
 from tests.support.foreign_truth import RULES, Truth, judged

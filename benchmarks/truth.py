@@ -16,10 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import dsbrdf
-from dsbrdf.data.geometry import directions
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.errors import ConvergenceWarning
+from dsbrdf import ConvergenceWarning, Measurement
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, directions, nodes_above_horizon
 from tests.support.foreign_bsdfs import Color, lambert, ward_duer
 from tests.support.foreign_materials import (
     CATALOGUE,

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import write_merl
+from dsbrdf import Measurement, write_merl
 from tests.support.dask_cluster import DaskCluster
 from tests.support.guarded import Guarded, new_key
 from tests.support.materials import glossy_plastic, matte_paint, polished_metal

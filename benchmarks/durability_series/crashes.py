@@ -21,7 +21,7 @@ from benchmarks.durability_series.harness import (
     temporary_files,
 )
 from benchmarks.durability_series.stateful_clients import OPTIONS, TWO_LOBE_FIT, StatefulClient, running_clients
-from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.data import FILE_SIZE
 from dsbrdf_service.storage.removal import purge
 from tests.support.server import Server
 

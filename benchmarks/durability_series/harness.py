@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import dsbrdf
-from dsbrdf.data.merl import read_merl
-from dsbrdf.output.serialize import from_json
+from dsbrdf import read_merl
+from dsbrdf.output import from_json
 from dsbrdf_service.queue.fit_options import from_wire
 from tests.support.processes import ONE_CORE
 from tests.support.server import Server

@@ -8,7 +8,7 @@ from pathlib import Path
 from benchmarks.paper.materials import STAND_INS, Failure, find_materials
 from benchmarks.paper.paper_figure import make
 from benchmarks.paper.report import FIGURES, write_report
-from dsbrdf.errors import DSBRDFError
+from dsbrdf import DSBRDFError
 from dsbrdf.process_settings import core_count
 
 _REPORT = "report"

@@ -8,12 +8,8 @@ from matplotlib.figure import Figure
 
 from benchmarks.paper import figure2, figure3, figure4, figure6, paper_figure
 from benchmarks.paper.materials import Material, fit_quietly
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import write_merl
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.figure_parts import encode_figure
-from dsbrdf.pipeline import fit
+from dsbrdf import FitOptions, FitResult, Measurement, fit, write_merl
+from dsbrdf.output import encode_figure
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from benchmarks.paper.materials import Computed, Material, Numbers, choose
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure
-from dsbrdf.data.grid import CHANNELS, THETA_HALF
-from dsbrdf.fitting.metrics import OUTSIDE_CENTER
+from dsbrdf.data import CHANNELS, THETA_HALF
+from dsbrdf.fitting import OUTSIDE_CENTER
 from dsbrdf.output.figure_parts import CHANNEL_COLOURS
 
 __all__ = ["FIGURE"]

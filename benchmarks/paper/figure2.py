@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 from benchmarks.paper.materials import Computed, Material, Numbers, choose
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
 from dsbrdf.paper.lobe_selection import LARGEST_AUTOMATIC
-from dsbrdf.rendering.image_metrics import exposure
-from dsbrdf.rendering.sphere import sphere_likeness, sphere_normals
+from dsbrdf.rendering import exposure, sphere_likeness, sphere_normals
 
 __all__ = ["FIGURE"]
 

@@ -8,11 +8,9 @@ from numpy.typing import NDArray
 
 from benchmarks.paper.materials import Computed, Material, Numbers, choose
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
-from dsbrdf.components.decomposition import Component, decompose
-from dsbrdf.components.shares import LABELS
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.rendering.image_metrics import exposure
-from dsbrdf.rendering.sphere import sphere_normals
+from dsbrdf import DSBRDF, Component, decompose
+from dsbrdf.components import LABELS
+from dsbrdf.rendering import exposure, sphere_normals
 
 __all__ = ["FIGURE", "saturation"]
 

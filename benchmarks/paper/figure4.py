@@ -20,12 +20,10 @@ from benchmarks.paper.paper_figure import (
     sphere,
     to_bytes,
 )
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.fitting.metrics import relative_errors, sample_errors
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.rendering.image_metrics import exposure
-from dsbrdf.rendering.sphere import sphere_normals
+from dsbrdf import DSBRDF, Measurement
+from dsbrdf.data import DEFAULT_HORIZON_CUTOFF
+from dsbrdf.fitting import relative_errors, sample_errors
+from dsbrdf.rendering import exposure, sphere_normals
 
 __all__ = ["FIGURE"]
 

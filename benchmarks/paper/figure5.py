@@ -8,13 +8,10 @@ from matplotlib.figure import Figure
 from benchmarks.paper.materials import Computed, Material, Numbers, choose, fit_quietly
 from benchmarks.paper.paper_figure import DEFAULT_COLOUR, PAPER_COLOUR, Claim, PaperFigure, Row, Verdict, new_figure
 from benchmarks.paper.table_interpolation import guided_table_error, means_over_phi, table_error, thinned
+from dsbrdf import DSBRDF, FitError, FitOptions, Measurement
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.errors import FitError
-from dsbrdf.fitting.metrics import relative_errors, sample_errors
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.data import DEFAULT_HORIZON_CUTOFF
+from dsbrdf.fitting import relative_errors, sample_errors
 from dsbrdf.pipeline import profiles_for
 
 __all__ = ["FACTORS", "FIGURE", "won"]

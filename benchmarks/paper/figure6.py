@@ -18,8 +18,7 @@ from scipy.stats import spearmanr
 from benchmarks.paper.materials import Computed, Material, Numbers
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure, sphere, to_bytes
 from dsbrdf.arrays import Array
-from dsbrdf.rendering.image_metrics import exposure
-from dsbrdf.rendering.sphere import sphere_normals
+from dsbrdf.rendering import exposure, sphere_normals
 
 __all__ = ["FIGURE", "embedding", "features", "nearest"]
 

@@ -23,11 +23,10 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares, nnls
 
 from benchmarks.paper.table_interpolation import used_nodes
+from dsbrdf import Measurement
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import incident_cosines
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.fitting.metrics import OUTSIDE_CENTER
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, incident_cosines
+from dsbrdf.fitting import OUTSIDE_CENTER
 
 __all__ = ["FINE_STRIDE", "GGXModel", "Nodes", "Objective", "fit_ggx", "microfacet", "samples"]
 

@@ -13,13 +13,12 @@ from matplotlib.figure import Figure
 
 from benchmarks.paper.materials import Computed, Material, Numbers, choose, fit_quietly
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
+from dsbrdf import DSBRDF, FitOptions
 from dsbrdf.arrays import Array, Evaluate
-from dsbrdf.data.grid import THETA_DIFF
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import fall_to_half, half_width
-from dsbrdf.rendering.image_metrics import exposure
-from dsbrdf.rendering.sphere import sphere_normals
+from dsbrdf.data import THETA_DIFF
+from dsbrdf.model import half_width
+from dsbrdf.model.lobes import fall_to_half
+from dsbrdf.rendering import exposure, sphere_normals
 
 __all__ = ["FIGURE", "between"]
 

@@ -17,14 +17,18 @@ from joblib import Memory, Parallel, delayed
 from joblib.externals.loky import get_reusable_executor  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import read_merl
-from dsbrdf.data.reduction import Profiles
-from dsbrdf.errors import ConvergenceWarning, DSBRDFError, InvalidArgumentError
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
-from dsbrdf.pipeline import fit
-from dsbrdf.version import ALGORITHM_VERSION
+from dsbrdf import (
+    ALGORITHM_VERSION,
+    ConvergenceWarning,
+    DSBRDFError,
+    FitOptions,
+    FitResult,
+    InvalidArgumentError,
+    Measurement,
+    Profiles,
+    fit,
+    read_merl,
+)
 
 __all__ = [
     "STAND_INS",

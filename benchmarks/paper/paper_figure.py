@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.paper.materials import Computed, Failure, Material, Measure, compute
+from dsbrdf import InvalidArgumentError, render_sphere
 from dsbrdf.data.files import write_atomically
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.output.figure_parts import encode_figure
-from dsbrdf.rendering.image_metrics import displayed
-from dsbrdf.rendering.sphere import Source, render_sphere, sphere_normals
+from dsbrdf.output import encode_figure
+from dsbrdf.rendering import displayed, sphere_normals
+from dsbrdf.rendering.sphere import Source
 
 __all__ = ["Claim", "Made", "PaperFigure", "Row", "Verdict", "draw_sphere", "make", "new_figure", "sphere", "to_bytes"]
 

@@ -15,8 +15,8 @@ from benchmarks.paper.figure6 import FIGURE as FIGURE_6
 from benchmarks.paper.interpolation import FIGURE as INTERPOLATION
 from benchmarks.paper.materials import Failure, Material
 from benchmarks.paper.paper_figure import Claim, Made, PaperFigure, make
+from dsbrdf import ALGORITHM_VERSION, __version__
 from dsbrdf.data.files import write_atomically
-from dsbrdf.version import ALGORITHM_VERSION, __version__
 
 __all__ = ["FIGURES", "page", "write_report"]
 

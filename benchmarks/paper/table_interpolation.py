@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dsbrdf import Measurement
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
-from dsbrdf.data.measurement import Measurement
+from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, THETA_HALF
 from dsbrdf.data.reduction import used_samples
-from dsbrdf.fitting.metrics import OUTSIDE_CENTER
+from dsbrdf.fitting import OUTSIDE_CENTER
 
 __all__ = [
     "RowPredictor",

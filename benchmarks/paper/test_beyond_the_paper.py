@@ -10,7 +10,7 @@ from benchmarks.paper import interpolation
 from benchmarks.paper.interpolation import between
 from benchmarks.paper.materials import Computed, Material
 from benchmarks.paper.paper_figure import make
-from dsbrdf.fitting.report import FitResult
+from dsbrdf import FitResult
 from dsbrdf.model.lobes import fall_to_half
 from tests.support.known_models import single_lobe
 

@@ -10,8 +10,7 @@ import pytest
 from benchmarks.paper import figure6
 from benchmarks.paper.materials import Computed, Material
 from benchmarks.paper.paper_figure import PaperFigure, make
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.report import FitResult
+from dsbrdf import FitResult, InvalidArgumentError
 
 needs_scikit_learn = pytest.mark.skipif(find_spec("sklearn") is None, reason='"scikit-learn" is not installed')
 

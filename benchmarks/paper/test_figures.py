@@ -11,15 +11,9 @@ from benchmarks.paper import figure1, figure2, figure3, figure4, figure5
 from benchmarks.paper.materials import Computed, Material, fit_quietly
 from benchmarks.paper.paper_figure import PaperFigure, make
 from benchmarks.paper.table_interpolation import thinned
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.data.geometry import above_horizon
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.rendering.sphere import render_sphere, sphere_likeness
+from dsbrdf import DSBRDF, FitOptions, FitResult, InvalidArgumentError, Measurement, decompose, render_sphere
+from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF, above_horizon
+from dsbrdf.rendering import sphere_likeness
 
 Fits = dict[str, FitResult]
 Lines = list[dict[str, str]]

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.paper import __main__ as command
 from benchmarks.paper import materials
 from benchmarks.paper.materials import Material
-from dsbrdf.fitting.report import FitResult
+from dsbrdf import FitResult
 
 
 def test_unreadable_measurement_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,8 +8,7 @@ import pytest
 
 from benchmarks.paper import materials as module
 from benchmarks.paper.materials import Failure, Material, Numbers, choose, compute, find_materials
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.report import FitResult
+from dsbrdf import FitResult, InvalidArgumentError
 
 _calls: list[str] = []
 

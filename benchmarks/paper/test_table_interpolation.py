@@ -10,10 +10,8 @@ from benchmarks.paper.table_interpolation import (
     table_error,
     thinned,
 )
-from dsbrdf.data.geometry import above_horizon
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import profiles
+from dsbrdf import Measurement, profiles
+from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF, above_horizon
 
 
 def test_every_nth_row_is_kept(plastic: Measurement) -> None:

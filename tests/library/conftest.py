@@ -4,11 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, profiles
-from dsbrdf.fitting.report import FitResult
+from dsbrdf import FitResult, Measurement, Profiles, fit, profiles
 from dsbrdf.model import sampling
-from dsbrdf.pipeline import fit
 
 
 @pytest.fixture(scope="session")

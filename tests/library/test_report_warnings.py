@@ -7,17 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, profiles
-from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.fitting.metrics import Metrics
-from dsbrdf.fitting.report import DirectionalAlbedo, FitResult, KnotReport
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import gamma_of_half_width
-from dsbrdf.pipeline import fit
-from dsbrdf.rendering.sphere import render_sphere
+from dsbrdf import DSBRDF, FitResult, Measurement, Profiles, decompose, fit, profiles, render_sphere
+from dsbrdf.data import THETA_DIFF, THETA_HALF, nodes_above_horizon, synthetic_measurement
+from dsbrdf.fitting import DirectionalAlbedo, KnotReport, Metrics
+from dsbrdf.model import gamma_of_half_width
 from dsbrdf.report_warnings import accuracy_warnings, fit_warnings
 from tests.support.known_models import single_lobe
 from tests.support.soak import repeats

@@ -20,7 +20,7 @@ from PIL import Image
 
 import dsbrdf
 from dsbrdf.cli import main as cli
-from dsbrdf.fitting.metrics import METRICS
+from dsbrdf.fitting import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
 from dsbrdf_service.settings import Settings

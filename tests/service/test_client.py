@@ -12,7 +12,7 @@ import httpx
 import pytest
 
 import dsbrdf
-from dsbrdf.engines.engine import FitTask
+from dsbrdf.engines import FitTask
 from dsbrdf_service.client import Client, ServiceError
 from dsbrdf_service.client_engine import ClientEngine
 from dsbrdf_service.queue.fit_options import canonical

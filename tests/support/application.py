@@ -18,10 +18,9 @@ from fastapi import FastAPI
 from starlette.types import Message
 
 import dsbrdf
-from dsbrdf.engines import processes
-from dsbrdf.engines.engine import OnProgress, run_step
-from dsbrdf.engines.processes import Processes
-from dsbrdf.output.serialize import to_json
+from dsbrdf.engines import OnProgress, Processes, processes
+from dsbrdf.engines.engine import run_step
+from dsbrdf.output import to_json
 from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.app import create_app
 from dsbrdf_service.queue.fit_options import to_wire

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dsbrdf.engines.engine import FitTask, OnProgress, Outcome
+from dsbrdf.engines import FitTask, OnProgress, Outcome
 from dsbrdf.engines.local import compute
 
 

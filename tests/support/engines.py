@@ -7,9 +7,7 @@ from contextlib import closing, contextmanager
 from typing import Any, TypeVar
 
 from dsbrdf import FitOptions
-from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Engine, FitLimits, FitTask, Outcome
-from dsbrdf.engines.local import LocalEngine
+from dsbrdf.engines import DaskEngine, Engine, FitLimits, FitTask, LocalEngine, Outcome
 from tests.support import endless_fit
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.launcher import ForkedProcess

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from dsbrdf import DSBRDF
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import random_directions
-from dsbrdf.model.dsbrdf import DSBRDF
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model, random_model
 

@@ -2,8 +2,8 @@
 
 from functools import cache
 
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf import Measurement
+from dsbrdf.data import synthetic_measurement
 
 
 @cache

@@ -4,17 +4,12 @@ from io import BytesIO
 
 import numpy as np
 
+from dsbrdf import DSBRDF, FitOptions, ScatteredSamples, fit, profiles
 from dsbrdf.arrays import Array
+from dsbrdf.data import CHANNELS, model_measurement
 from dsbrdf.data.geometry import random_directions
-from dsbrdf.data.grid import CHANNELS
-from dsbrdf.data.reduction import profiles
-from dsbrdf.data.synthetic import model_measurement
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import half_width
-from dsbrdf.pipeline import fit
+from dsbrdf.model import half_width
 from dsbrdf.samples.names import VECTORS
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 NOISE = 0.02
 """Relative standard deviation of every sample."""

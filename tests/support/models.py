@@ -4,8 +4,8 @@ from dataclasses import fields
 
 import numpy as np
 
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobe_families import LARGEST_CENTER
+from dsbrdf import DSBRDF
+from dsbrdf.model import LARGEST_CENTER
 from dsbrdf.model.splines import n_control_values
 
 TEXTS = ("interpolation", "lobe")

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf import DSBRDF
 
 KNOTS = np.radians([0.0, 30.0, 60.0, 80.0])
 SLICES = np.radians([5.0, 20.0, 47.0, 80.0])

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import dsbrdf
-from dsbrdf.data.merl import encode_merl
+from dsbrdf.data import encode_merl
 from tests.support.materials import glossy_plastic
 from tests.support.server import Server
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dsbrdf.output.export import FORMATS
+from dsbrdf.output import FORMATS
 from tests.support.server import QUICK, Server
 
 DOCS = Path(__file__).parents[2] / "docs" / "http.md"

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 import dsbrdf
-from dsbrdf.fitting.report import FitResult
+from dsbrdf import FitResult
 
 
 @pytest.fixture(scope="session")

@@ -16,18 +16,14 @@ import pytest
 from cyclopts import App
 
 import dsbrdf
+from dsbrdf import FitResult, load, read_merl
 from dsbrdf.cli import fit_command
 from dsbrdf.cli.parameters import DEFAULT, Flags
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.merl import read_merl
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, read_rgl
 from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
-from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.data.table_options import TableOptions, sentences_of
-from dsbrdf.engines import batch, local
-from dsbrdf.engines.batch import FileFit
-from dsbrdf.fitting.report import FitResult
+from dsbrdf.engines import FileFit, batch, local
 from dsbrdf.output.export.rgl import rgl_bsdf
-from dsbrdf.output.serialize import load
 from tests.support.command_line import QUICK, document, printed, run, sentence
 from tests.support.guarded import Guarded
 from tests.support.known_models import single_lobe

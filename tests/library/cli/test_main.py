@@ -11,11 +11,10 @@ from pathlib import Path
 import pytest
 
 import dsbrdf
-from dsbrdf import extras
+from dsbrdf import extras, save
 from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
-from dsbrdf.output.serialize import save
 from tests.support.command_line import QUICK, printed, run, sentence
 from tests.support.commands import start_in_vain
 from tests.support.mixtures import mixture, samples_table, scattered_samples

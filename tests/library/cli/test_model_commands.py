@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import dsbrdf
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.components.layers import SpecularLayer
-from dsbrdf.data.merl import read_merl
+from dsbrdf import FitResult, decompose, load, read_merl, render_sphere
+from dsbrdf.components import SpecularLayer
+from dsbrdf.fitting import SelectionStep
 from dsbrdf.fitting.lobe_search import SearchStep
-from dsbrdf.fitting.report import FitResult, SelectionStep
-from dsbrdf.output.export import export_model, part_of
-from dsbrdf.output.serialize import from_json, load
-from dsbrdf.rendering.image_metrics import displayed, exposure
-from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from dsbrdf.output import export_model, from_json
+from dsbrdf.output.export import part_of
+from dsbrdf.rendering import displayed, exposure, sphere_normals
 from tests.support.command_line import FEW_LOBES, document, printed, run, sentence
 from tests.support.mixtures import samples_table, scattered_samples
 from tests.support.random_models import random_model

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf.data.merl import read_merl
-from dsbrdf.output.serialize import load, load_result
+from dsbrdf import load, load_result, read_merl
 from dsbrdf.samples.names import VECTORS
 from tests.library.samples.test_layouts import LAYOUTS, MIRROR_60, REFUSED
 from tests.support.command_line import document, printed, run

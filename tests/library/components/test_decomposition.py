@@ -7,15 +7,10 @@ import pytest
 from scipy.integrate import quad
 
 import dsbrdf
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.components.layers import SpecularLayer
-from dsbrdf.components.shares import LABELS
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf import DSBRDF, InvalidArgumentError, Measurement, decompose
+from dsbrdf.components import LABELS, SpecularLayer
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, synthetic_measurement
+from dsbrdf.model import FAMILIES
 from tests.support.known_models import single_lobe
 from tests.support.random_models import random_model
 from tests.support.soak import repeats

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import dsbrdf
+from dsbrdf import Decomposition
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import Decomposition
-from dsbrdf.components.shares import LABELS
-from dsbrdf.data.geometry import directions
-from dsbrdf.model.reflectance import ReflectanceModel
+from dsbrdf.components import LABELS
+from dsbrdf.data import directions
+from dsbrdf.model import ReflectanceModel
 from tests.support.foreign_bsdfs import conductor
 from tests.support.foreign_materials import CATALOGUE, Material
 from tests.support.foreign_truth import Judgement, Truth, judged

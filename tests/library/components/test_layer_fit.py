@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.components.layer_data import layer_data
 from dsbrdf.components.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
-from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.components.structures import STRUCTURES
 
 

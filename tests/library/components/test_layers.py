@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import quad
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.components.points import Points
-from dsbrdf.data.geometry import directions, spherical
+from dsbrdf.data import directions, spherical
 
 KINDS: list[tuple[type[Layer], int]] = [(SpecularLayer, 10), (DiffuseLayer, 9), (SheenLayer, 5), (RetroLayer, 4)]
 F0 = (0.9, 0.6, 0.2)

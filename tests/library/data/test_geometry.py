@@ -4,8 +4,9 @@ from mpmath import cos as mp_cos  # type: ignore[import-untyped]
 from mpmath import mp, mpf
 from mpmath import sin as mp_sin
 
-from dsbrdf.data.geometry import check_directions, directions, half_difference
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf import InvalidArgumentError
+from dsbrdf.data import directions, half_difference
+from dsbrdf.data.geometry import check_directions
 
 
 def exact_directions(

@@ -5,10 +5,8 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import binary_erosion
 
-from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf import InvalidArgumentError, Measurement
+from dsbrdf.data import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, interpolate
 
 Angles = tuple[np.ndarray, np.ndarray, np.ndarray]
 

@@ -8,13 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dsbrdf import Measurement, MeasurementFormatError, parse_merl, read_merl, write_merl
+from dsbrdf.data import (
+    CHANNELS,
+    FILE_SIZE,
+    GRID_SHAPE,
+    PHI_DIFF,
+    THETA_DIFF,
+    THETA_HALF,
+    directions,
+    encode_merl,
+    nodes_above_horizon,
+)
 from dsbrdf.data.files import write_atomically
-from dsbrdf.data.geometry import directions
-from dsbrdf.data.grid import CHANNELS, GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import encode_merl, map_merl, parse_merl, read_merl, write_merl
-from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.data.merl import map_merl
 from tests.support.merl_files import ABOVE, BELOW, HEADER, position, with_values
 
 

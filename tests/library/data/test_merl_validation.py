@@ -16,10 +16,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
-from dsbrdf.data.merl import parse_merl, read_merl
-from dsbrdf.data.merl_validation import FILE_SIZE, SCALE, MerlChecker
-from dsbrdf.errors import MeasurementFormatError
+from dsbrdf import MeasurementFormatError, parse_merl, read_merl
+from dsbrdf.data import FILE_SIZE, GRID_SHAPE, nodes_above_horizon
+from dsbrdf.data.merl_validation import SCALE, MerlChecker
 from tests.support.merl_files import ABOVE, BELOW, HEADER, NODES, filled, header, with_values
 from tests.support.points import npy
 from tests.support.strategies import SPECIAL, examples

@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dsbrdf import InvalidArgumentError, Measurement, Profiles, profiles
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import directions
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import IN_BIN, N_BINS, Profiles, profiles
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF, directions
+from dsbrdf.data.reduction import IN_BIN, N_BINS
 
 CELLS = [(0, 0), (0, 30), (30, 0), (40, 33), (55, 60), (10, 85), (60, 75), (89, 10), (35, 80)]
 """Indices (theta_half, theta_diff) at which loops are run: the normal, the horizon, grazing and in between."""

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.data.geometry import spherical
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf import MeasurementFormatError
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, parse_rgl, read_rgl, spherical
 from dsbrdf.data.rgl_file import Warp, encode_tensors, parse_tensors
-from dsbrdf.data.rgl_material import parse_rgl, read_rgl
-from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.output.export.rgl import rgl_bsdf
 from tests.support.known_models import pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant

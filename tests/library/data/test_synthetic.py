@@ -3,12 +3,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF, nodes_above_horizon
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.synthetic import model_measurement, synthetic_measurement
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.albedo import directional_albedo
+from dsbrdf import InvalidArgumentError, Measurement
+from dsbrdf.data import (
+    THETA_DIFF,
+    THETA_HALF,
+    interpolate,
+    model_measurement,
+    nodes_above_horizon,
+    synthetic_measurement,
+)
+from dsbrdf.model import directional_albedo
 from tests.support.random_models import random_model
 
 

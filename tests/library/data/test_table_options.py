@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import dsbrdf
+from dsbrdf import InvalidArgumentError, MeasurementFormatError, ScatteredSamples
 from dsbrdf.data.table_options import TableOptions
-from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from dsbrdf.samples.reading import parse_samples
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 from tests.library.samples.test_reading import ANGLES, COUNT, GREY, RGB, check_same, table
 
 DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")

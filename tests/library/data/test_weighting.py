@@ -7,8 +7,9 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import FoldedProfiles, Profiles
+from dsbrdf import Profiles
+from dsbrdf.data import THETA_DIFF, THETA_HALF
+from dsbrdf.data.reduction import FoldedProfiles
 from dsbrdf.data.weighting import bin_weights, seen_weight
 from dsbrdf.fitting.options import Weighting
 

@@ -11,12 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf import FitOptions
+from dsbrdf import FitOptions, load
 from dsbrdf.cli import main as cli
-from dsbrdf.engines import batch, local
-from dsbrdf.engines.batch import FileFit, fit_files
-from dsbrdf.engines.local import LocalEngine
-from dsbrdf.output.serialize import load
+from dsbrdf.engines import FileFit, LocalEngine, batch, fit_files, local
 from tests.support import endless_fit
 from tests.support.crashing_tasks import compute_unless_named_one
 from tests.support.dask_cluster import forked

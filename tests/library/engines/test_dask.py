@@ -14,9 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf.engines import dask
-from dsbrdf.engines.dask import DaskEngine
-from dsbrdf.engines.engine import Fault, FitDocument, FitTask
+from dsbrdf.engines import DaskEngine, Fault, FitDocument, FitTask, dask
 from dsbrdf.version import Versions, versions
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (

@@ -15,13 +15,10 @@ from pathlib import Path
 import pytest
 
 import dsbrdf
-from dsbrdf import FitOptions
-from dsbrdf.engines.engine import Fault, FitDocument, FitLimits, FitTask
-from dsbrdf.engines.local import LocalEngine
-from dsbrdf.fitting.report import FitResult
-from dsbrdf.output.serialize import result_from_json, to_json
+from dsbrdf import FitOptions, FitResult, read_measurement
+from dsbrdf.engines import Fault, FitDocument, FitLimits, FitTask, LocalEngine
+from dsbrdf.output import result_from_json, to_json
 from dsbrdf.output.sphere_panels import thumbnail
-from dsbrdf.samples.measurement_files import read_measurement
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (
     ENDLESS,

@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from dsbrdf.engines.engine import MEMORY_LIMIT, Fault, FitLimits, OnProgress
-from dsbrdf.engines.processes import Processes
+from dsbrdf.engines import Fault, FitLimits, OnProgress, Processes
+from dsbrdf.engines.engine import MEMORY_LIMIT
 from tests.support.crashing_tasks import (
     address_space,
     die,

@@ -4,10 +4,8 @@ from dataclasses import asdict
 
 import pytest
 
-from dsbrdf.data.grid import nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.pipeline import fit
+from dsbrdf import Measurement, fit
+from dsbrdf.data import nodes_above_horizon, synthetic_measurement
 
 
 @pytest.fixture(scope="module")

@@ -6,21 +6,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dsbrdf import (
+    DSBRDF,
+    ConvergenceWarning,
+    FitError,
+    FitOptions,
+    FitResult,
+    Measurement,
+    MeasurementFormatError,
+    Profiles,
+    fit,
+    profiles,
+)
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, profiles
-from dsbrdf.data.synthetic import model_measurement
-from dsbrdf.errors import ConvergenceWarning, FitError, MeasurementFormatError
-from dsbrdf.fitting import global_method
+from dsbrdf.data import CHANNELS, THETA_DIFF, THETA_HALF, model_measurement
+from dsbrdf.fitting import METRICS, Metrics, global_method, relative_errors, sample_errors
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem
-from dsbrdf.fitting.metrics import METRICS, Metrics, relative_errors, sample_errors
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
 from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Structure
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobes import half_width
-from dsbrdf.pipeline import fit, profiles_for
+from dsbrdf.model import half_width
+from dsbrdf.pipeline import profiles_for
 from dsbrdf.version import versions
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes

@@ -7,11 +7,10 @@ import pytest
 from scipy.optimize import least_squares
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.structure import ELONGATION_BOUNDS, REACH_BOUNDS, Mixture, Structure, mixture_model
-from dsbrdf.model.lobe_families import FAMILIES
-from dsbrdf.model.lobes import half_width
+from dsbrdf.model import FAMILIES, half_width
 
 ROWS = np.arange(0, 80, 9)
 COLUMNS = np.array([0, 6, 14, 22, 30, 45, 60, 75])

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf import DSBRDF
+from dsbrdf.data import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem
 from dsbrdf.fitting.lobe_search import MAX_SEARCHED_LOBES, SearchStep, Wanted, search
 from dsbrdf.fitting.structure import Mixture, Structure
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobe_families import FAMILIES
-from dsbrdf.model.lobes import gamma_of_half_width
+from dsbrdf.model import FAMILIES, gamma_of_half_width
 
 KNOTS = np.radians([0.0, 40.0, 70.0, 89.0])
 ROWS = np.array([0, 12, 24, 36, 48, 60, 70, 76, 82])

@@ -5,23 +5,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dsbrdf import DSBRDF, InvalidArgumentError, Measurement
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.synthetic import model_measurement
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.metrics import (
-    ALBEDO_ANGLES,
-    METRICS,
-    RelativeErrors,
-    error_tables,
-    relative_errors,
-    sample_errors,
-    sample_metrics,
-)
-from dsbrdf.model.albedo import directional_albedo
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF, interpolate, model_measurement
+from dsbrdf.fitting import METRICS, relative_errors, sample_errors
+from dsbrdf.fitting.metrics import ALBEDO_ANGLES, RelativeErrors, error_tables, sample_metrics
+from dsbrdf.model import directional_albedo
 
 HALF, DIFF, PHI = np.meshgrid(THETA_HALF, THETA_DIFF, PHI_DIFF, indexing="ij")
 COS_IN = np.cos(HALF) * np.cos(DIFF) - np.sin(HALF) * np.sin(DIFF) * np.cos(PHI)

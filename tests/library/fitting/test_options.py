@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.options import MAX_RING_LOBES, FitOptions
+from dsbrdf import FitOptions, InvalidArgumentError
+from dsbrdf.fitting.options import MAX_RING_LOBES
 
 KNOTS = "knots_deg must be at least two increasing whole numbers from 0 to 89"
 CUTOFF = "horizon_cutoff_deg must be a number above 0 and at most 90"

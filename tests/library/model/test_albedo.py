@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dsbrdf import DSBRDF, white_furnace
 from dsbrdf.arrays import Array, Evaluate
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.furnace import white_furnace
-from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf.data import half_difference
+from dsbrdf.model import FAMILIES
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture
 

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import directions, half_difference, incident_cosines
-from dsbrdf.data.grid import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf.data import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, directions, half_difference, incident_cosines
+from dsbrdf.model import FAMILIES
 from tests.support.known_models import pairs_of_directions, single_lobe
 from tests.support.random_models import SLICES, papers_model, random_model
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from dsbrdf import DSBRDF
 from dsbrdf.arrays import Array
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf.model import FAMILIES
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.splines import n_control_values
 from tests.support.known_models import single_lobe

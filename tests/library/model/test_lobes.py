@@ -6,17 +6,8 @@ import mpmath  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 
-from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
-from dsbrdf.model.lobes import (
-    GRAZING_COSINE,
-    gamma_of_half_width,
-    half_width,
-    lobe_curves,
-    lobe_values,
-    log_cosine,
-    reach_of_width,
-    width_of_reach,
-)
+from dsbrdf.model import FAMILIES, LARGEST_CENTER, gamma_of_half_width, half_width
+from dsbrdf.model.lobes import GRAZING_COSINE, lobe_curves, lobe_values, log_cosine, reach_of_width, width_of_reach
 
 Number = Any  # mpmath has no types
 

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import directions, spherical
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.data import directions, spherical
 from dsbrdf.model.sampling import LEAST_COSINE_SHARE, direction_sampler
 from tests.support.known_models import MODELS, single_lobe
 from tests.support.random_models import random_model

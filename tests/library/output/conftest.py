@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from dsbrdf import DSBRDF
+from dsbrdf import DSBRDF, FitOptions, FitReport
+from dsbrdf.fitting import DirectionalAlbedo, KnotReport, Metrics, SelectionStep
 from dsbrdf.fitting.lobe_search import SearchStep
-from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, KnotReport, SelectionStep
+from dsbrdf.fitting.metrics import BandErrors, ChannelErrors
 from dsbrdf.version import Versions
 from tests.support.models import make_model
 

@@ -16,14 +16,10 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from PIL import Image
 
-from dsbrdf import extras
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.data.geometry import above_horizon
-from dsbrdf.data.grid import CHANNELS, THETA_DIFF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.output.figure_parts import encode_figure, log_ticks
+from dsbrdf import InvalidArgumentError, Measurement, Profiles, decompose, extras, render_sphere
+from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon
+from dsbrdf.output import encode_figure
+from dsbrdf.output.figure_parts import log_ticks
 from dsbrdf.output.figures import lobes_figure, overview_figure, profiles_figure
 from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.report_text import lobes_in_channel
@@ -35,8 +31,7 @@ from dsbrdf.output.sphere_panels import (
     encode_png,
     side_by_side,
 )
-from dsbrdf.rendering.image_metrics import displayed
-from dsbrdf.rendering.sphere import render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.rendering import displayed, sphere_likeness, sphere_normals
 from tests.support.known_models import single_lobe
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles
-from dsbrdf.fitting.report import FitResult
+from dsbrdf import FitResult, Measurement, Profiles
 from dsbrdf.notebook_display import register
 from dsbrdf.output.notebook import html as html_of
 

@@ -9,10 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import dsbrdf
-from dsbrdf.data.geometry import half_difference, spherical
-from dsbrdf.fitting.report import FitResult
+from dsbrdf import FitResult, ScatteredSamples
+from dsbrdf.data import half_difference, spherical
 from dsbrdf.output.sample_figures import NEAR, samples_figure, samples_residual_figure
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 pytestmark = pytest.mark.slow
 

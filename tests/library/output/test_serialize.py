@@ -13,24 +13,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dsbrdf
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.errors import InvalidArgumentError, ModelFormatError
-from dsbrdf.fitting.metrics import Metrics
-from dsbrdf.fitting.report import FitReport, FitResult
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.serialize import (
-    fit_from_json,
-    from_json,
-    layers_to_json,
+from dsbrdf import (
+    DSBRDF,
+    FitReport,
+    FitResult,
+    InvalidArgumentError,
+    ModelFormatError,
+    decompose,
     load,
     load_result,
-    model_from_dict,
-    model_to_dict,
-    report_from_dict,
-    result_from_json,
     save,
-    to_json,
 )
+from dsbrdf.fitting import Metrics
+from dsbrdf.output import fit_from_json, from_json, result_from_json, to_json
+from dsbrdf.output.serialize import layers_to_json, model_from_dict, model_to_dict, report_from_dict
 from tests.support.known_models import single_lobe
 from tests.support.models import ARRAYS, TEXTS, assert_same_bits, make_model
 from tests.support.random_models import random_model

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
+from dsbrdf import Measurement, Profiles, profiles
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.paper import em
 from tests.support.known_models import plain_lobe
 from tests.support.soak import repeats

@@ -6,22 +6,12 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy import stats
 
+from dsbrdf import FitOptions, Profiles, fit
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import THETA_HALF
-from dsbrdf.data.reduction import Profiles
-from dsbrdf.fitting.metrics import OUTSIDE_CENTER
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import SelectionStep
-from dsbrdf.paper import em
-from dsbrdf.paper.lobe_selection import (
-    BACKGROUND,
-    WilliamsRow,
-    choose_n_lobes,
-    expected_negative_log_probability,
-    williams_critical_value,
-    williams_test,
-)
-from dsbrdf.pipeline import fit
+from dsbrdf.data import THETA_HALF
+from dsbrdf.fitting import OUTSIDE_CENTER, SelectionStep
+from dsbrdf.paper import WilliamsRow, em, williams_critical_value, williams_test
+from dsbrdf.paper.lobe_selection import BACKGROUND, choose_n_lobes, expected_negative_log_probability
 from tests.support.known_models import plain_lobe
 
 ANGLES = THETA_HALF[OUTSIDE_CENTER]

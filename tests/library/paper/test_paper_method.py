@@ -4,17 +4,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dsbrdf import (
+    DSBRDF,
+    ConvergenceWarning,
+    FitError,
+    FitOptions,
+    FitResult,
+    InvalidArgumentError,
+    Measurement,
+    Profiles,
+    fit,
+    profiles,
+)
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.reduction import Profiles, profiles
-from dsbrdf.data.synthetic import model_measurement
-from dsbrdf.errors import ConvergenceWarning, FitError, InvalidArgumentError
-from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.paper.paper_method import PAPER_SLICES
-from dsbrdf.pipeline import fit
+from dsbrdf.data import THETA_DIFF, THETA_HALF, model_measurement
+from dsbrdf.paper import PAPER_SLICES
 
 pytestmark = pytest.mark.slow
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf import read_environment
-from dsbrdf.errors import ImageFormatError
+from dsbrdf import ImageFormatError, read_environment
 from tests.support.mitsuba_variants import mitsuba_variant
 
 PANORAMA = np.random.default_rng(0).uniform(0.5, 1.0, (64, 128, 3)).astype(np.float32)

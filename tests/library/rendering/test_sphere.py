@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
-from dsbrdf.data.geometry import half_difference, incident_cosines
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.errors import ImageFormatError, InvalidArgumentError
-from dsbrdf.rendering.environment import SUN, THREE_LIGHTS, EnvironmentMap, Light, environment_radiance
-from dsbrdf.rendering.image_metrics import displayed, exposure, psnr, ssim
-from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_normals
+from dsbrdf import EnvironmentMap, ImageFormatError, InvalidArgumentError, Measurement, render_sphere
+from dsbrdf.data import half_difference, incident_cosines, interpolate
+from dsbrdf.rendering import LIGHTINGS, THREE_LIGHTS, displayed, exposure, psnr, sphere_normals, ssim
+from dsbrdf.rendering.environment import SUN, Light, environment_radiance
 
 ALBEDO = np.array([0.8, 0.5, 0.2])
 Evaluate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dsbrdf import MeasurementFormatError, read_measurement
 from dsbrdf.arrays import Array
-from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.measurement_files import read_measurement
 from dsbrdf.samples.reading import is_table, read_samples
 
 MIRROR_60 = 0.48

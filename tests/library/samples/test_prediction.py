@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from dsbrdf import ScatteredSamples
 from dsbrdf.arrays import Array
-from dsbrdf.components.layers import SpecularLayer
+from dsbrdf.components import SpecularLayer
 from dsbrdf.components.structures import STRUCTURES
-from dsbrdf.data.geometry import half_difference, spherical
+from dsbrdf.data import half_difference, spherical
 from dsbrdf.samples.prediction import SamplePrediction
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 
 def highlight(theta_half: Array, *_: Array) -> Array:

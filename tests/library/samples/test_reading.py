@@ -8,14 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dsbrdf import MeasurementFormatError, ScatteredSamples, read_measurement
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.data.grid import CHANNELS
-from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.measurement_files import read_measurement
+from dsbrdf.data import CHANNELS, half_difference
 from dsbrdf.samples.names import is_known
 from dsbrdf.samples.reading import parse_samples
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 COUNT = 240
 _RANDOM = np.random.default_rng(5)

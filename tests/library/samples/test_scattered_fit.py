@@ -4,16 +4,12 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.metrics import Metrics
-from dsbrdf.fitting.options import FitOptions
+from dsbrdf import FitOptions, InvalidArgumentError, ScatteredSamples
+from dsbrdf.data import THETA_DIFF, THETA_HALF, half_difference, synthetic_measurement
+from dsbrdf.fitting import Metrics
 from dsbrdf.report_warnings import sample_warnings
 from dsbrdf.samples.bins import predicted_profiles, sample_rows, scattered_metrics
 from dsbrdf.samples.prediction import SamplePrediction
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.units import sample_units
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from dsbrdf import MeasurementFormatError
 from dsbrdf.arrays import Array
-from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.reading import parse_samples
 from dsbrdf.samples.spectra import linear_srgb
 from tests.library.samples.test_reading import ANGLES, COUNT, GREY, check_same, table

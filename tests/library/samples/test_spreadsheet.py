@@ -11,11 +11,9 @@ import numpy as np
 import openpyxl
 import pytest
 
-from dsbrdf.errors import MeasurementFormatError
+from dsbrdf import MeasurementFormatError, ScatteredSamples, read_measurement
 from dsbrdf.extras import MissingExtraError
-from dsbrdf.samples.measurement_files import read_measurement
 from dsbrdf.samples.reading import parse_samples
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 from tests.library.samples.test_reading import ANGLES, DIRECTION, RGB, table
 
 NAMES = (*DIRECTION, "red", "green", "blue")

@@ -14,7 +14,7 @@ import httpx
 import pytest
 
 from dsbrdf.cli.main import main
-from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.data import FILE_SIZE
 from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.admin import doctor, purge
 from dsbrdf_service.storage.blobs import Blobs

@@ -3,7 +3,7 @@
 import pytest
 
 from dsbrdf import DSBRDF
-from dsbrdf.output.serialize import from_json
+from dsbrdf.output import from_json
 from tests.support.server import Server
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.components.shares import LABELS
-from dsbrdf.output.serialize import fit_from_json, layers_to_json, to_json
+from dsbrdf.components import LABELS
+from dsbrdf.output import fit_from_json, to_json
+from dsbrdf.output.serialize import layers_to_json
 from dsbrdf_service.compute.models import LoadedFit
 from dsbrdf_service.errors import ProblemError
 from tests.support.server import Server, assert_problem

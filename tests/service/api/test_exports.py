@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data.merl import parse_merl
-from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf.output.export import FORMATS, export_model, part_of
-from dsbrdf.output.serialize import from_json
+from dsbrdf import parse_merl
+from dsbrdf.data import FILE_SIZE
+from dsbrdf.output import FORMATS, export_model, from_json
+from dsbrdf.output.export import part_of
 from tests.support.models import assert_same_bits
 from tests.support.server import QUICK, Server, assert_problem
 

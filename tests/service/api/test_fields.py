@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf import InvalidArgumentError
 from dsbrdf_service.api.fields import parse_document
 from dsbrdf_service.api.fits import NewName
 from dsbrdf_service.api.points import from_json

@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 import dsbrdf
-from dsbrdf.data.merl import encode_merl
+from dsbrdf.data import encode_merl
 from dsbrdf.output.serialize import model_from_dict
 from tests.support.models import assert_same_bits
 from tests.support.processes import alive, wait_until

@@ -2,8 +2,7 @@
 
 import pytest
 
-from dsbrdf import FitOptions
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf import FitOptions, InvalidArgumentError
 from dsbrdf_service.client import Client
 from dsbrdf_service.http.names import content_disposition, given_name
 from tests.support.server import QUICK, Server, assert_problem

@@ -3,8 +3,7 @@
 import hashlib
 
 import dsbrdf
-from dsbrdf.data.merl import encode_merl
-from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.data import FILE_SIZE, encode_merl
 from tests.support.server import Server, assert_problem
 
 

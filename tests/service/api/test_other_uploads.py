@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data.merl import encode_merl
+from dsbrdf.data import encode_merl, parse_rgl
 from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
-from dsbrdf.data.rgl_material import parse_rgl
-from dsbrdf.output.export import export_model
-from dsbrdf.output.serialize import from_json
+from dsbrdf.output import export_model, from_json
 from dsbrdf.samples.reading import parse_samples
 from tests.library.samples.test_spreadsheet import spreadsheet
 from tests.support.mixtures import mixture, samples_table, scattered_samples

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.merl import parse_merl
-from dsbrdf.output.serialize import from_json
-from dsbrdf.rendering.image_metrics import displayed, exposure
-from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from dsbrdf import Measurement, parse_merl, render_sphere
+from dsbrdf.data import interpolate
+from dsbrdf.output import from_json
+from dsbrdf.rendering import displayed, exposure, sphere_normals
 from dsbrdf_service.http.static_files import STATIC_FILES
 from tests.support.guarded import Guarded
 from tests.support.points import npy

@@ -11,11 +11,10 @@ from PIL import Image
 from starlette.requests import Request
 
 import dsbrdf
+from dsbrdf import EnvironmentMap
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
-from dsbrdf.rendering.environment import EnvironmentMap
-from dsbrdf.rendering.image_metrics import displayed, exposure
-from dsbrdf.rendering.sphere import sphere_normals
+from dsbrdf.rendering import displayed, exposure, sphere_normals
 from dsbrdf_service.http.problems import KINDS, problem_of
 from dsbrdf_service.http.responses import NPY
 from tests.support.points import npy

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF
-from dsbrdf.output.serialize import from_json
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.output import from_json
 from dsbrdf_service.http.responses import NPY
 from tests.support.known_models import pairs_of_directions
 from tests.support.points import npy

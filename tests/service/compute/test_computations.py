@@ -15,7 +15,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.types import Message
 
 from dsbrdf.components import decomposition
-from dsbrdf.engines.engine import FitLimits
+from dsbrdf.engines import FitLimits
 from dsbrdf_service.access.authentication import CALLER_NAME
 from dsbrdf_service.api import exports, pictures, uploads, values
 from dsbrdf_service.compute import steps

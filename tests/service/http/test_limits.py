@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing, suppress
 import httpx
 import pytest
 
-from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.data import FILE_SIZE
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, Server, assert_problem

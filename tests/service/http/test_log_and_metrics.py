@@ -19,8 +19,7 @@ import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from dsbrdf.engines.engine import Fault, FitLimits
-from dsbrdf.engines.processes import Processes
+from dsbrdf.engines import Fault, FitLimits, Processes
 from dsbrdf_service.log import LineFormatter, LogWriter, bind
 from dsbrdf_service.storage.database import FILE_NAME
 from tests.support.processes import free_port, wait_until

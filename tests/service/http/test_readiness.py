@@ -12,7 +12,7 @@ from typing import cast
 
 import pytest
 
-from dsbrdf.engines.engine import Engine
+from dsbrdf.engines import Engine
 from dsbrdf_service.http import readiness
 from dsbrdf_service.http.readiness import Readiness
 from dsbrdf_service.settings import Settings

@@ -23,10 +23,9 @@ import pytest
 from starlette.requests import Request
 from starlette.types import Message
 
-from dsbrdf.data.merl import parse_merl
-from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf.output.export import export_model
-from dsbrdf.output.serialize import from_json
+from dsbrdf import parse_merl
+from dsbrdf.data import FILE_SIZE
+from dsbrdf.output import export_model, from_json
 from dsbrdf_service.http.request_body import decoded
 from tests.support.guarded import new_key
 from tests.support.merl_files import filled, with_value

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import pytest
 
 import dsbrdf
-from dsbrdf.engines.engine import NOT_STARTED, Fault, FitDocument, FitTask, Outcome
-from dsbrdf.output.serialize import to_json
+from dsbrdf.engines import Fault, FitDocument, FitTask, Outcome
+from dsbrdf.engines.engine import NOT_STARTED
+from dsbrdf.output import to_json
 from dsbrdf_service.compute.models import ModelCache
 from dsbrdf_service.errors import FitNotFoundError
 from dsbrdf_service.http.metrics import Metrics

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import dsbrdf
-from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf.data import FILE_SIZE
 from dsbrdf_service.errors import (
     DatabaseLostError,
     DataFolderError,

@@ -10,12 +10,11 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.output.export import export_model
+from dsbrdf import InvalidArgumentError, decompose
+from dsbrdf.data import half_difference
+from dsbrdf.output import export_model
 from dsbrdf.output.export.examples import example
-from dsbrdf.rendering.image_metrics import displayed
+from dsbrdf.rendering import displayed
 from tests.support.known_models import MODELS, pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl

@@ -8,18 +8,15 @@ import numpy as np
 import pytest
 
 import dsbrdf
+from dsbrdf import FitReport, FitResult, InvalidArgumentError, decompose, parse_merl, render_sphere
 from dsbrdf.arrays import Evaluate
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.components.layers import DiffuseLayer, LayeredModel, SpecularLayer
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.data.merl import parse_merl
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.report import FitReport, FitResult
-from dsbrdf.output.export import FORMATS, export_model, materialx
+from dsbrdf.components import DiffuseLayer, LayeredModel, SpecularLayer
+from dsbrdf.data import half_difference
+from dsbrdf.output import FORMATS, export_model
+from dsbrdf.output.export import materialx
 from dsbrdf.output.export.materialx import FoundSurface, fit_openpbr
 from dsbrdf.output.export.openpbr import OpenPBR
-from dsbrdf.rendering.image_metrics import displayed, exposure
-from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.rendering import LIGHTINGS, displayed, exposure, sphere_likeness, sphere_normals
 from tests.support.known_models import pairs_of_directions, single_lobe
 from tests.support.materialx_shader import generated_function, materialx_document, surface_of
 from tests.support.mixtures import mixture

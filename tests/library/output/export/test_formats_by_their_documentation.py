@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 import dsbrdf
-from dsbrdf.components.layers import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
-from dsbrdf.output.export import export_model, materialx
+from dsbrdf.components import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.output import export_model
+from dsbrdf.output.export import materialx
 from dsbrdf.output.export.materialx import FoundSurface
 from dsbrdf.output.export.openpbr import OpenPBR
 from tests.support.mixtures import mixture

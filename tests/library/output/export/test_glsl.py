@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.components.layers import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.output.export import export_model
+from dsbrdf import InvalidArgumentError, decompose
+from dsbrdf.components import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.data import half_difference
+from dsbrdf.output import export_model
 from dsbrdf.output.export.glsl import glsl_function
 from tests.support import known_models
 from tests.support.mixtures import mixture

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 import dsbrdf
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf import InvalidArgumentError
+from dsbrdf.data import half_difference
 from dsbrdf.model.sampling import ANGLES
 from dsbrdf.output.export import mitsuba_bsdf
 from dsbrdf.output.export.mitsuba_bsdf import register

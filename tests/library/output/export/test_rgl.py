@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf.data.geometry import half_difference
-from dsbrdf.data.interpolation import interpolate
-from dsbrdf.data.measurement import Measurement
+from dsbrdf import Measurement
+from dsbrdf.data import half_difference, interpolate
 from dsbrdf.data.rgl_file import parse_tensors
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from tests.support.known_models import pairs_of_directions

@@ -8,12 +8,10 @@ from typing import Any
 import httpx
 import pytest
 
-from dsbrdf.data.merl import encode_merl
-from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.serialize import from_json
-from dsbrdf.rendering.image_metrics import exposure
-from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from dsbrdf import DSBRDF, render_sphere
+from dsbrdf.data import encode_merl, synthetic_measurement
+from dsbrdf.output import from_json
+from dsbrdf.rendering import exposure, sphere_normals
 from tests.support.guarded import Guarded
 from tests.support.webgl import CHROMIUM
 

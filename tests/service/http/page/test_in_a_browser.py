@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf.rendering.image_metrics import displayed, psnr
-from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from dsbrdf import render_sphere
+from dsbrdf.rendering import displayed, psnr, sphere_normals
 from tests.service.http.page.conftest import Site
 from tests.support.browser import PAINTED, SPHERE, Browser, Visit, expect, new_context
 from tests.support.guarded import Guarded

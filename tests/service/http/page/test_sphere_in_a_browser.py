@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dsbrdf.components.decomposition import decompose
-from dsbrdf.data.measurement import Measurement
+from dsbrdf import EnvironmentMap, Measurement, decompose, render_sphere
 from dsbrdf.output.sphere_panels import encode_png
-from dsbrdf.rendering.environment import THREE_LIGHTS, EnvironmentMap
-from dsbrdf.rendering.image_metrics import displayed, exposure
-from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from dsbrdf.rendering import THREE_LIGHTS, displayed, exposure, sphere_normals
 from tests.service.http.page.conftest import Site
 from tests.support.browser import PAINTED, SPHERE, FloatRect, Page, Visit, expect
 
