@@ -16,6 +16,7 @@ from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
+from dsbrdf.output.export.python_file import python_file
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import layers_csv, parameters_csv
 from dsbrdf.output.serialize import layers_to_json, to_json
@@ -85,6 +86,12 @@ FORMATS = {
         time="medium",
     ),
     "glsl": ExportFormat("a function for shaders", "glsl", _TEXT, _glsl),
+    "python": ExportFormat(
+        "a differentiable function for NumPy, PyTorch and JAX",
+        "py",
+        "text/x-python; charset=utf-8",
+        lambda source, _: python_file(source),
+    ),
     "brdf": ExportFormat(
         "for Disney's BRDF Explorer",
         "brdf",
@@ -183,8 +190,8 @@ def export(
     ----------
     source : DSBRDF, LayeredModel, Component or FitResult
     path : path-like
-        Its suffix determines the format: ``.json``, ``.binary`` (MERL), ``.glsl``, ``.brdf``, ``.csv``,
-        ``.bsdf`` (Mitsuba 3) or ``.mtlx`` (MaterialX).
+        Its suffix determines the format: ``.json``, ``.binary`` (MERL), ``.glsl``, ``.py``, ``.brdf``,
+        ``.csv``, ``.bsdf`` (Mitsuba 3) or ``.mtlx`` (MaterialX).
     file_format : str, optional
         One of `dsbrdf.output.export.FORMATS`; ``bsdf-spectral`` has no suffix of its own and must be named.
     name : str, optional

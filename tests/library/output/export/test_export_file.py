@@ -126,7 +126,7 @@ def test_a_model_too_bright_for_a_picture_is_refused_and_nothing_is_reflected_be
     assert np.all(COATED.evaluate(*np.radians([[60.0], [60.0], [0.0]])) == 0.0)
 
 
-@pytest.mark.parametrize("suffix", ["json", "binary", "glsl", "brdf", "csv", "bsdf"])
+@pytest.mark.parametrize("suffix", ["json", "binary", "glsl", "py", "brdf", "csv", "bsdf"])
 def test_the_suffix_tells_the_format(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"paint.{suffix.upper()}"
     dsbrdf.export(MODEL, path)
@@ -158,6 +158,8 @@ def test_an_unknown_suffix_is_one_sentence_that_lists_the_others(tmp_path: Path)
 def test_a_format_of_lobes_refuses_a_component() -> None:
     part = decompose(MODEL)["diffuse"]
     for name in ("json", "csv", "materialx"):
-        said = rf"^{name} cannot hold a component.* merl, glsl, brdf, bsdf or bsdf-spectral, or export the layers"
+        said = (
+            rf"^{name} cannot hold a component.* merl, glsl, python, brdf, bsdf or bsdf-spectral, or export the layers"
+        )
         with pytest.raises(InvalidArgumentError, match=said):
             export_model(part, name)

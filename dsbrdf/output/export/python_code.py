@@ -1,0 +1,149 @@
+"""The functions of an exported Python file; `dsbrdf.output.export.python_file` copies their source.
+
+They use what NumPy, PyTorch and JAX have in common, which `xp` stands for. A derivative is finite wherever a value is:
+an argument of a root or below a fraction is held above 0. Parameters and formulas are those of `dsbrdf.model.dsbrdf`,
+`dsbrdf.components.layers` and `dsbrdf.components.decomposition`. The code is dense: a file has at most 150 lines.
+"""
+
+import itertools
+import math
+import sys
+from typing import Any
+
+import numpy
+
+from dsbrdf.components.points import COAT_F0, LARGEST_TANGENT, LEAST_COSINE, LEAST_RISE, LEAST_SINE
+from dsbrdf.components.shares import HALO
+from dsbrdf.data.grid import CENTER_CUTOFF
+from dsbrdf.model.lobes import GRAZING_COSINE
+
+
+def _arrays(parameters: dict[str, Any], *directions: Any) -> tuple[Any, Any, Any, dict[str, Any]]:
+    """Return the array library of what comes in, then all of it as its arrays, numbers in the directions' precision."""
+    values, torch = (*directions, *parameters.values()), sys.modules.get("torch")
+    spaces = [value.__array_namespace__() for value in values if hasattr(value, "__array_namespace__")]
+    xp: Any = next((space for space in spaces if space.__name__ != "numpy"), numpy)
+    xp = torch if torch and any(isinstance(value, torch.Tensor) for value in values) else xp
+    plain = (list, tuple, float, int, numpy.ndarray, numpy.generic)
+    first, second = (1.0 * (xp.asarray(value) if isinstance(value, plain) else value) for value in directions)
+    like = {"dtype": first.dtype} | ({"device": first.device} if xp is torch else {})
+    return xp, first, second, {k: xp.asarray(v, **like) if isinstance(v, plain) else v for k, v in parameters.items()}
+
+
+def _angles(xp: Any, first: Any, second: Any) -> tuple[Any, Any, Any, Any]:
+    """Return where both directions are above the horizon, theta_diff, tan(theta_half)**2 and cos(phi_diff)**2."""
+    total, difference = first + second, first - second
+    sum2, difference2, radius2 = (xp.clip((v * v).sum(-1), 1e-30, None) for v in (total, difference, total[..., :2]))
+    (x, y, z), (dx, dy, dz) = ([v[..., i] for i in range(3)] for v in (total, difference))
+    along2, across2 = (z * (x * dx + y * dy) - radius2 * dz) ** 2 + 1e-30, sum2 * (x * dy - y * dx) ** 2
+    above, tan_diff = (first[..., 2] >= -1e-12) & (second[..., 2] >= -1e-12), xp.sqrt(difference2 / sum2)
+    return above[..., None], xp.arctan(tan_diff), radius2 / xp.clip(z * z, 1e-18, None), along2 / (along2 + across2)
+
+
+def _spline(xp: Any, knots: list[float], values: Any, at: Any, degree: int) -> Any:
+    """Return B-splines (..., channel, lobe) of a degree at angles (...), of control values (channel, place, lobe)."""
+    if len(knots) == 1:
+        return values[:, 0, :]
+    at, ends = xp.clip(at, knots[0], knots[-1]), [knots[0]] * degree + knots + [knots[-1]] * degree
+    pieces = [((at >= a) & ((at < b) | (b == knots[-1])) & (a < b)) for a, b in itertools.pairwise(ends)]
+    weights = [xp.where(is_inside, xp.ones_like(at), xp.zeros_like(at)) for is_inside in pieces]
+    for n in range(1, degree + 1):
+        rise = [(at - low) / (high - low or 1.0) for low, high in zip(ends, ends[n:], strict=False)]
+        weights = [rise[i] * w + (1.0 - rise[i + 1]) * weights[i + 1] for i, w in enumerate(weights[:-1])]
+    base = values[:, 0, :] * (degree - 1) / 2.0  # Logarithms are large beside their differences.
+    return base + sum(w[..., None, None] * (values[:, i, :] - base) for i, w in enumerate(weights))
+
+
+def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]) -> Any:
+    """Return the sum of the lobes (..., 3)."""
+    degree, log, exp = (3, xp.log, xp.exp) if IS_SPLINE else (1, xp.positive, xp.positive)
+    kappa, gamma = (exp(_spline(xp, KNOTS[1], log(p[name]), theta_diff, degree)) for name in ("kappa", "gamma"))
+    tangent = xp.tan(_spline(xp, KNOTS[1], p["center"], theta_diff, degree))
+    log, exp = (xp.log, xp.exp) if IS_SPLINE else (xp.log1p, xp.expm1)
+    amplitude = exp(_spline(xp, KNOTS[0], log(p["amplitude"]), theta_diff, degree))
+    cosine4 = GRAZING_COSINE**4 + (1.0 - GRAZING_COSINE**4) * xp.cos(theta_diff) ** 4
+    log_cosine, tan2, cos2 = (one[..., None, None] for one in (xp.log(cosine4) / 4.0, tan2, cos2_phi))
+    ratio = xp.exp(_spline(xp, KNOTS[2], p["elongation"][None], theta_diff, degree) * log_cosine)
+    root = xp.sqrt(xp.clip(tan2 * (cos2 / ratio + (1.0 - cos2) * ratio), 1e-30, None))
+    offset = (root - tangent) / (1.0 + root * xp.clip(tangent, 0.0, None))
+    square = xp.where(tangent == 0.0, offset, xp.clip(offset, None, MAX_TANGENT)) ** 2
+    value = _lobe(xp, kappa, gamma, square, xp.clip(tangent, None, 0.0) ** 2)
+    result, near = (amplitude * value).sum(-1), tan2[..., 0] < math.tan(CENTER_CUTOFF) ** 2
+    return result + near * _spline(xp, KNOTS[0], p["delta"], theta_diff, 1)[..., 0] if "delta" in p else result
+
+
+def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
+    """Return a lobe of height 1 at a squared tangent from its center; the largest value is at `top2`."""
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Its exponential is no light.
+    fall = xp.clip(gamma / 2.0 * (xp.log1p(top2) - xp.log1p(square)), low, None)
+    top = kappa * xp.exp(xp.clip(-gamma / 2.0 * xp.log1p(top2), low, None))
+    return xp.exp(top * xp.expm1(fall)) * xp.expm1(-top * xp.exp(fall)) / xp.expm1(-top)
+
+
+def _student(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
+    """Return a lobe of height 1 at a squared tangent from its center; the largest value is at `top2`."""
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Its exponential is no light.
+    return xp.exp(xp.clip(kappa * (xp.log1p(gamma * top2) - xp.log1p(gamma * square)), low, None))
+
+
+def _rise(xp: Any, cosine: Any) -> Any:
+    """Return how far the reflectance of glass has risen from normal (0) to grazing incidence (1)."""
+    bent = xp.sqrt(1.25 + cosine**2)
+    ratio = (cosine * (bent + cosine) - 1.0) / (cosine * (bent - cosine) + 1.0)
+    across = (bent - cosine) / (bent + cosine)
+    return xp.clip(0.5 * across**2 * (1.0 + ratio**2) - COAT_F0, 0.0, None) / (1.0 - COAT_F0)
+
+
+def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, alpha: Any, kappa: Any, masking: Any) -> Any:
+    """Return the logarithm of a rough surface's facets and masking; alpha is its roughness, kappa = 2 is GGX."""
+    x, square = 8.0 * (kappa - 1.125), alpha**2
+    norm = (1.0 + xp.clip(x, 0.0, None) + xp.log1p(xp.exp(-xp.abs(x)))) / 8.0
+    to_in, to_out = (xp.sqrt(square + (1.0 - square) * cosine**2) for cosine in (cos_in, cos_out))
+    seen, both = cos_out * to_in + cos_in * to_out, (cos_in + to_in) * (cos_out + to_out)
+    tails = 2.0 * xp.log1p(tan2) - kappa * xp.log1p(tan2 / (norm * square))
+    return tails + masking * xp.log(2.0 * seen / both) - xp.log(2.0 * math.pi * square * seen)
+
+
+def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, parameters: dict[str, Any], names: Any) -> Any:
+    """Return the logarithm of the sum of the layers with these names (..., 3)."""
+    cos_in, cos_out = (xp.clip(omega[..., 2], LEAST_COSINE, 1.0) for omega in pair)
+    u, sin2, tan2 = 2.0 * xp.sin(theta_diff / 2.0) ** 2, xp.sin(theta_diff) ** 2, xp.clip(tan2, None, LARGEST_TANGENT)
+    to_in, to_out, fresnel = (_rise(xp, cosine) for cosine in (cos_in, cos_out, 1.0 - u))
+    passed, sin2_half, rise = xp.log((1.0 - to_in) * (1.0 - to_out)), tan2 / (1.0 + tan2), fresnel[..., None]
+    total = 0.0 * rise - 1e4  # the logarithm of no light
+    for name in names:
+        p = {key.rpartition(".")[2]: value for key, value in parameters.items() if key.rpartition(".")[0] == name}
+        if "f0" in p:  # a surface
+            bent = p["rise"][0] * u + p["rise"][1] * u**2 + p["under_coat"] * (passed + 2.0 * math.log1p(-COAT_F0))
+            color = xp.log(p["f0"] * (1.0 - rise) + p["f90"] * rise)
+            form = bent + _facets(xp, cos_in, cos_out, tan2, p["alpha"], p["kappa"], p["masking"])
+        elif "alpha" in p:  # light back to its source
+            back2 = xp.clip(4.0 * sin2 - (cos_in - cos_out) ** 2, 0.0, None) / (cos_in + cos_out) ** 2
+            color, form = xp.log(p["color"]), _facets(xp, cos_in, cos_out, back2, p["alpha"], 0.0 * u + 2.0, 0.0)
+        elif "powers" in p:  # sheen of fibres
+            log_u, log_sin2 = xp.log(xp.clip(u, LEAST_RISE, None)), xp.log(xp.clip(sin2_half, LEAST_SINE**2, None))
+            color, form = xp.log(p["color"]), p["powers"][0] * log_u + p["powers"][1] / 2.0 * log_sin2
+        else:
+            along, limb = 1.0 - 2.0 * sin2 - cos_in * cos_out, xp.log(2.0 / (cos_in + cos_out))
+            along = xp.where(along > 0.0, along / xp.maximum(cos_in, cos_out), along)
+            ground = passed, (1.0 - sin2) * (to_in + to_out), fresnel, limb, sin2_half, along
+            color, form = xp.log(p["albedo"] / math.pi), sum(p["exponents"][i] * one for i, one in enumerate(ground))
+        total = xp.logaddexp(total, color + form[..., None])
+    return total
+
+
+def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: bool) -> list[Any]:
+    """Divide the model's values among spike, lobe and diffuse part, by the logarithms of the layers of each."""
+    q2, (narrow, wide, diffuse) = (xp.clip(tan2, None, LARGEST_TANGENT)[..., None] / HALO) ** 2, layers
+    if not has_highlight:  # What is much brighter near the mirror direction than the ground is a highlight.
+        ground = xp.minimum(whole, xp.exp(diffuse) * (2.0 + q2))
+        return [0.0 * whole, whole - ground, ground]
+    specular, ground = xp.logaddexp(narrow, wide), xp.exp(diffuse)
+    odds, missed = xp.exp(xp.clip(specular - diffuse, -60.0, 60.0)), whole - xp.exp(specular) - ground
+    s, beyond = 1.0 / (1.0 + odds), xp.where(missed > 0.0, q2 / (1.0 + q2), 1.0 + 0.0 * q2)
+    rest = odds * s * (whole + missed * beyond * s * (1.0 + s * (1.0 + s))) + missed * (1.0 - beyond) * s
+    rest, spike = xp.clip(rest, 0.0, None), xp.clip(rest, 0.0, None) * xp.exp(narrow - specular)
+    return [spike, rest - spike, xp.minimum(whole, ground * (1.0 - beyond * s**3) + whole * beyond * s**4)]
+
+
+IS_SPLINE, KNOTS, MAX_TANGENT, _lobe = True, [[0.0]], 1e12, _hemi_epd  # An exported file has its model's.

@@ -1,0 +1,145 @@
+"""A model, a component or layers as one Python file: a differentiable function of NumPy, PyTorch or JAX arrays.
+
+The code is that of `dsbrdf.output.export.python_code`, as far as the source needs it; reading the numbers restores
+every bit.
+"""
+
+import inspect
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from dsbrdf.components.decomposition import Component
+from dsbrdf.components.layers import Layer, LayeredModel
+from dsbrdf.components.shares import LABELS
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf.output.export import python_code as code
+from dsbrdf.version import __version__
+
+_CONSTANTS = (
+    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO"),
+    *("LEAST_COSINE", "LARGEST_TANGENT", "LEAST_RISE", "LEAST_SINE"),
+)
+_LOBES = {"hemi_epd": code._hemi_epd, "student": code._student}
+_KNOTS = ("theta_diff", "shape_theta_diff", "elongation_theta_diff")
+_OF_LAYERS = (code._rise, code._facets, code._layers)
+_Numbers = dict[str, Any]
+_Functions = tuple[Callable[..., Any], ...]
+
+
+def python_file(source: DSBRDF | LayeredModel | Component) -> str:
+    """Return Python source with ``evaluate(omega_in, omega_out, parameters=PARAMETERS)``; it does not need dsbrdf."""
+    if isinstance(source, LayeredModel):
+        layers = _layer_parameters(source.layers, "")
+        return _file("its physical layers", layers, {"LAYERS": tuple(layers)}, _OF_LAYERS, _LAYERS)
+    if isinstance(source, DSBRDF):
+        return _file("all of it", _model_parameters(source), _fixed(source), _of(source), _MODEL)
+    whole, what = source.whole, f"its {source.label.replace('_', ' ')}"
+    if len(whole.labels) < 2:  # The component is the whole model.
+        return _file(what, _model_parameters(whole.model), _fixed(whole.model), _of(whole.model), _MODEL)
+    parameters: dict[str, _Numbers] = _model_parameters(whole.model) | {"structures": {}}
+    structures = []
+    for number, structure in enumerate(whole.structures, 1):
+        layers = _layer_parameters(structure.model.layers, f"structure_{number}.")
+        parameters["structures"] |= {f"structure_{number}.weight": structure.weight}
+        parameters["structures"] |= {name: value for line in layers.values() for name, value in line.items()}
+        structures.append(tuple(tuple(_with(label, layers, structure.labels)) for label in LABELS))
+    shown = tuple(float(whole.receiver(label) == source.label) for label in LABELS)
+    fixed = _fixed(whole.model) | {"SHOWN": shown, "STRUCTURES": tuple(structures)}
+    return _file(what, parameters, fixed, (*_of(whole.model), *_OF_LAYERS, code._divided), _COMPONENT)
+
+
+def _model_parameters(model: DSBRDF) -> dict[str, _Numbers]:
+    """Return the parameters of a model, by lines of the file."""
+    names = ("amplitude", "kappa", "gamma", "center", "elongation")
+    parameters = {name: {name: getattr(model, name).tolist()} for name in names}
+    return parameters | ({"delta": {"delta": model.delta[..., np.newaxis].tolist()}} if model.delta.any() else {})
+
+
+def _fixed(model: DSBRDF) -> _Numbers:
+    """Return what is no parameter of a model."""
+    knots = [getattr(model, name).tolist() for name in _KNOTS]
+    limit = FAMILIES[model.lobe].largest_tangent
+    return {"KNOTS": knots, "IS_SPLINE": model.interpolation == "spline", "MAX_TANGENT": limit}
+
+
+def _of(model: DSBRDF) -> _Functions:
+    """Return the functions of a model."""
+    return code._spline, _LOBES[model.lobe], code._model
+
+
+def _layer_parameters(layers: tuple[Layer, ...], lead: str) -> dict[str, _Numbers]:
+    """Return the parameters of layers by their names, such as ``specular_1.alpha``; a layer has a line."""
+    named = {f"{lead}{type(one).__name__.removesuffix('Layer').lower()}_{n}": one for n, one in enumerate(layers, 1)}
+    return {
+        name: {f"{name}.{parameter}": np.asarray(value).tolist() for parameter, value in vars(layer).items()}
+        for name, layer in named.items()
+    }
+
+
+def _with(label: str, names: dict[str, _Numbers], labels: tuple[str, ...]) -> Iterator[str]:
+    """Yield the names of the layers that have a label."""
+    return (name for name, own in zip(names, labels, strict=True) if own == label)
+
+
+def _file(part: str, parameters: dict[str, _Numbers], fixed: _Numbers, functions: _Functions, evaluate: str) -> str:
+    """Return the whole file."""
+    used: _Functions = (code._arrays, code._angles, *functions)
+    body = "\n".join([*(inspect.getsource(one) for one in used), evaluate])
+    for name in _LOBES:
+        body = body.replace(f"_{name}(", "_lobe(")
+    numbers = [" ".join(f'"{name}": {value!r},' for name, value in line.items()) for line in parameters.values()]
+    lines = [_HEAD.format(version=__version__, part=part), "PARAMETERS: dict[str, Any] = {"]
+    lines += [f"    {line}" for line in numbers] + ["}"]
+    lines += [f"{name} = {fixed.pop(name)!r}" for name in ("KNOTS", "STRUCTURES") if name in fixed]
+    fixed |= {name: getattr(code, name) for name in _CONSTANTS if name in body}
+    lines += [f"{', '.join(fixed)} = {', '.join(map(repr, fixed.values()))}", "", body]
+    return "\n".join(lines)
+
+
+_HEAD = '''\
+"""A measured BRDF, {part}, for NumPy, PyTorch and JAX. Written by dsbrdf {version}.
+
+`evaluate(omega_in, omega_out)` has values (..., 3) in 1/sr for linear red, green and blue, without cosine, 0 below the
+horizon. Directions (..., 3) broadcast: unit vectors away from the surface, in the frame whose z axis is the normal. An
+array may take a parameter's place, `evaluate(i, o, PARAMETERS | {{name: array}})`; all of it can be differentiated.
+"""
+
+import itertools
+import math
+import sys
+from typing import Any
+
+import numpy
+'''
+
+_MODEL = '''\
+def evaluate(omega_in: Any, omega_out: Any, parameters: dict[str, Any] = PARAMETERS) -> Any:
+    """Return the BRDF (..., 3) [1/sr] at pairs of directions (..., 3)."""
+    xp, first, second, p = _arrays(parameters, omega_in, omega_out)
+    above, *angles = _angles(xp, first, second)
+    return above * _model(xp, *angles, p)
+'''
+
+_LAYERS = '''\
+def evaluate(omega_in: Any, omega_out: Any, parameters: dict[str, Any] = PARAMETERS) -> Any:
+    """Return the BRDF (..., 3) [1/sr] at pairs of directions (..., 3)."""
+    xp, first, second, p = _arrays(parameters, omega_in, omega_out)
+    above, theta_diff, tan2, _ = _angles(xp, first, second)
+    return above * xp.exp(_layers(xp, (first, second), theta_diff, tan2, p, LAYERS))
+'''
+
+_COMPONENT = '''\
+def evaluate(omega_in: Any, omega_out: Any, parameters: dict[str, Any] = PARAMETERS, shown: Any = SHOWN) -> Any:
+    """Return the component (..., 3) [1/sr]; `shown` weighs spike, lobe and diffuse part in the sum of all of them."""
+    xp, first, second, p = _arrays(parameters, omega_in, omega_out)
+    above, theta_diff, tan2, cos2_phi = _angles(xp, first, second)
+    whole, total = _model(xp, theta_diff, tan2, cos2_phi, p), 0.0
+    for number, names in enumerate(STRUCTURES, 1):
+        layers = [_layers(xp, (first, second), theta_diff, tan2, p, own) for own in names]
+        parts = _divided(xp, whole, tan2, layers, bool(names[0] or names[1]))
+        total = total + p[f"structure_{number}.weight"] * sum(w * part for w, part in zip(shown, parts, strict=True))
+    return above * total
+'''
