@@ -155,8 +155,8 @@ class Client:
                 self._expect(answer, 200)
                 url = answer.links.get("next", {}).get("url")
         for item in self._http.get("/v1/measurements").json()["items"][:2]:
-            self._expect(self._http.head(f"/v1/measurements/{item['sha256']}"), 200, 404)
-            self._expect(self._http.get(f"/v1/measurements/{item['sha256']}"), 200, 404)
+            self._expect(self._http.head(f"/v1/measurements/{item['sha256']}/content"), 200, 404)
+            self._expect(self._http.get(f"/v1/measurements/{item['sha256']}/content"), 200, 404)
         for path in ("/health/live", "/health/ready", "/metrics", "/openapi.json", "/docs"):
             self._expect(self._http.get(path), 200)
         time.sleep(0.5)

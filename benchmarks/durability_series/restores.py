@@ -128,14 +128,16 @@ def _look(harness: Harness, original: _Original, server: Server) -> str:
         return "refused"
     server.connect(begin)
     for sha256, body in original.bodies.items():
-        _read(harness, server.http, f"/v1/measurements/{sha256}", body)
+        _read(harness, server.http, f"/v1/measurements/{sha256}/content", body)
     for fit, model in original.models.items():
         _read(harness, server.http, f"/v1/fits/{fit}/export?format=json", model)
         harness.expect(server.http.get(f"/v1/fits/{fit}").status_code < 500, "a fit cannot be shown")
     for sha256, body in original.bodies.items():
         answer = server.http.post("/v1/measurements", content=body)
         harness.expect(answer.is_success, f"an upload: {answer.status_code} {answer.text}")
-        harness.expect(server.http.get(f"/v1/measurements/{sha256}").content == body, "an upload has mended nothing")
+        harness.expect(
+            server.http.get(f"/v1/measurements/{sha256}/content").content == body, "an upload has mended nothing"
+        )
     harness.expect(server.stop() == 0, "the server did not end well")
     harness.expect("Traceback" not in server.log.read_text(), f"a traceback: {server.log.read_text()[-1000:]}")
     return "working"

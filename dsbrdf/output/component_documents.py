@@ -3,13 +3,16 @@
 Angles are in degrees.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.ranges import ComponentRanges
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.typed_json import typed
 
 LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
 """theta_diff of the heights of components in JSON [degrees]."""
@@ -39,3 +42,16 @@ def component_document(component: Component) -> dict[str, Any]:
         "lobe": {"theta_diff_deg": list(LOBE_THETA_DIFF), "height": height.tolist()},
         "ranges": ranges | {"half_width_deg": None if widths is None else np.degrees(widths).tolist()},
     }
+
+
+def ranges_in(document: Mapping[str, Any]) -> ComponentRanges:
+    """Return the ranges in a component's document, but for rounding.
+
+    Raises ModelFormatError if they are damaged, KeyError or TypeError if there are none.
+    """
+    ranges = dict(document["ranges"])
+    widths = ranges.pop("half_width_deg")
+    stored: ComponentRanges = typed(
+        ComponentRanges, ranges | {"half_width": None if widths is None else np.radians(widths).tolist()}, "ranges"
+    )
+    return stored

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,12 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.components.decomposition import Decomposition
 from dsbrdf.components.layers import LayeredModel
-from dsbrdf.components.ranges import ComponentRanges
 from dsbrdf.components.shares import LABELS, WeightedLayers
 from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
-from dsbrdf.output.component_documents import component_document
+from dsbrdf.output.component_documents import component_document, ranges_in
 from dsbrdf.output.typed_json import check_keys, typed
 
 FORMAT, LAYERS_FORMAT = "dsbrdf", "dsbrdf-layers"
@@ -115,24 +114,26 @@ def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | N
 def to_json(model: DSBRDF, report: FitReport | None = None, components: Decomposition | None = None) -> str:
     """Return a model and its report as JSON text.
 
-    It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. If components are given, it
-    also has ``"components": {"labels": [...], "structures": [...], "ranges": [...]}``, from which `fit_from_json` makes
-    them again, and ``"shown": [...]``, the `component_document` of each. Raises InvalidArgumentError if the report has
-    a value that JSON cannot store, such as NaN.
+    It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. If components are given, the
+    text is the document of a fit: it begins with ``warnings`` and ``measure_next`` of the report, the
+    `component_document` of each component, and the ``structures`` of layers from which `fit_from_json` makes the
+    components again. Raises InvalidArgumentError if the report has a value that JSON cannot store, such as NaN.
     """
-    document = {
+    document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
         "model": model_to_dict(model),
         "report": None if report is None else report.to_dict(),
     }
     if components is not None:
-        document["components"] = {
-            "labels": components.labels,
+        plain = document["report"] or {"warnings": [], "measure_next": []}
+        document = {
+            "warnings": plain["warnings"],
+            "measure_next": plain["measure_next"],
+            "components": [component_document(component) for component in components],
             "structures": [asdict(structure) for structure in components.structures],
-            "ranges": [asdict(ranges) for ranges in components.ranges],
+            **document,
         }
-        document["shown"] = [component_document(component) for component in components]
     return _dump(document)
 
 
@@ -144,15 +145,6 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
     return _model_and_report(_document(text))
 
 
-@dataclass(frozen=True)
-class _Components:
-    """What is stored of a decomposition beside its model."""
-
-    labels: tuple[str, ...]
-    structures: tuple[WeightedLayers, ...]
-    ranges: tuple[ComponentRanges, ...]
-
-
 def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
     """Return a model with its components and the report, if any, which `to_json` was given.
 
@@ -160,13 +152,17 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
     """
     document = _document(text)
     model, report = _model_and_report(document)
-    stored: _Components = typed(_Components, document.get("components"), "components")
-    in_order = stored.labels == tuple(label for label in LABELS if label in stored.labels)
-    if not in_order or len(stored.ranges) != len(stored.labels):
-        raise ModelFormatError("The stored model has no components in order, with ranges for each.")
-    if any(len(one.is_diffuse) != len(one.model.layers) for one in stored.structures):
-        raise ModelFormatError("The stored components do not say of each layer whether it is diffuse.")
-    return Decomposition(model, stored.structures, stored.labels, stored.ranges), report
+    try:
+        labels = tuple(component["label"] for component in document["components"])
+        ranges = tuple(ranges_in(component) for component in document["components"])
+    except (KeyError, TypeError):
+        raise ModelFormatError("The stored components are damaged, or there are none.") from None
+    if labels != tuple(label for label in LABELS if label in labels):
+        raise ModelFormatError("The stored components are not in their order.")
+    structures = typed(tuple[WeightedLayers, ...], document.get("structures"), "structures")
+    if any(len(one.is_diffuse) != len(one.model.layers) for one in structures):
+        raise ModelFormatError("The stored structures do not say of each layer whether it is diffuse.")
+    return Decomposition(model, structures, labels, ranges), report
 
 
 def layers_to_json(layers: LayeredModel) -> str:
@@ -188,7 +184,7 @@ def _check_suffix(path: str | os.PathLike[str]) -> None:
 
 def _dump(content: object) -> str:
     try:
-        return json.dumps(content, allow_nan=False)
+        return json.dumps(content, allow_nan=False, separators=(",", ":"))
     except (TypeError, ValueError) as error:
         raise InvalidArgumentError(f"The report must contain only plain, finite values: {error}.") from None
 

@@ -61,7 +61,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     to_thread.current_default_thread_limiter().total_tokens = _THREADS
     sys.setswitchinterval(_SWITCH_INTERVAL)
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
-    store: Store = app.state.store
+    store: Store = app.state.store or Store(settings.data_dir)
     try:
         engine = make_engine(settings)
         models = ModelCache(store, settings.model_cache)
@@ -95,7 +95,7 @@ def make_engine(settings: Settings) -> Engine:
 
 
 def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
-    """Return the application for `settings`, which closes the `store`; without one it can only say what it has."""
+    """Return the application for `settings`; its lifespan opens the data folder unless the open `store` is given."""
     app = FastAPI(
         title="dsbrdf",
         version=dsbrdf.__version__,

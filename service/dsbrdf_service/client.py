@@ -174,7 +174,7 @@ class Client:
             own_name, measurement = measurement.name, encode_merl(measurement)
         sha256 = hashlib.sha256(measurement).hexdigest()
         try:
-            self._call("GET", f"/v1/measurements/{sha256}", headers={"If-None-Match": f'"{sha256}"'})
+            self._call("GET", f"/v1/measurements/{sha256}/content", headers={"If-None-Match": f'"{sha256}"'})
         except ServiceError as error:
             if error.problem["status"] != 404:
                 raise

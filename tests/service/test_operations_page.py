@@ -56,4 +56,4 @@ def test_backup_of_a_running_service_can_be_restored(
     server.data_dir = copy
     restored = server.start().http
     assert restored.get(f"/v1/fits/{fit['id']}").json() == fit
-    assert restored.get(f"/v1/measurements/{fit['measurement']}").content == data
+    assert restored.get(f"/v1/measurements/{fit['measurement']}/content").content == data

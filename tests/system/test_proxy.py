@@ -174,7 +174,7 @@ def test_unread_answer_ends_and_a_slow_reader_gets_all_of_it(
     own_proxy: Callable[..., Proxy], data: bytes, stored: str
 ) -> None:
     proxy = own_proxy(**{"send_timeout 30s": "send_timeout 2s"})
-    request = f"GET /v1/measurements/{stored} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode()
+    request = f"GET /v1/measurements/{stored}/content HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode()
     with proxy.connection(small_buffer=True) as slow, proxy.connection() as unread:
         for connection in (slow, unread):
             connection.sendall(request)

@@ -4,6 +4,8 @@ from typing import Annotated
 
 from fastapi import APIRouter
 from pydantic import BaseModel, Field
+from pydantic_core import from_json, to_json
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -66,12 +68,12 @@ router = APIRouter(prefix="/v1/fits/{fit_id}/components", tags=["components"], d
 
 
 @router.get(
-    "", response_model=ComponentList, responses=openapi.NOT_MODIFIED | openapi.problems("not-found", "fit-not-finished")
+    "", response_model=ComponentList, responses=openapi.TAGGED | openapi.problems("not-found", "fit-not-finished")
 )
 async def get_components(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
 
     Each has a lobe of its own, as values at some angles, its albedo, colour, half width and how clear the split is.
     """
-    stored = await context.fit_document(fit)
-    return tagged_reply(request, ComponentList.model_validate({"items": stored["shown"]}))
+    result = from_json(await run_in_threadpool(context.store.result, fit))
+    return tagged_reply(request, to_json({"items": result["components"]}))

@@ -1,6 +1,5 @@
 """What routes depend on: the parts of the running service, the caller, and the parameters that several routes have."""
 
-import json
 from collections import Counter
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
@@ -49,11 +48,6 @@ class Context:
     async def fit_row(self, fit: FitKey) -> FitRow:
         """Return a fit's row; raises as `Store.fit`."""
         return await run_in_threadpool(self.store.fit, fit)
-
-    async def fit_document(self, fit: FitKey) -> dict[str, Any]:
-        """Return what is stored of a fit that succeeded; raises as `Store.result`."""
-        document: dict[str, Any] = await run_in_threadpool(lambda: json.loads(self.store.result(fit)))
-        return document
 
     async def in_process(
         self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, **named: Any

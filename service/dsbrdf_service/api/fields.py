@@ -4,7 +4,7 @@ Angles in degrees (``_deg``), RGB order.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, TypeVar
 from urllib.parse import urlencode
 
@@ -115,15 +115,14 @@ class Page(Input):
         return None if self.cursor is None else int(self.cursor)
 
 
-def from_row(kind: type[_Document], row: FitRow | MeasurementRow, **more: Any) -> _Document:
-    """Return a row's document; `more` is what the row does not have."""
-    return kind.model_validate({**asdict(row), **more})
+def as_time(seconds: float | None) -> datetime | None:
+    """Return a time of a row [s since 1970] as JSON shows it."""
+    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
 
 
 def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
     """Return the ``Link`` header to the next page; `rows` has one row more than a page unless this is the last one."""
     if len(rows) <= page.limit:
         return {}
-    names = {} if page.name is None else {"name": page.name}
-    query = urlencode({"limit": page.limit, "cursor": rows[page.limit - 1].seq, **names})
+    query = urlencode(page.model_dump(exclude_none=True) | {"cursor": rows[page.limit - 1].seq})
     return {"Link": f'<{prefix_of(request)}{request.url.path}?{query}>; rel="next"'}

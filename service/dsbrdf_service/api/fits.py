@@ -7,13 +7,15 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from pydantic import BaseModel, Field, computed_field
+from pydantic import BaseModel, Field
+from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.engines.engine import Fault
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.metrics import Metrics
+from dsbrdf.fitting.report import SuggestedPair
 from dsbrdf.output.report_text import likeness
 
 from ..compute.computations import departure
@@ -27,7 +29,7 @@ from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
 from .components import ComponentDocument
 from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheOptions, TheRow, name_of
-from .fields import FIT_ID, PLAIN, SHA256, Input, Name, Options, Page, Share, from_row, next_page, parse_document
+from .fields import FIT_ID, PLAIN, SHA256, Input, Name, Options, Page, Share, as_time, next_page, parse_document
 from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLES, receive_upload
 
 
@@ -61,19 +63,25 @@ class FitSummary(BaseModel):
     algorithm: Annotated[str, Field(description="Version of the fit algorithm.")]
     library: Annotated[str, Field(description="Version of the library that accepted the fit.")]
 
-    @computed_field(description="How alike lit spheres of measurement and fit look, in words and dB.")  # type: ignore[prop-decorator]
-    @property
-    def likeness(self) -> str | None:
-        """What `metrics.psnr` says in words."""
-        return None if self.metrics is None or self.metrics.psnr is None else likeness(self.metrics.psnr)
+    likeness: Annotated[
+        str | None, Field(description="How alike lit spheres of measurement and fit look, in words and dB.")
+    ]
 
 
 class FitDocument(FitSummary):
     """A fit: its state, and once it has succeeded its metrics, warnings, components and model."""
 
     warnings: Annotated[list[str], Field(description="What to know before the fit is used, one sentence each.")]
+    measure_next: Annotated[
+        list[SuggestedPair],
+        Field(description="Directions at which further samples would help most, the best first; empty on a grid."),
+    ]
     components: Annotated[
         list[ComponentDocument] | None, Field(description="Those that have light, from narrow to wide.")
+    ]
+    structures: Annotated[
+        list[dict[str, Any]] | None,
+        Field(description="The structures of layers that explain the model, each with its probability as `weight`."),
     ]
     model: Annotated[
         dict[str, Any] | None,
@@ -82,6 +90,19 @@ class FitDocument(FitSummary):
             "radians, and control values, which are no values at angles; for those take `components`, or `/brdf`."
         ),
     ]
+    report: Annotated[
+        dict[str, Any] | None,
+        Field(description="How the fit went and how good it is: the fields of `dsbrdf.FitReport`."),
+    ]
+    format: Annotated[
+        Literal["dsbrdf"] | None,
+        Field(description="What the document is as a file: `dsbrdf.load_result` reads that of a fit that succeeded."),
+    ]
+    version: Annotated[int | None, Field(description="Version of the format.")]
+
+
+RESULT_MEMBERS = tuple(FitDocument.model_fields)[len(FitSummary.model_fields) :]
+"""Members of the document of a result, as the process of the fit writes it."""
 
 
 class RemovedFit(BaseModel):
@@ -94,6 +115,13 @@ class RemovedFit(BaseModel):
     ]
 
 
+class FitPage(Page):
+    """Which part of a list of fits."""
+
+    status: Annotated[Status | None, Field(description="Only fits in this state.")] = None
+    measurement: Annotated[str | None, Field(pattern=SHA256, description="Only fits of this measurement.")] = None
+
+
 class FitList(BaseModel):
     """A page of fits, newest first."""
 
@@ -103,6 +131,7 @@ class FitList(BaseModel):
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
 
 _MAX_JSON = 1 << 16
+_NO_RESULT = to_json({"warnings": [], "measure_next": []} | dict.fromkeys(RESULT_MEMBERS[2:]))
 _Wait = Annotated[
     float,
     Query(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."),
@@ -126,17 +155,25 @@ _SUBMISSION_BODY = openapi.body(
 @router.post(
     "",
     status_code=201,
+    response_model=FitDocument,
     response_description="The fit has ended; `Location` is its address.",
     responses={
-        200: {"description": "The same was asked before; its fit has ended.", "model": FitDocument},
-        202: {"description": "The fit has not ended; ask again at `Location`.", "model": FitDocument},
+        200: {
+            "description": "The same was asked before; its fit has ended.",
+            "model": FitDocument,
+            **openapi.headers("Location"),
+        },
+        201: openapi.headers("Location"),
+        202: {
+            "description": "The fit has not ended; ask again at `Location`.",
+            "model": FitDocument,
+            **openapi.headers("Location", "Retry-After"),
+        },
         **openapi.problems("not-found", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
     },
     openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
 )
-async def submit_fit(
-    request: Request, response: Response, context: TheContext, caller: TheCaller, chosen: TheOptions
-) -> FitDocument:
+async def submit_fit(request: Request, context: TheContext, caller: TheCaller, chosen: TheOptions) -> Response:
     """Fit the measurement that is the body, or a stored one.
 
     Answers when the fit has ended: 201, or 200 if the same request was made before. A fit that failed is
@@ -159,26 +196,25 @@ async def submit_fit(
     if not row.ended:
         wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
         row = await _wait(request, context, caller, row.key, wait)
-    response.headers["Location"] = f"{prefix_of(request)}/v1/fits/{row.id}"
+    status, headers = 201 if new else 200, {"Location": f"{prefix_of(request)}/v1/fits/{row.id}"}
     if not row.ended:
-        response.status_code, response.headers["Retry-After"] = 202, "1"
-    elif not new:
-        response.status_code = 200
-    return await _document(context, row)
+        status, headers["Retry-After"] = 202, "1"
+    return Response(await _document(context, row), status, headers, JSON)
 
 
-@router.get("", responses=openapi.problems())
+@router.get("", response_model=FitList, responses={200: openapi.headers("Link"), **openapi.problems()})
 async def list_fits(
-    request: Request, response: Response, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
-) -> FitList:
+    request: Request, context: TheContext, caller: TheCaller, page: Annotated[FitPage, Query()]
+) -> Response:
     """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
-    rows = await run_in_threadpool(context.store.fits, caller.owner, page.limit + 1, page.before, page.name)
-    response.headers.update(next_page(request, page, rows))
-    shown = [(row, context.queue.progress(row)) for row in rows[: page.limit]]
-    return FitList(items=[from_row(FitSummary, row, progress=share) for row, share in shown])
+    rows = await run_in_threadpool(
+        context.store.fits, caller.owner, page.limit + 1, page.before, page.name, page.status, page.measurement
+    )
+    items = b",".join(_summary(context, row) for row in rows[: page.limit])
+    return Response(b'{"items":[%b]}' % items, 200, next_page(request, page, rows), JSON)
 
 
-@router.get("/{fit_id}", response_model=FitDocument, responses=openapi.NOT_MODIFIED | openapi.problems("not-found"))
+@router.get("/{fit_id}", response_model=FitDocument, responses=openapi.TAGGED | openapi.problems("not-found"))
 async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit: TheFit, wait: _Wait = 0.0) -> Response:
     """Return a fit; with `wait`, when it has ended or the time is over."""
     row = await _wait(request, context, caller, fit, min(wait, context.settings.max_wait))
@@ -189,16 +225,18 @@ async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit:
 
 @router.patch(
     "/{fit_id}",
+    response_model=FitDocument,
     responses=openapi.problems("not-found", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
     openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(NewName)}}),
 )
-async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> FitDocument:
+async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Response:
     """Give a fit another name, or none; nothing else of it can be changed."""
     media_type_of(request, JSON)
     async with context.bodies.received(request, _MAX_JSON) as body:
         given = parse_document(NewName, body)
     name = None if given.name is None else check_name(given.name)
-    return await _document(context, await in_write_thread(context.store.rename_fit, fit, name))
+    row = await in_write_thread(context.store.rename_fit, fit, name)
+    return Response(await _document(context, row), media_type=JSON)
 
 
 @router.delete("/{fit_id}", responses=openapi.problems("not-found", "fit-ended", "fit-not-finished", "disk-full"))
@@ -232,8 +270,7 @@ async def follow_fit(context: TheContext, caller: TheCaller, begin: TheRow) -> A
     async for row in context.queue.watch(begin.key):
         if not context.keys.allows(caller):
             return
-        event = from_row(FitSummary, row, progress=context.queue.progress(row))
-        yield ServerSentEvent(data=event, event=row.status)
+        yield ServerSentEvent(raw_data=_summary(context, row).decode(), event=row.status)
 
 
 async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey, seconds: float) -> FitRow:
@@ -253,11 +290,31 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
     return row
 
 
-async def _document(context: Context, row: FitRow) -> FitDocument:
-    stored = await context.fit_document(row.key) if row.status == "succeeded" else {}
-    more = {
-        "warnings": (stored.get("report") or {}).get("warnings", []),
-        "components": stored.get("shown"),
-        "model": stored.get("model"),
+def _summary(context: Context, row: FitRow) -> bytes:
+    """Return the `FitSummary` of a row as JSON."""
+    psnr = (row.metrics or {}).get("psnr")
+    state = {
+        "id": row.id,
+        "name": row.name,
+        "status": row.status,
+        "progress": context.queue.progress(row),
+        "measurement": row.measurement,
+        "options": row.options,
+        "metrics": row.metrics,
+        "error": row.error,
+        "created": as_time(row.created),
+        "started": as_time(row.started),
+        "finished": as_time(row.finished),
+        "algorithm": row.algorithm,
+        "library": row.library,
+        "likeness": None if psnr is None else likeness(psnr),
     }
-    return from_row(FitDocument, row, progress=context.queue.progress(row), **more)
+    return to_json(state)
+
+
+async def _document(context: Context, row: FitRow) -> bytes:
+    """Return the `FitDocument` of a row: its state and the bytes that are stored of a result, which are not parsed."""
+    result = _NO_RESULT
+    if row.status == "succeeded":
+        result = await run_in_threadpool(context.store.result, row.key)
+    return _summary(context, row)[:-1] + b"," + result[1:]

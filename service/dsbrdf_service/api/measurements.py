@@ -2,10 +2,11 @@
 
 import os
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
 from pydantic import BaseModel, Field
+from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
@@ -19,8 +20,9 @@ from ..http.request_log import IS_HEAD
 from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefers, prefix_of, tagged_reply
 from ..storage.blobs import OpenFile
 from ..storage.database import in_write_thread
-from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheOptions, name_of
-from .fields import SHA256, Name, Page, from_row, next_page
+from ..storage.schema import Caller, MeasurementRow
+from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheOptions, name_of
+from .fields import SHA256, Name, Page, as_time, next_page
 from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
 
 
@@ -51,16 +53,22 @@ class MeasurementList(BaseModel):
 router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=CHECKED_QUERY)
 
 _VARY = {"Vary": "Accept"}
-_MOST_FITS = 200
-_ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document instead of the file.")
+_MAX_LISTED_FITS = 200
+_ACCEPT = openapi.header_parameter("Accept", f"`{BINARY}` asks for the file instead of the document.")
 
 
 @router.post(
     "",
     status_code=201,
+    response_model=MeasurementDocument,
     response_description="The measurement is stored; `Location` is its address.",
     responses={
-        200: {"description": "The measurement was stored before.", "model": MeasurementDocument},
+        200: {
+            "description": "The measurement was stored before.",
+            "model": MeasurementDocument,
+            **openapi.headers("Location"),
+        },
+        201: openapi.headers("Location"),
         **openapi.problems(*openapi.UPLOAD_PROBLEMS),
     },
     openapi_extra={
@@ -68,9 +76,7 @@ _ACCEPT = openapi.header_parameter("Accept", f"`{JSON}` asks for the document in
         **openapi.body("A MERL file, an RGL .bsdf file, or a table of scattered samples.", CONTENT),
     },
 )
-async def upload_measurement(
-    request: Request, response: Response, context: TheContext, caller: TheCaller, options: TheOptions
-) -> MeasurementDocument:
+async def upload_measurement(request: Request, context: TheContext, caller: TheCaller, options: TheOptions) -> Response:
     """Store the measurement that is the body: 201, or 200 if the same is stored already.
 
     A MERL file and a table of samples are stored byte for byte. An RGL file, by `.bsdf` at the end of its name, is
@@ -79,41 +85,73 @@ async def upload_measurement(
     """
     media_type = media_type_of(request, *UPLOADED)
     row, new = await receive_upload(request, context, caller, name_of(request), media_type, options)
-    response.status_code = 201 if new else 200
-    response.headers["Location"] = f"{prefix_of(request)}/v1/measurements/{row.sha256}"
-    return from_row(MeasurementDocument, row)
+    headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}"}
+    return Response(to_json(_document(row)), 201 if new else 200, headers, JSON)
 
 
-@router.get("", responses=openapi.problems())
+@router.get("", response_model=MeasurementList, responses={200: openapi.headers("Link"), **openapi.problems()})
 async def list_measurements(
-    request: Request, response: Response, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
-) -> MeasurementList:
+    request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
+) -> Response:
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
     rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, page.before, page.name)
-    response.headers.update(next_page(request, page, rows))
-    return MeasurementList(items=[from_row(MeasurementDocument, row) for row in rows[: page.limit]])
+    items = [_document(row) for row in rows[: page.limit]]
+    return Response(to_json({"items": items}), 200, next_page(request, page, rows), JSON)
 
 
 @router.get(
     "/{sha256}",
-    response_class=FileResponse,
-    response_description="The file, byte for byte as it was uploaded; or what is known of it.",
+    response_model=MeasurementDetails,
     responses={
-        200: {"content": {BINARY: openapi.file(BINARY), JSON: {"schema": openapi.reference(MeasurementDetails)}}},
-        **openapi.NOT_MODIFIED,
+        200: {"content": {BINARY: openapi.file(BINARY)}, **openapi.headers("ETag")},
+        304: openapi.TAGGED[304],
         **openapi.problems("not-found", "measurement-damaged"),
     },
     openapi_extra={"parameters": [_ACCEPT]},
 )
-async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Return the file as it was uploaded; its ETag is its sha256. `HEAD` tells whether it need not be sent again.
+async def get_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+    """Return the document of a measurement: name, size, time of the upload and fits. `HEAD` tells whether it is stored.
 
-    With `Accept: application/json` the answer is its document: name, size, time of the upload and fits.
+    With `Accept: application/octet-stream` the answer is the file, as below `/content`.
     """
+    if prefers(request, BINARY, JSON):
+        return await _content(request, context, caller, sha256)
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
-    if prefers(request, JSON, BINARY):  # who accepts anything gets the file
-        fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MOST_FITS)
-        return tagged_reply(request, from_row(MeasurementDetails, row, fits=fits), headers=_VARY)
+    fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MAX_LISTED_FITS)
+    return tagged_reply(request, to_json(_document(row) | {"fits": fits}), headers=_VARY)
+
+
+@router.get(
+    "/{sha256}/content",
+    response_class=FileResponse,
+    response_description="The file, byte for byte as it was uploaded.",
+    responses={
+        200: {"content": {BINARY: openapi.file(BINARY)}, **openapi.headers("ETag")},
+        304: openapi.TAGGED[304],
+        **openapi.problems("not-found", "measurement-damaged"),
+    },
+)
+async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+    """Return the file as it was uploaded; its ETag is its sha256. `HEAD` tells whether it need not be sent again."""
+    return await _content(request, context, caller, sha256)
+
+
+@router.delete(
+    "/{sha256}",
+    status_code=204,
+    response_class=Response,
+    responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),
+)
+async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+    """Delete the file; finished fits of it stay, unfinished ones forbid it (409)."""
+    if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
+        raise MeasurementNotFoundError(sha256)
+    return Response(status_code=204)
+
+
+async def _content(request: Request, context: Context, caller: Caller, sha256: str) -> Response:
+    """Return the file of a measurement."""
+    row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     headers = {"ETag": f'"{sha256}"', **_VARY}
     path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
     if known := not_modified(request, headers):
@@ -129,14 +167,6 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
         raise MeasurementNotFoundError(sha256) from None
 
 
-@router.delete(
-    "/{sha256}",
-    status_code=204,
-    response_class=Response,
-    responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),
-)
-async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Delete the file; finished fits of it stay, unfinished ones forbid it (409)."""
-    if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
-        raise MeasurementNotFoundError(sha256)
-    return Response(status_code=204)
+def _document(row: MeasurementRow) -> dict[str, Any]:
+    """Return the members of a `MeasurementDocument`."""
+    return {name: getattr(row, name) for name in MeasurementDocument.model_fields} | {"created": as_time(row.created)}

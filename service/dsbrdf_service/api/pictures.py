@@ -15,8 +15,7 @@ import dsbrdf
 from dsbrdf.extras import require
 from dsbrdf.rendering.sphere import LIGHTINGS
 
-from ..compute.steps import FIGURES, figure_step, samples_step, sphere_step, spheres_step, table_step
-from ..errors import ProblemError
+from ..compute.steps import FIGURES, figure_step, samples_step, sphere_step, table_step
 from ..http import openapi
 from ..http.request_body import media_type_of
 from ..http.responses import NPY, not_modified, tag_of, tagged_reply
@@ -55,8 +54,8 @@ def _draws(
     if "requestBody" in declared:
         kinds, method = (*kinds, "too-large", *openapi.BODY_PROBLEMS), "POST"
     content = {_MEDIA_TYPES[name]: openapi.file(_MEDIA_TYPES[name]) for name in formats}
-    responses = openapi.NOT_MODIFIED | openapi.problems(*kinds)
-    responses[200] = {"description": "What is drawn.", "content": content}
+    responses = openapi.TAGGED | openapi.problems(*kinds)
+    responses[200] = {"description": "The picture, or its data.", "content": content, **openapi.headers("ETag")}
     about: dict[str, Any] = {"response_class": Response, "responses": responses, "openapi_extra": declared}
     return router.api_route(path, methods=[method], **about)
 
@@ -112,21 +111,6 @@ async def draw_sphere(
     of that whole sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
     """
     return await draw(sphere_step, file_format, fit.model, fit.part(component), lighting, size)
-
-
-@_draws("/fits/{fit_id}/figures/spheres.png", "fit-not-finished")
-async def draw_spheres(draw: Draw, context: TheContext, fit: TheLoadedFit, row: TheRow, size: _Size = 128) -> Response:
-    """Return one picture of spheres under three lights: measured, fit, their difference times 4, then each component.
-
-    All have the exposure of the measurement; where none is stored on a grid, the first is the fit, with its own.
-    """
-    parts, stored = list(fit.decomposition), None
-    try:
-        stored = await context.stored_measurement(row.owner, row.measurement)
-    except ProblemError as error:
-        if error.kind != "not-found":  # it is deleted, or a table of samples
-            raise
-    return await draw(spheres_step, fit.model, parts, stored, size, of=stored and stored.sha256)
 
 
 @_draws("/fits/{fit_id}/figures/thumbnail.png", "fit-not-finished")

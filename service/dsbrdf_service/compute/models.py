@@ -53,7 +53,7 @@ class ModelCache:
         if (key, stamp) in self._models:
             self._models.move_to_end((key, stamp))
             return self._models[key, stamp]
-        loaded = LoadedFit(*await run_in_threadpool(lambda: fit_from_json(self._store.result(key))))
+        loaded = LoadedFit(*await run_in_threadpool(lambda: fit_from_json(self._store.result(key).decode())))
         if stamp is not None:  # else its fit has ended meanwhile
             loaded = self._models.setdefault((key, stamp), loaded)  # it may have come together with this request
             if len(self._models) > self._size:

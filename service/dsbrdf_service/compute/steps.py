@@ -34,7 +34,7 @@ from dsbrdf.output.figure_parts import encode_figure
 from dsbrdf.output.figures import lobes_figure, profiles_figure, residual_figure
 from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.sample_figures import samples_figure, samples_residual_figure
-from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, encode_png
+from dsbrdf.output.sphere_panels import encode_png
 from dsbrdf.output.table_summary import summary_of_table
 from dsbrdf.rendering.environment import EnvironmentMap
 from dsbrdf.rendering.image_metrics import displayed, exposure
@@ -107,22 +107,6 @@ def measured_step(
 ) -> Array:
     """Return a measurement's values at points (n,), shape (n, 3), as `dsbrdf.Measurement.evaluate`."""
     return stored.mapped().evaluate(theta_half, theta_diff, phi_diff)
-
-
-def spheres_step(
-    model: DSBRDF, parts: list[Component], stored: StoredMeasurement | None, size: int, _: OnProgress
-) -> bytes:
-    """Return one PNG of spheres under three lights: measured, fit and difference, or the fit alone; then its parts.
-
-    All have the exposure of the measurement, or of the fit where there is none.
-    """
-    shown = ([] if stored is None else [stored.mapped()]) + [model, *parts]
-    radiance = [render_sphere(material, size=size) for material in shown]
-    factor = exposure(radiance[0], sphere_normals(size)[1])
-    pictures = [displayed(image, factor) for image in radiance]
-    if stored is not None:
-        pictures.insert(2, np.clip(DIFFERENCE_GAIN * np.abs(pictures[0] - pictures[1]), 0.0, 1.0))
-    return encode_png(np.concatenate(pictures, axis=1))
 
 
 def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:

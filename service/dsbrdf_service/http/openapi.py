@@ -30,7 +30,13 @@ _EVERYWHERE = ("bad-request", "head-too-long", "invalid-argument", "internal", "
 _BEHIND_A_KEY = ("unauthorized", "foreign-origin", "misdirected", "rate-limited", "too-many-at-once")
 BODY_PROBLEMS = ("request-timeout", "bad-encoding", "unsupported-media-type")
 UPLOAD_PROBLEMS = ("storage-quota", "measurement-too-large", "measurement-format", "disk-full", *BODY_PROBLEMS)
-NOT_MODIFIED: Responses = {304: {"description": "What the client has, by its `If-None-Match`, is current."}}
+
+_HEADERS = {
+    "Location": "Address of the resource.",
+    "Link": 'Address of the next page, with `rel="next"`; missing on the last one.',
+    "ETag": "Changes with the answer; `If-None-Match` asks whether it has changed.",
+    "Retry-After": "Time after which asking again may help [s].",
+}
 
 EXAMPLE_FIT = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
 EXAMPLE_SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
@@ -48,7 +54,7 @@ _EXAMPLES: dict[str, dict[str, Any]] = {
     "MeasurementList": {"items": [_GIVEN["measurement"]]},
     "TableDocument": _GIVEN["table"],
     "FitRequest": {"measurement": EXAMPLE_SHA256, "options": {"n_lobes": 3, "horizon_cutoff_deg": 80}},
-    "FitDocument": {**_FIT, "warnings": [], "components": [_GIVEN["component"]], "model": _GIVEN["model"]},
+    "FitDocument": {**_FIT, "components": [_GIVEN["component"]], "model": _GIVEN["model"], **_GIVEN["result"]},
     "FitList": {"items": [_FIT]},
     "RemovedFit": {"id": EXAMPLE_FIT, "status": "cancelled"},
     "ComponentList": {"items": [_GIVEN["component"]]},
@@ -64,12 +70,19 @@ def problems(*kinds: str, behind_a_key: bool = True) -> Responses:
     """Return the responses for problems of these kinds, and of those that can occur at every operation."""
     responses: Responses = {}
     for kind in (*kinds, *_EVERYWHERE, *(_BEHIND_A_KEY if behind_a_key else ())):
-        status, title, _ = KINDS[kind]
+        status, title, retry_after = KINDS[kind]
         content = {MEDIA_TYPE: {"schema": reference(Problem)}}
         known = responses.setdefault(status, {"description": title, "content": content})
         if title not in known["description"]:
             known["description"] += f"; or: {title}"
+        if retry_after or kind == "rate-limited":
+            known |= headers("Retry-After")
     return responses
+
+
+def headers(*names: str) -> dict[str, Any]:
+    """Return what a response declares of its headers."""
+    return {"headers": {name: {"description": _HEADERS[name], "schema": {"type": "string"}} for name in names}}
 
 
 def body(description: str, content: dict[str, Any]) -> dict[str, Any]:
@@ -82,6 +95,11 @@ def header_parameter(name: str, description: str, **schema: Any) -> dict[str, An
     return {"name": name, "in": "header", "description": description, "schema": {"type": "string", **schema}}
 
 
+TAGGED: Responses = {
+    200: headers("ETag"),
+    304: {"description": "What the client has, by its `If-None-Match`, is current.", **headers("ETag")},
+}
+"""The answers of a resource that has an ETag."""
 ENCODING = header_parameter("Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip"])
 
 

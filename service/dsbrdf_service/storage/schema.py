@@ -32,7 +32,7 @@ _TABLES = f"""
         status TEXT NOT NULL CHECK (status IN ('accepted', 'running', 'succeeded', 'failed', 'cancelled')),
         attempts INTEGER NOT NULL DEFAULT 0,
         metrics TEXT, error TEXT, created REAL NOT NULL, started REAL, finished REAL,
-        result TEXT, -- JSON: model, report, components
+        result TEXT, -- JSON, as HTTP sends it
         thumbnail BLOB, -- PNG
         checksum INTEGER, size INTEGER NOT NULL DEFAULT {ROW_SIZE},
         UNIQUE (owner, id), UNIQUE (owner, seq),

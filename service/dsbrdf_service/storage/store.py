@@ -149,7 +149,7 @@ class Store:
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`; those of one name."""
-        return [MeasurementRow(*row) for row in self._page(_SELECT_MEASUREMENT, owner, limit, before, name)]
+        return [MeasurementRow(*row) for row in self._page(_SELECT_MEASUREMENT, owner, limit, before, {"name": name})]
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
         """Remove a measurement, whose file goes after its last owner's row; return whether there was one.
@@ -222,17 +222,26 @@ class Store:
                 return FitRow.from_values(row)
         raise FitNotFoundError(key.id)
 
-    def fits(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[FitRow]:
-        """Return up to `limit` fits, newest first, older than the row number `before`; those of one name."""
-        return [FitRow.from_values(row) for row in self._page(_SELECT_FIT, owner, limit, before, name)]
+    def fits(
+        self,
+        owner: str,
+        limit: int,
+        before: int | None,
+        name: str | None = None,
+        status: Status | None = None,
+        measurement: str | None = None,
+    ) -> list[FitRow]:
+        """Return up to `limit` fits, newest first, older than the row number `before`, which have what is not None."""
+        wanted = {"name": name, "status": status, "measurement": measurement}
+        return [FitRow.from_values(row) for row in self._page(_SELECT_FIT, owner, limit, before, wanted)]
 
     def fits_of(self, owner: str, sha256: str, limit: int) -> list[str]:
         """Return the ids of a measurement's fits, newest first."""
         query = "SELECT id FROM fits WHERE measurement = ? AND owner = ? ORDER BY seq DESC LIMIT ?"
         return [fit_id for (fit_id,) in self.database.rows(query, sha256, owner, limit)]
 
-    def result(self, key: FitKey) -> str:
-        """Return the document of a fit that succeeded.
+    def result(self, key: FitKey) -> bytes:
+        """Return the document of a fit that succeeded, as its process has written it.
 
         Raises FitNotFoundError, or ProblemError if the fit has none, or it is not what was written.
         """
@@ -246,7 +255,7 @@ class Store:
             raise ProblemError("not-found", detail)
         return picture
 
-    def _result(self, key: FitKey) -> tuple[str, bytes | None]:
+    def _result(self, key: FitKey) -> tuple[bytes, bytes | None]:
         query = f"SELECT status, CAST(result AS BLOB), thumbnail, metrics, checksum FROM fits {_WHERE_FIT}"  # noqa: S608
         rows = self.database.rows(query, *key)
         if not rows:
@@ -259,7 +268,7 @@ class Store:
         if checksum(metrics, document) != written:
             detail = "The stored result of the fit is damaged; delete the fit and ask for it once more."
             raise ProblemError("fit-without-result", detail)
-        return str(document, "utf-8"), thumbnail
+        return document, thumbnail
 
     def result_stamp(self, key: FitKey) -> int | None:
         """Return what tells a fit's result from others, None without one; for the event loop, as `Database.row_now`."""
@@ -341,8 +350,10 @@ class Store:
         with self.database.transaction() as db:
             return _first(db.execute(query, (*values, *key)).fetchall())
 
-    def _page(self, select: str, owner: str, limit: int, before: int | None, name: str | None) -> list[tuple[Any, ...]]:
-        conditions = {"owner = ?": owner, "seq < ?": before, "name = ?": name}
+    def _page(
+        self, select: str, owner: str, limit: int, before: int | None, wanted: Mapping[str, str | None]
+    ) -> list[tuple[Any, ...]]:
+        conditions = {"owner = ?": owner, "seq < ?": before, **{f"{name} = ?": wanted[name] for name in wanted}}
         given = {condition: value for condition, value in conditions.items() if value is not None}
         query = f"{select} WHERE {' AND '.join(given)} ORDER BY seq DESC LIMIT ?"
         return self.database.rows(query, *given.values(), limit)

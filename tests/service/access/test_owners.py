@@ -41,8 +41,9 @@ def probes(fit: str, sha256: str, tags: Mapping[str, str]) -> Iterator[tuple[str
     for tag in (*tags.values(), "*"):
         for path in ("", "/components"):
             yield "GET", f"/v1/fits/{fit}{path}", {"headers": {"If-None-Match": tag}}
-        yield "GET", f"/v1/measurements/{sha256}", {"headers": {"If-None-Match": tag}}
-        yield "HEAD", f"/v1/measurements/{sha256}", {"headers": {"If-None-Match": tag}}
+        for path in ("", "/content"):
+            yield "GET", f"/v1/measurements/{sha256}{path}", {"headers": {"If-None-Match": tag}}
+            yield "HEAD", f"/v1/measurements/{sha256}{path}", {"headers": {"If-None-Match": tag}}
     for path in ("/brdf", "/components/diffuse/brdf", "/components/no_label/brdf"):
         for accepted in ("*/*", "application/x-npy", "image/png"):
             yield "POST", f"/v1/fits/{fit}{path}", {"json": POINTS, "headers": {"Accept": accepted}}
@@ -85,4 +86,4 @@ def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) 
 
     # All of it is still there for who owns it.
     assert server.http.get(f"/v1/fits/{fit}", headers=alice).json()["status"] == "succeeded"
-    assert server.http.get(f"/v1/measurements/{sha256}", headers=alice).content == data
+    assert server.http.get(f"/v1/measurements/{sha256}/content", headers=alice).content == data

@@ -1,5 +1,7 @@
 """Lists and names: pages newest first, names given with what is sent, shown, filtered by, and those of files."""
 
+from urllib.parse import urlencode
+
 import pytest
 
 from dsbrdf import FitOptions, InvalidArgumentError
@@ -25,7 +27,7 @@ def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: 
         names_of(server, "fits", name="Näckel 1") == names_of(server, "measurements", name="Näckel 1") == ["Näckel 1"]
     )
     assert names_of(server, "fits", name="nobody's") == []
-    file = server.http.get(f"/v1/measurements/{fit['measurement']}")
+    file = server.http.get(f"/v1/measurements/{fit['measurement']}/content")
     assert file.headers["content-disposition"] == "attachment; filename*=UTF-8''N%C3%A4ckel%201.binary"
 
     # The same again is renamed, not fitted; without a name it keeps the one that it has.
@@ -114,6 +116,29 @@ def test_fits_are_listed_newest_first_page_by_page(server: Server, stored: str) 
         page = server.http.get(page.links["next"]["url"])
         pages.append(numbers(page.json()["items"]))
     assert pages == [[15, 14], [13, 12], [11]]
+
+
+def test_fits_are_filtered_by_state_and_measurement(server: Server, data: bytes) -> None:
+    content = data[:-8] + b"\0" * 7 + b"\xc2"
+    sha256 = server.http.post("/v1/measurements", content=content).json()["sha256"]
+    failed = server.submit(sha256, n_lobes=8, mask=10, horizon_cutoff_deg=2).json()
+    succeeded = server.submit(sha256, **QUICK).json()
+    assert (failed["status"], succeeded["status"]) == ("failed", "succeeded")
+
+    def listed(**wanted: str) -> list[str]:
+        pages, address = list[str](), "/v1/fits?" + urlencode(wanted | {"limit": 1})
+        while address:
+            page = server.http.get(address)
+            pages += [item["id"] for item in page.json()["items"]]
+            address = page.links.get("next", {}).get("url", "")
+        return pages
+
+    assert listed(measurement=sha256) == [succeeded["id"], failed["id"]]
+    assert listed(measurement=sha256, status="failed") == [failed["id"]]
+    assert failed["id"] in listed(status="failed")
+    assert listed(measurement="0" * 64) == []
+    for wrong in ("status=done", "measurement=x"):
+        assert_problem(server.http.get(f"/v1/fits?{wrong}"), 422, "invalid-argument")
 
 
 def test_measurements_are_listed(server: Server, data: bytes) -> None:

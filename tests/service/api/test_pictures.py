@@ -13,7 +13,6 @@ from starlette.requests import Request
 import dsbrdf
 from dsbrdf import EnvironmentMap
 from dsbrdf.extras import MissingExtraError, require
-from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN
 from dsbrdf.rendering import displayed, exposure, sphere_normals
 from dsbrdf_service.http.problems import KINDS, problem_of
 from dsbrdf_service.http.responses import NPY
@@ -53,17 +52,6 @@ def test_a_sphere_is_that_of_the_library_as_a_picture_and_as_radiance_in_any_lig
             picture = server.http.request(url=f"{figures}/sphere.png", **asked)
             assert_shows(picture, displayed(image, exposure(exposed, mask)))
     assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/figures/sphere.png"), 404, "not-found")
-
-
-def test_spheres_side_by_side_have_one_exposure(
-    server: Server, fitted: str, model: dsbrdf.DSBRDF, plastic: dsbrdf.Measurement
-) -> None:
-    radiance = [dsbrdf.render_sphere(shown, size=32) for shown in (plastic, model, *dsbrdf.decompose(model))]
-    factor = exposure(radiance[0], sphere_normals(32)[1])
-    measured, fit, *components = (displayed(image, factor) for image in radiance)
-    difference = np.minimum(DIFFERENCE_GAIN * np.abs(fit - measured), 1.0)
-    answer = server.http.get(f"/v1/fits/{fitted}/figures/spheres.png", params={"size": "32"})
-    assert_shows(answer, np.concatenate([measured, fit, difference, *components], axis=1))
 
 
 def test_every_other_sphere_has_another_tag(server: Server, stored: str, fitted: str) -> None:

@@ -19,7 +19,8 @@ def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, 
         f"{fit}/components",
         f"{fit}/components/diffuse/brdf?{point}",
     ]
-    paths += [f"{fit}/export?format=json", f"{fit}/export?format=merl", f"{fit}/events", f"/v1/measurements/{stored}"]
+    paths += [f"{fit}/export?format=json", f"{fit}/export?format=merl", f"{fit}/events"]
+    paths += [f"/v1/measurements/{stored}", f"/v1/measurements/{stored}/content"]
     paths += ["/health/live", "/health/ready", "/metrics", "/docs", "/openapi.json"]
     for path in paths:
         head, get = server.http.head(path), server.http.get(path)
@@ -31,18 +32,35 @@ def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, 
 
 
 def test_what_the_client_has_is_not_sent_again(server: Server, stored: str, fitted: str) -> None:
-    fit, json = f"/v1/fits/{fitted}", {"Accept": "application/json"}
-    measurement = f"/v1/measurements/{stored}"
-    plain: list[str] = [fit, f"{fit}/components", f"{fit}/figures/sphere.png?size=16", measurement]
-    for path, headers in [*((path, dict[str, str]()) for path in plain), (measurement, json)]:
-        first = server.http.get(path, headers=headers)
-        again = server.http.get(path, headers={**headers, "If-None-Match": first.headers["etag"]})
+    fit, measurement = f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"
+    pictures = f"{fit}/figures/sphere.png?size=16"
+    for path in (fit, f"{fit}/components", pictures, measurement, f"{measurement}/content"):
+        first = server.http.get(path)
+        again = server.http.get(path, headers={"If-None-Match": first.headers["etag"]})
         assert (first.status_code, again.status_code, again.content) == (200, 304, b""), path
         assert again.headers["etag"] == first.headers["etag"]
-        other = server.http.get(path, headers={**headers, "If-None-Match": '"another"'})
+        other = server.http.get(path, headers={"If-None-Match": '"another"'})
         assert (other.status_code, other.content) == (200, first.content)
         if "/measurements/" in path:  # the file and its document are at one address
             assert "Accept" in ", ".join(value for name, value in again.headers.multi_items() if name == "vary")
+
+
+def test_headers_of_answers_are_declared(server: Server, stored: str, fitted: str) -> None:
+    paths = server.http.get("/openapi.json").json()["paths"]
+    names = {"location", "link", "etag", "retry-after"}
+    templates = ["/v1/fits/{fit_id}", "/v1/fits/{fit_id}/components", "/v1/fits/{fit_id}/figures/sphere.{file_format}"]
+    templates += ["/v1/measurements/{sha256}", "/v1/measurements/{sha256}/content"]
+    addresses = [template.format(fit_id=fitted, sha256=stored, file_format="png") for template in templates]
+    answers = [server.http.get(address) for address in addresses]
+    answers += [server.http.get("/v1/fits?limit=1"), server.submit(stored, prefer="respond-async", mask=0.17)]
+    seen = set()
+    for template, answer in zip([*templates, "/v1/fits", "/v1/fits"], answers, strict=True):
+        operation = paths[template][answer.request.method.lower()]
+        declared = operation["responses"][str(answer.status_code)].get("headers", {})
+        sent = names & set(map(str.lower, answer.headers))
+        assert sent <= set(map(str.lower, declared)), template
+        seen |= sent
+    assert seen == names
 
 
 def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored: str, fitted: str) -> None:

@@ -32,7 +32,6 @@ _ANGLES = "theta_half_deg=10&theta_diff_deg=30"
 FIT_PATH = f"/v1/fits/{FIT}"
 EXPORT = f"{FIT_PATH}/export?format=bsdf"
 SPHERE = f"{FIT_PATH}/figures/sphere.png?size=16"
-SPHERES = f"{FIT_PATH}/figures/spheres.png?size=16"
 COMPONENTS = ("specular_spike", "specular_lobe", "diffuse")
 OF_COMPONENTS = [
     FIT_PATH,
@@ -81,7 +80,6 @@ async def until_waiting(running: Application, n_requests: int) -> None:
     [
         (exports, "export_step", [EXPORT, *(f"{EXPORT}&component={label}" for label in COMPONENTS)]),
         (pictures, "sphere_step", [SPHERE, *(f"{SPHERE}&component={label}" for label in COMPONENTS)]),
-        (pictures, "spheres_step", [SPHERES, SPHERES]),
     ],
 )
 async def test_what_nobody_waits_for_is_not_computed(

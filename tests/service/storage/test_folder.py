@@ -175,7 +175,7 @@ def test_older_database_loses_no_file_and_an_upload_makes_its_row_again(
     assert "WRONG  files:          1 of 1 files have no row" in examined.stdout
     assert server.files() == before
     assert server.http.post("/v1/measurements", content=data).status_code == 201
-    assert server.http.get(f"/v1/measurements/{sha256}").content == data
+    assert server.http.get(f"/v1/measurements/{sha256}/content").content == data
     assert server.files() == before
     assert run_main(doctor.main, "--data-dir", str(server.data_dir)).returncode == 0
 

@@ -43,7 +43,7 @@ def test_finished_fit_cannot_change(store: Store) -> None:
     for refused in (store.cancel_fit(key), store.fail_fit(key, {}), store.start_fit(key)):
         assert refused is None
     row, new = store.add_fit(LOCAL, *arguments)
-    assert (row.status, new, row.metrics, store.result(key)) == ("succeeded", False, {"male": 0.5}, "document")
+    assert (row.status, new, row.metrics, store.result(key)) == ("succeeded", False, {"male": 0.5}, b"document")
     with pytest.raises(ProblemError, match="stored without a thumbnail"):
         store.thumbnail(key)
     assert store.remove_fit(key)
@@ -78,7 +78,7 @@ def test_owners_share_only_the_file_of_a_measurement(store: Store) -> None:
     store.cancel_fit(of_a)
     assert store.remove_measurement("a", sha256)
     assert not store.blobs.path(sha256).exists()
-    assert store.result(of_b) == "of b"
+    assert store.result(of_b) == b"of b"
 
 
 def test_damaged_result_is_not_returned(store: Store) -> None:
