@@ -49,7 +49,9 @@ if TYPE_CHECKING:
     from dsbrdf.rendering.environment import read_environment as read_environment
     from dsbrdf.rendering.sphere import render_sphere as render_sphere
     from dsbrdf.samples.measurement_files import read_measurement as read_measurement
+    from dsbrdf.samples.reading import read_samples as read_samples
     from dsbrdf.samples.scattered_samples import ScatteredSamples as ScatteredSamples
+    from dsbrdf.samples.table_options import TableOptions as TableOptions
     from dsbrdf.version import ALGORITHM_VERSION as ALGORITHM_VERSION
     from dsbrdf.version import __version__ as __version__
 
@@ -60,7 +62,9 @@ _DEFINED_IN = {
     "samples.measurement_files": "read_measurement",
     "data.merl": "parse_merl read_merl write_merl",
     "data.reduction": "Profiles profiles",
+    "samples.reading": "read_samples",
     "samples.scattered_samples": "ScatteredSamples",
+    "samples.table_options": "TableOptions",
     "errors": "ConvergenceWarning DSBRDFError FitError ImageFormatError InvalidArgumentError MeasurementFormatError "
     "ModelFormatError",
     "fitting.options": "FitOptions",

@@ -6,7 +6,7 @@ import inspect
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from os import PathLike
 from typing import Any
 
@@ -15,10 +15,10 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
-from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
 from dsbrdf.fitting.global_method import fit_global, refine_at_samples
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
+from dsbrdf.fitting.option_fields import check_names
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, FoundModel
 from dsbrdf.paper.paper_method import fit_slicewise
@@ -41,7 +41,8 @@ from dsbrdf.samples.errors import (
 from dsbrdf.samples.measurement_files import read_measurement
 from dsbrdf.samples.prediction import SamplePrediction, thinned, without_outliers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
-from dsbrdf.samples.units import sample_units
+from dsbrdf.samples.table_options import TABLE_OPTIONS, TableOptions
+from dsbrdf.samples.units import sample_doubts
 from dsbrdf.version import versions
 
 FEW_SAMPLES = 200
@@ -60,7 +61,7 @@ def fit(
     progress: Callable[[float], None] | None = None,
     **choices: Any,
 ) -> FitResult:
-    """Fit the model to a measurement.
+    """Fit the model to a measurement; read it first if it is in a file.
 
     Parameters
     ----------
@@ -75,7 +76,8 @@ def fit(
         Called with the fraction of the work done, 0 to 1, at least once an iteration. An exception that it
         raises ends the fit and reaches the caller.
     **choices
-        Single options by name, such as ``n_lobes=2``, instead of ``options``; the other parameters below.
+        Single options by name, such as ``n_lobes=2``, instead of ``options``, and those of a table in a file, such as
+        ``scale=0.01``, with which it is read; the other parameters below.
 
     Raises
     ------
@@ -91,11 +93,16 @@ def fit(
     ConvergenceWarning
         If the fit, or slices of it, stopped at the bound on the iterations. The report's `warnings` have this one too.
     """
+    of_table = {name: choices.pop(name) for name in TABLE_OPTIONS if name in choices}
     if options is not None and choices:
         raise InvalidArgumentError("give the options as FitOptions or by name, not both")
+    check_names(choices, (*(declared.name for declared in fields(FitOptions)), *TABLE_OPTIONS))
     options = options or FitOptions(**choices)
     if isinstance(measurement, str | PathLike):
-        measurement = read_measurement(measurement, options)
+        measurement = read_measurement(measurement, **of_table)
+    elif of_table:
+        chosen = " and ".join(of_table)
+        raise InvalidArgumentError(f"with {chosen} a table in a file is read: give its path, or leave {chosen} out")
     elif not isinstance(measurement, Measurement | Profiles | ScatteredSamples):
         measurement = Measurement.from_values(measurement)
     in_slices = options.method == "paper"
@@ -105,7 +112,6 @@ def fit(
     if isinstance(measurement, ScatteredSamples):
         result = _fit_samples(measurement, options, report_progress, clock)
     else:
-        options.refuse_on_grid()
         data = profiles_for(measurement, options)
         clock.lap("profiles")
         report_progress(0.1)
@@ -165,21 +171,20 @@ def _fit_samples(
     """Predict a table from samples and fit it; then, if samples are not few, fit the table and the samples together."""
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
-    samples = samples.with_options(options)
-    units = sample_units(samples)
-    bright = replace(samples, values=samples.values * units.factor)
+    doubts = sample_doubts(samples)
+    used = replace(samples, values=samples.values * doubts.factor)  # The model gets the unit of the samples again.
     if options.robust:
-        bright = without_outliers(bright)
-    known = thinned(bright)
+        used = without_outliers(used)
+    known = thinned(used)
     prediction = SamplePrediction.fit(known)
     clock.lap("prediction")
-    table = predicted_profiles(bright, prediction, options)
+    table = predicted_profiles(used, prediction, options)
     clock.lap("profiles")
     found, mixture = fit_global(table, options, lambda share: progress(0.1 + 0.7 * share), clock.lap)
-    if len(bright.values) >= FEW_SAMPLES:
-        chosen = np.random.default_rng(0).permutation(len(bright.values)) < MAX_REFINED_SAMPLES
+    if len(used.values) >= FEW_SAMPLES:
+        chosen = np.random.default_rng(0).permutation(len(used.values)) < MAX_REFINED_SAMPLES
         for _ in range(REFINEMENT_ROUNDS):
-            data = sample_rows(bright.take(chosen), table, options, prediction, found.model)
+            data = sample_rows(used.take(chosen), table, options, prediction, found.model)
             refined, mixture = refine_at_samples(data, mixture)
             found = replace(refined, search=found.search)
         clock.lap("refine at samples")
@@ -189,21 +194,28 @@ def _fit_samples(
     expected = expected_error(prediction, found.model)
     pairs = pairs_to_measure(prediction, found.model) if expected > MAX_EXPECTED_ERROR else ()
     clock.lap("left out")
-    amplitude = found.model.amplitude / units.factor
+    amplitude = found.model.amplitude / doubts.factor
     if np.all(samples.values == samples.values[:, :1]):  # grey, to the last bit
         amplitude = np.broadcast_to(amplitude.mean(axis=0), amplitude.shape).copy()
     found = replace(found, model=replace(found.model, amplitude=amplitude))
-    result = _result(found, table, options, clock, is_unit_wrong=units.factor != 1.0)
+    result = _result(found, table, options, clock, is_unit_wrong=doubts.factor != 1.0)
     metrics = scattered_metrics(found.model, samples, options.horizon_cutoff)
     metrics = replace(metrics, relative_rms_left_out=left_out, relative_rms_expected=expected)
     sentences = (
         *samples.notes,
-        *units.sentences,
+        *doubts.sentences,
         *sample_warnings(samples, metrics, prediction.layers.structures[0].name, FEW_SAMPLES),
         *unconfirmed_sample(known, without),
         *result.report.warnings,
     )
-    report = replace(result.report, metrics=metrics, warnings=sentences, left_out=rows, measure_next=pairs)
+    report = replace(
+        result.report,
+        metrics=metrics,
+        warnings=sentences,
+        left_out=rows,
+        measure_next=pairs,
+        samples=samples.sha256,
+    )
     return replace(result, report=report)
 
 

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingC
 
 from dsbrdf.cli.arguments import BAD_INPUT, entry_point, print_json
 from dsbrdf.cli.commands import Whole
-from dsbrdf.cli.parameters import DEFAULT, Flags, Json, RequiredFiles
+from dsbrdf.cli.parameters import DEFAULT, NO_TABLE_FLAGS, AboutTable, Flags, Json, RequiredFiles
 from dsbrdf.data.files import write_atomically
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
 from dsbrdf.engines.dask import DaskEngine
@@ -30,6 +30,7 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
 from dsbrdf.samples.measurement_files import read_measurement
+from dsbrdf.samples.table_options import TableOptions
 
 _FILES = (".json", ".png", ".svg", ".pdf", ".csv", ".binary")
 _SCHEDULER = r"(tcp|tls|ws|wss)://[^/\s]+:[0-9]+"
@@ -95,14 +96,15 @@ def fit(
     plot: bool = False,
     json: Json = False,
     flags: Flags = DEFAULT,
+    table: AboutTable = NO_TABLE_FLAGS,
 ) -> int:
     """Fit the files; return the exit code.
 
     Parameters
     ----------
     files
-        A MERL .binary file, a folder of them, an RGL .bsdf file, or a table of scattered samples, .csv,
-        .tsv, .txt, .astm or .xlsx.
+        A MERL .binary file, a folder of them, an RGL .bsdf file, or a table of scattered samples, in a text or
+        in a spreadsheet.
     csv
         Write the metrics of all files as a table.
     plot
@@ -112,11 +114,11 @@ def fit(
     paths = measurement_files(files)
     if plot:
         require("plot", "matplotlib", purpose="dsbrdf fit --plot")
-    done = _fit(paths, flags.options(), work, quiet=json)
+    done = _fit(paths, flags.options(), table.options(), work, quiet=json)
     if csv is not None:
         write_atomically(csv, [summary_csv(done)])
     if plot:
-        for line in _plot(done, work.output or Path()):
+        for line in _plot(done, table.options(), work.output or Path()):
             if not json:
                 print(line)
     if json:
@@ -132,7 +134,7 @@ def fit(
     return BAD_INPUT if any(item.error is not None for item in done) else 0
 
 
-def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> list[FileFit]:
+def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work, *, quiet: bool) -> list[FileFit]:
     """Fit the files, and print each result as soon as it is there unless `quiet`."""
     done: list[FileFit] = []
     bar = _progress_bar()
@@ -142,6 +144,7 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
         options,
         work.engine(),
         work.output,
+        table=table,
         force=work.force,
         progress=lambda finished: bar.update(task, completed=finished, done=int(finished)),
     )
@@ -158,14 +161,14 @@ def _fit(files: list[Path], options: FitOptions, work: Work, *, quiet: bool) -> 
     return sorted(done, key=lambda item: places[item.file])
 
 
-def _plot(items: list[FileFit], folder: Path) -> Iterator[str]:
+def _plot(items: list[FileFit], table: TableOptions, folder: Path) -> Iterator[str]:
     """Write a figure of each fit into a folder, and yield what to print."""
     from dsbrdf.output.figure_parts import encode_figure
     from dsbrdf.output.plots import plot
 
     for item in items:
         if item.result is not None:
-            figure = plot(item.result, read_measurement(item.file, item.result.report.options))
+            figure = plot(item.result, read_measurement(item.file, table))
             path = folder / f"{item.file.stem}.png"
             write_atomically(path, [encode_figure(figure)])
             yield f"figure: {path}"

@@ -17,6 +17,7 @@ from dsbrdf.cli.parameters import (
     ModelFile,
     OutputFile,
     Points,
+    RequiredFiles,
     named_in_errors,
     named_part,
     read_model,
@@ -27,7 +28,6 @@ from dsbrdf.data.grid import CHANNELS
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, read_merl
 from dsbrdf.data.rgl_material import RglMaterial, read_rgl
-from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
@@ -39,7 +39,9 @@ from dsbrdf.output.export.glsl import NAME
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import lobes_phrase, model_text, result_document, result_text
 from dsbrdf.pipeline import fit
-from dsbrdf.samples.reading import is_table, read_samples
+from dsbrdf.samples.measurement_files import kind_of_file
+from dsbrdf.samples.reading import read_samples
+from dsbrdf.samples.table_options import TableOptions
 
 Channel = Annotated[str, Parameter(choices=CHANNELS)]
 _FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())
@@ -159,15 +161,12 @@ def export(
         print_written(file, "an example that shows it")
 
 
-_SUFFIXES = (".binary", ".bsdf")
+_WRITTEN = {".binary": "a MERL table", ".bsdf": "an RGL file", ".csv": "a file of samples"}
 _LARGEST_DIFFERENCE = 0.1  # of swapped directions that a reciprocal file may hide without a warning
 
 
 def convert(
-    source: Path,
-    target: Path,
-    /,
-    *,
+    *paths: RequiredFiles,
     spectral: bool = False,
     json: Json = False,
     table: AboutTable = NO_TABLE_FLAGS,
@@ -176,46 +175,52 @@ def convert(
 
     Parameters
     ----------
-    source
-        A MERL .binary file, an isotropic RGL .bsdf file, or a table of samples, such as .csv, which is
-        fitted first: the file has the values of the fit.
-    target
-        The file to write; .bsdf is for Mitsuba 3, .binary a MERL table.
+    paths
+        The measurement, then the file to write: .bsdf is for Mitsuba 3, .binary a MERL table, .csv a file of
+        samples. A table of samples is fitted first for .bsdf and .binary, which have the values of the fit; several
+        of one material are one measurement.
     spectral
         Spectra in the .bsdf, for pbrt-v4 and spectral variants of Mitsuba.
     """
+    *sources, target = paths
     suffix = target.suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise InvalidArgumentError(f"{target}: the output must end in {one_of(_SUFFIXES)}")
+    if suffix not in _WRITTEN:
+        raise InvalidArgumentError(f"{target}: the output must end in {one_of(tuple(_WRITTEN))}")
+    if not sources:
+        raise InvalidArgumentError(f"there is nothing to convert to {target}: name the measurement before it")
+    source = sources[0]
     with named_in_errors(source):
-        content, sentences, about = _converted(source, suffix, table, spectral=spectral)
+        content, sentences, about = _converted(sources, suffix, table.options(), spectral=spectral)
     write_atomically(target, [content])
     for sentence in sentences:
         print_error(f"warning: {source}: {sentence}")
-    print_written(target, "a MERL table" if suffix == ".binary" else "an RGL file", suffix[1:], json=json, **about)
+    print_written(target, _WRITTEN[suffix], suffix[1:], json=json, **about)
     if about and not json:
         print(f"{target}: " + "; ".join(f"{name.replace('_', ' ')} {value:.1%}" for name, value in about.items()))
 
 
 def _converted(
-    source: Path, suffix: str, options: TableOptions, *, spectral: bool
+    sources: Sequence[Path], suffix: str, options: TableOptions, *, spectral: bool
 ) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
     """Content of the file, sentences to warn with, and figures."""
     found: Measurement | RglMaterial | DSBRDF
     sentences: tuple[str, ...] = ()
     about: dict[str, Any] = {}
-    if not is_table(source):
-        options.refuse_on_grid()
-    if is_table(source):
-        result = fit(read_samples(source, options), FitOptions())
+    source, kind = sources[0], kind_of_file(sources[0])
+    if kind == "samples":
+        samples = read_samples(sources, options)
+        if suffix == ".csv":
+            return samples.encode(), samples.notes, {}
+        result = fit(samples, FitOptions())
         found, sentences = result.model, result.report.warnings
         about = {"error_of_the_fit": result.report.metrics.relative_rms}
-    elif source.suffix.lower() == ".bsdf":
-        found = read_rgl(source)
-        if suffix == ".bsdf" and not spectral:
-            return source.read_bytes(), (), {}
+    elif len(sources) > 1 or suffix == ".csv":
+        raise InvalidArgumentError("only tables of samples are joined, or written as .csv")
     else:
-        found = read_merl(source)
+        options.refuse("a measurement on a grid")
+        found = read_rgl(source) if kind == "rgl" else read_merl(source)
+    if isinstance(found, RglMaterial) and suffix == ".bsdf" and not spectral:
+        return source.read_bytes(), (), {}
     if suffix == ".bsdf":
         return rgl_bsdf(found, source.stem, spectral=spectral), sentences, about
     if isinstance(found, RglMaterial):  # only a MERL table needs the means of both orders of the directions

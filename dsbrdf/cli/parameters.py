@@ -16,16 +16,15 @@ from dsbrdf.components.decomposition import Component
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import PARTS, part_of
 from dsbrdf.output.serialize import read_model_file
-from dsbrdf.samples.measurement_files import read_measurement
-from dsbrdf.samples.reading import TABLE_SUFFIXES
+from dsbrdf.samples.measurement_files import START_BYTES, measurement_kind, read_measurement
 from dsbrdf.samples.scattered_samples import ScatteredSamples
+from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 ModelFile = Annotated[Path, Parameter(help="A .json file from dsbrdf fit.")]
 SourceFile = Annotated[Path, Parameter(help="A .json model, a .binary or .bsdf measurement, or a table of samples.")]
@@ -76,8 +75,13 @@ class TableFlags(TableOptions):
     __doc__ = _in_words(TableOptions)
 
     columns: Annotated[tuple[str, ...] | str, _SEVERAL, Parameter(metavar="MEANING=COLUMN,...")] = ()
+    constants: Annotated[tuple[str, ...] | str, _SEVERAL, Parameter(metavar="MEANING=DEGREES,...")] = ()
     missing: Annotated[tuple[float, ...] | float, _SEVERAL, Parameter(metavar="NUMBER,...")] = ()
     scale: Annotated[float, Parameter(metavar="FACTOR")] = 1.0
+
+    def options(self) -> TableOptions:
+        """Return the same as `TableOptions`."""
+        return TableOptions(**vars(self))
 
 
 _OF_TABLES = Group("Options of a table of samples", sort_key=3)
@@ -87,7 +91,7 @@ NO_TABLE_FLAGS = TableFlags()
 
 
 @dataclass(frozen=True)
-class FitFlags(TableFlags, FitOptions):
+class FitFlags(FitOptions):
     """`FitOptions` as flags; a field that is not repeated here is an option as it is."""
 
     __doc__ = _in_words(FitOptions)
@@ -189,8 +193,9 @@ def _direction(text: str) -> list[float]:
     return [x, y, z]
 
 
-MEASUREMENTS = (".binary", ".bsdf", *TABLE_SUFFIXES)
-"""Suffixes of measurements."""
+def is_measurement(path: Path) -> bool:
+    """Whether a path names a measurement: a model is a ``.json`` file."""
+    return path.suffix.lower() != ".json"
 
 
 @contextmanager
@@ -220,12 +225,13 @@ def read_grid(path: Path) -> Measurement:
 def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
     """Read a model (``.json``) and its report, if any; an error names the file and what it is instead."""
     with named_in_errors(path):
-        if path.suffix.lower() in MEASUREMENTS:
+        with path.open("rb") as file:
+            start = file.read(START_BYTES)
+        kind = known_kind(start[:16])
+        if is_measurement(path) and (kind is None or measurement_kind(start) != "samples"):
             raise InvalidArgumentError(
                 "this command reads models, not measurements; fit it first with dsbrdf fit -o DIR"
             )
-        with path.open("rb") as file:
-            kind = known_kind(file.read(16))
         if kind is not None and not kind.startswith("JSON"):
             raise ModelFormatError(f"the file is {kind}; a stored model is a .json file")
         return read_model_file(path)
@@ -239,4 +245,4 @@ def named_part(path: Path, model: DSBRDF, part: str | None) -> DSBRDF | LayeredM
 
 def read_source(path: Path) -> Measurement | DSBRDF:
     """Read a measurement on the grid, or a model (``.json``); an error names the file."""
-    return read_grid(path) if path.suffix.lower() in MEASUREMENTS else read_model(path)[0]
+    return read_grid(path) if is_measurement(path) else read_model(path)[0]

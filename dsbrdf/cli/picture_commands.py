@@ -10,11 +10,13 @@ from cyclopts import Parameter
 from dsbrdf.cli.arguments import print_json, print_written
 from dsbrdf.cli.commands import Whole
 from dsbrdf.cli.parameters import (
-    MEASUREMENTS,
+    NO_TABLE_FLAGS,
+    AboutTable,
     ComponentName,
     Json,
     OutputFile,
     SourceFile,
+    is_measurement,
     named_in_errors,
     named_part,
     read_measured,
@@ -23,7 +25,6 @@ from dsbrdf.cli.parameters import (
 )
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.table_options import AS_WRITTEN
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
@@ -37,8 +38,8 @@ from dsbrdf.rendering.environment import EnvironmentMap, read_environment
 from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_normals
 from dsbrdf.samples.errors import relative_rms
-from dsbrdf.samples.reading import is_table
 from dsbrdf.samples.scattered_samples import ScatteredSamples
+from dsbrdf.samples.table_options import TableOptions
 
 
 @Parameter(name="*")
@@ -121,6 +122,7 @@ def plot(
     output: OutputFile,
     lobes: bool = False,
     json: Json = False,
+    table: AboutTable = NO_TABLE_FLAGS,
 ) -> None:
     """Draw the fit of a measurement, or the parameters of a model.
 
@@ -141,16 +143,15 @@ def plot(
         raise InvalidArgumentError(
             f"{output}: the figure's file must end in {one_of([f'.{name}' for name in IMAGE_FORMATS])}"
         )
-    if measurement is not None and model.suffix.lower() in MEASUREMENTS:
+    if measurement is not None and is_measurement(model):
         model, measurement = measurement, model
     fitted, report = read_model(model)
     if measurement is None:
         what, figure = "parameters over theta_diff", parameters_figure(fitted, title=model.stem, model_lobes=lobes)
     else:
         options = FitOptions() if report is None else report.options
-        measured = read_measured(measurement, options)
-        is_table = isinstance(measured, ScatteredSamples)
-        what = "samples, fit and residual" if is_table else "profiles, fit and components"
+        measured = read_measured(measurement, table)
+        what = "the fit beside what was measured"
         figure = plot_fit(fitted, measured, options, model_lobes=lobes)
     write_atomically(output, [encode_figure(figure, image_format)])
     print_written(output, what, image_format, json=json)
@@ -164,6 +165,7 @@ def compare(
     output: OutputFile | None = None,
     look: Look = _USUAL,
     json: Json = False,
+    table: AboutTable = NO_TABLE_FLAGS,
 ) -> None:
     """Compare two models or measurements, or a table of samples with a model.
 
@@ -178,9 +180,7 @@ def compare(
     if look.component is not None:
         raise InvalidArgumentError("a comparison shows all components: leave --component out")
     paths = (first, second)
-    reports = [read_model(path)[1] for path in paths if path.suffix.lower() not in MEASUREMENTS]
-    options = next((report.options for report in reports if report is not None), FitOptions())
-    sources, columns = zip(*(_source(path, options) for path in paths), strict=True)
+    sources, columns = zip(*(_source(path, table) for path in paths), strict=True)
     tables = [source for source in sources if isinstance(source, ScatteredSamples)]
     if tables:
         model, _ = read_model(second if sources[0] is tables[0] else first)
@@ -214,12 +214,11 @@ def compare(
         print(f"{output}: {shown}")
 
 
-def _source(path: Path, options: FitOptions) -> tuple[Any, dict[str, Any]]:
+def _source(path: Path, table: TableOptions) -> tuple[Any, dict[str, Any]]:
     """Read a model, or a measurement, a table with these options; return it with what is known of it."""
-    if path.suffix.lower() in MEASUREMENTS:
-        kind, chosen = ("samples", options) if is_table(path) else ("measurement", AS_WRITTEN)
-        measured = read_measured(path, chosen)
-        return measured, {"kind": kind, "numbers": None} | dict.fromkeys(METRICS)
+    if is_measurement(path):
+        measured = read_measured(path, table)
+        return measured, {"kind": "measurement", "numbers": None} | dict.fromkeys(METRICS)
     model, report = read_model(path)
     metrics = {name: None if report is None else report.metrics[name] for name in METRICS}
     return model, {"kind": lobes_phrase(model), "numbers": model.n_numbers} | metrics

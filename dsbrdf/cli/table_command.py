@@ -1,34 +1,74 @@
 """The command ``dsbrdf table``: what is understood of a table of samples, before it is fitted."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from dsbrdf.cli.arguments import print_json
-from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, named_in_errors
+from dsbrdf.cli.arguments import BAD_INPUT, print_json
+from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, RequiredFiles, named_in_errors
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.errors import InvalidArgumentError, one_of
+from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.output.table_summary import ANGLE_NAMES, summary_of_table
-from dsbrdf.samples.reading import TABLE_SUFFIXES, is_table, read_table
+from dsbrdf.samples.measurement_files import kind_of_file
+from dsbrdf.samples.reading import ReadTable, read_table
+from dsbrdf.samples.table_options import TableOptions
 
 
-def table(file: Path, /, *, json: Json = False, options: AboutTable = NO_TABLE_FLAGS) -> None:
+def table(*files: RequiredFiles, json: Json = False, options: AboutTable = NO_TABLE_FLAGS) -> int:
     """Print what is understood of a table of samples: columns, units, ranges, what is missing, the first samples.
 
     Parameters
     ----------
-    file
-        A .csv, .tsv, .txt, .astm or .xlsx file, or a .bsdf file of Zemax.
+    files
+        Texts, spreadsheets, and .bsdf files of Zemax; several are listed, a line each.
     """
+    if len(files) > 1:
+        return _list(files, options.options(), json=json)
+    (file,) = files
     with named_in_errors(file):
-        if not is_table(file):
-            raise InvalidArgumentError(f"a table of samples ends in {one_of(TABLE_SUFFIXES)}")
-        found = read_table(file.read_bytes(), file.stem, options)
-    about = summary_of_table(found)
+        about = summary_of_table(_read(file, options.options()))
     if json:
         print_json({"file": str(file)} | about)
     else:
         print(f"{file.stem}: {about['n_rows']} rows, {about['n_samples']} samples", "", *_text(about), sep="\n")
+    return 0
+
+
+def _read(file: Path, options: TableOptions) -> ReadTable:
+    if kind_of_file(file) != "samples":
+        raise InvalidArgumentError("this is a measurement on a grid, not a table of samples")
+    return read_table(file.read_bytes(), file.stem, options)
+
+
+def _list(files: Sequence[Path], options: TableOptions, *, json: bool) -> int:
+    """Print what each file is understood as, or why it is not; return the exit code."""
+    documents, width = [], max(len(str(file)) for file in files) + 2
+    for file in files:
+        document: dict[str, Any] = {"file": str(file), "error": None}
+        try:
+            document |= summary_of_table(_read(file, options))
+        except (DSBRDFError, OSError) as error:
+            document["error"] = str(error)
+        documents.append(document)
+        if not json:
+            print(f"{file!s:<{width}}{_line(document)}", flush=True)
+    if json:
+        print_json({"items": documents})
+    return BAD_INPUT if any(document["error"] for document in documents) else 0
+
+
+def _line(document: dict[str, Any]) -> str:
+    if document["error"]:
+        return f"not read: {document['error']}"
+    (low, high), incidence = document["ranges"]["theta_out"], document["angles_of_incidence"]
+    at = f"theta_in {', '.join(f'{angle:g}' for angle in incidence)}" if incidence else "many theta_in"
+    warned = len(document["warnings"])
+    plural = "warning" if warned == 1 else "warnings"
+    values = max(document["ranges"][channel][1] for channel in CHANNELS)
+    return (
+        f"{document['n_samples']} samples, {at}, theta_out {low:.3g} to {high:.3g}, up to {values:.3g}/sr, "
+        f"{warned} {plural}"
+    )
 
 
 def _text(about: dict[str, Any]) -> Iterator[str]:

@@ -13,10 +13,12 @@ from threading import Lock
 from dsbrdf.data.files import write_atomically
 from dsbrdf.engines.engine import Engine, Fault, FitTask, OnProgress, Outcome, run_step
 from dsbrdf.engines.local import LocalEngine, compute
-from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
+from dsbrdf.errors import WRONG_PATH_ERRORS, DSBRDFError, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import result_from_json
+from dsbrdf.samples.reading import read_samples
+from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.version import ALGORITHM_VERSION
 
 _CLUSTER_TIMEOUT = 15.0  # seconds that a cluster has to answer and to have a usable worker
@@ -51,15 +53,17 @@ def fit_files(
     engine: Engine,
     folder: Path | None = None,
     *,
+    table: TableOptions = AS_WRITTEN,
     force: bool = False,
     progress: OnProgress = lambda _: None,
 ) -> Generator[FileFit, None, None]:
     """Yield the fit of each file when it is done; closing the iterator closes the engine, and ends its processes.
 
     A single file is fitted in this process where the engine is that of this machine. Every model is written completely
-    or not at all to ``NAME.json`` in the `folder`, if there is one. Without `force` a fit in the folder is kept if it
-    is newer than its measurement and was made with the same options by the same version of the algorithm. `progress` is
-    called, in other threads too, with the number of finished files, fractions included.
+    or not at all to ``NAME.json`` in the `folder`, if there is one. Tables are read with the options in `table`.
+    Without `force` a fit in the folder is kept if it is newer than its measurement and was made of the same samples
+    with the same options by the same version of the algorithm. `progress` is called, in other threads too, with the
+    number of finished files, fractions included.
 
     Raises InvalidArgumentError if two files would be written to the same output, OSError if an output cannot be written
     or no worker of the cluster can be reached.
@@ -76,8 +80,8 @@ def fit_files(
     with closing(engine):
         outputs = _outputs(files, folder)
         for number, (file, output) in enumerate(zip(files, outputs, strict=True)):
-            found = _known_result(file, output, options, force=force)
-            task, on_progress = FitTask(file.stem, file, options), partial(tell, number)
+            found = _known_result(file, output, options, table, force=force)
+            task, on_progress = FitTask(file.stem, file, options, table), partial(tell, number)
             if found is None and is_single:
                 found = _file_fit(file, output, run_step(compute, task, on_progress))
             if found is None:
@@ -94,13 +98,15 @@ def fit_files(
             yield found
 
 
-def _known_result(file: Path, output: Path | None, options: FitOptions, *, force: bool) -> FileFit | None:
+def _known_result(
+    file: Path, output: Path | None, options: FitOptions, table: TableOptions, *, force: bool
+) -> FileFit | None:
     """Return the result of a file that need not be fitted: it cannot be opened, or an earlier fit can be kept."""
     try:
         os.close(os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)))  # else a pipe without writer blocks
     except OSError as error:
         return FileFit(file, error=error.strerror or str(error), lost=not isinstance(error, WRONG_PATH_ERRORS))
-    return None if output is None or force else _earlier_fit(file, output, options)
+    return None if output is None or force else _earlier_fit(file, output, options, table)
 
 
 def _wait_until_ready(engine: Engine) -> None:
@@ -140,7 +146,7 @@ def _outputs(files: Sequence[Path], folder: Path | None) -> Sequence[Path | None
     return list(taken)
 
 
-def _earlier_fit(file: Path, output: Path, options: FitOptions) -> FileFit | None:
+def _earlier_fit(file: Path, output: Path, options: FitOptions, table: TableOptions) -> FileFit | None:
     """Return the fit in ``output`` if a new fit would give the same."""
     try:
         if output.stat().st_mtime < file.stat().st_mtime:
@@ -150,4 +156,14 @@ def _earlier_fit(file: Path, output: Path, options: FitOptions) -> FileFit | Non
         return None
     if result.report.options != options or result.report.versions.algorithm != ALGORITHM_VERSION:
         return None
+    if result.report.samples is not None and result.report.samples != _digest(file, table):
+        return None
     return FileFit(file, output, result, resumed=True)
+
+
+def _digest(file: Path, table: TableOptions) -> str | None:
+    """Return the digest of the samples in a file; None if they cannot be read, of which a new fit says why."""
+    try:
+        return read_samples(file, table).sha256
+    except DSBRDFError:
+        return None

@@ -16,6 +16,7 @@ from typing import Any, Literal, Protocol
 
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 logger = logging.getLogger(__name__)
 
@@ -45,7 +46,8 @@ class FitTask:
     fit_id: str  # for names and logs
     path: Path  # the measurement's file
     options: FitOptions
-    sha256: str | None = None  # digest of the file, if it has been checked before
+    table: TableOptions = AS_WRITTEN  # how a table in the file is read
+    sha256: str | None = None  # digest of the file, if it has been checked before: a table is one of samples then
     with_thumbnail: bool = False
 
 

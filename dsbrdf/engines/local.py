@@ -29,8 +29,8 @@ def compute(task: FitTask, on_progress: OnProgress) -> FitDocument:
 def measurement_of(task: FitTask) -> Measurement | ScatteredSamples:
     """Return what is in the file of a task."""
     if task.sha256 is None:
-        return read_measurement(task.path, task.options)
-    return open_checked(task.path, task.sha256, task.options)
+        return read_measurement(task.path, task.table)
+    return open_checked(task.path, task.sha256)
 
 
 def fit_quietly(

@@ -1,18 +1,16 @@
 """What can be chosen about a fit."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
-from difflib import get_close_matches
-from functools import cache, wraps
+from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from types import NoneType
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from dsbrdf.data.grid import THETA_DIFF
-from dsbrdf.data.table_options import Bounds, TableOptions, documented, option
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.option_fields import Bounds, documented, option, suggesting
 from dsbrdf.model.lobe_families import Family
 
 MAX_LOBES = 8
@@ -29,32 +27,12 @@ _OF_PAPER: dict[str, tuple[tuple[object, ...], str]] = {
 Weighting = Literal["balanced", "plain", "cosine", "log"]
 """Weights of the samples, see `dsbrdf.data.weighting`."""
 
-Options = TypeVar("Options")
-
-
-def _suggesting(options: type[Options]) -> type[Options]:
-    """Make a dataclass name the option that a wrong name may mean."""
-    init: Callable[..., None] = options.__init__
-
-    @wraps(init)
-    def checked(self: Options, *values: object, **choices: object) -> None:
-        known = [field.name for field in fields(options)]  # type: ignore[arg-type]  # a dataclass
-        for name in choices:
-            if name not in known:
-                near = get_close_matches(name, known, n=1)
-                rest = f"did you mean {near[0]}?" if near else f"the options are {', '.join(known)}"
-                raise InvalidArgumentError(f"there is no option {name!r}; {rest}")
-        init(self, *values, **choices)
-
-    options.__init__ = checked  # type: ignore[assignment, method-assign]
-    return options
-
 
 @documented
-@_suggesting
+@suggesting
 @dataclass(frozen=True)
-class FitOptions(TableOptions):
-    """What can be chosen about a fit; checked when made. `TableOptions` has what is chosen about a table of samples.
+class FitOptions:
+    """What can be chosen about a fit; checked when made.
 
     Raises
     ------
@@ -110,7 +88,6 @@ class FitOptions(TableOptions):
     em_iterations: Annotated[int, Bounds(1, 10_000)] = option(100, "Bound on the iterations of Algorithm 1.")
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         for name, (kind, bounds, words) in _declared().items():
             value = getattr(self, name)
             if isinstance(value, np.generic):  # an option taken from an array means the same
@@ -175,8 +152,6 @@ def _declared() -> dict[str, tuple[type | None, Bounds | None, tuple[str | None,
     """For each option the type of its numbers, their bounds, and the words that it can be."""
     found: dict[str, tuple[type | None, Bounds | None, tuple[str | None, ...]]] = {}
     for name, hint in get_type_hints(FitOptions, include_extras=True).items():
-        if name in TableOptions.__annotations__:
-            continue
         kind: type | None = bool if hint is bool else None
         bounds: Bounds | None = None
         words: tuple[str | None, ...] = ()

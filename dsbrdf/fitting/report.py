@@ -114,6 +114,8 @@ class FitReport:
     left_out, measure_next : tuple of LeftOutErrors, tuple of SuggestedPair
         Of scattered samples only: errors at samples that were left out, and where to measure next, the most useful
         pair first. The second is empty unless the error expected over all directions is large.
+    samples : str or None
+        Digest of the scattered samples, see `dsbrdf.ScatteredSamples`; None for a measurement on a grid.
     """
 
     warnings: tuple[str, ...]
@@ -130,6 +132,7 @@ class FitReport:
     versions: Versions
     left_out: tuple[LeftOutErrors, ...] = ()
     measure_next: tuple[SuggestedPair, ...] = ()
+    samples: str | None = None
 
     def __repr__(self) -> str:
         error = self.metrics.relative_rms

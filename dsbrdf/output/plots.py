@@ -59,6 +59,6 @@ def plot_fit(
 ) -> Figure:
     """Draw profiles, the fit with these options and its components, or lobes; or samples, the fit and the residual."""
     if isinstance(measured, ScatteredSamples):
-        return samples_figure(measured.with_options(options), model)
+        return samples_figure(measured, model)
     data = profiles(measured, horizon_cutoff=options.horizon_cutoff, robust=options.robust)
     return overview_figure(data, model, model_lobes=model_lobes)

@@ -8,7 +8,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.samples.reading import ReadTable
 from dsbrdf.samples.scattered_samples import ScatteredSamples
-from dsbrdf.samples.units import sample_units
+from dsbrdf.samples.units import sample_doubts
 
 ANGLE_NAMES = ("theta_in", "theta_out", "phi_out - phi_in")
 """The angles of a sample; those of phi are their difference, 0 to 360 degrees."""
@@ -37,7 +37,7 @@ def summary_of_table(found: ReadTable) -> dict[str, Any]:
         },
         "angles_of_incidence": incidence.tolist() if incidence.size <= _FEW else None,
         "in_plane_of_incidence": float(np.mean(aside <= np.sin(np.radians(_IN_PLANE)))),
-        "warnings": [*samples.notes, *sample_units(samples).sentences],
+        "warnings": [*samples.notes, *sample_doubts(samples).sentences],
         "first": rows[:_SHOWN].tolist(),
     }
 

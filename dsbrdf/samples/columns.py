@@ -16,28 +16,46 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import directions, spherical
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.names import DEGREES, HALF_DIFFERENCE, MEANINGS, RADIANS, VECTORS, name_and_unit, wavelength_of
+from dsbrdf.samples.cells import TextTable
+from dsbrdf.samples.names import (
+    DEGREES,
+    HALF_DIFFERENCE,
+    MEANINGS,
+    NANOMETRES,
+    RADIANS,
+    VECTORS,
+    is_factor,
+    name_and_unit,
+    wavelength_of,
+)
 from dsbrdf.samples.spectra import linear_srgb, of_rows
-from dsbrdf.samples.text_table import TextTable
+from dsbrdf.samples.table_options import TableOptions
 
 _THETAS, _PHIS = ("theta_in", "theta_out"), ("phi_in", "phi_out")
 _GREY, _WEIGHT, _WAVELENGTH = "value", "weight", "wavelength"
 _FORMS = (VECTORS, HALF_DIFFERENCE, _THETAS)  # of directions
 _PER_STERADIAN = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
-_MICROMETRES, _LARGEST_MICROMETRES = ("um", "μm", "micron", "microns"), 10.0
+# Wavelengths without a unit are in metres, micrometres or nanometres: the largest that each can have.
+_LARGEST_METRES, _LARGEST_MICROMETRES = 1e-3, 20.0
 _NO_UNIT = ("", "1", "-", "none")
 _POSSIBLE = (
     "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
     "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or "
-    "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF"
+    "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF, and the option "
+    "constants gives an angle that all rows have, as in constants theta_in=30"
 )
 LOWEST_COSINE = 1e-6
-"""Of a direction above the horizon: sines and cosines of angles in degrees are rounded."""
-_FEW_VALUES, _MANY_EQUAL, _FAR_OFF = 10, 4, 3.0  # different values; equal ones; a factor to the next value
-_CLEARLY_LIT = 0.02  # of the median: noise about zero has values below
+"""Cosine below which a direction is at the horizon: sines and cosines of angles in degrees are rounded."""
 _SURELY_DEGREES = 1.6  # theta never gets further than this in radians
+# Usual orders of columns without names, by their number.
+_ORDERS = {
+    3: "theta_in=1,theta_out=2,value=3",
+    4: "theta_in=1,theta_out=2,phi_out=3,value=4",
+    5: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,value=5",
+    7: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,red=5,green=6,blue=7",
+}
+_MOSTLY = 0.5  # fraction of the rows at or below the horizon from which on the names of angles are in doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +67,7 @@ class SampleColumns:
     """
 
     numbers: Array
+    written: Array  # values as they are written, (n, bands)
     notes: tuple[str, ...]  # what was decided, a sentence each
     columns: tuple[tuple[str, str, str], ...]  # name as written, what it was read as and its unit, if they say it
 
@@ -56,9 +75,9 @@ class SampleColumns:
 def sample_columns(table: TextTable, options: TableOptions) -> SampleColumns:
     """Return the numbers of a table, and what its columns are.
 
-    Raises MeasurementFormatError if a column is
-    missing, is there twice, or has another unit.
+    Raises MeasurementFormatError if a column is missing, is there twice, or has another unit.
     """
+    table = table.with_columns(options.held())
     places = _places(table, options)
     from_horizon = [side for side in ("in", "out") if f"elevation_{side}" in places and f"theta_{side}" not in places]
     for side in from_horizon:
@@ -85,7 +104,7 @@ def sample_columns(table: TextTable, options: TableOptions) -> SampleColumns:
         column[name] = np.where(np.isin(column[name], options.missing), np.nan, column[name])
     units = {name: _unit(table, at) for name, (at, *_) in places.items()}
     for name in values:
-        if units[name] not in (*_NO_UNIT, *_PER_STERADIAN, *(["nm"] if bands else [])) and options.scale == 1.0:
+        if units[name] not in (*_NO_UNIT, *_PER_STERADIAN, *(NANOMETRES if bands else [])) and options.scale == 1.0:
             raise MeasurementFormatError(
                 f"The column {name!r} is in {units[name]!r}; the values of a BRDF are in 1/sr: if they are "
                 "those times a factor, give its inverse as the option scale, which is 0.01 for per cent and 0.003183, "
@@ -98,34 +117,18 @@ def sample_columns(table: TextTable, options: TableOptions) -> SampleColumns:
     wavelengths = np.array([wavelength for _, wavelength in bands.values()])
     if bands:
         colors = linear_srgb(wavelengths, colors)
-    weight = column.get(_WEIGHT, np.ones(len(table.rows)))
-    numbers = np.column_stack([*_vectors(column, form, units), np.broadcast_to(colors, (len(colors), 3)), weight])
-    is_above = np.minimum(numbers[:, 2], numbers[:, 5]) > LOWEST_COSINE
+    weight = column.get(_WEIGHT, np.ones(table.n_rows))
+    written_as = {name: table.names[places[name][0]] for name in used}
+    vectors = _vectors(column, form, units, written_as)
+    numbers = np.column_stack([*vectors, np.broadcast_to(colors, (len(colors), 3)), weight])
     if by_rows:
         numbers, wavelengths = of_rows(numbers, _in_nanometres(column[_WAVELENGTH], units[_WAVELENGTH]))
-    notes = [*_notes(table, form, phis, {places[name][0] for name in used}, mirror=options.phi == "mirror")]
-    notes += [*_about_color(values, wavelengths), *_repeated(written[is_above])]
+    notes = [*table.notes, *_notes(table, form, phis, {*written_as.values()}, mirror=options.phi == "mirror")]
+    notes += _about_values(values, written_as, wavelengths, options)
     notes += [f"The elevation is from the horizon: theta_{side} is 90 degrees minus it." for side in from_horizon]
     read = {places[name][0]: name for name in used}
     columns = tuple((name, read.get(at, ""), _unit(table, at)) for at, name in enumerate(table.names) if name)
-    return SampleColumns(numbers, tuple(notes), columns)
-
-
-def _repeated(values: Array) -> list[str]:
-    """Name the smallest and the largest of values (n, k) where many rows have it and the next one is far off."""
-    values = values[np.isfinite(values).all(axis=1)]
-    found = np.unique(values)
-    if found.size < _FEW_VALUES:
-        return []
-    least = max(_FAR_OFF * found[0], _CLEARLY_LIT * float(np.median(values)))
-    extremes = (("smallest", 0, found[1] > least), ("largest", -1, found[-1] > _FAR_OFF * found[-2]))
-    counts = {place: int(np.count_nonzero(np.any(values == found[place], axis=1))) for place in (0, -1)}
-    return [
-        f"{counts[place]} samples have the same {which} value, {found[place]:g}, far from all others: if it stands for "
-        f"what is missing, set missing to {found[place]:g}."
-        for which, place, is_far in extremes
-        if is_far and counts[place] >= _MANY_EQUAL
-    ]
+    return SampleColumns(numbers, written, tuple(notes), columns)
 
 
 def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
@@ -135,33 +138,45 @@ def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
 
 
 def _in_nanometres(wavelengths: Array, unit: str) -> Array:
-    if unit not in (*_NO_UNIT, "nm", *_MICROMETRES):
-        raise MeasurementFormatError(f"The wavelengths are in {unit!r}; they are in nm.")
-    is_small = unit in _MICROMETRES or (unit != "nm" and _largest(wavelengths) < _LARGEST_MICROMETRES)
-    return wavelengths * 1000.0 if is_small else wavelengths
+    if unit not in (*_NO_UNIT, *NANOMETRES):
+        raise MeasurementFormatError(f"The wavelengths are in {unit!r}; they are in nm, um or m.")
+    largest = _largest(wavelengths)
+    by_size = "m" if largest < _LARGEST_METRES else "um" if largest < _LARGEST_MICROMETRES else "nm"
+    return wavelengths * NANOMETRES[by_size if unit in _NO_UNIT else unit]
 
 
-def _about_color(values: tuple[str, ...], wavelengths: Array) -> list[str]:
+def _about_values(
+    values: tuple[str, ...], written_as: dict[str, str], wavelengths: Array, options: TableOptions
+) -> Iterator[str]:
+    factors = [name for name in values if is_factor(written_as[name])]
+    if factors and options.scale == 1.0:
+        yield (
+            f"The column {written_as[factors[0]]!r} has the name of reflectance factors, which are pi times the values "
+            "of a BRDF in 1/sr: if they are, set scale to 0.3183, or to 0.003183 for per cent."
+        )
     if values == CHANNELS:
-        return []
+        return
     if wavelengths.size == 0:
-        return ["The table has one column of values: the material is taken to be grey."]
-    if wavelengths.size == 1:
-        return [f"All values are at {wavelengths[0]:g} nm: the material is taken to be grey."]
-    return [
-        f"The {wavelengths.size} wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm were made linear sRGB, "
-        "as the CIE 1931 observer sees them under light of equal energy; a flat spectrum is grey."
-    ]
+        yield "The table has one column of values: the material is taken to be grey."
+    elif wavelengths.size == 1:
+        yield f"All values are at {wavelengths[0]:g} nm: the material is taken to be grey."
+    else:
+        yield (
+            f"The {wavelengths.size} wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm were made linear "
+            "sRGB, as the CIE 1931 observer sees them under light of equal energy; a flat spectrum is grey."
+        )
 
 
 def _places(table: TextTable, options: TableOptions) -> dict[str, list[int]]:
-    """Return the places of the columns with each meaning."""
+    """Return the places of the columns with each meaning; one that the rows have counts, not one for all rows."""
     named = options.named_columns()
+    if table.names[:2] == ("1", "2") and not named:
+        raise _unnamed(table)
     taken = {at for name in named.values() for at in _places_of(table, name)}
     places: dict[str, list[int]] = {}
     for place, name in enumerate(table.names):
         known = MEANINGS.get(name_and_unit(name)[0])
-        if known is not None and place not in taken:
+        if known is not None and place not in taken and not (known in places and place >= table.n_cells):
             places.setdefault(known, []).append(place)
     for meaning, name in named.items():
         known = MEANINGS.get(name_and_unit(meaning)[0])
@@ -174,9 +189,25 @@ def _places(table: TextTable, options: TableOptions) -> dict[str, list[int]]:
 
 
 def _places_of(table: TextTable, name: str) -> list[int]:
+    """Return the places of the columns with a name, or with a number as their position, from 1."""
     wanted = name_and_unit(name)
     found = [place for place, written in enumerate(table.names) if written.lower() == name.lower()]
-    return found or [place for place, written in enumerate(table.names) if name_and_unit(written)[0] == wanted[0]]
+    found = found or [place for place, written in enumerate(table.names) if name_and_unit(written)[0] == wanted[0]]
+    is_position = name.isdecimal() and 1 <= int(name[:9]) <= len(table.names)
+    return found or ([int(name) - 1] if is_position else [])
+
+
+def _unnamed(table: TextTable) -> MeasurementFormatError:
+    count, blocks = table.n_cells, len(table.names) - table.n_cells
+    example = _ORDERS.get(count, _ORDERS[3])
+    if blocks:
+        example = f"theta_out=1,phi_out=2,value=3,theta_in={count + 1}" + (f",phi_in={count + 2}" if blocks > 1 else "")
+    between = f", and lines of {blocks} between them, which are columns {count + 1} and on" if blocks else ""
+    first = ", ".join(table.rows[0]) if table.rows else ""
+    return MeasurementFormatError(
+        f"The table has no line that names its columns; its rows have {count} numbers, such as {first[:60]}{between}: "
+        f"name them by their positions, as in columns {example}."
+    )
 
 
 def _unit(table: TextTable, place: int) -> str:
@@ -191,16 +222,24 @@ def _missing(
     what: str, wanted: tuple[str, ...], table: TextTable, places: dict[str, list[int]]
 ) -> MeasurementFormatError:
     lacking = ", ".join(name for name in wanted if name not in places)
+    known = {at for found in places.values() for at in found}
+    unknown = [name for at, name in enumerate(table.names) if name and at not in known and not wavelength_of(name)]
+    quoted = f"; not understood are {', '.join(map(repr, unknown[:10]))}" if unknown else ""
     return MeasurementFormatError(
-        f"The table lacks columns for the {what}: {lacking}. It has {_listed(table)}. {_POSSIBLE}."
+        f"The table lacks columns for the {what}: {lacking}. It has {_listed(table)}{quoted}. {_POSSIBLE}."
     )
 
 
-def _vectors(column: dict[str, Array], form: tuple[str, ...], units: dict[str, str]) -> tuple[Array, Array]:
+def _vectors(
+    column: dict[str, Array], form: tuple[str, ...], units: dict[str, str], written_as: dict[str, str]
+) -> tuple[Array, Array]:
     if form is VECTORS:
         first, second = (np.stack([column[name] for name in form[i : i + 3]], axis=-1) for i in (0, 3))
         return first, second
-    angles = {name: _radians(name, column[name], units[name]) for name in (*form, *_PHIS) if name in column}
+    scaled = {name: _in_radians(name, column[name], units[name]) for name in (*form, *_PHIS) if name in column}
+    if scaled.keys() >= {*_PHIS}:
+        _check_not_exchanged(scaled, written_as)
+    angles = {name: _bounded(name, angle) for name, angle in scaled.items()}
     thetas = [angle for name, angle in angles.items() if name.startswith("theta") and not units[name]]
     largest = np.degrees(max(map(_largest, thetas), default=0.0))
     if 0.0 < largest < _SURELY_DEGREES:
@@ -216,13 +255,33 @@ def _vectors(column: dict[str, Array], form: tuple[str, ...], units: dict[str, s
     return spherical(angles["theta_in"], phi_in), spherical(angles["theta_out"], angles.get("phi_out", zero))
 
 
-def _radians(name: str, angle: Array, unit: str) -> Array:
+def _check_not_exchanged(angles: dict[str, Array], written_as: dict[str, str]) -> None:
+    """Raise MeasurementFormatError if most rows are below the horizon, and above it with theta and phi exchanged."""
+    quarter = np.pi / 2.0 - LOWEST_COSINE
+    above, exchanged = (
+        (np.abs(angles[first]) < quarter) & (np.abs(angles[second]) < quarter) for first, second in (_THETAS, _PHIS)
+    )
+    if above.size and np.mean(above) < _MOSTLY < np.mean(exchanged):
+        pairs = ",".join(
+            f"{name}={written_as[other]}" for name, other in zip((*_THETAS, *_PHIS), (*_PHIS, *_THETAS), strict=True)
+        )
+        raise MeasurementFormatError(
+            f"{np.count_nonzero(~above)} of {above.size} rows have a direction at or below the horizon as theta and "
+            "phi are named, and the columns named phi have angles as those to the normal: if the names are "
+            f"exchanged, set columns to {pairs}."
+        )
+
+
+def _in_radians(name: str, angle: Array, unit: str) -> Array:
     if unit not in (*_NO_UNIT, *DEGREES, *RADIANS):
         raise MeasurementFormatError(f"The column {name!r} is in {unit!r}; angles are in deg or in rad.")
     angle = np.where(np.isfinite(angle), angle, np.nan)
-    radians = angle if unit in RADIANS else np.radians(angle)
+    return np.asarray(angle if unit in RADIANS else np.radians(angle))
+
+
+def _bounded(name: str, radians: Array) -> Array:
     bound = 180.0 if name.startswith("theta") else 360.0
-    if _largest(radians) > np.radians(bound) + 1e-9:
+    if _largest(radians) > np.radians(bound) + 1e-6:
         largest = np.degrees(_largest(radians))
         raise MeasurementFormatError(
             f"The column {name!r} has an angle of {largest:.6g} degrees; {bound:.0f} is the largest that there is."
@@ -234,7 +293,7 @@ def _largest(angle: Array) -> float:
     return float(np.abs(angle[np.isfinite(angle)]).max(initial=0.0))
 
 
-def _notes(table: TextTable, form: tuple[str, ...], phis: list[str], read: set[int], *, mirror: bool) -> Iterator[str]:
+def _notes(table: TextTable, form: tuple[str, ...], phis: list[str], read: set[str], *, mirror: bool) -> Iterator[str]:
     if form is _THETAS and not phis:
         yield (
             "The table has no phi: all directions are taken to lie in one plane, and theta_out = "
@@ -242,7 +301,7 @@ def _notes(table: TextTable, form: tuple[str, ...], phis: list[str], read: set[i
         )
     if phis == ["phi_out"]:
         yield f"The table has no phi_in: the mirror direction is taken to have phi_out = {0 if mirror else 180}."
-    others = [name for place, name in enumerate(table.names) if place not in read and name]
+    others = [name for name in table.names if name not in read and name]
     if others:
         shown = ", ".join(repr(name) for name in others[:5]) + (" and others" if len(others) > 5 else "")
         yield f"The table has {'a column that was' if len(others) == 1 else 'columns that were'} not read: {shown}."

@@ -1,19 +1,51 @@
-"""Files of measurements of any kind; the suffix tells which."""
+"""Files of measurements of any kind; their content tells which."""
 
 import os
+import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl, read_merl
-from dsbrdf.data.merl_validation import HEADER, HEADER_SIZE
+from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
-from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.reading import is_table, parse_samples, read_samples
+from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from dsbrdf.samples.reading import parse_samples, read_samples
 from dsbrdf.samples.scattered_samples import ScatteredSamples
+from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
-_OTHER_SPREADSHEETS = (".xls", ".ods")
+START_BYTES = 4096
+"""How many bytes at the beginning of a file tell its kind."""
+_RGL = b"tensor_file\0"
+_OLD_SPREADSHEET = b"\xd0\xcf\x11\xe0"  # .xls
+_MARKS = (b"\xff\xfe", b"\xfe\xff")  # of UTF-16
+_CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
+_NAMES = {"merl": "a MERL file", "rgl": "an RGL file"}
+
+MeasurementKind = Literal["merl", "rgl", "samples"]
+"""Kinds of files: MERL's tables, RGL's ``.bsdf`` files, and all others, which are samples."""
+
+
+def measurement_kind(start: bytes) -> MeasurementKind:
+    """Return the kind of a file that begins with these bytes, `START_BYTES` of them or all.
+
+    A text or a spreadsheet has samples; other data without the beginning of an RGL file are taken to be MERL's. Raises
+    MeasurementFormatError for spreadsheets of other kinds.
+    """
+    if start.startswith(_RGL):
+        return "rgl"
+    if start.startswith(_OLD_SPREADSHEET) or (start.startswith(b"PK") and b"opendocument.spreadsheet" in start):
+        raise MeasurementFormatError(
+            "The file is a spreadsheet of another kind: save it as .xlsx, or its sheet as .csv."
+        )
+    is_text = start.startswith(_MARKS) or not _CONTROLS.search(start)
+    return "samples" if start and not start.startswith(HEADER) and (is_text or start.startswith(b"PK")) else "merl"
+
+
+def kind_of_file(path: str | os.PathLike[str]) -> MeasurementKind:
+    """Return the kind of a file; errors are those of `measurement_kind`, and OSError."""
+    with Path(path).open("rb") as file:
+        return measurement_kind(file.read(START_BYTES))
 
 
 def read_measurement(
@@ -24,13 +56,12 @@ def read_measurement(
     Parameters
     ----------
     path : path-like
-        ``.csv``, ``.tsv``, ``.txt``, ``.astm`` and ``.xlsx`` are tables of scattered samples; ``.bsdf`` is one of
-        Zemax, or an RGL file, whose values are taken at the nodes of the MERL grid; any other file is a MERL
-        ``.binary`` file.
+        A MERL file, an RGL file, whose values are taken at the nodes of the MERL grid, or a table of samples, see
+        `read_samples`. The content tells which, whatever the suffix.
     options : TableOptions, optional
         How a table is read.
     **choices
-        Single options of a table by name instead: ``columns``, ``missing``, ``scale``, ``cosine``, ``phi``.
+        Single options of a table by name instead, as for `read_samples`.
 
     Raises
     ------
@@ -39,31 +70,25 @@ def read_measurement(
     MeasurementFormatError
         With one sentence that says what is wrong and what would be right.
     MissingExtraError
-        Of a spreadsheet, if the extra ``xlsx`` is not installed.
+        If a spreadsheet is given, and the extra ``xlsx`` is not installed.
     OSError
         If the file does not exist or cannot be read.
     """
+    if options is not None and choices:
+        raise InvalidArgumentError("give the options as TableOptions or by name, not both")
     options = options or TableOptions(**choices)
-    suffix = Path(path).suffix.lower()
-    if is_table(path):
+    kind = kind_of_file(path)
+    if kind == "samples":
         return read_samples(path, options)
-    if suffix in _OTHER_SPREADSHEETS:
-        raise MeasurementFormatError(
-            "The file is a spreadsheet of another kind: save it as .xlsx, or its sheet as .csv."
-        )
-    options.refuse_on_grid()
-    return read_rgl(path).measurement() if suffix == ".bsdf" else read_merl(path)
+    options.refuse(_NAMES[kind])
+    return read_rgl(path).measurement() if kind == "rgl" else read_merl(path)
 
 
-def open_checked(
-    path: str | os.PathLike[str], sha256: str, options: TableOptions = AS_WRITTEN
-) -> Measurement | ScatteredSamples:
-    """Return a MERL file or a table of samples that was checked before; its content tells which.
+def open_checked(path: str | os.PathLike[str], sha256: str) -> Measurement | ScatteredSamples:
+    """Return a MERL file or a file of samples that was checked before.
 
     It must not change as long as the measurement is used; `sha256` is the hexadecimal digest of its bytes.
     """
-    with Path(path).open("rb") as file:
-        if file.read(HEADER_SIZE) == HEADER:
-            return map_merl(path, sha256)
-        file.seek(0)
-        return parse_samples(file.read(), Path(path).stem, options)
+    if kind_of_file(path) == "merl":
+        return map_merl(path, sha256)
+    return parse_samples(Path(path).read_bytes(), Path(path).stem, AS_WRITTEN)

@@ -2,16 +2,16 @@
 
 import re
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from dsbrdf.data.grid import CHANNELS
 
 # side of the normal -> what stands before or behind an angle's name; abbreviations stand behind it only
 _SIDES = {
-    "in": ("in", "incident", "incidence", "incoming", "illumination", "light", "source", "solar", "sun"),
+    "in": ("in", "incident", "incidence", "incoming", "illumination", "light", "source", "src", "solar", "sun"),
     "out": (
-        *("out", "reflected", "reflection", "outgoing", "exitant", "scattered", "scatter", "scattering", "receiver"),
-        *("view", "viewing", "viewer", "observer", "observation"),
+        *("out", "reflected", "reflection", "outgoing", "exitant", "exit", "scattered", "scatter", "scattering"),
+        *("receiver", "detector", "view", "viewing", "viewer", "observer", "observation"),
     ),
 }
 _SHORT = {"in": ("i", "incident"), "out": ("o", "r", "s")}
@@ -20,25 +20,35 @@ _ANGLES = {
     "phi": ("phi", "azimuth", "azimuth_angle", "azimuthal_angle"),
     "elevation": ("elevation", "altitude", "elevation_angle"),
 }
+# Abbreviations that stand behind a word alone: "in_z" would be a component of a vector.
+_BEHIND_WORDS = {"theta": ("z", "za", "zen"), "phi": ("a", "aa", "az", "azi")}
+_VALUES = ("value", "brdf", "bsdf", "luminance", "f_r", "fr")
+_MUELLER = tuple(f"{name}{mark}11" for name in ("f_r", "fr", "f", "m", "s", "mueller", "brdf") for mark in ("", "_"))
+_FACTORS = ("brf", "reflectance", "reflectance_factor", "bidirectional_reflectance_factor", "radiance_factor")
 _OTHERS = {
-    "theta_in": ("aoi", "angle_of_incidence", "sza", "incidence", "einfallswinkel"),
+    "theta_in": ("aoi", "angle_of_incidence", "sza", "incidence", "einfallswinkel", "intheta"),
     "theta_out": (
-        *("aor", "aos", "angle_of_reflection", "angle_of_scatter", "vza", "theta", "zenith", "zenith_angle"),
-        *("ausfallswinkel", "beobachtungswinkel"),
+        *("aor", "aos", "aov", "angle_of_reflection", "angle_of_scatter", "angle_of_view", "vza", "theta", "zenith"),
+        *("zenith_angle", "scatter", "scatterbeta", "ausfallswinkel", "beobachtungswinkel", "outtheta"),
     ),
-    "phi_in": ("saa",),
-    "phi_out": ("vaa", "phi", "azimuth", "azimuth_angle", "relative_azimuth", "raa"),
+    "phi_in": ("saa", "inphi"),
+    "phi_out": ("vaa", "phi", "azimuth", "azimuth_angle", "relative_azimuth", "raa", "outphi"),
     "elevation_out": ("elevation", "elevation_angle"),
-    "value": ("value", "brdf", "bsdf", "luminance", "f_r", "fr"),
+    "value": (*_VALUES, *_MUELLER, *_FACTORS),
     "weight": ("weight",),
-    "wavelength": ("wavelength", "lambda", "wl", "wavelength_nm"),
+    "wavelength": ("wavelength", "lambda", "wl"),
 }
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDES for axis in "xyz")
 HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
 DEGREES, RADIANS = ("deg", "degree", "degrees", "°"), ("rad", "radian", "radians")
+NANOMETRES = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
+"""Units of wavelengths, and how many nanometres each has."""
 _LONGEST_NAME = 200  # characters of a cell with a name and its unit
-_BAND = re.compile(r"(?:(?:value|brdf|bsdf|f_?r?|r|l|w|wl|lambda)_?)?([0-9]{3,4}(?:_[0-9]+)?)_?(?:nm)?")
+_BAND = re.compile(r"(?:(?:value|brdf|bsdf|f_?r?|r|l|w|wl|lambda)_?)?([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?")
 _FIRST_BAND, _LAST_BAND = 200.0, 3000.0  # [nm]
+_NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
+_CONSTANT = re.compile(rf"(.*?[^\s:=,;])[\s:=,;]+({_NUMBER}(?:[\s,;]+{_NUMBER})?)[\s,;]*([A-Za-zμ°]*)")
+_HELD = ("theta_in", "phi_in", "elevation_in", "wavelength")  # what a line can give to all rows below
 
 
 def _spellings() -> Iterator[tuple[str, str]]:
@@ -51,6 +61,8 @@ def _spellings() -> Iterator[tuple[str, str]]:
                 yield from ((f"{word}_{name}", f"{angle}_{side}") for word in words)
                 for word in (*words, *_SHORT[side]):
                     yield from ((f"{name}{mark}{word}", f"{angle}_{side}") for mark in ("_", ""))
+        for angle, names in _BEHIND_WORDS.items():
+            yield from ((f"{word}_{name}", f"{angle}_{side}") for word in words[1:] for name in names)
         for axis in "xyz":
             yield from ((f"{name}_{axis}", f"omega_{side}_{axis}") for name in (f"omega_{side}", f"omega_{side[0]}"))
             yield f"w{side[0]}_{axis}", f"omega_{side}_{axis}"
@@ -70,11 +82,41 @@ def is_known(cell: str) -> bool:
     return name_and_unit(cell)[0] in MEANINGS
 
 
+def is_factor(cell: str) -> bool:
+    """Whether a cell names reflectance factors, which are pi times the BRDF."""
+    return name_and_unit(cell)[0] in _FACTORS
+
+
+def count_bands(cells: Sequence[str]) -> int:
+    """Return how many cells name wavelengths: none if there is one alone, or if no cell says more than a number."""
+    found = [cell for cell in cells if wavelength_of(cell)]
+    has_words = any(not cell.replace(".", "").isdigit() for cell in cells)
+    return len(found) if len(found) > 1 and has_words else 0
+
+
 def wavelength_of(cell: str) -> float | None:
-    """Return the wavelength [nm] that a column with this name is for, as in "450 nm", "450" or "brdf_450nm"."""
+    """Return the wavelength [nm] that a column with this name is for, as in "450 nm", "0.45um" or "brdf_450nm"."""
     found = _BAND.fullmatch(name_and_unit(cell)[0])
-    number = 0.0 if found is None else float(found[1].replace("_", "."))
+    number = 0.0 if found is None else float(found[1].replace("_", ".")) * NANOMETRES[found[2] or "nm"]
     return number if _FIRST_BAND <= number <= _LAST_BAND else None
+
+
+def constants_in(line: str) -> dict[str, float]:
+    """Return the numbers that a line such as "#intheta 30" or "AOI [deg]: 30" gives to all rows below it."""
+    found = _CONSTANT.fullmatch(line) if len(line) <= _LONGEST_NAME else None
+    if found is None:
+        return {}
+    name, unit = name_and_unit(found[1])
+    meaning = "theta_in" if name == "incident_angle" else MEANINGS.get(name)
+    try:
+        numbers = [float(number) for number in re.split(r"[\s,;]+", found[2].strip(" \t,;"))]
+    except ValueError:
+        return {}
+    if meaning not in _HELD or len(numbers) > (2 if name == "incident_angle" else 1):
+        return {}
+    unit = unit or found[3].lower()
+    held = {f"{meaning} [{unit}]" if unit else meaning: numbers[0]}
+    return held | dict(zip(("phi_in",), numbers[1:], strict=False))
 
 
 def name_and_unit(cell: str) -> tuple[str, str]:
@@ -89,4 +131,5 @@ def name_and_unit(cell: str) -> tuple[str, str]:
         text, unit = text[:bracket].rstrip(), text[bracket + 1 : -1].strip()
     name = re.sub(r"[\s.-]+", "_", text)
     base, _, last = name.rpartition("_")
-    return (base, last) if last in (*DEGREES, *RADIANS) else (name, unit.replace("\N{MINUS SIGN}", "-"))
+    is_unit = last in (*DEGREES, *RADIANS) or (last in NANOMETRES and base in _OTHERS["wavelength"])
+    return (base, last) if is_unit else (name, unit.replace("\N{MINUS SIGN}", "-"))

@@ -1,32 +1,30 @@
 """Files with a table of scattered samples.
 
-`dsbrdf.samples.text_table` finds the cells of a file, `dsbrdf.samples.columns` what they mean. What a measurement
-leaves behind is set right here, counted, and said in the notes of the samples: rows without a number, directions at or
-below the horizon, small negative values, vectors that are nearly of unit length.
+`dsbrdf.samples.layouts` finds the cells of a file, `dsbrdf.samples.columns` what they mean. What a measurement leaves
+behind is set right here, counted, and said in the notes of the samples: rows without a number, directions at or below
+the horizon, zeros that nobody measured, small negative values, vectors that are nearly of unit length.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.files import known_kind
-from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
-from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from dsbrdf.samples.columns import LOWEST_COSINE, sample_columns
-from dsbrdf.samples.layouts import count_names, known_format, plain_table, unfolded
-from dsbrdf.samples.scattered_samples import ScatteredSamples
-from dsbrdf.samples.spreadsheet import ARCHIVE, SPREADSHEET, is_spreadsheet, spreadsheet_text
-from dsbrdf.samples.text_table import parse_text_table
-from dsbrdf.samples.zemax import begins_as_zemax, is_zemax, zemax_table
+from dsbrdf.samples.layouts import table_in
+from dsbrdf.samples.missing import about_repeated, unmeasured_zeros
+from dsbrdf.samples.scattered_samples import CANONICAL, ScatteredSamples
+from dsbrdf.samples.spreadsheet import is_spreadsheet, spreadsheet_text
+from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
-TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".astm", SPREADSHEET)
-"""Suffixes of tables of scattered samples."""
-_LARGEST_FILE = 1 << 30  # [bytes]
+_MAX_FILE_BYTES = 1 << 30
 _TABLE_TOLERANCE = 0.02
 _ROUNDED = 1e-3  # tables have few digits: a smaller deviation from unit length is not worth a word
 _SAME_DIRECTION = 1e-5  # of the components of unit vectors
@@ -43,30 +41,44 @@ class ReadTable:
     samples: ScatteredSamples
 
 
-def is_table(path: str | os.PathLike[str]) -> bool:
-    """Whether a path names a table of samples: by its suffix, or a ``.bsdf`` file of Zemax by its content."""
-    suffix = Path(path).suffix.lower()
-    return suffix in TABLE_SUFFIXES or (suffix == ".bsdf" and begins_as_zemax(path))
+def read_samples(
+    path: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+    options: TableOptions | None = None,
+    **choices: Any,
+) -> ScatteredSamples:
+    """Read a table of scattered samples.
 
+    Parameters
+    ----------
+    path : path-like, or several
+        A text, a ``.bsdf`` file of Zemax and others that `docs/formats.md` lists, or, with the extra ``xlsx``, a
+        spreadsheet. Several files of one material are one measurement. The stem of the first becomes the name.
+    options : TableOptions, optional
+        How the table is read.
+    **choices
+        Single options by name instead: ``columns``, ``constants``, ``missing``, ``scale``, ``cosine``, ``phi``.
 
-def table_suffix(path: str | os.PathLike[str]) -> str:
-    """Return the suffix that goes with the content of a table, ``.txt`` or that of a spreadsheet."""
-    with Path(path).open("rb") as file:
-        return SPREADSHEET if file.read(len(ARCHIVE)) == ARCHIVE else ".txt"
-
-
-def read_samples(path: str | os.PathLike[str], options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
-    """Read a table of scattered samples: a text, a ``.bsdf`` file of Zemax, or, with the extra ``xlsx``, a spreadsheet.
-
-    The stem of the file becomes the name.
-
-    A MeasurementFormatError says in one sentence what is wrong and what would be right; a MissingExtraError, that
-    the extra is not installed.
+    Raises
+    ------
+    InvalidArgumentError
+        If an option is wrong.
+    MeasurementFormatError
+        With one sentence that says what is wrong and what would be right.
+    MissingExtraError
+        If a spreadsheet is given, and the extra ``xlsx`` is not installed.
+    OSError
+        If a file does not exist or cannot be read.
     """
-    source = Path(path)
-    if source.stat().st_size > _LARGEST_FILE:
-        raise MeasurementFormatError(f"The table is longer than {_LARGEST_FILE} bytes.")
-    return parse_samples(source.read_bytes(), source.stem, options)
+    if options is not None and choices:
+        raise InvalidArgumentError("give the options as TableOptions or by name, not both")
+    options = options or TableOptions(**choices)
+    paths = [path] if isinstance(path, str | os.PathLike) else list(path)
+    found = []
+    for source in map(Path, paths):
+        if source.stat().st_size > _MAX_FILE_BYTES:
+            raise MeasurementFormatError(f"The table is longer than {_MAX_FILE_BYTES} bytes.")
+        found.append(_read(source.read_bytes(), options))
+    return _joined(found, Path(paths[0]).stem)
 
 
 def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
@@ -76,30 +88,42 @@ def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS
 
 def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ReadTable:
     """Return the samples in the bytes of a table with what was understood; errors are those of `read_samples`."""
+    found = _read(data, options)
+    return ReadTable(found.columns, found.n_rows, _joined([found], name))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of a file that can be used, however few."""
+
+    columns: tuple[tuple[str, str, str], ...]
+    n_rows: int
+    omega_in: Array
+    omega_out: Array
+    values: Array
+    weight: Array
+    notes: tuple[str, ...]
+
+
+def _joined(found: list[_Rows], name: str) -> ScatteredSamples:
+    names = ("omega_in", "omega_out", "values", "weight")
+    arrays = {field: np.concatenate([getattr(one, field) for one in found]) for field in names}
+    notes = dict.fromkeys(note for one in found for note in one.notes)
+    return ScatteredSamples.from_arrays(**arrays, name=name, notes=tuple(notes))
+
+
+def _read(data: bytes, options: TableOptions) -> _Rows:
+    if data.startswith(CANONICAL):
+        options.refuse("a file of samples, which says everything itself")
+        made = ScatteredSamples.decode(data)
+        names = ("theta_in", "phi_in", "theta_out", "phi_out", "red", "green", "blue", "weight")
+        columns = tuple((name, name, "") for name in names)
+        return _Rows(columns, len(made.values), made.omega_in, made.omega_out, made.values, made.weight, made.notes)
     notes: list[str] = []
     if is_spreadsheet(data):
         data, notes = spreadsheet_text(data)
-    kind = known_kind(data[:16])
-    if kind is not None:
-        raise MeasurementFormatError(
-            f"The data is {kind}; scattered samples are a table, in a text or in a spreadsheet (.xlsx)."
-        )
-    named = {column.lower() for column in options.named_columns().values()}
-    try:
-        if is_zemax(data):
-            table = zemax_table(data)
-        else:
-            text = plain_table(data)
-            table = parse_text_table(text, lambda cell: count_names(cell) or cell.strip("'\" ").lower() in named)
-        found = sample_columns(unfolded(table), options)
-    except MeasurementFormatError as error:
-        known = known_format(data)
-        if known is None:
-            raise
-        raise MeasurementFormatError(
-            f"The data is {known}, which is not read: write its samples as a table with theta_in, phi_in, theta_out, "
-            "phi_out and value."
-        ) from error
+    table = table_in(data, options)
+    found = sample_columns(table, options)
     numbers = found.numbers
     notes += found.notes
     used = np.asarray(np.isfinite(numbers).all(axis=1))
@@ -110,12 +134,22 @@ def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WR
     above = np.minimum(first[:, 2], second[:, 2]) > LOWEST_COSINE
     notes += _left_out(used & ~above, "a direction at or below the horizon")
     used &= above
+    if len(found.written) == len(used):
+        notes += about_repeated(found.written[used])
+    empty, said = unmeasured_zeros(first[used], second[used], numbers[used, 6:9])
+    notes += said
+    used[np.flatnonzero(used)[empty]] = False
     values = numbers[used, 6:9]
     is_grey = bool(np.all(values == values[:, :1]))
     values = np.broadcast_to(_without_noise(values[:, :1] if is_grey else values, notes), values.shape)
-    notes += _contradictions(np.hstack([first[used], second[used]]), values.mean(axis=1))
-    samples = ScatteredSamples.from_arrays(first[used], second[used], values, numbers[used, 9], name, tuple(notes))
-    return ReadTable(found.columns, len(table.rows), samples.changed(options.of_table()))
+    omega_in, omega_out = first[used], second[used]
+    if options.cosine is not None:
+        values = values / (omega_in if options.cosine == "in" else omega_out)[:, 2:]
+    if options.phi == "mirror":
+        omega_in = omega_in * (-1.0, -1.0, 1.0)
+    notes += _contradictions(np.hstack([omega_in, omega_out]), values.mean(axis=1))
+    values = values * options.scale
+    return _Rows(found.columns, table.n_rows, omega_in, omega_out, values, numbers[used, 9], tuple(notes))
 
 
 def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Array:

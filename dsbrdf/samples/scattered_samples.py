@@ -1,23 +1,34 @@
-"""Scattered samples: values of a BRDF at any pairs of directions."""
+"""Scattered samples: values of a BRDF at any pairs of directions, and the file that holds them.
+
+A file of samples is a table in ASCII: the line ``# dsbrdf samples 1``, a line ``# `` with each note, the names of eight
+columns, and a line for each sample: theta_in, phi_in, theta_out, phi_out in degrees, then red, green and blue in 1/sr,
+then the weight, in the fewest digits that restore each number. Equal samples have equal files.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Sized
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.geometry import spherical
 from dsbrdf.data.merl_validation import LARGEST_VALUE, SMALLEST_PEAK
-from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
-from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from dsbrdf.errors import MeasurementFormatError
 
-FEWEST_SAMPLES = 50
+MIN_SAMPLES = 50
 """Fewer samples than this do not tell what a material is like."""
-LARGEST_WEIGHT = 1e12
+MAX_WEIGHT = 1e12
+CANONICAL = b"# dsbrdf samples 1\n"
+"""The first line of a file of samples."""
+_NAMES = "theta_in,phi_in,theta_out,phi_out,red,green,blue,weight"
 _UNIT_TOLERANCE = 1e-3
+# Angles are kept to so many decimals of a degree: conversions to a unit vector and back change less.
+_ANGLE_DECIMALS = 9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,12 +41,10 @@ class ScatteredSamples:
         Unit vectors towards the light and the viewer, and RGB [1/sr].
     weight : ndarray, shape (n,)
         How much each sample counts.
-    name, sha256 : str
-        Of the material; hexadecimal digest of the arrays, the identity of the samples.
+    name : str
+        The material's name.
     notes : tuple of str
         What the reader of a table decided, a sentence each; the report of a fit begins its warnings with them.
-    options : TableOptions
-        With which they were read.
     """
 
     omega_in: Array
@@ -43,12 +52,37 @@ class ScatteredSamples:
     values: Array
     weight: Array
     name: str
-    sha256: str
     notes: tuple[str, ...] = ()
-    options: TableOptions = AS_WRITTEN
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hexadecimal digest of `encode`: the identity of the samples, whatever their name."""
+        return hashlib.sha256(self.encode()).hexdigest()
+
+    def encode(self) -> bytes:
+        """Return the content of a file with the samples, which `dsbrdf.read_samples` reads."""
+        degrees = np.hstack([_degrees(self.omega_in), _degrees(self.omega_out)])
+        table = np.column_stack([degrees, self.values, self.weight])
+        notes = "".join(f"# {' '.join(note.split())}\n" for note in self.notes)
+        rows = "\n".join(",".join(map(repr, row)) for row in table.tolist())
+        return CANONICAL + f"{notes}{_NAMES}\n{rows}\n".replace(".0,", ",").replace(".0\n", "\n").encode()
+
+    @classmethod
+    def decode(cls, content: bytes, name: str = "samples") -> ScatteredSamples:
+        """Return the samples in what `encode` has returned; raise MeasurementFormatError if the content is wrong."""
+        head, names, body = content.partition(f"{_NAMES}\n".encode())
+        if not head.startswith(CANONICAL) or not names:
+            raise MeasurementFormatError(f"A file of samples begins with {CANONICAL.decode().strip()!r} and notes.")
+        try:
+            notes = tuple(line.removeprefix("# ") for line in head.decode().splitlines()[1:])
+            table = np.array(body.replace(b"\n", b",").rstrip(b",").split(b","), dtype=np.float64).reshape(-1, 8)
+        except ValueError:
+            raise MeasurementFormatError("The file of samples is damaged: write it again.") from None
+        omega_in, omega_out = (spherical(*np.radians(table[:, at : at + 2].T)) for at in (0, 2))
+        return cls.from_arrays(omega_in, omega_out, table[:, 4:7], table[:, 7], name, notes)
 
     def take(self, chosen: Mask) -> ScatteredSamples:
-        """Return the samples that are `chosen`, shape (n,); name and digest stay those of all."""
+        """Return the samples that are `chosen`, shape (n,)."""
         arrays = {name: getattr(self, name)[chosen] for name in ("omega_in", "omega_out", "values", "weight")}
         return replace(self, **arrays)
 
@@ -56,31 +90,6 @@ class ScatteredSamples:
         """Return the samples, values divided by the cosine of theta_in or theta_out; ``side`` is "in" or "out"."""
         cosine = self.omega_in[:, 2] if side == "in" else self.omega_out[:, 2]
         return replace(self, values=self.values / cosine[:, np.newaxis])
-
-    def with_options(self, options: TableOptions) -> ScatteredSamples:
-        """Return the samples scaled, divided by the cosine or turned, as options say.
-
-        Samples that were read with the same options are returned as they are. Raises InvalidArgumentError if they were
-        read with others, or if the options are about the text of a table.
-        """
-        wanted = options.of_table()
-        if wanted in (self.options, AS_WRITTEN):
-            return self
-        if self.options != AS_WRITTEN:
-            raise InvalidArgumentError("the samples were read with options of a table other than those given here")
-        if wanted.columns or wanted.missing:
-            raise InvalidArgumentError("columns and missing are for a table in a file, not for arrays of samples")
-        return self.changed(wanted)
-
-    def changed(self, options: TableOptions) -> ScatteredSamples:
-        """Return the samples multiplied, divided and turned, whatever they were read with."""
-        if options == AS_WRITTEN:
-            return self
-        samples = self if options.cosine is None else self.divided_by_cosine(options.cosine)
-        omega_in = self.omega_in * ((-1.0, -1.0, 1.0) if options.phi == "mirror" else 1.0)
-        values = samples.values * options.scale
-        changed = self.from_arrays(omega_in, self.omega_out, values, self.weight, self.name, self.notes)
-        return replace(changed, options=options)
 
     def __repr__(self) -> str:
         return f"<ScatteredSamples: {self.name!r}, {len(self.values)} samples>"
@@ -100,7 +109,7 @@ class ScatteredSamples:
         Parameters
         ----------
         omega_in, omega_out : array_like, shape (n, 3)
-            Unit vectors, to 0.001, above the horizon (z > 0).
+            Unit vectors, to 0.001, above the horizon (z > 0); they are kept to 1e-9 degrees.
         values : array_like, shape (n, 3)
             RGB [1/sr], finite and not negative; the largest from 1e-8 to 1e8.
         weight : array_like, shape (n,), optional
@@ -116,10 +125,9 @@ class ScatteredSamples:
             With one sentence that says what is wrong and what would be right.
         """
         count = len(values) if isinstance(values, Sized) else 0
-        if count < FEWEST_SAMPLES:
+        if count < MIN_SAMPLES:
             raise MeasurementFormatError(
-                f"There {'is 1 sample' if count == 1 else f'are {count} samples'}; a fit needs at least "
-                f"{FEWEST_SAMPLES}."
+                f"There {'is 1 sample' if count == 1 else f'are {count} samples'}; a fit needs at least {MIN_SAMPLES}."
             )
         arrays = {
             "omega_in": _numbers("omega_in", omega_in, (count, 3)),
@@ -132,14 +140,14 @@ class ScatteredSamples:
             off = np.abs(length - 1.0) > _UNIT_TOLERANCE
             _refuse("is not of unit length", side, off, "directions are unit vectors")
             _refuse("is not above the horizon", side, arrays[side][:, 2] <= 0.0, "z must be positive")
-            arrays[side] /= length[:, np.newaxis]
+            arrays[side] = spherical(*np.radians(_degrees(arrays[side]).T))
         _refuse("is negative", "values", arrays["values"].min(axis=1) < 0.0, "no reflectance is")
         brightest = arrays["values"].max()
         too_bright = f"no reflectance is; if {brightest:g} stands for what is missing, set missing to it"
         _refuse("is above 1e8/sr", "values", arrays["values"].max(axis=1) > LARGEST_VALUE, too_bright)
         weights = arrays["weight"]
         _refuse("is not positive", "weight", weights <= 0.0, "leave out what must not count")
-        extreme = (weights < 1.0 / LARGEST_WEIGHT) | (weights > LARGEST_WEIGHT)
+        extreme = (weights < 1.0 / MAX_WEIGHT) | (weights > MAX_WEIGHT)
         _refuse("is not from 1e-12 to 1e12", "weight", extreme, "weights say how much samples count among each other")
         if not arrays["values"].any():
             raise MeasurementFormatError("Every sample is zero in all channels; a measurement has positive values.")
@@ -147,12 +155,16 @@ class ScatteredSamples:
             raise MeasurementFormatError(
                 f"The largest value is {largest:.3g}/sr, darker than any material; the values of a BRDF are in 1/sr."
             )
-        digest = hashlib.sha256()
         for array in arrays.values():
-            digest.update(array.astype("<f8").tobytes())
             array.flags.writeable = False
-        omega_in, omega_out, values, weight = arrays.values()
-        return cls(omega_in, omega_out, values, weight, name, digest.hexdigest(), notes)
+        return cls(**arrays, name=name, notes=notes)
+
+
+def _degrees(omega: Array) -> Array:
+    """Return theta and phi of directions (n, 3), shape (n, 2) [degrees]; phi is 0 where theta is."""
+    theta = np.degrees(np.arctan2(np.hypot(omega[:, 0], omega[:, 1]), omega[:, 2])).round(_ANGLE_DECIMALS)
+    phi = np.degrees(np.arctan2(omega[:, 1], omega[:, 0])).round(_ANGLE_DECIMALS) % 360.0
+    return np.stack([theta, np.where(theta > 0.0, phi, 0.0)], axis=1)
 
 
 def _numbers(name: str, array: ArrayLike, shape: tuple[int, ...]) -> Array:

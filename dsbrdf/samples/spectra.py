@@ -63,7 +63,7 @@ def of_rows(numbers: Array, wavelengths: Array) -> tuple[Array, Array]:
     used = np.isfinite(wavelengths) & np.isfinite(numbers[:, :6]).all(axis=1)
     numbers, wavelengths = numbers[used], wavelengths[used]
     _, first, row = np.unique(np.round(numbers[:, :6], 6), axis=0, return_index=True, return_inverse=True)
-    bands, band = np.unique(wavelengths, return_inverse=True)
+    bands, band = np.unique(wavelengths.round(6), return_inverse=True)
     if first.size * bands.size > _MOST_EMPTY * len(numbers):
         raise MeasurementFormatError("The pairs of directions have different wavelengths; all need the same ones.")
     sums, counts = np.zeros((2, first.size, bands.size))

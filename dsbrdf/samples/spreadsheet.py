@@ -8,7 +8,7 @@ from typing import Any
 
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.extras import require
-from dsbrdf.samples.text_table import MAX_CELLS
+from dsbrdf.samples.cells import MAX_CELLS
 
 SPREADSHEET = ".xlsx"
 ARCHIVE = b"PK\x03\x04"

@@ -1,112 +1,111 @@
 """Tables of numbers as people and instruments write them: bytes -> the cells under each column's name.
 
 Cells are separated by commas, semicolons, tabs or blanks; where it is not the comma, numbers may have a decimal comma.
-Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments; the line that names the columns may be one, and lines
-without a known name may stand before it. A line below the names without any number gives the units.
+Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments; the line that names the columns may be one, and other
+lines may stand before it. A line below the names without any number gives the units. A line of a word and a number,
+such as ``#intheta 30``, holds for the rows after it. Where no line has names, columns are named by their positions, 1
+to n, and lines of fewer numbers, one block of rows after each, continue them.
 """
 
-import codecs
-import csv
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
-from dsbrdf.arrays import Array
 from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.samples.cells import (
+    SEPARATORS,
+    Constants,
+    TextTable,
+    as_number,
+    check_size,
+    decoded,
+    split_cells,
+    wrong_count,
+)
+from dsbrdf.samples.unnamed import unnamed_table
 
-_SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
-_LINES_BEFORE_NAMES = 500
-_LINES_OF_UNITS = 20
-MAX_CELLS = 5_000_000  # They take 5 s and 1 GB to read.
-MAX_COLUMNS = 4096
+_BEGINS_NUMBER = tuple("+-.0123456789")
+_MAX_LINES_BEFORE_NAMES = 500
+_MAX_LINES_OF_UNITS = 20
 _MAX_LINE_LENGTH = 1 << 17  # [characters]; 4096 columns with all their digits are shorter.
 _MAX_HEAD_LENGTH = 1 << 18  # [characters]; the line of names is not looked for behind them.
-_MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
+# Fewer lines that begin with a name are no table whose columns stand in lines.
+_MIN_TRANSPOSED_LINES = 3
 
 
-@dataclass(frozen=True, eq=False)
-class TextTable:
-    """Cells of a table."""
-
-    names: tuple[str, ...]  # of each column, as written
-    units: tuple[str, ...]  # of each column, as written; an empty one is none
-    rows: list[list[str]]  # each with one cell for each name
-    lines: list[int]  # number of each row's line in the file, from 1
-    separator: str
-
-    def numbers(self, column: int) -> Array:
-        """Return the numbers of a column, NaN where there is none; a MeasurementFormatError names what is no number."""
-        cells = [row[column] for row in self.rows]
-        try:
-            return np.array(cells, dtype=np.float64)
-        except ValueError:  # missing cells, decimal commas, or no numbers at all
-            return np.array([self._number(place, column) for place in range(len(cells))])
-
-    def _number(self, place: int, column: int) -> float:
-        cell = self.rows[place][column].strip()
-        number = _as_number(cell, self.separator)
-        if number is None:
-            raise MeasurementFormatError(
-                f"Line {self.lines[place]} of the table has {cell[:40]!r} in the column {self.names[column]!r}; "
-                "write a number, or nan where there is none."
-            )
-        return number
-
-
-def check_size(n_rows: int, n_columns: int) -> None:
-    """Raise MeasurementFormatError if a table takes too long to read; it is asked before the cells are made."""
-    if n_columns > MAX_COLUMNS:
-        raise MeasurementFormatError(f"The table has {n_columns} columns; it may have {MAX_COLUMNS}.")
-    if n_rows * n_columns > MAX_CELLS:
-        raise MeasurementFormatError(
-            f"The table has {n_rows} rows of {n_columns} cells, and it may have {MAX_CELLS} cells; leave out rows, or "
-            "columns that are not needed."
-        )
-
-
-def parse_text_table(data: bytes, count_names: Callable[[str], int]) -> TextTable:
+def parse_text_table(
+    data: bytes, count_names: Callable[[Sequence[str]], int], constants_in: Callable[[str], Constants]
+) -> TextTable:
     """Return the table in the bytes of a text.
 
-    `count_names` says how many known columns a cell names: the line with most of them names the columns. A
-    MeasurementFormatError says in one sentence what is wrong and what would be right.
+    `count_names` says how many columns some cells name: the line with most of them names the columns. `constants_in`
+    returns the numbers that a line gives to all rows after it. A MeasurementFormatError says in one sentence what is
+    wrong and what would be right.
     """
-    lines = _text(data).splitlines()
+    lines = decoded(data).splitlines()
     _check_lengths(lines)
-    place, names = _find_names(lines, count_names)
-    kept = [(number, line.strip(" ")) for number, line in enumerate(lines[place + 1 :], place + 2) if _is_row(line)]
+    found = _find_names(lines, count_names) or _transposed(lines, count_names)
+    if isinstance(found, TextTable):
+        return found
+    place, names = found or (-1, ())
+    kept, blocks = _rows_and_constants(lines, place, constants_in)
+    if not names:
+        return _with_blocks(unnamed_table(kept), blocks)
     check_size(len(kept), len(names))
     units, separator = ("",) * len(names), ","
-    for row in kept[:_LINES_OF_UNITS]:
+    for row in kept[:_MAX_LINES_OF_UNITS]:
         separator = _separator_of_rows(row, names)
         first = _cells(row[1], separator)
         if not _has_words(first, separator):
             break
         units = tuple(cell.strip(" []()") for cell in first[: len(names)])
-        kept = kept[1:]
+        kept, blocks = kept[1:], blocks[1:]
     numbers = [number for number, _ in kept]
-    split = _split([line for _, line in kept], separator)
+    split = split_cells((line for _, line in kept), separator)
     rows = [_checked_row(cells, number, names) for number, cells in zip(numbers, split, strict=True)]
-    return TextTable(names, units, rows, numbers, separator)
+    return _with_blocks(TextTable(names, units, rows, numbers, separator), blocks)
 
 
-def _text(data: bytes) -> str:
-    """Decode UTF-8, UTF-16 with its mark, as spreadsheets write it, or the Western European code page."""
-    encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
-    try:
-        text = data.decode(encoding)
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    if re.search(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]", text):
-        raise MeasurementFormatError("The data is not a text; a table of samples is a text in UTF-8.")
-    return text
+def decoded_lines(data: bytes) -> list[tuple[int, str]]:
+    """Return the lines of a text that are no comments, each with its number."""
+    return [(at, line.strip()) for at, line in enumerate(decoded(data).splitlines(), 1) if _is_row(line)]
 
 
-def _is_row(line: str) -> bool:
-    return bool(line.strip()) and _COMMENT.match(line) is None
+def without_comment(line: str) -> str:
+    """Return a line without the mark that makes it a comment."""
+    return _COMMENT.sub("", line, count=1).strip()
+
+
+def _rows_and_constants(
+    lines: Sequence[str], place: int, constants_in: Callable[[str], Constants]
+) -> tuple[list[tuple[int, str]], list[Constants]]:
+    """Return the rows below the line of names with their numbers, and what holds for each."""
+    kept, held, now = list[tuple[int, str]](), list[Constants](), Constants()
+    names = without_comment(lines[place]) if place >= 0 else None
+    for number, line in enumerate(lines, 1):
+        text = line.strip(" ")
+        bare = text if text[:1] in _BEGINS_NUMBER else without_comment(text)
+        found = constants_in(bare) if bare[:1].isalpha() and bare != names else {}
+        if found:
+            now = now | found
+        elif bare and number > place + 1 and bare != names and _is_row(text):
+            kept.append((number, text))
+            held.append(now)
+    return kept, held
+
+
+def _with_blocks(table: TextTable, blocks: Sequence[Constants]) -> TextTable:
+    """Add what held for each row as columns."""
+    names = list(dict.fromkeys(name for block in {id(block): block for block in blocks}.values() for name in block))
+    columns = tuple(np.array([block.get(name, np.nan) for block in blocks]) for name in names)
+    units = (*table.units, *[""] * len(names))
+    same = {name: column[0] for name, column in zip(names, columns, strict=True) if np.ptp(column) == 0.0}
+    held = " and ".join(f"{name} = {number:g}" for name, number in same.items())
+    notes = (f"All rows have {held}, as the head of the file says.",) if held else ()
+    return TextTable((*table.names, *names), units, table.rows, table.lines, table.separator, columns, notes)
 
 
 def _check_lengths(lines: Sequence[str]) -> None:
@@ -118,94 +117,87 @@ def _check_lengths(lines: Sequence[str]) -> None:
         )
 
 
-def _find_names(lines: Sequence[str], count_names: Callable[[str], int]) -> tuple[int, tuple[str, ...]]:
-    """Return the index of the line that names the columns, and the names."""
-    best: tuple[int, int, tuple[str, ...]] = (0, 0, ())
+def _find_names(
+    lines: Sequence[str], count_names: Callable[[Sequence[str]], int]
+) -> tuple[int, tuple[str, ...]] | None:
+    """Return the index of the line that names the columns, and the names; None if no line does."""
+    best: tuple[int, int, int, tuple[str, ...]] = (0, 0, 0, ())
     length = 0
-    for place, line in enumerate(islice(lines, _LINES_BEFORE_NAMES)):
+    for place, line in enumerate(islice(lines, _MAX_LINES_BEFORE_NAMES)):
         length += len(line)
         if length - len(line) > _MAX_HEAD_LENGTH:
             break
-        words = _COMMENT.sub("", line, count=1).strip()
-        for separator in _SEPARATORS:
-            names = tuple(name.strip() for name in _cells(words, separator))
-            names = names[:-1] if names and not names[-1] else names
-            known = sum(count_names(name) for name in names)
-            if known > best[0]:
-                best = known, place, names
-    if best[0] > 0:
-        return best[1:]
-    first = next((line.strip() for line in lines if line.strip()), "")
-    begins = f"begins with {first[:80]!r}" if first else "is empty"
-    raise MeasurementFormatError(
-        f"The table {begins} and has no line that names its columns; it needs one such as "
-        "theta_in, phi_in, theta_out, phi_out, red, green, blue."
-    )
+        words = without_comment(line)
+        widths = _widths_of_rows(lines, place + 1)
+        for names in _candidates(words):
+            known = count_names(names)
+            if known == 1 and any(as_number(name, " ") is not None for name in names):
+                continue  # It is a number for all rows, or one column of a table that stands in lines.
+            fits = len(names) in widths
+            if known > 0 and (known + fits, fits) > best[:2]:
+                best = known + fits, fits, place, names
+    return None if not best[0] or (best[0] == 1 and not best[1]) else best[2:]
+
+
+def _candidates(words: str) -> Iterator[tuple[str, ...]]:
+    """Yield what a line names with each separator, and without a label such as "format:" before the names."""
+    label, _, rest = words.partition(":")
+    for text in (words, rest.strip()) if rest and " " not in label else (words,):
+        for separator in SEPARATORS:
+            names = tuple(name.strip() for name in _cells(text, separator))
+            yield names[:-1] if names and not names[-1] else names
+
+
+def _widths_of_rows(lines: Sequence[str], start: int) -> set[int]:
+    """Return how many cells the first row from a line on has, with each separator."""
+    rows = (line.strip(" ") for line in islice(lines, start, start + _MAX_LINES_BEFORE_NAMES) if _is_row(line))
+    row = next(rows, "")
+    counts = {(separator, len(_cells(row, separator))) for separator in SEPARATORS}
+    return {count - 1 if row.endswith(separator) and count > 1 else count for separator, count in counts}
+
+
+def _transposed(lines: Sequence[str], count_names: Callable[[Sequence[str]], int]) -> TextTable | None:
+    """Return a table whose columns stand in lines, each after its name; None for another table."""
+    kept = [(number, line.strip()) for number, line in enumerate(lines, 1) if _is_row(line)]
+    for separator in SEPARATORS if kept else ():
+        cells = [(number, _cells(line, separator)) for number, line in kept[:_MAX_LINES_BEFORE_NAMES]]
+        named = [(number, line) for number, line in cells if len(line) > 2 and count_names(line[:1])]
+        if len(named) >= _MIN_TRANSPOSED_LINES and len({len(line) for _, line in named}) == 1:
+            names = tuple(line[0].strip() for _, line in named)
+            rows = [list(row) for row in zip(*(line[1:] for _, line in named), strict=True)]
+            note = "The columns of the table stand in its lines, each after its name."
+            return TextTable(names, ("",) * len(names), rows, [named[0][0]] * len(rows), separator, (), (note,))
+    return None
+
+
+def _is_row(line: str) -> bool:
+    return bool(line.strip()) and _COMMENT.match(line) is None
 
 
 def _separator_of_rows(row: tuple[int, str], names: tuple[str, ...]) -> str:
     """Return what separates the cells of the first row: what gives one cell for each name."""
     number, line = row
-    counts = {separator: len(_cells(line, separator)) for separator in _SEPARATORS}
+    counts = {separator: len(_cells(line, separator)) for separator in SEPARATORS}
     for separator, count in counts.items():
         if count == len(names) or (count == len(names) + 1 and line.endswith(separator)):
             return separator
     used = next(separator for separator, count in counts.items() if count > 1 or separator == " ")
-    raise _wrong_count(number, counts[used], used, names)
+    raise wrong_count(number, counts[used], used, names)
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    return next(_split([line], separator), [])
-
-
-def _split(lines: Sequence[str], separator: str) -> Iterator[list[str]]:
-    """Yield the cells of each line, so that the first wrong one ends the reading."""
-    blank = separator == " "
-    spaced = (line.replace("\t", " ") if blank else line for line in lines)
-    try:
-        reader = csv.reader(spaced, delimiter=separator, skipinitialspace=True)
-        for number, cells in enumerate(reader, 1):
-            if reader.line_num > number:  # Every line is a row, whatever its quotation marks.
-                raise MeasurementFormatError("A quotation mark in the table is not closed on its line.")
-            yield cells
-    except csv.Error:
-        raise MeasurementFormatError(
-            f"The table cannot be split into cells: one is longer than {csv.field_size_limit()} characters, or a "
-            "quotation mark is not closed."
-        ) from None
+    return next(split_cells([line], separator), [])
 
 
 def _checked_row(cells: list[str], number: int, names: tuple[str, ...]) -> list[str]:
     if len(cells) == len(names) + 1 and not cells[-1]:  # the line ends with a separator
         return cells[:-1]
     if len(cells) != len(names):
-        raise _wrong_count(number, len(cells), "", names)
+        raise wrong_count(number, len(cells), "", names)
     return cells
-
-
-def _wrong_count(number: int, count: int, separator: str, names: tuple[str, ...]) -> MeasurementFormatError:
-    between = f", separated by {_SEPARATORS[separator]}" if separator and count > 1 else ""
-    hint = "; separate numbers with a decimal comma by semicolons" if separator == "," and count > len(names) else ""
-    return MeasurementFormatError(
-        f"Line {number} of the table has {count} {'cell' if count == 1 else 'cells'}{between}, and the line of names "
-        f"has {len(names)}{hint}."
-    )
 
 
 def _has_words(cells: Sequence[str], separator: str) -> bool:
     """Whether cells are no sample: some words, and no number beside them."""
-    numbers = [_as_number(cell, separator) for cell in cells]
+    numbers = [as_number(cell, separator) for cell in cells]
     return None in numbers and all(number is None or np.isnan(number) for number in numbers)
-
-
-def _as_number(cell: str, separator: str) -> float | None:
-    """Return the number in a cell, NaN for a cell that says that there is none, or None for other words."""
-    text = cell.strip().replace("\N{MINUS SIGN}", "-")
-    if text.lower() in _MISSING:
-        return float("nan")
-    if separator != "," and "." not in text:
-        text = text.replace(",", ".", 1)
-    try:
-        return float(text)
-    except ValueError:
-        return None

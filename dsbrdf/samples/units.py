@@ -1,86 +1,181 @@
-"""Whether the values of samples are those of a BRDF in 1/sr, or what they probably are.
+"""What samples look like that their table does not say: other units, a cosine, a turned plane, lone highlights.
 
-Layers know how bright materials are, and how values go with the cosines of both directions: values that were multiplied
-by a factor or by a cosine are less probable as they are than divided by it.
+Nothing here changes a value. Units are doubted on one ground, energy: if a lower bound of the albedo is above 1, the
+samples reflect more light than they receive. The bound takes the least of neighbouring samples over theta_half, so that
+a highlight that one sample saw does not count. Layers know how values go with the cosines of both directions: values
+that were multiplied by a cosine fit them less well than divided by it.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from dsbrdf.model.albedo import directional_albedo
+from dsbrdf.arrays import Array
+from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.samples.prediction import SampleLayers, thinned
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
+_MAX_ALBEDO_BOUND = 1.05  # noise may lift the bound of a white material above 1
+# factor -> its prior probability and how a sentence names it
 _FACTORS = {
-    1.0 / np.pi: "1/pi (scale 0.3183; are they reflectance factors?)",
-    1.0 / (100.0 * np.pi): "1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)",
-    1.0 / 100.0: "1/100 (scale 0.01; are they per cent?)",
-    1.0 / 1500.0: "1/1500 (scale 0.0006667; are they the integers of a MERL file?)",
+    1.0 / np.pi: (0.4, "1/pi (scale 0.3183; are they reflectance factors?)"),
+    1.0 / (100.0 * np.pi): (0.35, "1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)"),
+    1.0 / 100.0: (0.2, "1/100 (scale 0.01; are they per cent?)"),
 }
-_MOST = 300  # samples that are asked
-_STEEP = np.radians([0.0, 30.0])  # where few samples tell the albedo best
-_LARGEST_ALBEDO = 1.05  # noise may lift that of a white material above 1
-_LARGEST_ERROR = 0.6  # of values in 1/sr at most 0.4: layers are not bright enough for what is far above
-_MORE_PROBABLE = 15.0  # evidence by which values divided by a cosine are better; of values that are right at most 6
-_AS_PROBABLE = 20.0  # evidence by which a factor that is named too may be worse
-_TYPICAL_ALBEDO = 0.3
+_MERL_FACTOR = 1.0 / 1500.0
+_OF_INTEGERS = (1.0, "1/1500 (scale 0.0006667; are they the integers of a MERL file?)")
+# Usual albedo, and the standard deviation of its logarithm; factors less probable than the best by more are not named.
+_USUAL_ALBEDO, _ALBEDO_SPREAD, _NAMED_FRACTION = 0.3, 1.1, 0.1
+_INCIDENCE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
+_NEAR_INCIDENCE = np.radians(7.6)
+_MIN_IN_GROUP = 6
+_N_NEIGHBOURS = 4  # over theta_half, of which the least value counts
+_MAX_ASKED = 300  # samples that layers are fitted to
+# Evidence by which values divided by a cosine, or turned, are better; of values that are right it is at most 6.
+_MORE_PROBABLE = 15.0
+_MAX_ERROR = 0.3  # of layers that explain the divided values: beyond it, nothing does
+_SPIKE_FACTOR, _SPIKE_THETA_HALF = 8.0, np.radians(3.0)
 
 
 @dataclass(frozen=True)
-class SampleUnits:
-    """What samples probably are."""
+class SampleDoubts:
+    """What a user should check about samples.
 
-    factor: float  # that makes them a BRDF in 1/sr
-    sentences: tuple[str, ...]  # for the report; none if they are one as they are
+    Attributes
+    ----------
+    factor : float
+        What makes them reflect less light than they receive; 1 if they do.
+    sentences : tuple of str
+        One for each property to check.
+    """
+
+    factor: float
+    sentences: tuple[str, ...]
 
 
-def sample_units(samples: ScatteredSamples) -> SampleUnits:
-    """Compare samples as they are with samples times a factor, and divided by a cosine."""
-    asked = thinned(samples, _MOST)
+def sample_doubts(samples: ScatteredSamples) -> SampleDoubts:
+    """Return what should be checked about samples."""
+    bound = albedo_bound(samples)
+    factors = _likely_factors(samples.values, bound) if bound > _MAX_ALBEDO_BOUND else []
+    sentences = _about_energy(samples, bound, factors) if factors else _about_layers(samples)
+    return SampleDoubts(factors[0][0] if factors else 1.0, (*sentences, *_about_spikes(samples)))
+
+
+def _about_energy(samples: ScatteredSamples, bound: float, factors: list[tuple[float, str]]) -> Iterator[str]:
+    asked = thinned(samples, _MAX_ASKED)
+    side = _side_of_cosine(replace(asked, values=asked.values * factors[0][0]))
+    named = " or ".join(words for _, words in factors)
+    cosine = "" if side is None else f', and set cosine to "{side}": they look like a BRDF times that cosine'
+    yield (
+        f"The samples reflect more light than they receive, at least {bound:.3g} times as much: they are not a "
+        f"BRDF in 1/sr; multiply the values by {named}{cosine}."
+    )
+
+
+def _about_layers(samples: ScatteredSamples) -> Iterator[str]:
+    asked = thinned(samples, _MAX_ASKED)
     layers = SampleLayers.fit(asked)
     turned = replace(asked, omega_in=asked.omega_in * np.array([-1.0, -1.0, 1.0]))
     if SampleLayers.fit(turned).evidence < layers.evidence - _MORE_PROBABLE:
-        said = (
-            "The brightest samples lie back towards the light, where mirrors have theirs on the other side: if light "
-            'and viewer have the same phi in the mirror direction here, set phi to "mirror", which turns the plane.'
+        yield (
+            "The brightest samples lie back towards the light, as those of a retro-reflector do: if the material is "
+            "none, light and viewer have the same phi in the mirror direction here, and phi must be set to "
+            '"mirror", which turns the plane.'
         )
-        return SampleUnits(1.0, (said,))
-    if not _is_possible(layers):
-        return _other_unit(asked)
-    found = {side: SampleLayers.fit(asked.divided_by_cosine(side)).evidence for side in ("in", "out")}
-    side = min(found, key=lambda name: found[name])
-    if found[side] > layers.evidence - _MORE_PROBABLE:
-        return SampleUnits(1.0, ())
-    said = (
-        f"The values look like a BRDF times the cosine of theta_{side}: divided by it they are those of a usual "
-        f'material, and as they are they are not; if so, set cosine to "{side}".'
-    )
-    return SampleUnits(1.0, (said,))
-
-
-def _other_unit(samples: ScatteredSamples) -> SampleUnits:
-    """Name the factors that make samples a possible material, the usual ones first, and a cosine if it is likely."""
-    begin = "The samples reflect more light than they receive: they are not a BRDF in 1/sr; multiply the values by "
-    evidence: dict[tuple[float, str | None], float] = {}
-    for side in (None, "in", "out"):
-        divided = samples if side is None else samples.divided_by_cosine(side)
-        for factor in _FACTORS:
-            layers = SampleLayers.fit(replace(divided, values=divided.values * factor))
-            if _is_possible(layers):
-                evidence[factor, side] = layers.evidence + (0.0 if side is None else _MORE_PROBABLE)
-    if not evidence:
-        bright = np.pi * float(np.median(samples.values)) + 1e-4 * float(samples.values.max())
-        return SampleUnits(_TYPICAL_ALBEDO / bright, (begin + "what makes them 1/sr.",))
-    best, side = min(evidence, key=lambda key: evidence[key])
-    limit = evidence[best, side] + _AS_PROBABLE
-    likely = [factor for factor in _FACTORS if evidence.get((factor, side), np.inf) < limit]
-    words = begin + " or ".join(_FACTORS[factor] for factor in likely)
+        return
+    side = _side_of_cosine(asked, layers)
     if side is not None:
-        words += f', and set cosine to "{side}": they look like a BRDF times the cosine of theta_{side}'
-    return SampleUnits(likely[0], (words + ".",))
+        yield (
+            f"The values look like a BRDF times the cosine of theta_{side}: divided by it they are those of a usual "
+            f'material, and as they are they are not; if so, set cosine to "{side}".'
+        )
 
 
-def _is_possible(layers: SampleLayers) -> bool:
-    albedo = directional_albedo(layers.evaluate_unmasked, _STEEP).min(axis=0).max()
-    return bool(albedo <= _LARGEST_ALBEDO) and layers.found[0].error < _LARGEST_ERROR
+def _side_of_cosine(samples: ScatteredSamples, layers: SampleLayers | None = None) -> str | None:
+    """Return the side whose cosine the values were probably multiplied by."""
+    evidence = (layers or SampleLayers.fit(samples)).evidence
+    found = {side: SampleLayers.fit(samples.divided_by_cosine(side)) for side in ("in", "out")}
+    side = min(found, key=lambda name: found[name].evidence)
+    is_clear = found[side].evidence < evidence - _MORE_PROBABLE and found[side].found[0].error < _MAX_ERROR
+    return side if is_clear else None
+
+
+def _likely_factors(values: Array, bound: float) -> list[tuple[float, str]]:
+    """Return the factors that make the albedo a usual one, the most probable first."""
+    is_integer = bool(np.all(values == np.rint(values)))
+    known = _FACTORS | ({_MERL_FACTOR: _OF_INTEGERS} if is_integer else {})
+    scores = {
+        factor: np.log(prior) - 0.5 * (np.log(bound * factor / _USUAL_ALBEDO) / _ALBEDO_SPREAD) ** 2
+        for factor, (prior, _) in known.items()
+    }
+    best = max(scores.values())
+    order = sorted(scores, key=lambda factor: -scores[factor])
+    if order[0] * bound > _MAX_ALBEDO_BOUND:
+        return [(_USUAL_ALBEDO / bound, "what makes them 1/sr")]
+    return [(factor, known[factor][1]) for factor in order if scores[factor] > best + np.log(_NAMED_FRACTION)]
+
+
+def albedo_bound(samples: ScatteredSamples) -> float:
+    """Return a lower bound of the largest directional albedo of samples, over some angles of incidence and channels.
+
+    Values are taken as a function of theta_half for each angle of incidence, each direction having the least value of
+    the samples next to it. Beyond the last sample it is 0.
+    """
+    theta_half = half_difference(samples.omega_in, samples.omega_out)[0]
+    cosines = np.stack([samples.omega_in[:, 2], samples.omega_out[:, 2]])
+    angles, largest = np.arccos(np.clip(cosines, 0.0, 1.0)), 0.0
+    for incidence in _INCIDENCE_DEG:
+        near = np.any(np.abs(angles - np.radians(incidence)) < _NEAR_INCIDENCE, axis=0)
+        if np.count_nonzero(near) < _MIN_IN_GROUP:
+            continue
+        order = np.argsort(theta_half[near])
+        half, values = theta_half[near][order], samples.values[near][order]
+        nodes, weight = _outgoing(incidence)
+        # The samples beside each node: one below and the next ones above.
+        at = np.searchsorted(half, nodes)[:, np.newaxis] + np.arange(-1, _N_NEIGHBOURS - 1)
+        least = values[np.clip(at, 0, half.size - 1)].min(axis=1)
+        least[nodes > half[-1]] = 0.0
+        largest = max(largest, float((weight @ least).max()))
+    return largest
+
+
+@cache
+def _outgoing(incidence_deg: float) -> tuple[Array, Array]:
+    """Return theta_half of directions of the viewer, shape (n,), and their weights in an integral over the cosine."""
+    theta, phi = np.meshgrid(np.radians(np.arange(0.5, 90.0)), np.radians(np.arange(1.5, 180.0, 3.0)), indexing="ij")
+    omega_out = spherical(theta.ravel(), phi.ravel())
+    omega_in = np.broadcast_to(spherical(np.radians(incidence_deg), np.pi), omega_out.shape)
+    weight = np.sin(theta) * np.cos(theta)
+    return half_difference(omega_in, omega_out)[0], np.pi * (weight / weight.sum()).ravel()
+
+
+def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
+    """Tell of highlights in which one sample alone lies, at most angles of incidence."""
+    theta_half = half_difference(samples.omega_in, samples.omega_out)[0]
+    incidence = np.degrees(np.arccos(np.clip(samples.omega_in[:, 2], 0.0, 1.0))).round()
+    level = samples.values.mean(axis=1)
+    seen, covered, ratios, gaps = 0, 0, list[float](), list[float]()
+    for angle in np.unique(incidence):
+        group = np.flatnonzero(incidence == angle)
+        if group.size < _MIN_IN_GROUP:
+            continue
+        covered += group.size
+        order = group[np.argsort(theta_half[group])]
+        # Several samples of the same pair of directions are one.
+        first = np.flatnonzero(theta_half[order] > theta_half[order[0]] + 1e-3)
+        if theta_half[order[0]] > _SPIKE_THETA_HALF or first.size < _MIN_IN_GROUP - 1:
+            continue
+        seen += 1
+        beside = level[order[first[:_N_NEIGHBOURS]]].max()
+        if level[order[0]] > _SPIKE_FACTOR * beside > 0.0:
+            ratios.append(float(level[order[0]] / beside))
+            gaps.append(float(np.degrees(theta_half[order[first[0]]])))
+    # Of random directions, few have the same angle of incidence.
+    if ratios and 2 * len(ratios) >= seen and 2 * covered > len(level):
+        yield (
+            f"At {len(ratios)} angles of incidence one sample alone lies in the highlight: it is up to "
+            f"{max(ratios):.2g} times as bright as its neighbours, at theta_half = {np.median(gaps):.2g} degrees and "
+            "more: the samples tell the height of the highlight there, and not its width; measure between them."
+        )

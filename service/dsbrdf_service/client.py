@@ -19,12 +19,13 @@ import httpx
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.output.serialize import result_from_json
-from dsbrdf.samples.reading import is_table
+from dsbrdf.samples.measurement_files import kind_of_file
+from dsbrdf.samples.reading import read_samples
+from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 from .http.names import check_name
-from .queue.fit_options import OF_TABLES, to_wire
+from .queue.fit_options import to_wire
 
 Source = str | os.PathLike[str] | bytes | Measurement
 Document = dict[str, Any]
@@ -95,6 +96,7 @@ class Client:
         measurement: Source,
         options: FitOptions | None = None,
         *,
+        table: TableOptions = AS_WRITTEN,
         name: str | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> FitResult:
@@ -107,6 +109,8 @@ class Client:
             does not have it.
         options : FitOptions, optional
             Defaults to ``FitOptions()``.
+        table : TableOptions, optional
+            How a table is read.
         name : str, optional
             What the service calls the measurement and the fit; by default the name that they have, or the file's.
         progress : callable, optional
@@ -119,12 +123,21 @@ class Client:
         ServiceError
             If the service failed, or the fit was cancelled.
         """
-        return self.result(self.wait(self.submit(measurement, options, name=name), progress=progress)["id"])
+        return self.result(
+            self.wait(self.submit(measurement, options, table=table, name=name), progress=progress)["id"]
+        )
 
-    def submit(self, measurement: Source, options: FitOptions | None = None, *, name: str | None = None) -> Document:
+    def submit(
+        self,
+        measurement: Source,
+        options: FitOptions | None = None,
+        *,
+        table: TableOptions = AS_WRITTEN,
+        name: str | None = None,
+    ) -> Document:
         """Ask for a fit without waiting for it; return its document. Parameters and errors as `fit`."""
         options = options or FitOptions()
-        document = {"measurement": self.upload(measurement, options, name=name), "options": to_wire(options)}
+        document = {"measurement": self.upload(measurement, table, name=name), "options": to_wire(options)}
         headers = {"Prefer": "respond-async"}
         found: Document = self._call("POST", "/v1/fits", {"name": name}, json=document, headers=headers).json()
         return found
@@ -160,16 +173,18 @@ class Client:
     def upload(self, measurement: Source, options: TableOptions = AS_WRITTEN, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; parameters and errors as `fit`.
 
-        The options of a table tell how to read it; the service checks that it can be.
+        A table is read here, with its options, and sent as a file of samples.
         """
         headers, own_name = {"Content-Type": "application/octet-stream"}, None
         if isinstance(measurement, str | os.PathLike):
             path = Path(measurement)
-            own_name = path.stem
-            if is_table(path):
+            own_name, kind = path.stem, kind_of_file(path)
+            if kind == "samples":
                 headers = {"Content-Type": "text/csv"}
-            is_rgl = path.suffix.lower() == ".bsdf" and not is_table(path)
-            measurement = read_rgl(path).measurement() if is_rgl else path.read_bytes()
+                measurement = read_samples(path, options).encode()
+            else:
+                options.refuse("a measurement on a grid")
+                measurement = read_rgl(path).measurement() if kind == "rgl" else path.read_bytes()
         if isinstance(measurement, Measurement):
             own_name, measurement = measurement.name, encode_merl(measurement)
         sha256 = hashlib.sha256(measurement).hexdigest()
@@ -181,10 +196,7 @@ class Client:
             if own_name is not None:
                 with suppress(InvalidArgumentError):  # one that the service would not take
                     name = name or check_name(own_name)
-            chosen = {option: getattr(options, option) for option in OF_TABLES}
-            lists = {option: ",".join(map(str, value)) for option, value in chosen.items() if isinstance(value, tuple)}
-            params = {"name": name, **chosen, **lists}
-            self._call("POST", "/v1/measurements", params, content=measurement, headers=headers)
+            self._call("POST", "/v1/measurements", {"name": name}, content=measurement, headers=headers)
         return sha256
 
     def _call(self, method: str, url: str, params: Mapping[str, Any] | None = None, **request: Any) -> httpx.Response:

@@ -39,7 +39,7 @@ class ClientEngine:
 
     def _fit(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         try:
-            fit = self._client.wait(self._client.submit(task.path, task.options), on_progress)
+            fit = self._client.wait(self._client.submit(task.path, task.options, table=task.table), on_progress)
             return FitDocument(self._client.document(fit["id"]), fit["metrics"])
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))

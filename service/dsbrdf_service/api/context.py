@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.samples.table_options import TableOptions
 
 from ..access.authentication import CALLER
 from ..access.keys import Keys
@@ -23,7 +24,7 @@ from ..http.names import given_name
 from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
 from ..http.readiness import Readiness
 from ..http.request_body import Bodies
-from ..queue.fit_options import DEFAULTS, from_query
+from ..queue.fit_options import DEFAULTS, TABLE_DEFAULTS, from_query, table_from_query
 from ..queue.fit_queue import FitQueue
 from ..settings import Settings
 from ..storage.schema import Caller, FitKey, FitRow
@@ -122,7 +123,13 @@ async def _options_in(request: Request) -> FitOptions:
     return from_query((name, text) for name, text in request.query_params.multi_items() if name in DEFAULTS)
 
 
+async def _table_options_in(request: Request) -> TableOptions:
+    items = request.query_params.multi_items()
+    return table_from_query((name, text) for name, text in items if name in TABLE_DEFAULTS)
+
+
 TheOptions = Annotated[FitOptions, Depends(_options_in)]
+TheTableOptions = Annotated[TableOptions, Depends(_table_options_in)]
 
 
 async def check_query(request: Request) -> None:

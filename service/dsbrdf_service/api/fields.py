@@ -22,13 +22,14 @@ from pydantic_core import PydanticCustomError
 from starlette.requests import Request
 
 from dsbrdf.components.shares import LABELS
-from dsbrdf.data.table_options import sentences_of
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.fitting.option_fields import sentences_of
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.samples.table_options import TableOptions
 
 from ..errors import validation_sentence
 from ..http.responses import prefix_of
-from ..queue.fit_options import DEFAULTS
+from ..queue.fit_options import DEFAULTS, TABLE_DEFAULTS
 from ..storage.schema import FitRow, MeasurementRow
 
 FIT_ID = r"^[0-9a-f]{32}$"
@@ -65,26 +66,28 @@ class Input(BaseModel):
         return given
 
 
-def _options_schema() -> dict[str, Any]:
-    """Return the schema of the options: the types, bounds and sentences of the library's dataclass."""
-    declared = TypeAdapter(FitOptions).json_schema()["properties"]
-    column = {"type": "string", "pattern": r"^[^=]*[^=\s][^=]*=.*\S", "examples": ["theta_in=AOI"]}
-    declared["columns"] = {"title": "", "type": "array", "items": column}
-    sentences = sentences_of(FitOptions)
+def _options_schema(kind: type, defaults: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of options: the types, bounds and sentences of the library's dataclass."""
+    declared = TypeAdapter(kind).json_schema()["properties"]
+    for name, example in (("columns", "theta_in=AOI"), ("constants", "theta_in=30")):
+        pair = {"type": "string", "pattern": r"^[^=]*[^=\s][^=]*=.*\S", "examples": [example]}
+        declared[name] = {"title": "", "type": "array", "items": pair}
+    sentences = sentences_of(kind)
     properties = {}
-    for name, default in DEFAULTS.items():
+    for name, default in defaults.items():
         schema = declared[name]
         del schema["title"]
         for choice in schema.get("anyOf", ()):
             if "const" in choice:  # which fewer generators of clients know
                 choice["enum"] = [choice.pop("const")]
         properties[name] = {**schema, "default": default, "description": sentences[name]}
-    description = "Options of a fit; what is not given is the default."
-    head = {"type": "object", "title": "FitOptions", "description": description, "additionalProperties": False}
+    description = "What is not given is the default."
+    head = {"type": "object", "title": kind.__name__, "description": description, "additionalProperties": False}
     return {**head, "properties": properties}
 
 
-OPTIONS_SCHEMA = _options_schema()
+OPTIONS_SCHEMA = _options_schema(FitOptions, DEFAULTS)
+TABLE_SCHEMA = _options_schema(TableOptions, TABLE_DEFAULTS)
 Options = Annotated[dict[str, Any], WithJsonSchema(OPTIONS_SCHEMA)]
 _Document = TypeVar("_Document", bound=BaseModel)
 

@@ -28,9 +28,9 @@ from ..queue.fit_options import canonical, from_wire
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
 from .components import ComponentDocument
-from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheOptions, TheRow, name_of
+from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheOptions, TheRow, TheTableOptions, name_of
 from .fields import FIT_ID, PLAIN, SHA256, Input, Name, Options, Page, Share, as_time, next_page, parse_document
-from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLES, receive_upload
+from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLE_PARAMETERS, TABLES, receive_upload
 
 
 class FitRequest(Input):
@@ -171,9 +171,11 @@ _SUBMISSION_BODY = openapi.body(
         },
         **openapi.problems("not-found", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
     },
-    openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
+    openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, *TABLE_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
 )
-async def submit_fit(request: Request, context: TheContext, caller: TheCaller, chosen: TheOptions) -> Response:
+async def submit_fit(
+    request: Request, context: TheContext, caller: TheCaller, chosen: TheOptions, table: TheTableOptions
+) -> Response:
     """Fit the measurement that is the body, or a stored one.
 
     Answers when the fit has ended: 201, or 200 if the same request was made before. A fit that failed is
@@ -184,7 +186,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, c
     name = name_of(request)
     media_type = media_type_of(request, BINARY, JSON, *TABLES)
     if media_type != JSON:
-        stored, _ = await receive_upload(request, context, caller, name, media_type, chosen)
+        stored, _ = await receive_upload(request, context, caller, name, media_type, table)
         sha256, options, name = stored.sha256, canonical(chosen), name and stored.name
     else:
         if request.query_params.keys() - {"name"}:

@@ -10,8 +10,6 @@ from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
-from dsbrdf.samples.reading import table_suffix
-
 from ..errors import MeasurementNotFoundError
 from ..http import openapi
 from ..http.names import content_disposition
@@ -21,7 +19,7 @@ from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefe
 from ..storage.blobs import OpenFile
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, MeasurementRow
-from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheOptions, name_of
+from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions, name_of
 from .fields import SHA256, Name, Page, as_time, next_page
 from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
 
@@ -76,12 +74,14 @@ _ACCEPT = openapi.header_parameter("Accept", f"`{BINARY}` asks for the file inst
         **openapi.body("A MERL file, an RGL .bsdf file, or a table of scattered samples.", CONTENT),
     },
 )
-async def upload_measurement(request: Request, context: TheContext, caller: TheCaller, options: TheOptions) -> Response:
+async def upload_measurement(
+    request: Request, context: TheContext, caller: TheCaller, options: TheTableOptions
+) -> Response:
     """Store the measurement that is the body: 201, or 200 if the same is stored already.
 
-    A MERL file and a table of samples are stored byte for byte. An RGL file, by `.bsdf` at the end of its name, is
-    stored as the MERL table of its values: `sha256` and `size` are those of the table. The options of a table tell how
-    it is read; they are not stored, a fit is given them again.
+    A MERL file is stored byte for byte. An RGL file, by `.bsdf` at the end of its name, is stored as the MERL table of
+    its values, and a table of samples, which is read with its options, as a file of samples: `sha256` and `size` are
+    those of what is stored.
     """
     media_type = media_type_of(request, *UPLOADED)
     row, new = await receive_upload(request, context, caller, name_of(request), media_type, options)
@@ -124,7 +124,7 @@ async def get_measurement(request: Request, context: TheContext, caller: TheCall
 @router.get(
     "/{sha256}/content",
     response_class=FileResponse,
-    response_description="The file, byte for byte as it was uploaded.",
+    response_description="The file, byte for byte as it is stored.",
     responses={
         200: {"content": {BINARY: openapi.file(BINARY)}, **openapi.headers("ETag")},
         304: openapi.TAGGED[304],
@@ -132,7 +132,7 @@ async def get_measurement(request: Request, context: TheContext, caller: TheCall
     },
 )
 async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Return the file as it was uploaded; its ETag is its sha256. `HEAD` tells whether it need not be sent again."""
+    """Return the file as it is stored; its ETag is its sha256. `HEAD` tells whether it need not be sent again."""
     return await _content(request, context, caller, sha256)
 
 
@@ -159,7 +159,7 @@ async def _content(request: Request, context: Context, caller: Caller, sha256: s
     if IS_HEAD in request.scope:
         return Response(None, 200, {**headers, "Content-Length": str(row.size)}, BINARY)
     try:
-        suffix = ".binary" if row.on_grid else await run_in_threadpool(table_suffix, path)
+        suffix = ".binary" if row.on_grid else ".csv"
         headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
         file = OpenFile(os.open(path, os.O_RDONLY))
         return OpenFileResponse(file, headers | {"Content-Type": BINARY})

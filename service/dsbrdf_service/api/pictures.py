@@ -20,10 +20,9 @@ from ..http import openapi
 from ..http.request_body import media_type_of
 from ..http.responses import NPY, not_modified, tag_of, tagged_reply
 from ..queue.fit_options import from_wire
-from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheLoadedFit, TheMeasurement, TheOptions, TheRow
+from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheLoadedFit, TheMeasurement, TheRow
 from .fields import PLAIN, Label
 from .points import panorama_from_npy
-from .uploads import TABLE_PARAMETERS
 
 _Route = TypeVar("_Route", bound=Callable[..., Any])
 
@@ -189,20 +188,17 @@ async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
     return await draw(table_step, stored)
 
 
-@_draws_npy("/measurements/{sha256}/samples.npy", parameters=TABLE_PARAMETERS)
+@_draws_npy("/measurements/{sha256}/samples.npy")
 async def get_samples(
-    draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, options: TheOptions, most: _Most = 5000
+    draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, most: _Most = 5000
 ) -> Response:
-    """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random.
-
-    The options of a table tell how it is read, as for its fit.
-    """
+    """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random."""
     stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
-    return await draw(samples_step, stored, options.of_table(), most)
+    return await draw(samples_step, stored, most)
 
 
 @_draws_npy("/fits/{fit_id}/samples.npy")
 async def get_fitted_samples(draw: Draw, context: TheContext, row: TheRow, most: _Most = 5000) -> Response:
-    """Return the same of the table of a fit, read with the options of the fit: values are those of the BRDF in 1/sr."""
+    """Return omega_in, omega_out and RGB values of the samples of a fit; values are those of the BRDF in 1/sr."""
     stored = await context.stored_measurement(row.owner, row.measurement, kind="samples")
-    return await draw(samples_step, stored, from_wire(row.options), most)
+    return await draw(samples_step, stored, most)

@@ -12,7 +12,7 @@ from dsbrdf.output.table_summary import ANGLE_NAMES
 from ..compute.steps import understood_step
 from ..http import openapi
 from ..http.request_body import media_type_of
-from .context import CHECKED_QUERY, TheCaller, TheContext, TheOptions
+from .context import CHECKED_QUERY, TheCaller, TheContext, TheTableOptions
 from .fields import Range, Share
 from .uploads import CONTENT, MOST_CONVERTED, TABLE_PARAMETERS, TABLES, read_table
 
@@ -53,7 +53,7 @@ router = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=CHEC
     },
 )
 async def describe_table(
-    request: Request, context: TheContext, caller: TheCaller, options: TheOptions
+    request: Request, context: TheContext, caller: TheCaller, options: TheTableOptions
 ) -> TableDocument:
     """Return columns, units, ranges, planes, warnings and the first samples of the table that is the body.
 
@@ -62,5 +62,5 @@ async def describe_table(
     media_type_of(request, *TABLES)
     async with context.bodies.received(request, MOST_CONVERTED) as content:
         key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
-        found = await read_table(request, context, key, understood_step, content, options.of_table())
+        found = await read_table(request, context, key, understood_step, content, options)
     return TableDocument(**found)

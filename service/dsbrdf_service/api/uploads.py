@@ -11,9 +11,8 @@ from typing import Any
 from fastapi import Request
 
 from dsbrdf.data.merl_validation import FILE_SIZE, HEADER_SIZE, MerlChecker, check_length
-from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
-from dsbrdf.samples.reading import TABLE_SUFFIXES
+from dsbrdf.samples.table_options import TableOptions
 
 from ..compute.steps import Kind, conversion_step
 from ..errors import ProblemError
@@ -21,12 +20,11 @@ from ..http import openapi
 from ..http.names import MAX_LENGTH
 from ..http.request_body import decoded
 from ..http.responses import BINARY
-from ..queue.fit_options import OF_TABLES
 from ..storage.blobs import Incoming
 from ..storage.schema import Caller, MeasurementRow
 from ..storage.uploads import in_thread
 from .context import Context
-from .fields import OPTIONS_SCHEMA
+from .fields import OPTIONS_SCHEMA, TABLE_SCHEMA
 
 TABLES = (
     *("text/csv", "text/tab-separated-values", "text/plain"),
@@ -34,7 +32,7 @@ TABLES = (
 )
 UPLOADED = (BINARY, *TABLES)
 """Media types of uploads."""
-_SUFFIXES: dict[str, Kind] = {".bsdf": "rgl", **dict.fromkeys(TABLE_SUFFIXES, "samples")}
+_SUFFIXES: dict[str, Kind] = {".bsdf": "rgl", **dict.fromkeys((".csv", ".tsv", ".txt", ".astm", ".xlsx"), "samples")}
 PARAMETERS = [
     {
         "name": "name",
@@ -46,9 +44,11 @@ PARAMETERS = [
     openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
     openapi.ENCODING,
 ]
-OPTION_PARAMETERS = [openapi.option_parameter(name, schema) for name, schema in OPTIONS_SCHEMA["properties"].items()]
-TABLE_PARAMETERS = [parameter for parameter in OPTION_PARAMETERS if parameter["name"] in OF_TABLES]
-"""Options of a fit, or of a table alone, in a query."""
+OPTION_PARAMETERS, TABLE_PARAMETERS = (
+    [openapi.option_parameter(name, declared) for name, declared in schema["properties"].items()]
+    for schema in (OPTIONS_SCHEMA, TABLE_SCHEMA)
+)
+"""Options of a fit, and of a table, in a query."""
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
 _PIECE = 1 << 18  # bytes that are worth a switch to another thread
@@ -61,16 +61,16 @@ async def receive_upload(
 ) -> tuple[MeasurementRow, bool]:
     """Store the measurement that is the body; the flag says whether it is new to the caller.
 
-    The end of its `name` can tell the kind of file. A table is read with the options, which are not stored. Raises
-    InvalidArgumentError if it is none and they are used. Raises MeasurementFormatError if it is not an acceptable
-    measurement of its kind. Raises ProblemError if it is too long, it does not decode, or the caller may not store it.
+    The end of its `name` can tell the kind of file. A table is read with the options, and its samples are stored.
+    Raises InvalidArgumentError if it is none and they are used. Raises MeasurementFormatError if it is no measurement
+    of its kind. Raises ProblemError if it is too long, it does not decode, or the caller may not store it.
     """
     kind = _SUFFIXES.get(Path(name or "").suffix.lower())
     if name is not None and kind is not None:
         name = Path(name).stem
     kind = "samples" if media_type in TABLES else kind
     if kind is None:
-        options.refuse_on_grid()
+        options.refuse("a MERL file")
     with context.metrics.upload_seconds.time():
         async with context.store.uploads.incoming(caller) as incoming:
             if kind is None:
@@ -104,14 +104,14 @@ async def _receive_merl(request: Request, incoming: Incoming) -> None:
 async def _receive_other(
     request: Request, context: Context, incoming: Incoming, kind: Kind, options: TableOptions
 ) -> None:
-    """Write a file that is no MERL file; check it when it is complete, and replace that of RGL by a MERL table."""
+    """Write a file that is no MERL file; replace it when it is complete by a MERL table, or by a file of samples."""
     async for piece in _pieces(request):
         if incoming.size + len(piece) > MOST_CONVERTED:
             most = f"A .bsdf file or a table has at most {MOST_CONVERTED} bytes here, and this one is longer."
             raise ProblemError("measurement-too-large", most)
         await in_thread(incoming.write, piece)
     await in_thread(incoming.close)
-    key, arguments = ("upload", incoming.path), (incoming.path, kind, options.of_table())
+    key, arguments = ("upload", incoming.path), (incoming.path, kind, options)
     incoming.sha256, incoming.size, incoming.valid_nodes = await read_table(
         request, context, key, conversion_step, *arguments, place="long"
     )

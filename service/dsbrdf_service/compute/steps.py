@@ -23,7 +23,6 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.data.table_options import TableOptions
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
@@ -39,10 +38,10 @@ from dsbrdf.output.table_summary import summary_of_table
 from dsbrdf.rendering.environment import EnvironmentMap
 from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import render_sphere, sphere_normals
-from dsbrdf.samples.measurement_files import open_checked
+from dsbrdf.samples.measurement_files import kind_of_file, open_checked
 from dsbrdf.samples.reading import parse_samples, read_table
 from dsbrdf.samples.scattered_samples import ScatteredSamples
-from dsbrdf.samples.zemax import begins_as_zemax
+from dsbrdf.samples.table_options import TableOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -145,7 +144,7 @@ def figure_step(
     mpl.style.use("dark_background" if dark else "default")
     mpl.rcParams["savefig.transparent"] = dark  # what it stands on is seldom black
     mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
-    measured = open_checked(stored.path, stored.sha256, options)
+    measured = open_checked(stored.path, stored.sha256)
     name = stored.name or stored.sha256[:12]
     if isinstance(measured, Measurement):
         reduced = profiles(replace(measured, name=name), horizon_cutoff=options.horizon_cutoff)
@@ -158,9 +157,9 @@ def figure_step(
     return encode_figure(drawn, image_format)
 
 
-def samples_step(stored: StoredMeasurement, options: TableOptions, most: int, _: OnProgress) -> bytes:
+def samples_step(stored: StoredMeasurement, most: int, _: OnProgress) -> bytes:
     """Return a .npy of omega_in, omega_out and values of samples, float32 (n, 9); of more than `most`, some of them."""
-    samples = parse_samples(stored.path.read_bytes(), options=options)
+    samples = parse_samples(stored.path.read_bytes())
     table = np.concatenate([samples.omega_in, samples.omega_out, samples.values], axis=1)
     if len(table) > most:
         table = table[np.sort(np.random.default_rng(0).permutation(len(table))[:most])]
@@ -183,23 +182,20 @@ def export_step(
 
 
 def conversion_step(path: Path, kind: Kind, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:
-    """Check a file that is no MERL file, and replace that of RGL by a MERL table; a table of samples stays as it is.
-
-    A file of Zemax may have the suffix of RGL's.
+    """Replace a file of RGL by a MERL table, and a table by a file of samples; a table may have the suffix of RGL.
 
     Return the sha256 and the length of the content, and the grid nodes with a value, 0 of samples.
 
     Raises MeasurementFormatError if the file is wrong, and InvalidArgumentError for options of a table that it is not.
     """
-    if kind == "samples" or begins_as_zemax(path):
-        content, valid_nodes = path.read_bytes(), 0
-        parse_samples(content, options=options)
+    if kind == "samples" or kind_of_file(path) == "samples":
+        content, valid_nodes = parse_samples(path.read_bytes(), options=options).encode(), 0
     else:
-        options.refuse_on_grid()
+        options.refuse("an RGL file")
         measurement = read_rgl(path).measurement()
         content, valid_nodes = encode_merl(measurement), int(measurement.valid.sum())
-        with path.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
     return hashlib.sha256(content).hexdigest(), len(content), valid_nodes

@@ -1,4 +1,4 @@
-"""Fit options on the wire: the fields of `FitOptions` in JSON's types; the library checks them.
+"""Options on the wire: the fields of `FitOptions` and of `TableOptions` in JSON's types; the library checks them.
 
 The Python client uses this module too: it needs neither FastAPI nor pydantic.
 """
@@ -10,19 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from dsbrdf.data.table_options import TableOptions
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.global_method import KNOTS
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.samples.table_options import TableOptions
 
-OF_TABLES = tuple(field.name for field in fields(TableOptions))
-"""Names of the options of a table, which are the last ones."""
-_NAMES = [*(field.name for field in fields(FitOptions) if field.name not in OF_TABLES), *OF_TABLES]
+_NAMES = [field.name for field in fields(FitOptions)]
 
 
-def to_wire(options: FitOptions) -> dict[str, Any]:
+def to_wire(options: FitOptions | TableOptions) -> dict[str, Any]:
     """Return the options in JSON's types; equal options give equal dicts."""
-    values = {name: getattr(options, name) for name in _NAMES}
+    values = {field.name: getattr(options, field.name) for field in fields(options)}
     return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
 
@@ -45,6 +43,11 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
     Raises InvalidArgumentError as `from_wire`.
     """
     return from_wire({name: _from_text(text) for name, text in items})
+
+
+def table_from_query(items: Iterable[tuple[str, str]]) -> TableOptions:
+    """Return the options of a table for the parameters of a query; notation and errors are those of `from_query`."""
+    return TableOptions(**{name: _from_text(text) for name, text in items})
 
 
 def canonical(options: FitOptions) -> dict[str, Any]:
@@ -76,3 +79,4 @@ def _whole(value: Any) -> Any:
 
 _USUAL_KNOTS = {name: np.rint(np.degrees(knots[0])).astype(int).tolist() for name, knots in KNOTS.items()}
 DEFAULTS = to_wire(FitOptions())
+TABLE_DEFAULTS = to_wire(TableOptions())

@@ -198,7 +198,7 @@ class FitQueue:
             try:
                 path = await run_in_threadpool(self._store.sound_file, row.measurement)
                 options = from_wire(row.options)
-                task = FitTask(str(row.key), path, options, row.measurement, with_thumbnail=True)
+                task = FitTask(str(row.key), path, options, sha256=row.measurement, with_thumbnail=True)
                 outcome = await result_of(self._engine.submit(task, partial(self._progress_in_loop, row.key)))
                 if isinstance(outcome, FitDocument):
                     return outcome

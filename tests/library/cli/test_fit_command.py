@@ -16,13 +16,13 @@ import pytest
 from cyclopts import App
 
 import dsbrdf
-from dsbrdf import FitResult, load, read_merl
+from dsbrdf import FitResult, TableOptions, load, read_merl
 from dsbrdf.cli import fit_command
 from dsbrdf.cli.parameters import DEFAULT, Flags
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, read_rgl
 from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
-from dsbrdf.data.table_options import TableOptions, sentences_of
 from dsbrdf.engines import FileFit, batch, local
+from dsbrdf.fitting.option_fields import sentences_of
 from dsbrdf.output.export.rgl import rgl_bsdf
 from tests.support.command_line import QUICK, document, printed, run, sentence
 from tests.support.guarded import Guarded

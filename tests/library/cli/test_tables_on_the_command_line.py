@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf import load, load_result, read_merl
+from dsbrdf import TableOptions, load, load_result, read_merl, read_samples
+from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.samples.names import VECTORS
 from tests.library.samples.test_layouts import LAYOUTS, MIRROR_60, REFUSED
 from tests.support.command_line import document, printed, run
@@ -25,12 +26,15 @@ def test_the_options_of_a_table_are_flags(tmp_path: Path) -> None:
     flags = ("--columns", "blue=azure", "--missing", "-999", "--scale", "0.01", "--cosine", "out", "--phi", "mirror")
     found = document("fit", odd, "-o", tmp_path, "--n-lobes", "1", "--ring-lobes", "0", *flags, "--json")
     error = found["report"]["metrics"]["relative_rms"]
-    model, stored = load(tmp_path / "odd.json"), load_result(tmp_path / "odd.json").report.options
+    model, stored = load(tmp_path / "odd.json"), load_result(tmp_path / "odd.json").report
     angles = np.radians(10.0), np.radians(30.0)
     np.testing.assert_allclose(model.evaluate(*angles), felt.evaluate(*angles), rtol=0.02)
-    assert (stored.columns, stored.missing, stored.scale, stored.phi) == (("blue=azure",), (-999.0,), 0.01, "mirror")
-    assert "samples, fit and residual" in printed("plot", tmp_path / "odd.json", odd, "-o", tmp_path / "odd.png")
-    compared = document("compare", tmp_path / "odd.json", odd, "--json")
+    chosen = TableOptions(columns="blue=azure", missing=-999, scale=0.01, cosine="out", phi="mirror")
+    assert stored.samples == read_samples(odd, chosen).sha256
+    kept = document("fit", odd, "-o", tmp_path, "--n-lobes", "1", "--ring-lobes", "0", *flags, "--json")
+    assert kept["resumed"]
+    assert "beside what was measured" in printed("plot", tmp_path / "odd.json", odd, "-o", tmp_path / "odd.png", *flags)
+    compared = document("compare", tmp_path / "odd.json", odd, *flags, "--json")
     assert compared["likeness"]["relative_rms"] == pytest.approx(error, rel=0.05)  # It leaves grazing angles out.
     assert "error of the fit " in printed("convert", odd, tmp_path / "odd.binary", *flags)
     at_node = read_merl(tmp_path / "odd.binary").values[:, 30, 30, 90]  # theta_half 10, theta_diff 30 degrees
@@ -70,12 +74,13 @@ def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:
     assert found["angles_of_incidence"] == [0.0, 30.0, 60.0]
     assert found["in_plane_of_incidence"] == 1.0
     assert any("probe" in sentence for sentence in found["warnings"])
-    assert found["first"][0] == pytest.approx([0.0, 80.0, 0.0, *[20.0 * 0.003183] * 3], rel=1e-4, abs=1e-6)
+    assert found["first"][0] == pytest.approx([0.0, 80.0, 180.0, *[20.0 * 0.003183] * 3], rel=1e-4, abs=1e-6)
     text = printed("table", path, *flags)
     assert "63 rows, 62 samples" in text
     assert "probe        not read" in text
     assert "angles of incidence: 0, 30, 60" in text
-    assert (
-        "a table of samples ends in .csv, .tsv, .txt, .astm or .xlsx"
-        in run("table", tmp_path / "tile.binary", code=2).stderr
-    )
+    (tmp_path / "tile.binary").write_bytes(HEADER + bytes(99))
+    assert "is a measurement on a grid" in run("table", tmp_path / "tile.binary", code=2).stderr
+    lines = run("table", path, tmp_path / "tile.binary", *flags, code=2).stdout.splitlines()
+    assert "62 samples, theta_in 0, 30, 60, theta_out 0 to 80, up to" in lines[0]
+    assert "not read: this is a measurement on a grid" in lines[1]

@@ -73,7 +73,7 @@ def test_result_equals_that_of_the_library_bit_for_bit(
     expected, said = fitted_by_library(path, options)
     outcome, shares = run(stage, FitTask("one", path, options, with_thumbnail=True))
     assert isinstance(outcome, FitDocument)
-    assert outcome.thumbnail == thumbnail(expected.model, read_measurement(path, options))
+    assert outcome.thumbnail == thumbnail(expected.model, read_measurement(path))
     found, document = outcome.text, to_json(expected.model, expected.report, dsbrdf.decompose(expected))
     assert content(found) == content(document)
     assert outcome.metrics == asdict(expected.report.metrics)

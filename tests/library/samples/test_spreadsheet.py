@@ -109,8 +109,8 @@ def with_long_string(rows: bytes) -> bytes:
             lambda: changed(VALID_SPREADSHEET, "xl/_rels/workbook.xml.rels", None),
             "The spreadsheet cannot be read; save its sheet as .csv.",
         ),
-        (lambda: changed(VALID_SPREADSHEET, "xl/workbook.xml", None), "a table, in a text or in a spreadsheet"),
-        (lambda: VALID_SPREADSHEET[:2000], "a table, in a text or in a spreadsheet"),
+        (lambda: changed(VALID_SPREADSHEET, "xl/workbook.xml", None), "write its samples as a table"),
+        (lambda: VALID_SPREADSHEET[:2000], "write its samples as a table"),
         (
             lambda: with_long_string(b"<row>" + b'<c t="s"><v>0</v></c>' * 2100 + b"</row>"),
             "The sheet has more than 67108864 characters",

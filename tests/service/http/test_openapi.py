@@ -11,10 +11,11 @@ from openapi_schema_validator import validate
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
 import dsbrdf_service
-from dsbrdf import FitOptions
+from dsbrdf import FitOptions, TableOptions
+from dsbrdf.samples.table_options import TABLE_OPTIONS
 from dsbrdf_service.app import create_app
 from dsbrdf_service.http.problems import KINDS
-from dsbrdf_service.queue.fit_options import from_query, to_wire
+from dsbrdf_service.queue.fit_options import from_query, table_from_query, to_wire
 from dsbrdf_service.settings import Settings
 from tests.support.server import Server
 
@@ -87,8 +88,11 @@ def test_options_are_described_with_their_defaults(document: dict[str, Any]) -> 
         for parameter in document["paths"]["/v1/fits"]["post"]["parameters"]
         if parameter["in"] == "query" and parameter["name"] != "name"
     }
-    assert set(described) == set(to_wire(FitOptions()))
+    defaults = to_wire(FitOptions()) | to_wire(TableOptions())
+    assert set(described) == set(defaults)
     assert '"type": "null"' not in json.dumps(document["paths"]["/v1/fits"]["post"]["parameters"])  # a query has none
     given = {name: found[1] for name, found in described.items() if found}
-    assert set(described) - set(given) == {name for name, value in to_wire(FitOptions()).items() if value == []}
+    assert set(described) - set(given) == {name for name, value in defaults.items() if value == []}
+    of_table = {name: given.pop(name) for name in TABLE_OPTIONS if name in given}
     assert from_query(given.items()) == FitOptions()
+    assert table_from_query(of_table.items()) == TableOptions()

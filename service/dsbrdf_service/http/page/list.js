@@ -63,8 +63,8 @@ function takeFiles(main) {
   whenOpened(options, async () => (await import("./options.js")).showForm(options));
   chosen.onchange = () => take([...(chosen.files ?? [])]);
   find(main, "#example").onclick = async () => {
-    const [{ sendAll }, { examplePaint }, { chosen }] = await Promise.all([import("./upload.js"), import("./example.js"), import("./options.js")]);
-    await sendAll(main, [examplePaint()], chosen(options));
+    const [{ sendAll }, { examplePaint }] = await Promise.all([import("./upload.js"), import("./example.js")]);
+    await sendAll(main, [examplePaint()], options);
   };
   for (const kind of ["dragover", "dragleave", "drop"]) {
     addEventListener(kind, async (event) => {

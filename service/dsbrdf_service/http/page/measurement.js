@@ -17,7 +17,7 @@ export async function show(main, sha256) {
   act(main, "share", share);
   act(main, "delete", () => remove(path, `Delete the measurement ${name}? Its fits stay, but can no longer be compared with it.`));
   const options = find(main, ".options");
-  whenOpened(options, () => showForm(options, onGrid));
+  whenOpened(options, () => showForm(options, true));
   find(main, "#its-fits").append(...(known.fits.length ? known.fits.map(fitLink) : [make("li", { className: "note" }, "There is none yet.")]));
   find(main, "#fit-it").onsubmit = async (event) => {
     event.preventDefault();
@@ -28,10 +28,8 @@ export async function show(main, sha256) {
   if (onGrid) return showSpheres(main, [place(main, path)], [subject]);
   const file = new File([await (await request(path)).blob()], name);
   const { showTable } = await import("./table.js");
-  // With the options that are chosen: it and its samples are shown again when they change.
-  return showTable(find(main, "#seen"), file, options, { understood: () => {
-    showPlots(main, [{ ...subject, samples: `${path}/samples.npy?${new URLSearchParams(chosen(options, ".of-table"))}&` }]);
-  } });
+  await showForm(options, true); // its samples are stored: no option of a table is left to choose
+  return showTable(find(main, "#seen"), file, options, { understood: () => showPlots(main, [{ ...subject, samples: `${path}/samples.npy?` }]) });
 }
 
 /** @param {string} id */

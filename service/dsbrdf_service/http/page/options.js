@@ -5,10 +5,9 @@ import { make, openapi, optionsOf, json, sentenceOf } from "./app.js";
 export async function showForm(box, onGrid = false) {
   if (box.childElementCount) return;
   const document = await openapi();
-  const ofTables = document.paths["/v1/tables"].post.parameters.map((/** @type {any} */ one) => one.name);
   for (const isTable of onGrid ? [false] : [true, false]) {
     box.append(make("h3", {}, isTable ? "How a table of samples is read" : "How it is fitted"));
-    for (const [name, schema] of Object.entries(optionsOf(document)).filter(([option]) => ofTables.includes(option) === isTable)) {
+    for (const [name, schema] of Object.entries(isTable ? tableOptionsOf(document) : optionsOf(document))) {
       const field = fieldOf(name, schema);
       const sentence = make("span", { className: "note", id: `about-${name}` }, sentenceOf(schema.description));
       Object.assign(field, { id: `option-${name}` }).setAttribute("aria-describedby", sentence.id);
@@ -16,6 +15,15 @@ export async function showForm(box, onGrid = false) {
       box.append(make("div", {}, make("label", { htmlFor: field.id }, make("code", {}, name)), field, sentence));
     }
   }
+}
+
+/** The options of a table, which are parameters of a query, with their defaults. @param {any} document */
+function tableOptionsOf(document) {
+  const declared = document.paths["/v1/tables"].post.parameters.filter((/** @type {any} */ one) => one.in === "query");
+  return Object.fromEntries(declared.map((/** @type {any} */ { name, description, schema }) => {
+    const [sentence, usual = ""] = description.split(/ Default: `(.*)`\.$/);
+    return [name, { ...schema, description: sentence, default: usual }];
+  }));
 }
 
 /** A field for the values of a schema: a list where they are few. @param {string} name @param {any} schema */

@@ -12,7 +12,7 @@ export async function take(main, files) {
   const [box, options] = [find(main, "#table"), find(main, ".options")];
   say("");
   box.replaceChildren();
-  const send = () => sendAll(main, files, chosen(options));
+  const send = () => sendAll(main, files, options);
   if (files.length > 1 || !TABLE.test(files[0].name)) return send();
   const { showTable } = await import("./table.js");
   return showTable(box, files[0], options, { fit: send });
@@ -25,7 +25,7 @@ function tell(main, text) {
   find(main, "#sending-title").textContent = text;
 }
 
-/** Sends files one after the other and leads to the fit, or to the list of several; one with a fault holds up no other. @param {HTMLElement} main @param {File[]} files @param {[string, string][]} options */
+/** Sends files one after the other and leads to the fit, or to the list of several; one with a fault holds up no other. @param {HTMLElement} main @param {File[]} files @param {HTMLElement} options the form */
 export async function sendAll(main, files, options) {
   const fits = [];
   const faults = [];
@@ -46,16 +46,16 @@ export async function sendAll(main, files, options) {
   return say([...faults, ...(fits.length ? [`Sent: ${fits.length} of ${files.length}.`] : [])].join(" "), true);
 }
 
-/** @param {HTMLElement} main @param {File} file @param {[string, string][]} options @param {AbortSignal} signal @returns {Promise<Fit>} */
+/** @param {HTMLElement} main @param {File} file @param {HTMLElement} options the form @param {AbortSignal} signal @returns {Promise<Fit>} */
 async function submit(main, file, options, signal) {
   tell(main, `Reading ${file.name}`);
   const measurement = await sha256(file);
-  const known = measurement && await fitStored(file.name.replace(/(?<=.)\.\w+$/, ""), measurement, options).catch((error) => {
+  const known = measurement && await fitStored(file.name.replace(/(?<=.)\.\w+$/, ""), measurement, chosen(options, "[name]:not(.of-table)")).catch((error) => {
     if (error.status !== 404) throw error;
   });
   if (known) return known;
   tell(main, `Sending ${file.name}, ${sizeOf(file)}`);
-  const query = new URLSearchParams([["name", file.name.replace(/\.binary$/, "") || file.name], ...options]);
+  const query = new URLSearchParams([["name", file.name.replace(/\.binary$/, "") || file.name], ...chosen(options)]);
   const headers = { "Content-Type": "application/octet-stream", Prefer: "respond-async" };
   return (await request(`v1/fits?${query}`, { method: "POST", headers, body: file, signal })).json();
 }

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf import InvalidArgumentError, MeasurementFormatError, ScatteredSamples
-from dsbrdf.data.table_options import TableOptions
+from dsbrdf import InvalidArgumentError, MeasurementFormatError, TableOptions
+from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.samples.reading import parse_samples
 from tests.library.samples.test_reading import ANGLES, COUNT, GREY, RGB, check_same, table
 
@@ -43,20 +43,11 @@ def test_columns_that_are_not_there_are_told(columns: str, words: str) -> None:
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize(("side", "value"), [("in", 0.3), ("out", 0.4)])
-def test_values_are_multiplied_and_divided_and_the_plane_is_turned(side: Literal["in", "out"], value: float) -> None:
-    first, second = np.tile([0.6, 0.0, 0.8], (300, 1)), np.tile([0.0, 0.8, 0.6], (300, 1))
-    plain = ScatteredSamples.from_arrays(first, second, np.full((300, 3), 24.0))
-    options = dsbrdf.FitOptions(scale=0.01, cosine=side, phi="mirror")
-    samples = plain.with_options(options)
-    np.testing.assert_allclose(samples.values, value, rtol=1e-14)
-    np.testing.assert_allclose(samples.omega_in, first * [-1.0, -1.0, 1.0], rtol=1e-14)
-    assert samples.with_options(options) is samples
-    assert samples.with_options(dsbrdf.FitOptions()) is samples
-    with pytest.raises(InvalidArgumentError, match="read with options of a table other than those given"):
-        samples.with_options(dsbrdf.FitOptions(scale=0.1))
-    with pytest.raises(InvalidArgumentError, match="columns and missing are for a table in a file"):
-        plain.with_options(TableOptions(missing=0))
+@pytest.mark.parametrize(("side", "cosine"), [("in", 0), ("out", 2)])
+def test_values_are_multiplied_and_divided_and_the_plane_is_turned(side: Literal["in", "out"], cosine: int) -> None:
+    samples = parse_samples(table(), options=TableOptions(scale=0.01, cosine=side, phi="mirror"))
+    turned = np.add(ANGLES, [0.0, 180.0, 0.0, 0.0])
+    check_same(samples, turned, 0.01 * RGB / np.cos(np.radians(ANGLES[:, [cosine]])))
 
 
 def test_a_mirror_direction_with_the_same_phi_is_turned() -> None:
@@ -72,9 +63,10 @@ def test_a_file_is_read_with_options_and_a_grid_has_none(tmp_path: Path) -> None
     path.write_bytes(table())
     samples = dsbrdf.read_measurement(path, scale=0.5)
     check_same(samples, ANGLES, 0.5 * RGB)  # type: ignore[arg-type]
-    for name in ("paint.binary", "paint.bsdf"):
-        with pytest.raises(InvalidArgumentError, match="scale is for scattered samples; leave it out"):
-            dsbrdf.read_measurement(tmp_path / name, scale=0.5)
+    (tmp_path / "paint.bin").write_bytes(HEADER + bytes(99))
+    for options in (TableOptions(scale=0.5), TableOptions(scale=0.5, missing=0)):
+        with pytest.raises(InvalidArgumentError, match=r"of a table of samples, and this is a MERL file: leave"):
+            dsbrdf.fit(tmp_path / "paint.bin", scale=0.5, missing=options.missing)
 
 
 @pytest.mark.parametrize(
@@ -91,10 +83,9 @@ def test_a_file_is_read_with_options_and_a_grid_has_none(tmp_path: Path) -> None
     ],
 )
 def test_options_are_checked_when_they_are_made(choice: dict[str, object], words: str) -> None:
-    for kind in (TableOptions, dsbrdf.FitOptions):
-        with pytest.raises(InvalidArgumentError) as caught:
-            kind(**choice)  # type: ignore[arg-type]
-        assert words in str(caught.value)
+    with pytest.raises(InvalidArgumentError) as caught:
+        TableOptions(**choice)  # type: ignore[arg-type]
+    assert words in str(caught.value)
 
 
 OF_INSTRUMENTS = {

@@ -1,0 +1,160 @@
+"""Cells of a table, and the numbers in them."""
+
+import codecs
+import csv
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsbrdf.arrays import Array
+from dsbrdf.errors import MeasurementFormatError
+
+SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
+"""What can separate cells, and its name in sentences."""
+MAX_CELLS = 5_000_000
+"""More cells than these, which take 5 s and 1 GB, are not read."""
+MAX_COLUMNS = 4096
+_MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
+
+Constants = dict[str, float]
+"""Numbers that hold for all rows after a line, by the name that the line gives them."""
+
+
+@dataclass(frozen=True, eq=False)
+class TextTable:
+    """Cells of a table, and columns of numbers beside them.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        What each column is called, and its unit, as written; an empty unit is none.
+    rows, lines : list
+        Cells, one for each of the first names, and the number of each row's line in the file, from 1.
+    separator : str
+        What separates the cells.
+    columns : tuple of ndarray
+        The numbers of the last columns, which have no cells.
+    notes : tuple of str
+        What was decided, a sentence each.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rows: list[list[str]]
+    lines: list[int]
+    separator: str = " "
+    columns: tuple[Array, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of_numbers(cls, names: Sequence[str], columns: Sequence[Array], *notes: str) -> "TextTable":
+        """Return a table of columns of numbers, shape (n,) each."""
+        return cls(tuple(names), ("",) * len(names), [], [], columns=tuple(columns), notes=notes)
+
+    @property
+    def n_rows(self) -> int:
+        """How many rows there are."""
+        return len(self.columns[0]) if self.columns else len(self.rows)
+
+    @property
+    def n_cells(self) -> int:
+        """How many of the columns have cells in the rows."""
+        return len(self.names) - (len(self.columns) if self.rows else 0)
+
+    def numbers(self, column: int) -> Array:
+        """Return the numbers of a column, NaN where there is none; a MeasurementFormatError names what is no number."""
+        if column >= len(self.names) - len(self.columns):
+            return self.columns[column - len(self.names)]
+        cells = [row[column] for row in self.rows]
+        try:
+            return np.array(cells, dtype=np.float64)
+        except ValueError:  # missing cells, decimal commas, or no numbers at all
+            return np.array([self._number(place, column) for place in range(len(cells))])
+
+    def with_columns(self, constants: Constants, *notes: str) -> "TextTable":
+        """Return the table with columns of the same number in each row."""
+        more = tuple(np.full(self.n_rows, value) for value in constants.values())
+        return TextTable(
+            (*self.names, *constants),
+            (*self.units, *[""] * len(more)),
+            self.rows,
+            self.lines,
+            self.separator,
+            (*self.columns, *more),
+            (*self.notes, *notes),
+        )
+
+    def _number(self, place: int, column: int) -> float:
+        cell = self.rows[place][column].strip()
+        number = as_number(cell, self.separator)
+        if number is None:
+            raise MeasurementFormatError(
+                f"Line {self.lines[place]} of the table has {cell[:40]!r} in the column {self.names[column]!r}; "
+                "write a number, or nan where there is none."
+            )
+        return number
+
+
+def decoded(data: bytes) -> str:
+    """Decode UTF-8, UTF-16 with its mark, as spreadsheets write it, or the Western European code page."""
+    encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    if re.search(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]", text):
+        raise MeasurementFormatError("The data is not a text; a table of samples is a text in UTF-8.")
+    return text
+
+
+def check_size(n_rows: int, n_columns: int) -> None:
+    """Raise MeasurementFormatError if a table takes too long to read; it is asked before the cells are made."""
+    if n_columns > MAX_COLUMNS:
+        raise MeasurementFormatError(f"The table has {n_columns} columns; it may have {MAX_COLUMNS}.")
+    if n_rows * n_columns > MAX_CELLS:
+        raise MeasurementFormatError(
+            f"The table has {n_rows} rows of {n_columns} cells, and it may have {MAX_CELLS} cells; leave out rows, or "
+            "columns that are not needed."
+        )
+
+
+def split_cells(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
+    """Yield the cells of each line, so that the first wrong one ends the reading with a MeasurementFormatError."""
+    blank = separator == " "
+    spaced = (line.replace("\t", " ") if blank else line for line in lines)
+    try:
+        reader = csv.reader(spaced, delimiter=separator, skipinitialspace=True)
+        for number, cells in enumerate(reader, 1):
+            if reader.line_num > number:  # Every line is a row, whatever its quotation marks.
+                raise MeasurementFormatError("A quotation mark in the table is not closed on its line.")
+            yield cells
+    except csv.Error:
+        raise MeasurementFormatError(
+            f"The table cannot be split into cells: one is longer than {csv.field_size_limit()} characters, or a "
+            "quotation mark is not closed."
+        ) from None
+
+
+def wrong_count(number: int, count: int, separator: str, names: tuple[str, ...]) -> MeasurementFormatError:
+    """Return the error of a line that has another number of cells than there are names."""
+    between = f", separated by {SEPARATORS[separator]}" if separator and count > 1 else ""
+    hint = "; separate numbers with a decimal comma by semicolons" if separator == "," and count > len(names) else ""
+    return MeasurementFormatError(
+        f"Line {number} of the table has {count} {'cell' if count == 1 else 'cells'}{between}, and the line of names "
+        f"has {len(names)}{hint}."
+    )
+
+
+def as_number(cell: str, separator: str) -> float | None:
+    """Return the number in a cell, NaN for a cell that says that there is none, or None for other words."""
+    text = cell.strip().replace("\N{MINUS SIGN}", "-")
+    if text.lower() in _MISSING:
+        return float("nan")
+    if separator != "," and "." not in text:
+        text = text.replace(",", ".", 1)
+    try:
+        return float(text)
+    except ValueError:
+        return None

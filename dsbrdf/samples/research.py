@@ -1,0 +1,123 @@
+"""Files of samples of research: ASTM E1392 as Cornell wrote it, Cornell's spectra, ALTA, and ASAM OpenMATERIAL 3D.
+
+Sources: Cornell University's Program of Computer Graphics (read by libbsdf, AstmReader, and by ALTA), pbrt-v2
+(`src/materials/measured.cpp`, "Irregularly Sampled Isotropic BRDF"), ALTA's documentation of its data files (Inria),
+and `schemas/material_brdf_schema.json` of ASAM OpenMATERIAL 3D 1.1.
+"""
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+
+from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.samples.cells import TextTable
+
+_ASTM_NAMES = re.compile(rb"(?m)^VARS[ \t]+(.*)$")
+_NOT_NUMBERS = re.compile(rb"[^-+0-9.eE\s]")
+_SPHERICAL = ("theta_in", "phi_in", "theta_out", "phi_out")
+# Parametrisations of ALTA: L is the light, V the viewer, T theta, P phi; H and D are the half and difference angles.
+_ALTA = {
+    "RUSIN_TH_PH_TD_PD": ("theta_half", "phi_half", "theta_diff", "phi_diff"),
+    "RUSIN_TH_TD_PD": ("theta_half", "theta_diff", "phi_diff"),
+    "RUSIN_TH_TD": ("theta_half", "theta_diff"),
+    "SPHERICAL_TL_PL_TV_PV": _SPHERICAL,
+    "ISOTROPIC_TV_TL_DPHI": ("theta_out", "theta_in", "phi_out"),
+    "ISOTROPIC_TL_TV_DPHI": ("theta_in", "theta_out", "phi_out"),
+    "CARTESIAN": tuple(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz"),
+}
+
+
+def plain_astm(data: bytes) -> bytes:
+    """Return a file of ASTM E1392 as a table with names and units, each row on its line; any other text as it is.
+
+    Its lines of a word and a value end with the names of the columns after the word VARS; its angles are in radians.
+    """
+    found = _ASTM_NAMES.search(data)
+    if found is None:
+        return data
+    names = (name.strip() for name in found[1].split(b","))
+    in_radians = b",".join(name + b" [rad]" if name.startswith((b"theta", b"phi")) else name for name in names)
+    return data[: found.start()] + in_radians + data[found.end() :]
+
+
+def is_cornell_spectra(data: bytes) -> bool:
+    """Whether a text is a count of wavelengths, the wavelengths, and rows of four angles and a spectrum."""
+    plain = _without_comments(data[:4096])
+    first = plain.split()[:-1]  # the last may be cut off
+    if _NOT_NUMBERS.search(plain) or len(first) < 3 or not first[0].isdigit() or not 2 <= int(first[0]) < 1000:
+        return False
+    try:
+        wavelengths = np.array(first[1 : 1 + int(first[0])], dtype=np.float64)
+    except ValueError:
+        return False
+    return bool(np.all((wavelengths > 200.0) & (wavelengths < 3000.0)) and np.all(np.diff(wavelengths) > 0.0))
+
+
+def cornell_spectra_table(data: bytes) -> TextTable:
+    """Return the samples of a spectral text of Cornell."""
+    try:
+        numbers = np.array(_without_comments(data).split(), dtype=np.float64)
+        count = int(numbers[0])
+        rows = numbers[1 + count :].reshape(-1, 4 + count)
+    except ValueError:
+        raise MeasurementFormatError(
+            "The file begins as a spectral text of Cornell: after a count of wavelengths and the wavelengths, each "
+            "sample has theta_in, phi_in, theta_out, phi_out and a value for each wavelength."
+        ) from None
+    names = [f"{name} [rad]" for name in _SPHERICAL] + [f"{wavelength:g} nm" for wavelength in numbers[1 : 1 + count]]
+    return TextTable.of_numbers(names, list(rows.T))
+
+
+def _without_comments(data: bytes) -> bytes:
+    return re.sub(rb"#[^\n]*", b"", data)
+
+
+def is_alta(data: bytes) -> bool:
+    """Whether a text is a data file of ALTA."""
+    return re.search(rb"(?m)^#PARAM_IN\b", data[:4096]) is not None
+
+
+def alta_table(data: bytes) -> TextTable:
+    """Return the samples of a data file of ALTA, whose angles are in radians."""
+    text = data.decode("latin-1")
+    words = {name: rest.split() for name, rest in re.findall(r"(?m)^#(\w+)[ \t]+(.*)$", text)}
+    form, (n_in, n_out) = words["PARAM_IN"][0], map(int, (words.get("DIM") or ["0", "0"])[:2])
+    names = _ALTA.get(form)
+    if names is None or len(names) != n_in or n_out not in (1, 3):
+        raise MeasurementFormatError(
+            f"The file of ALTA has {form} with {n_in} and {n_out} dimensions; read are {', '.join(_ALTA)} with 1 or 3 "
+            "values."
+        )
+    try:
+        rows = [line.split()[: n_in + n_out] for line in text.splitlines() if line.strip() and line[0] != "#"]
+        columns = list(np.array(rows, dtype=np.float64).T)
+    except ValueError:
+        raise MeasurementFormatError(f"A line of the file of ALTA has no {n_in + n_out} numbers.") from None
+    named = [name if name.startswith("omega") else f"{name} [rad]" for name in names]
+    if form == "RUSIN_TH_TD":
+        named, columns = [*named, "phi_diff [rad]"], [*columns[:2], np.full(len(rows), np.pi / 2), *columns[2:]]
+    note = ("The file of ALTA has values times a cosine: set cosine to in.",) if "COSINE" in str(words) else ()
+    return TextTable.of_numbers([*named, *(("value",) if n_out == 1 else ("red", "green", "blue"))], columns, *note)
+
+
+def is_open_material(data: bytes) -> bool:
+    """Whether a text is a look-up table of ASAM OpenMATERIAL 3D."""
+    return data.lstrip()[:1] == b"{" and b'"lookupTable"' in data
+
+
+def open_material_table(data: bytes) -> TextTable:
+    """Return the samples of a look-up table of ASAM OpenMATERIAL 3D."""
+    try:
+        document: Any = json.loads(data)
+        rows = np.array(document["brdf"]["lookupTable"], dtype=np.float64)
+    except (ValueError, TypeError, KeyError, RecursionError):
+        rows = np.zeros((0, 0))
+    if rows.ndim != 2 or rows.shape[1:] != (5,):
+        raise MeasurementFormatError(
+            "The file of ASAM OpenMATERIAL 3D needs rows of five numbers in brdf.lookupTable: wavelength, two zenith "
+            "angles, the azimuth and the BRDF."
+        )
+    names = ("wavelength [m]", "theta_in [rad]", "theta_out [rad]", "phi_out [rad]", "value")
+    return TextTable.of_numbers(names, list(rows.T))

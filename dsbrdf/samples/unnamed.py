@@ -1,0 +1,67 @@
+"""Tables of numbers without any names.
+
+Columns are named 1 to n, by their positions. A line of fewer numbers begins a block: its numbers hold for the rows
+below, and their columns are named n + 1 and so on.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.samples.cells import SEPARATORS, TextTable, as_number, check_size, split_cells, wrong_count
+
+_LOOKED_AT = 50
+
+
+def unnamed_table(numbered: Sequence[tuple[int, str]]) -> TextTable:
+    """Return the table in some lines, each with its number in the file; lines before the first number are a title.
+
+    Raises MeasurementFormatError for a line with words between lines of numbers.
+    """
+    count, separator, first = _layout(numbered)
+    lines = numbered[first:]
+    check_size(len(lines), count)
+    found = list(split_cells((line for _, line in lines), separator))
+    width = Counter(map(len, found)).most_common(1)[0][0] if found else 0
+    if len(found) != len(lines) or count < 2:
+        raise _nameless(numbered)
+    rows, at, blocks, block = list[list[str]](), list[int](), list[list[float]](), list[float]()
+    for (number, line), cells in zip(lines, found, strict=True):
+        if len(cells) == width:
+            rows.append(cells)
+            at.append(number)
+            blocks.append(block)
+        elif len(cells) > width:
+            raise wrong_count(number, len(cells), separator, ("",) * width)
+        else:
+            numbers = [as_number(cell, separator) for cell in cells]
+            if None in numbers:
+                raise MeasurementFormatError(
+                    f"Line {number} of the table has {line[:40]!r} between lines that have numbers alone."
+                )
+            block = [number for number in numbers if number is not None]
+    size = max(map(len, blocks))
+    before = np.array([[*block, *[np.nan] * (size - len(block))] for block in blocks]).T
+    names = tuple(str(place) for place in range(1, width + size + 1))
+    return TextTable(names, ("",) * len(names), rows, at, separator, tuple(before) if size else ())
+
+
+def _layout(numbered: Sequence[tuple[int, str]]) -> tuple[int, str, int]:
+    """Return the number of cells of a line of numbers alone, their separator, and which line is the first such."""
+    best = (0, " ", 0)
+    for separator in SEPARATORS:
+        cells = list(split_cells((line for _, line in numbered[:_LOOKED_AT]), separator))
+        plain = [at for at, row in enumerate(cells) if all(as_number(cell, separator) is not None for cell in row)]
+        if plain:
+            best = max(best, (max(len(cells[at]) for at in plain), separator, plain[0]), key=lambda one: one[0])
+    return best
+
+
+def _nameless(lines: Sequence[tuple[int, str]]) -> MeasurementFormatError:
+    begins = f"begins with {lines[0][1][:80]!r}" if lines else "is empty"
+    return MeasurementFormatError(
+        f"The table {begins} and has no line that names its columns; it needs one such as "
+        "theta_in, phi_in, theta_out, phi_out, red, green, blue."
+    )

@@ -1,0 +1,95 @@
+"""Files of samples: what a table became, to the last bit, under a name that its content gives."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf import InvalidArgumentError, MeasurementFormatError, ScatteredSamples, TableOptions
+from tests.library.samples.test_reading import ANGLES, RGB, table
+
+READ = TableOptions(scale=1.0 / 3.0, cosine="out")
+
+
+def test_a_file_of_samples_restores_every_bit_and_is_its_own_identity(tmp_path: Path) -> None:
+    (tmp_path / "felt.csv").write_bytes(table())
+    samples = dsbrdf.read_samples(tmp_path / "felt.csv", READ)
+    assert samples.name == "felt"
+    stored = tmp_path / "anything.dat"
+    stored.write_bytes(samples.encode())
+    again = dsbrdf.read_measurement(stored)
+    assert isinstance(again, ScatteredSamples)
+    for name in ("omega_in", "omega_out", "values", "weight"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(samples, name))
+    assert again.encode() == stored.read_bytes()
+    assert again.sha256 == samples.sha256 == hashlib.sha256(stored.read_bytes()).hexdigest()
+    assert dsbrdf.read_samples(tmp_path / "felt.csv").sha256 != samples.sha256
+
+
+def test_a_file_of_samples_is_a_table_in_degrees_with_notes() -> None:
+    up = np.tile([0.0, 0.0, 1.0], (60, 1))
+    aside = np.tile([0.0, -0.5, np.sqrt(0.75)], (60, 1))
+    samples = ScatteredSamples.from_arrays(up, aside, np.full((60, 3), [1.0, 2.5, 0.1]), notes=("A note.", "Two."))
+    lines = samples.encode().decode().splitlines()
+    assert lines[:4] == [
+        *("# dsbrdf samples 1", "# A note.", "# Two."),
+        "theta_in,phi_in,theta_out,phi_out,red,green,blue,weight",
+    ]
+    assert lines[4:] == ["0,0,30,270,1,2.5,0.1,1"] * 60
+    assert ScatteredSamples.decode(samples.encode()).notes == samples.notes
+
+
+def test_a_file_of_samples_says_everything_itself(tmp_path: Path) -> None:
+    stored = tmp_path / "felt.csv"
+    stored.write_bytes(dsbrdf.read_samples(_written(tmp_path, table())).encode())
+    with pytest.raises(InvalidArgumentError, match="scale is an option of a table of samples, and this is a file of"):
+        dsbrdf.read_samples(stored, scale=2.0)
+    for content in (stored.read_bytes()[:-9], b"# dsbrdf samples 1\n1,2\n"):
+        with pytest.raises(MeasurementFormatError, match=r"damaged|begins with"):
+            ScatteredSamples.decode(content)
+
+
+def test_files_of_one_material_are_one_measurement(tmp_path: Path) -> None:
+    columns = np.hstack([ANGLES, RGB])
+    parts = [_written(tmp_path, table(columns=columns[at::4]), f"part{at}.txt") for at in range(4)]
+    joined = dsbrdf.read_samples(parts)
+    assert (joined.name, len(joined.values)) == ("part0", len(columns))
+    whole = dsbrdf.read_samples(_written(tmp_path, table(columns=np.vstack([columns[at::4] for at in range(4)]))))
+    assert joined.sha256 == whole.sha256
+    few = [_written(tmp_path, table(columns=columns[at : at + 30]), f"few{at}.txt") for at in (0, 30)]
+    assert len(dsbrdf.read_samples(few).values) == 60
+
+
+def test_weights_are_positive_and_as_many_as_samples() -> None:
+    up = np.tile([0.0, 0.0, 1.0], (300, 1))
+    with pytest.raises(MeasurementFormatError, match="weight is not positive; leave out"):
+        ScatteredSamples.from_arrays(up, up, up, np.zeros(300))
+    with pytest.raises(MeasurementFormatError, match=r"weight must have the shape \(300,\), not \(3,\)"):
+        ScatteredSamples.from_arrays(up, up, up, np.ones(3))
+    with pytest.raises(MeasurementFormatError, match="omega_in must be real numbers"):
+        ScatteredSamples.from_arrays([["a"]], up, up)
+
+
+def test_directions_are_made_unit_vectors() -> None:
+    nearly = np.tile([0.6004, 0.0, 0.8], (300, 1))
+    samples = ScatteredSamples.from_arrays(nearly, nearly, np.ones((300, 3)))
+    np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-15)
+    with pytest.raises(MeasurementFormatError, match=r"In 300 of 300 samples.* omega_in is not of unit length"):
+        ScatteredSamples.from_arrays(1.01 * nearly, nearly, np.ones((300, 3)))
+
+
+def test_values_and_weights_that_no_fit_can_tell_from_none_are_refused() -> None:
+    omega = np.tile([0.0, 0.0, 1.0], (200, 1))
+    with pytest.raises(MeasurementFormatError, match="largest value is 1e-200/sr"):
+        ScatteredSamples.from_arrays(omega, omega, np.full((200, 3), 1e-200))
+    for weight in (1e308, 1e-308):
+        with pytest.raises(MeasurementFormatError, match=r"200 of 200 samples.* weight is not from 1e-12 to 1e12"):
+            ScatteredSamples.from_arrays(omega, omega, np.ones((200, 3)), np.full(200, weight))
+
+
+def _written(folder: Path, content: bytes, name: str = "whole.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content)
+    return path
