@@ -64,20 +64,24 @@ def test_a_seed_draws_the_same_materials_and_more_of_them_follow() -> None:
 
 
 class KnownParts(list[Any]):
-    """A decomposition that reflects a share of the diffuse light and states a range and a layer."""
+    """A decomposition that reflects a share of the diffuse light and states a range and a surface."""
 
     structure = "known"
+    remarks = ("The split into specular and diffuse light is open.",)
 
     def __init__(self, material: Material, share: float, stated: tuple[float, float], alpha: float) -> None:
         assert material.f0 is not None
-        surface = SimpleNamespace(light_share=0.1, alpha=alpha, f0=np.array([1.1, 1.0, 0.95]) * material.f0)
-        self.diffuse: Any = SimpleNamespace(
-            albedo=np.ones(3),
-            f0=None,
-            ranges=SimpleNamespace(light_share=stated),
+        f0 = tuple(np.array([1.1, 1.0, 0.95]) * material.f0)
+        surface = SimpleNamespace(
+            alpha=alpha, alpha_range=(0.9 * alpha, alpha), f0=f0, f0_range=[(0.96 * one, 1.04 * one) for one in f0]
+        )
+        self.diffuse = SimpleNamespace(
+            light_share=0.9,
+            surfaces=(),
             evaluate_directions=lambda light, eye: share * material.diffuse_values(light, eye),
         )
-        super().__init__([self.diffuse, surface])
+        self.diffuse_range = stated
+        super().__init__([self.diffuse, SimpleNamespace(light_share=0.1, surfaces=(surface,))])
 
 
 def test_what_is_wrong_is_found(tmp_path: Path) -> None:
@@ -85,20 +89,22 @@ def test_what_is_wrong_is_found(tmp_path: Path) -> None:
     save_truth(Truth.of(material), tmp_path / "truth.npz")
     truth = load_truth(tmp_path / "truth.npz")
     share = truth.diffuse_share
-    for kept, stated, alpha, inside in ((1.0, (share, share), 0.03, True), (0.9, (0.0, 0.9 * share), 0.033, False)):
+    for kept, stated, alpha, inside in ((1.0, (share, share), 0.03, True), (0.9, (0.0, 0.9 * share), 0.04, False)):
         parts = KnownParts(material, kept, stated, alpha)
         found = judged(parts, truth)  # type: ignore[arg-type]
         assert found.moved[0] == pytest.approx((1.0 - kept) * share, rel=1e-6)
-        assert found.inside == inside
-        assert [found.share, found.alpha, found.f0] == pytest.approx([kept * share, alpha / 0.03 - 1.0, 0.1])
+        assert (found.inside, found.is_warned) == (inside, True)
+        assert found.surface is not None
+        assert [found.share, found.surface.alpha, found.surface.f0] == pytest.approx(
+            [kept * share, alpha / 0.03 - 1.0, 0.1]
+        )
+        assert (found.surface.alpha_inside, found.surface.f0_inside) == (inside, False)
 
 
-def test_without_a_diffuse_part_the_others_leave_a_range_for_it() -> None:
+def test_a_missing_surface_is_an_error_of_all_of_it() -> None:
     material = CATALOGUE["nickel_25"]
-    for low in (0.98, 1.0):
-        metal = SimpleNamespace(f0=None, ranges=SimpleNamespace(light_share=(low, 1.0)))
-        parts = KnownParts(material, 0.0, (0.0, 0.0), 0.25)
-        parts[:], parts.diffuse = [metal], None
-        found = judged(parts, Truth.of(material))  # type: ignore[arg-type]
-        assert [*found.range, found.alpha, found.f0] == pytest.approx([0.0, 1.0 - low, 1.0, 1.0])
-        assert found.inside
+    parts = KnownParts(material, 0.0, (0.0, 0.0), 0.25)
+    parts[:] = [SimpleNamespace(light_share=1.0, surfaces=())]
+    found = judged(parts, Truth.of(material)).surface  # type: ignore[arg-type]
+    assert found is not None
+    assert (found.alpha, found.f0, found.alpha_inside, found.f0_inside) == (1.0, 1.0, False, False)

@@ -23,7 +23,7 @@ from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.output.figure_parts import encode_figure
 from dsbrdf.output.figures import overview_figure
-from dsbrdf.output.report_text import component_layers_table, components_table, metrics_lines
+from dsbrdf.output.report_text import component_surfaces_table, components_table, metrics_lines
 from dsbrdf.output.serialize import from_json
 from dsbrdf.output.sphere_panels import compare_spheres
 
@@ -134,7 +134,7 @@ def _values(client: httpx.Client, fit: dict[str, Any], path: str, theta_half: Ar
 def _show_components(client: httpx.Client, fit: dict[str, Any]) -> None:
     """Print the components, their own lobes, and whether their values add up to those of the fit."""
     components = _get(client, fit, "components").json()["items"]
-    print(*components_table(components), "", *component_layers_table(components), sep="\n")
+    print(*components_table(components), "", *component_surfaces_table(components), sep="\n")
     point = np.array([2.0]), np.array([30.0])
     parts = [_values(client, fit, f"components/{component['label']}/brdf", *point)[0] for component in components]
     whole = _values(client, fit, "brdf", *point)[0]

@@ -1,6 +1,7 @@
 """The three parts of a reflectance: physical layers, their fit, and the decomposition into components."""
 
 from dsbrdf.components.decomposition import Component, Decomposition, decompose
+from dsbrdf.components.description import Misfit, Surface
 from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.components.shares import LABELS
 
@@ -11,8 +12,10 @@ __all__ = [
     "DiffuseLayer",
     "Layer",
     "LayeredModel",
+    "Misfit",
     "RetroLayer",
     "SheenLayer",
     "SpecularLayer",
+    "Surface",
     "decompose",
 ]

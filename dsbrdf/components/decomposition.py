@@ -1,24 +1,18 @@
-"""Specular spike, specular lobe and diffuse part of a model: physical layers, and what share of the model is whose.
+"""Specular spike, specular lobe and diffuse part of a model, and the parameters of each.
 
 The lobes of an accurate model lean on each other and cannot be told apart into components. Physical layers can: some
 structures of them are fitted to the model's own values and weighed by their evidence
-(`dsbrdf.components.layer_fit`), so that any model has a decomposition. In a structure with the diffuse light d of g,
-the sum of all layers, the diffuse part of a model f is
+(`dsbrdf.components.layer_fit`), so that any model has a decomposition. Each structure divides the model's values
+(`dsbrdf.components.shares`). A component is the mean over the structures, by weight: components sum to the model, none
+is negative, and no threshold decides. A component is there only if it has light.
 
-    min(f, d (1 + (f / g - 1) w)),      w = (d / g)**3 (f < g ? 1 : q / (1 + q)),
-    q = (tan(theta_half) / tan(30 degrees))**4.
-
-Where the highlight rules it is the layers' own, smooth; where the diffuse part rules it is all of f; but about the
-mirror direction, where q is small, light that the layers lack is a halo of the highlight. Where there is a ground
-alone, it has at most d (2 + q). What is left is the highlights', by the light of their layers. A component has the
-mean over the structures, by weight: components sum to f, none is negative, and the split hangs on no threshold. A
-component is there only if it has light.
+Afterwards layers are fitted to each component's own values (`dsbrdf.components.description`). They are its parameters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
@@ -26,14 +20,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import layer_data
+from dsbrdf.components.description import PROFILE, Description, Misfit, OwnValues, Surface, describe, renderer_layers
+from dsbrdf.components.layer_data import grid_points as layer_points
+from dsbrdf.components.layer_data import grid_values, material_data
 from dsbrdf.components.layer_fit import fit_structures, structure_weights
-from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
 from dsbrdf.components.points import Points, grid_points
-from dsbrdf.components.ranges import ComponentRanges, component_ranges
-from dsbrdf.components.shares import LABELS, NORMAL, WeightedLayers
+from dsbrdf.components.ranges import ComponentRanges, DrawnLayers, Range
+from dsbrdf.components.shares import LABELS, NORMAL, LightRule, WeightedLayers, light_rules
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.albedo import directional_albedo, half_vector_rule
+from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.reflectance import ReflectanceModel, check_angle
 from dsbrdf.process_settings import one_blas_thread
@@ -41,32 +37,38 @@ from dsbrdf.process_settings import one_blas_thread
 if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitResult
 
-_LEAST_WEIGHT = 0.01  # of a structure that is kept
-_NO_LIGHT = 2e-3  # of the light at an angle
-_FAINT, _PROBABLE = 0.02, 0.5  # share of the light at an angle, weight of the structures
-_LIGHT_ANGLES = np.radians([0.0, 40.0, 70.0])
-_WORTH_A_WORD = 0.02  # of the light, of sheen and of light back towards the source
-_OPEN = 0.2  # width of a range of the diffuse share above which the split is open
+_MIN_WEIGHT = 0.01  # A structure with less weight is dropped.
+_MIN_LIGHT = 2e-3
+"""Fraction of the light at an angle below which a component is not there."""
+_MIN_LIGHT_OF_UNLIKELY_COMPONENT = 0.02
+_LIKELY_WEIGHT = 0.5
+_MIN_REMARKED_LIGHT = 0.02
+"""Fraction of the light from which on sheen and retro-reflection are worth a sentence."""
+_MAX_CERTAIN_WIDTH = 0.2
+"""Width of the diffuse fraction's range beyond which the split is open."""
 _HEIRS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
-"""Places of the components that take what a component without light has, the first of them that is there."""
+"""Places of the components that take the light of an absent one: the first that is there."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Component(ReflectanceModel):
-    """One component: its share of the values of a model, and the parameters of its brightest layer.
+    """One component: its part of the values of a model, and the surfaces that describe it.
 
     Attributes
     ----------
     label : str
         One of `LABELS`.
     ranges : ComponentRanges
-        Where its figures lie with 90 % probability.
+        Where its light and colour lie with 90 % probability.
+    description : Description
+        Layers fitted to its values, and how far they are from them.
     whole : Decomposition
-        What it is a part of.
+        The decomposition that it belongs to.
     """
 
     label: str
     ranges: ComponentRanges
+    description: Description
     whole: Decomposition
 
     def __repr__(self) -> str:
@@ -88,10 +90,23 @@ class Component(ReflectanceModel):
 
     @property
     def layers(self) -> LayeredModel:
-        """The component's own layers, in the most probable structure that has some."""
-        found = self._structure
-        own = (layer for layer, label in zip(found.model.layers, found.labels, strict=True) if label == self.label)
-        return LayeredModel(tuple(own))
+        """Layers fitted to the component's own values."""
+        return self.description.layers
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """Rough surfaces of a specular component, at most two, the brightest first; none if diffuse."""
+        return self.description.surfaces
+
+    @property
+    def misfit(self) -> Misfit:
+        """Distance of the component's own layers from its values."""
+        return self.description.misfit
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences about parameters that are withheld, because no surface describes the component."""
+        return self.description.remarks(self.label)
 
     def height(self, theta_diff: ArrayLike) -> Array:
         """Values of the component's own layers at theta_half = 0 and angles theta_diff (...) [rad], (..., 3) [1/sr]."""
@@ -103,33 +118,7 @@ class Component(ReflectanceModel):
     @property
     def structure(self) -> str:
         """The most probable structure that has the component, in words, such as "dielectric over diffuse"."""
-        return self._structure.name
-
-    @property
-    def layer(self) -> SpecularLayer | RetroLayer | None:
-        """The brightest layer of a specular component, in the most probable structure that has one; None if diffuse."""
-        layer = self._structure.brightest(self.label)
-        return layer if isinstance(layer, (SpecularLayer, RetroLayer)) and self.label != "diffuse" else None
-
-    @property
-    def alpha(self) -> float | None:
-        """Roughness of the layer; None if diffuse."""
-        return None if self.layer is None else self.layer.alpha
-
-    @property
-    def kappa(self) -> float | None:
-        """Exponent of the layer's tails, 2 for GGX; None if it is no surface."""
-        return self.layer.kappa if isinstance(self.layer, SpecularLayer) else None
-
-    @property
-    def f0(self) -> Array | None:
-        """Reflectance at normal incidence of the component's surfaces together, RGB, shape (3,); None without any."""
-        return self._structure.reflectance(self.label) if isinstance(self.layer, SpecularLayer) else None
-
-    @property
-    def f90(self) -> float | None:
-        """Reflectance of the layer at grazing incidence; None if it is no surface."""
-        return self.layer.f90 if isinstance(self.layer, SpecularLayer) else None
+        return next(one for one in self.whole.structures if self.label in one.labels).name
 
     @property
     def albedo(self) -> Array:
@@ -148,12 +137,8 @@ class Component(ReflectanceModel):
 
     @property
     def half_width(self) -> float | None:
-        """Angle theta_half at which the slopes of the layer are half as frequent as at 0 [rad]; None if diffuse."""
-        return None if self.layer is None else self.layer.half_width
-
-    @property
-    def _structure(self) -> WeightedLayers:
-        return next(s for s in self.whole.structures if self.label in s.labels)
+        """Angle theta_half at which slopes of its surfaces are half as frequent as at 0 [rad]; None without any."""
+        return self.description.half_width
 
     @property
     def _index(self) -> int:
@@ -169,19 +154,25 @@ class Decomposition:
     Attributes
     ----------
     model : DSBRDF
-        What was decomposed.
+        The model that was decomposed.
     structures : tuple of WeightedLayers
         Structures of layers that explain the model, the most probable one first; the weights sum to 1.
     labels : tuple of str
-        Of the components that have light, in the order of `LABELS`.
+        Labels of the components that have light, in the order of `LABELS`.
     ranges : tuple of ComponentRanges
-        Of each component.
+        Ranges of each component's figures.
+    descriptions : tuple of Description
+        Layers of each component, fitted to its values.
+    diffuse_range : tuple of float
+        Where the diffuse fraction of all light lies with 90 % probability, also without a diffuse component.
     """
 
     model: DSBRDF
     structures: tuple[WeightedLayers, ...]
     labels: tuple[str, ...]
     ranges: tuple[ComponentRanges, ...]
+    descriptions: tuple[Description, ...]
+    diffuse_range: Range
 
     def __repr__(self) -> str:
         return f"<Decomposition: {', '.join(self.labels) or 'no light'}>"
@@ -220,25 +211,36 @@ class Decomposition:
         """The most probable structure in words, such as "dielectric over diffuse"; "no light" if there is none."""
         return self.structures[0].name if self.structures else "no light"
 
-    @property
+    @cached_property
     def layers(self) -> LayeredModel:
-        """The layers of the most probable structure: a small model that looks much like the material."""
-        return self.structures[0].model if self.structures else LayeredModel(())
+        """The layers of all components, fitted once more together: a small model of the material for renderers."""
+        return _renderer_layers(self)
 
     @cached_property
     def albedos(self) -> Array:
         """Directional albedo of each component at normal incidence, shape (K, 3)."""
-        values = self.model.evaluate_unmasked(NORMAL.angle, NORMAL.angle, np.zeros(NORMAL.angle.size))
-        return np.asarray(self._split(values.T, NORMAL.points) @ NORMAL.weight)
+        return np.sum(self.split_at(NORMAL) * NORMAL.weight, axis=2)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences about a split that is open, and about light that no component stands for."""
-        return (*self._open_split(), *self._other_light())
+        """Sentences about an open split, withheld parameters, and light that no component stands for."""
+        own = (remark for component in self for remark in component.remarks)
+        return (*self._open_split(), *own, *self._other_light())
 
     def receiver(self, label: str) -> str:
-        """Label of the component that has what the layers with a label reflect: its own, or the heir of one without."""
+        """Return the label of the component that has the light of a label's layers: its own or an heir's."""
         return next(one for one in (label, *(LABELS[heir] for heir in _HEIRS[label])) if one in self.labels)
+
+    def split_at(self, rule: LightRule) -> Array:
+        """Values of all components (K, 3, n) at the nodes of a rule [1/sr]."""
+        return self._split(self.model.evaluate_unmasked(*rule.angles).T, rule.points)
+
+    def own_values(self) -> tuple[OwnValues, ...]:
+        """Values of each component that its layers are fitted to and compared with."""
+        grids = self._split(grid_values(self.model), layer_points())
+        profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
+        albedos = np.stack([self.split_at(rule) @ rule.weight for rule in light_rules()[:2]], axis=1)
+        return tuple(OwnValues(*own) for own in zip(grids, profiles, albedos, strict=True))
 
     def split_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Values of all components (K, n, 3) for angles (n,) that are not checked [1/sr]."""
@@ -262,13 +264,13 @@ class Decomposition:
         return np.asarray(parts[[LABELS.index(label) for label in self.labels]])
 
     def _open_split(self) -> Iterator[str]:
-        if not self.labels:
-            return
-        low, high = 0.0, 1.0 - sum(part.ranges.light_share[0] for part in self)
-        if self.diffuse is not None:
-            low, high = self.diffuse.ranges.light_share
-        is_doubtful = self.diffuse is not None and low < _NO_LIGHT and self.diffuse.light_share > _FAINT
-        if high - low > _OPEN or is_doubtful:
+        low, high = self.diffuse_range
+        is_doubtful = (
+            self.diffuse is not None
+            and low < _MIN_LIGHT
+            and self.diffuse.light_share > _MIN_LIGHT_OF_UNLIKELY_COMPONENT
+        )
+        if high - low > _MAX_CERTAIN_WIDTH or is_doubtful:
             names = ", ".join(f"{structure.name} {structure.weight:.0%}" for structure in self.structures[:3])
             yield (
                 f"The split into specular and diffuse light is open: the diffuse part has {low:.0%} to {high:.0%} of "
@@ -282,7 +284,7 @@ class Decomposition:
         )
         for kind, what in kinds:
             share = sum(structure.weight * structure.light_of(kind) for structure in self.structures)
-            if share > _WORTH_A_WORD:
+            if share > _MIN_REMARKED_LIGHT:
                 yield f"About {share:.0%} of the light {what}."
 
     def _find(self, label: str) -> Component | None:
@@ -290,7 +292,8 @@ class Decomposition:
 
     @cached_property
     def _components(self) -> tuple[Component, ...]:
-        return tuple(Component(label, found, self) for label, found in zip(self.labels, self.ranges, strict=True))
+        parts = zip(self.labels, self.ranges, self.descriptions, strict=True)
+        return tuple(Component(label, ranges, found, self) for label, ranges, found in parts)
 
 
 def decompose(model: DSBRDF | FitResult) -> Decomposition:
@@ -312,34 +315,49 @@ def decompose(model: DSBRDF | FitResult) -> Decomposition:
 @lru_cache(maxsize=32)
 @one_blas_thread
 def _decompose(model: DSBRDF) -> Decomposition:
-    data = layer_data(model)
+    data = material_data(grid_values(model))
     if data is None:
-        return Decomposition(model, (), (), ())
+        return Decomposition(model, (), (), (), (), (0.0, 0.0))
     found = fit_structures(data)
-    kept = [one for one, weight in zip(found, structure_weights(found), strict=True) if weight >= _LEAST_WEIGHT]
+    kept = [one for one, weight in zip(found, structure_weights(found), strict=True) if weight >= _MIN_WEIGHT]
     structures = tuple(
         WeightedLayers(one.structure.name, float(weight), one.model, one.structure.is_diffuse)
         for one, weight in zip(kept, structure_weights(kept), strict=True)
     )
-    light = np.max([_light(model, structures, angle) for angle in _LIGHT_ANGLES.tolist()], axis=0)
+    light = np.max([_light(model, structures, rule) for rule in light_rules()], axis=0)
     shares = dict(zip(LABELS, light.tolist(), strict=True))
     labels = tuple(label for label in LABELS if _is_there(label, shares[label], structures))
     # Light that no layer explains, such as a delta term alone, is that of the most probable structure.
     labels = labels or (structures[0].labels[-1],)
-    return Decomposition(model, structures, labels, component_ranges(model, kept, labels))
+    drawn = DrawnLayers.of(model, kept)
+    split = Decomposition(model, structures, labels, tuple(map(drawn.ranges, labels)), (), drawn.light_range(LABELS[2]))
+    descriptions = tuple(
+        describe(
+            own,
+            drawn.surface_spread(label),
+            is_diffuse=label == LABELS[2],
+            has_retro=any(RetroLayer in one.kinds_of(label) for one in structures),
+        )
+        for label, own in zip(labels, split.own_values(), strict=True)
+    )
+    return replace(split, descriptions=descriptions)
 
 
 def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) -> bool:
-    """Whether a component with a share of the light is there: a faint one must be probable too."""
+    """Whether a component with a fraction of the light is there: a faint one must be probable too."""
     probability = sum(structure.weight for structure in structures if label in structure.labels)
-    return probability > 0.0 and share > (_NO_LIGHT if probability > _PROBABLE else _FAINT)
+    least = _MIN_LIGHT if probability > _LIKELY_WEIGHT else _MIN_LIGHT_OF_UNLIKELY_COMPONENT
+    return probability > 0.0 and share > least
 
 
-def _light(model: DSBRDF, structures: tuple[WeightedLayers, ...], theta_out: float) -> Array:
-    """Share of each of `LABELS` in the light at an angle [rad], shape (3,)."""
-    rule = half_vector_rule(theta_out)
-    angles = rule.theta_half, rule.theta_diff, rule.phi_diff
-    values, points = model.evaluate_unmasked(*angles).T, Points.at(*angles)
-    parts = np.sum([one.weight * one.split(values, points) for one in structures], axis=0)
+def _light(model: DSBRDF, structures: tuple[WeightedLayers, ...], rule: LightRule) -> Array:
+    """Fraction of each of `LABELS` in the light of a rule, shape (3,)."""
+    values = model.evaluate_unmasked(*rule.angles).T
+    parts = np.sum([one.weight * one.split(values, rule.points) for one in structures], axis=0)
     light = np.sum(parts @ rule.weight, axis=1)
     return np.asarray(light / max(float(light.sum()), 1e-300))
+
+
+@one_blas_thread
+def _renderer_layers(decomposition: Decomposition) -> LayeredModel:
+    return renderer_layers(grid_values(decomposition.model), decomposition.descriptions)

@@ -1,9 +1,14 @@
-"""Values of a model at a thousand pairs of directions, weighted for telling its layers apart.
+"""Values of a model at two thousand pairs of directions, weighted for telling its layers apart or for describing one.
 
-A pair counts by what a lit sphere shows of it, and errors are relative to f**1.4: the wide, faint range decides what is
-diffuse. A share of the plain weight keeps the heights of highlights.
+To tell layers apart, a pair counts by what a lit sphere shows of it, and errors are relative to f**1.4: the wide, faint
+range decides on the diffuse part. A part of the weight is plain, which keeps the heights of highlights.
+
+To describe one component, errors are relative to f. Those of a highlight's upper nine tenths count relative to its own
+values, and so do those of the light in four bands of theta_diff, which make up its albedo.
 """
 
+import itertools
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -20,35 +25,137 @@ _ROWS = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85,
 _COLUMNS = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
 _AZIMUTHS = np.radians([15.0, 45.0, 75.0])
 LAYER_POWER = 1.4
-"""Errors of layers count relative to f to this power: the wide, faint range decides what is diffuse."""
+"""Errors of layers count relative to f to this power: the wide, faint range decides on the diffuse part."""
 PLAIN_SHARE = 0.3
 """Weight of the plain error, which keeps the heights of highlights, in units of the other's."""
-_BRIGHTEST = 1e100  # what is far beyond any material must have a square all the same
-_LEAST_COSINE = 1e-3  # to the normal
+_OWN_POWER = 1.0  # Power of f for the errors of one component.
+_N_OWN_SAMPLES = 500.0  # A component's own values outweigh what is usual.
+_OWN_MODEL_ERROR = 0.08  # A second surface must explain more than this.
+_PEAK_SHARE = 1.0  # Weight of the error at a highlight's peak, in units of the whole.
+_RENDERED_PEAK_SHARE = 0.5  # The same for all components together.
+_PEAK_ANGLE = np.radians(50.0)  # Peaks at a larger theta_diff count less and less.
+_CENTER_ANGLE = np.radians(0.05)  # Angles theta_half below count alike.
+_BAND_WEIGHT = 4.0  # Weight of the relative errors of a component's light in bands, in units of the whole.
+_RENDERED_BAND_WEIGHT = 1.0  # The same for all components together.
+_BAND_ENDS = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # Bands of theta_diff.
+_DARK_BAND = 0.05  # A band's error counts relative to this fraction of the mean band's light or more.
+_MAX_VALUE = 1e100  # Its square still fits in double precision.
+_MIN_COSINE = 1e-3  # Pairs with a smaller cosine to the normal are left out.
 
 
 class _Grid(NamedTuple):
-    """Angles (R, N, P) of the pairs, what they count, and those above the horizon as a list."""
+    """R x C x P pairs of directions, and the N of them that are above the horizon.
 
-    angles: tuple[Array, Array, Array]  # theta_half, theta_diff and phi_diff (n,) of pairs above the horizon
+    Attributes
+    ----------
+    angles : tuple of Array
+        theta_half, theta_diff and phi_diff (N,) [rad].
+    points : Points
+        The N pairs.
+    above : Mask
+        Whether a pair is above the horizon (R, C, P).
+    lit, plain : Array
+        Weight of a pair in a lit sphere, and its plain weight, (R, C, P).
+    """
+
+    angles: tuple[Array, Array, Array]
     points: Points
-    above: Mask  # (R, N, P)
+    above: Mask
     lit: Array
     plain: Array
 
 
-def layer_data(model: ReflectanceModel) -> LayerData | None:
-    """Values of a model, or None if it has no light."""
+def grid_values(model: ReflectanceModel) -> Array:
+    """Return the values (3, N) of a model at the pairs of directions [1/sr]."""
+    return np.minimum(model.evaluate_unmasked(*_grid().angles).T, _MAX_VALUE)
+
+
+def grid_points() -> Points:
+    """Return the N pairs of directions."""
+    return _grid().points
+
+
+def material_data(values: Array) -> LayerData | None:
+    """Weigh the values (3, N) of a whole material; None if it has no light."""
+    if not values.any():
+        return None
+    grid, mean = _grid(), _on_grid(values)
+    seen = _seen(mean, LAYER_POWER)
+    weight = seen / np.sum(seen * mean**2) + PLAIN_SHARE / np.sum(grid.plain * mean**2) * grid.plain
+    return LayerData.of(grid.points, values, weight[:, grid.above])
+
+
+def component_data(values: Array, *, has_peak: bool) -> LayerData | None:
+    """Weigh the values (3, N) of a component, a highlight or not; None if it has no light."""
+    if not values.any():
+        return None
+    grid, mean = _grid(), _on_grid(values)
+    seen = _seen(mean, _OWN_POWER)
+    weight = seen / np.sum(seen * mean**2)
+    if has_peak:
+        peak = _peak_weight(mean.mean(axis=0))
+        weight = weight + _PEAK_SHARE / np.sum(peak * mean**2) * peak
+    data = LayerData.of(grid.points, values, weight[:, grid.above])
+    sums = _band_sums(values, data.root_weight, _BAND_WEIGHT)
+    return replace(data, n_samples=_N_OWN_SAMPLES, model_error=_OWN_MODEL_ERROR, sums=sums)
+
+
+def renderer_data(values: Array) -> LayerData | None:
+    """Weigh the values (3, N) of a whole material as lit spheres and highlights show them; None if it has no light."""
+    if not values.any():
+        return None
+    grid, mean = _grid(), _on_grid(values)
+    weight = _seen(mean, LAYER_POWER)
+    peak = _peak_weight(mean.mean(axis=0))
+    weight = weight / np.sum(weight * mean**2) + _RENDERED_PEAK_SHARE / np.sum(peak * mean**2) * peak
+    data = LayerData.of(grid.points, values, weight[:, grid.above])
+    return replace(data, n_samples=_N_OWN_SAMPLES, sums=_band_sums(values, data.root_weight, _RENDERED_BAND_WEIGHT))
+
+
+def peak_half_width(values: Array) -> float:
+    """Return theta_half at which values (3, N) have half their height at small angles theta_diff [rad]."""
+    row = _on_grid(values)[:, _ROWS < _PEAK_ANGLE].mean(axis=(0, 1, 3))
+    below = np.flatnonzero(row < 0.5 * row[0])
+    if not below.size:
+        return float(_COLUMNS[-1])
+    last = int(below[0])
+    return float(np.interp(-0.5 * row[0], -row[last - 1 : last + 1], _COLUMNS[last - 1 : last + 1]))
+
+
+def _on_grid(values: Array) -> Array:
     grid = _grid()
     mean = np.zeros((3, *grid.above.shape))
-    mean[:, grid.above] = np.minimum(model.evaluate_unmasked(*grid.angles).T, _BRIGHTEST)
-    if not mean.any():
-        return None
-    over_phi = np.sum(grid.lit * mean, axis=3) / np.maximum(grid.lit.sum(axis=2), 1e-300)
-    typical = float(np.sum(grid.lit * mean) / (3.0 * grid.lit.sum()))
-    seen = seen_weight(grid.lit, over_phi[..., np.newaxis], typical, LAYER_POWER)
-    weight = seen / np.sum(seen * mean**2) + PLAIN_SHARE / np.sum(grid.plain * mean**2) * grid.plain
-    return LayerData.of(grid.points, mean[:, grid.above], weight[:, grid.above])
+    mean[:, grid.above] = values
+    return mean
+
+
+def _seen(mean: Array, power: float) -> Array:
+    """Return weights by what a lit sphere shows, (3, R, C, P)."""
+    lit = _grid().lit
+    over_phi = np.sum(lit * mean, axis=3) / np.maximum(lit.sum(axis=2), 1e-300)
+    typical = float(np.sum(lit * mean) / (3.0 * lit.sum()))
+    return seen_weight(lit, over_phi[..., np.newaxis], typical, power)
+
+
+def _peak_weight(mean: Array) -> Array:
+    """Return weights (R, C, P) of relative errors, for theta_half on a logarithmic scale, in a highlight's peak."""
+    top = mean.max(axis=1, keepdims=True)
+    inside = np.clip((mean / np.maximum(top, 1e-300) - 0.1) / 0.3, 0.0, 1.0)
+    rows = np.minimum(np.cos(_ROWS) / np.cos(_PEAK_ANGLE), 1.0) ** 8
+    columns = np.gradient(np.log(_COLUMNS + _CENTER_ANGLE))
+    weight = rows[:, np.newaxis, np.newaxis] * columns[:, np.newaxis] * inside / np.maximum(mean, 1e-100) ** 2
+    return np.where(_grid().above, weight, 0.0)
+
+
+def _band_sums(values: Array, root_weight: Array, band_weight: float) -> Array:
+    """Return the weights (3, B, N) that make relative errors of the light in bands from weighted residuals."""
+    grid = _grid()
+    theta_diff = grid.angles[1]
+    bands = [(low <= theta_diff) & (theta_diff < high) for low, high in itertools.pairwise(_BAND_ENDS)]
+    lit = grid.lit[grid.above] * np.array(bands)
+    light = (lit @ values.T).mean(axis=1, keepdims=True)
+    scale = np.sqrt(3.0 * len(bands)) * np.maximum(light, _DARK_BAND * light.mean())
+    return np.asarray(np.sqrt(band_weight) * lit / scale / np.maximum(root_weight[:, np.newaxis], 1e-100))
 
 
 @cache
@@ -62,7 +169,7 @@ def _grid() -> _Grid:
     trusted = trust(lowest, DEFAULT_HORIZON_CUTOFF) * np.diff(interval_ends(_ROWS))[:, np.newaxis, np.newaxis]
     solid_angle = -np.diff(np.cos(interval_ends(_COLUMNS)))[:, np.newaxis] * (np.sin(2.0 * theta_diff) + 0.1)
     center = center_share(_COLUMNS) * np.gradient(np.sqrt(_COLUMNS))
-    above = lowest > _LEAST_COSINE
+    above = lowest > _MIN_COSINE
     angles = theta_half[above], theta_diff[above], phi_diff[above]
     return _Grid(
         angles, Points.at(*angles), above, trusted * lowest * (level + swing) * solid_angle, trusted * center[:, None]

@@ -4,9 +4,9 @@ The cost of a structure with unknowns x, whose prior whitens deviations to d, is
 
     E(x) = n log(C(x) + c**2) + sum_i nu_i log(1 + d_i**2 / nu_i),
 
-with C the weighted squared error as a share of the squared signal, n = 50 independent samples and c = 2 % what no model
-of this kind is better than. Levenberg-Marquardt minimises it, first with a fixed noise of 20 %: else the prior rules
-while C is large, and narrow highlights are lost. The evidence of a structure is Laplace's,
+with C the weighted squared error as a fraction of the squared signal, n the number of independent samples, and c the
+error that no layers are below. Levenberg-Marquardt minimises the cost, first with a fixed noise of 20 %: with
+a free one the prior rules while C is large, and narrow highlights are lost. The evidence is Laplace's approximation,
 
     E + log det A - log det A_prior + price,
 
@@ -28,28 +28,60 @@ from dsbrdf.components.structures import STRUCTURES, LayerStructure
 
 TEMPERATURE = 4.0
 """Evidence by which a structure's weight falls to 1 / e."""
-_SAMPLES, _LEAST_ERROR, _FIRST_NOISE = 50.0, 0.02, 0.2
-_FIRST_STEPS = 20  # at most, with the fixed noise
-_TRIAL_STEPS, _STEPS = 5, 60
-_STALLED, _TOLERANCE = 2, 0.02
-_HOPELESS = 40.0  # cost after the trial above the best, with 1 for each unknown and the price
-_LARGEST_STEP, _FIRST_DAMPING, _TRIES = 1.2, 1e-2, 8
-_DARK_START = 0.05  # of the brightest channel: what least squares finds black keeps a trace
+N_SAMPLES = 50.0
+"""Independent samples that the values of a whole material count as."""
+MODEL_ERROR = 0.02
+"""Error that no layers of a whole material are below, c of the module's equation."""
+_FIRST_NOISE = 0.2
+_MAX_FIRST_STEPS = 20  # Steps with the fixed noise.
+_TRIAL_STEPS = 5
+_MAX_STEPS = 60
+_REFINING_STEPS = 20
+_MAX_STALLED_STEPS = 2
+_COST_TOLERANCE = 0.02  # A step that lowers the cost by less has stalled.
+_HOPELESS_COST = 40.0  # A structure that is this far behind the best after its trial is given up.
+_MAX_MOVE = 1.2  # Largest change of an unknown in one step.
+_FIRST_DAMPING = 1e-2
+_MAX_TRIES = 8
+_MIN_CHANNEL_START = 0.05  # A channel starts with this fraction of the brightest one or more.
 
 
 @dataclass(frozen=True, eq=False)
 class LayerData:
-    """RGB values at points, and the root of what they count: weights times squared values sum to 1."""
+    """RGB values at points and the weights of their errors; weights times squared values sum to 1.
+
+    Attributes
+    ----------
+    points : Points
+        N pairs of directions.
+    root_weight, weighted : Array
+        Root of the weights, and the values times this root, (3, N).
+    n_samples : float
+        Independent samples that the values count as.
+    model_error : float
+        Relative error that no layers are below.
+    sums : Array or None
+        Weights of B sums over the weighted residuals, (3, B, N); their squares add to the error.
+    """
 
     points: Points
-    root_weight: Array  # (3, N)
-    weighted: Array  # values times the root of their weight, (3, N)
+    root_weight: Array
+    weighted: Array
+    n_samples: float = N_SAMPLES
+    model_error: float = MODEL_ERROR
+    sums: Array | None = None
 
     @classmethod
     def of(cls, points: Points, values: Array, weight: Array) -> "LayerData":
         """Put values (3, N), some of them positive, and their weights (3, N) together."""
         root = np.sqrt(weight / np.sum(weight * values**2))
         return cls(points, root, values * root)
+
+    def squared_error(self, values: Array) -> float:
+        """Return C of values (3, N)."""
+        residual = values * self.root_weight - self.weighted
+        error = float(np.sum(residual**2))
+        return error if self.sums is None else error + float(np.sum((self.sums @ residual[..., np.newaxis]) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +118,19 @@ def fit_structures(data: LayerData, structures: Sequence[LayerStructure] = STRUC
     found: list[FittedStructure] = []
     best = np.inf
     for descent in sorted(trials, key=lambda trial: trial.prospect):
-        if descent.prospect > best + _HOPELESS:
+        if descent.prospect > best + _HOPELESS_COST * data.n_samples / N_SAMPLES:
             break
-        descent.run(_STEPS)
+        descent.run(_MAX_STEPS)
         best = min(best, descent.prospect)
         found.append(descent.fitted())
     return sorted(found, key=lambda fitted: fitted.evidence)
+
+
+def refined(data: LayerData, structure: LayerStructure, unknowns: Array) -> FittedStructure:
+    """Fit one structure from unknowns (U,) that are near the best ones."""
+    descent = _Descent(data, structure, unknowns, is_first=False)
+    descent.run(_REFINING_STEPS)
+    return descent.fitted()
 
 
 def structure_weights(found: Sequence[FittedStructure]) -> Array:
@@ -131,13 +170,13 @@ class _Descent:
     @property
     def prospect(self) -> float:
         """Cost, and what the number of unknowns is about worth."""
-        cost = _cost(self._error, is_first=False) + self._penalty(self.unknowns)
+        cost = self._cost(self._error, is_first=False) + self._penalty(self.unknowns)
         return cost + self.structure.price + self.structure.mean.size
 
     def run(self, steps: int) -> None:
         """Take at most so many steps."""
         for _ in range(steps):
-            if self.is_first and (self._steps >= _FIRST_STEPS or self._error < _FIRST_NOISE**2):
+            if self.is_first and (self._steps >= _MAX_FIRST_STEPS or self._error < _FIRST_NOISE**2):
                 self.is_first, self.damping = False, max(self.damping, 1e-3)
             if self.done:
                 return
@@ -147,13 +186,13 @@ class _Descent:
     def fitted(self) -> FittedStructure:
         """What was reached."""
         matrix, _ = self._system(is_first=False)
-        cost = _cost(self._error, is_first=False) + self._penalty(self.unknowns) + self.structure.price
+        cost = self._cost(self._error, is_first=False) + self._penalty(self.unknowns) + self.structure.price
         evidence = cost + float(np.linalg.slogdet(matrix)[1]) - self.structure.log_determinant
         return FittedStructure(self.structure, self.unknowns, float(np.sqrt(self._error)), evidence, matrix)
 
     def _step(self) -> None:
         """Lower the cost, or end the first stage or the descent."""
-        here = _cost(self._error, is_first=self.is_first) + self._penalty(self.unknowns)
+        here = self._cost(self._error, is_first=self.is_first) + self._penalty(self.unknowns)
         matrix, gradient = self._system(is_first=self.is_first)
         lower, upper = self.structure.bounds
         held = (self.unknowns <= lower + 1e-9) & (gradient > 0.0) | (self.unknowns >= upper - 1e-9) & (gradient < 0.0)
@@ -162,23 +201,23 @@ class _Descent:
             self.done = True
             return
         reduced = matrix[np.ix_(free, free)]
-        for _ in range(_TRIES):
+        for _ in range(_MAX_TRIES):
             damped = reduced + self.damping * np.diag(np.diag(reduced))
             move = potrs(potrf(damped, lower=1)[0], gradient[free], lower=1)[0]
             tried = self.unknowns.copy()
-            tried[free] -= np.clip(move, -_LARGEST_STEP, _LARGEST_STEP)
+            tried[free] -= np.clip(move, -_MAX_MOVE, _MAX_MOVE)
             tried = np.clip(tried, lower, upper)
             layers = self._layers(tried)
-            there = _cost(self._squared_error(layers), is_first=self.is_first) + self._penalty(tried)
+            there = self._cost(self._squared_error(layers), is_first=self.is_first) + self._penalty(tried)
             if there < here:
                 break
             self.damping *= 5.0
         else:
             self.done, self.is_first, self.damping = not self.is_first, False, _FIRST_DAMPING
             return
-        self._stalled = self._stalled + 1 if here - there < _TOLERANCE else 0
+        self._stalled = self._stalled + 1 if here - there < _COST_TOLERANCE else 0
         self.unknowns, self.damping = tried, max(self.damping / 4.0, 1e-5)
-        self.done = not self.is_first and self._stalled >= _STALLED
+        self.done = not self.is_first and self._stalled >= _MAX_STALLED_STEPS
         self._linearize(layers)
 
     def _layers(self, unknowns: Array) -> list[Linearized]:
@@ -186,8 +225,11 @@ class _Descent:
         return [prior.kind.linearize(self.data.points, unknowns[part]) for prior, part in parts]
 
     def _squared_error(self, layers: list[Linearized]) -> float:
-        values = sum(layer.values for layer in layers)
-        return float(np.sum((values * self.data.root_weight - self.data.weighted) ** 2))
+        return self.data.squared_error(np.sum([layer.values for layer in layers], axis=0))
+
+    def _cost(self, error: float, *, is_first: bool) -> float:
+        scaled = error / _FIRST_NOISE**2 if is_first else float(np.log(error + self.data.model_error**2))
+        return self.data.n_samples * scaled
 
     def _linearize(self, layers: list[Linearized]) -> None:
         """Find C and its normal equations, which are those of each channel's own unknowns."""
@@ -205,13 +247,17 @@ class _Descent:
             columns[-1] -= self.data.weighted[channel]
             products = columns[:-1] @ columns.T
             self._error += float(columns[-1] @ columns[-1])
+            if self.data.sums is not None:
+                sums = columns @ self.data.sums[channel].T
+                products += sums[:-1] @ sums.T
+                self._error += float(sums[-1] @ sums[-1])
             self._matrix[places[:, np.newaxis], places] += products[:, :-1]
             self._gradient[places] += products[:, -1]
 
     def _system(self, *, is_first: bool) -> tuple[Array, Array]:
         """Half of the Hessian and of the gradient of the cost, about."""
         structure = self.structure
-        scale = _SAMPLES / (_FIRST_NOISE**2 if is_first else self._error + _LEAST_ERROR**2)
+        scale = self.data.n_samples / (_FIRST_NOISE**2 if is_first else self._error + self.data.model_error**2)
         off = self.unknowns - structure.mean
         whitened = structure.root @ off
         prior = structure.root.T @ (structure.root / (1.0 + whitened**2 / structure.freedom)[:, np.newaxis])
@@ -220,10 +266,6 @@ class _Descent:
     def _penalty(self, unknowns: Array) -> float:
         whitened = self.structure.root @ (unknowns - self.structure.mean)
         return float(self.structure.freedom @ np.log1p(whitened**2 / self.structure.freedom))
-
-
-def _cost(error: float, *, is_first: bool) -> float:
-    return float(_SAMPLES * (error / _FIRST_NOISE**2 if is_first else np.log(error + _LEAST_ERROR**2)))
 
 
 def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]) -> Array:
@@ -250,7 +292,7 @@ def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]
     for prior, part in zip(structure.layers, structure.slices, strict=True):
         own, color = unknowns[part], next(heights)
         least = 0.1 * np.exp(prior.mean[0]) if prior.kind is SpecularLayer else 0.005
-        own[:3] = np.log(np.maximum(color, _DARK_START * max(float(color.max()), least)))
+        own[:3] = np.log(np.maximum(color, _MIN_CHANNEL_START * max(float(color.max()), least)))
         if prior.kind is SpecularLayer:
             own[3] = np.log(np.clip(next(heights).mean(), 0.02, 1.2))
     return unknowns

@@ -233,6 +233,11 @@ class RetroLayer:
         return cls((red, green, blue), alpha)
 
     @property
+    def reflectance(self) -> Array:
+        """The colour, RGB, shape (3,)."""
+        return np.array(self.color)
+
+    @property
     def half_width(self) -> float:
         """Half width about the direction back to the light, as `SpecularLayer.half_width` [rad]."""
         return float(np.arctan(self.alpha * np.sqrt(np.sqrt(2.0) - 1.0)))

@@ -6,6 +6,7 @@ equations of its fit.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -13,78 +14,103 @@ from dsbrdf.arrays import Array
 from dsbrdf.components.layer_fit import FittedStructure, structure_weights
 from dsbrdf.components.layers import SpecularLayer
 from dsbrdf.components.shares import LABELS, NORMAL, WeightedLayers
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.reflectance import ReflectanceModel
 
 PROBABILITY = 0.9
 """With which a figure lies in its range."""
-_DRAWS = 24  # from each structure
+_N_DRAWS = 24  # From each structure.
+
+Range: TypeAlias = tuple[float, float]
+RgbRange: TypeAlias = tuple[Range, Range, Range]
 
 
 @dataclass(frozen=True)
 class ComponentRanges:
-    """Ranges (low, high) of a component's figures; None for those that it does not have.
+    """Ranges (low, high) of a component's figures.
 
     Attributes
     ----------
-    light_share, half_width, alpha : tuple of float
-        Of the share of all light at normal incidence, the half width [rad] and the roughness of the brightest layer.
-    albedo, color, f0 : tuple of tuple of float
-        For each channel: of the directional albedo at normal incidence, of the albedo over its largest channel, and of
-        the reflectance of the component's surfaces at normal incidence.
+    light_share : tuple of float
+        Fraction of all light at normal incidence.
+    albedo, color : tuple of tuple of float
+        Directional albedo at normal incidence, and the albedo over its largest channel, for each channel.
     """
 
-    light_share: tuple[float, float]
-    albedo: tuple[tuple[float, float], ...]
-    color: tuple[tuple[float, float], ...]
-    half_width: tuple[float, float] | None = None
-    alpha: tuple[float, float] | None = None
-    f0: tuple[tuple[float, float], ...] | None = None
+    light_share: Range
+    albedo: RgbRange
+    color: RgbRange
 
 
-def component_ranges(
-    model: DSBRDF, found: Sequence[FittedStructure], labels: Sequence[str]
-) -> tuple[ComponentRanges, ...]:
-    """Ranges of the components with these labels, from structures fitted to a model, the best first."""
-    generator = np.random.default_rng(7)
-    values = model.evaluate_unmasked(NORMAL.angle, NORMAL.angle, np.zeros(NORMAL.angle.size)).T
-    drawn = [
-        WeightedLayers(one.structure.name, float(weight), layers, one.structure.is_diffuse)
-        for one, weight in zip(found, structure_weights(found), strict=True)
-        for layers in (one.model, *one.draw(generator, _DRAWS))
-    ]
-    albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])  # (draws, labels, channels)
-    weight = np.array([one.weight for one in drawn])
-    shares = albedos.sum(axis=2) / albedos.sum(axis=(1, 2))[:, np.newaxis]
-    return tuple(_of_component(label, drawn, weight, albedos, shares) for label in labels)
+class SurfaceSpread(NamedTuple):
+    """Standard deviations of the logarithms of a component's roughness and of its F0 (3,) over probable layers."""
+
+    alpha: float
+    f0: Array
 
 
-def _of_component(
-    label: str, drawn: Sequence[WeightedLayers], weight: Array, albedos: Array, shares: Array
-) -> ComponentRanges:
-    place = LABELS.index(label)
-    albedo, share = albedos[:, place], shares[:, place]
-    there = share > 0.0
-    color = albedo[there] / albedo[there].max(axis=1, keepdims=True)
-    common = _range(share, weight), _channels(albedo, weight), _channels(color, weight[there])
-    layers = [one.brightest(label) if label in one.labels and label != "diffuse" else None for one in drawn]
-    specular = [(one, layer) for one, layer in zip(drawn, layers, strict=True) if isinstance(layer, SpecularLayer)]
-    if not specular:
-        return ComponentRanges(*common)
-    own = np.array([one.weight for one, _ in specular])
-    return ComponentRanges(
-        *common,
-        half_width=_range(np.array([layer.half_width for _, layer in specular]), own),
-        alpha=_range(np.array([layer.alpha for _, layer in specular]), own),
-        f0=_channels(np.array([one.reflectance(label) for one, _ in specular]), own),
-    )
+class DrawnLayers(NamedTuple):
+    """Probable layers of a model, their weights (D,), and the albedos (D, 3, 3) of `LABELS` by channel."""
+
+    layers: Sequence[WeightedLayers]
+    weight: Array
+    albedos: Array
+
+    @classmethod
+    def of(cls, model: ReflectanceModel, found: Sequence[FittedStructure]) -> "DrawnLayers":
+        """Draw layers from structures fitted to a model, the best first."""
+        generator = np.random.default_rng(7)
+        values = model.evaluate_unmasked(*NORMAL.angles).T
+        drawn = [
+            WeightedLayers(one.structure.name, float(weight), layers, one.structure.is_diffuse)
+            for one, weight in zip(found, structure_weights(found), strict=True)
+            for layers in (one.model, *one.draw(generator, _N_DRAWS))
+        ]
+        albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])
+        return cls(drawn, np.array([one.weight for one in drawn]), albedos)
+
+    def ranges(self, label: str) -> ComponentRanges:
+        """Return the ranges of the component with a label."""
+        albedo = self.albedos[:, LABELS.index(label)]
+        there = albedo.sum(axis=1) > 0.0
+        color = albedo[there] / albedo[there].max(axis=1, keepdims=True)
+        return ComponentRanges(
+            self.light_range(label), _channels(albedo, self.weight), _channels(color, self.weight[there])
+        )
+
+    def light_range(self, label: str) -> Range:
+        """Return the range of a component's fraction of the light at normal incidence."""
+        share = self.albedos[:, LABELS.index(label)].sum(axis=1) / self.albedos.sum(axis=(1, 2))
+        return _range(share, self.weight)
+
+    def surface_spread(self, label: str) -> SurfaceSpread:
+        """Return the spread of the brightest surface's roughness, and that of F0 of all surfaces together."""
+        own = [
+            [layer for layer, found in zip(one.model.layers, one.labels, strict=True) if found == label]
+            for one in self.layers
+        ]
+        surfaces = [[layer for layer in layers if isinstance(layer, SpecularLayer)] for layers in own]
+        there = [number for number, some in enumerate(surfaces) if some]
+        if not there:
+            return SurfaceSpread(0.0, np.zeros(3))
+        f0 = np.array([np.sum([layer.f0 for layer in surfaces[number]], axis=0) for number in there])
+        alpha = np.array([max(surfaces[number], key=lambda layer: sum(layer.f0)).alpha for number in there])
+        spread = _deviation(np.log(np.column_stack([alpha, f0])), self.weight[there])
+        return SurfaceSpread(float(spread[0]), spread[1:])
 
 
-def _channels(values: Array, weight: Array) -> tuple[tuple[float, float], ...]:
-    return tuple(_range(channel, weight) for channel in values.T)
+def _deviation(values: Array, weight: Array) -> Array:
+    """Return the weighted standard deviation of values (n, m) over n."""
+    mean = np.average(values, axis=0, weights=weight)
+    return np.asarray(np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weight)))
 
 
-def _range(values: Array, weight: Array) -> tuple[float, float]:
-    """The middle range of values (n,) with weights (n,) that has the stated probability."""
+def _channels(values: Array, weight: Array) -> RgbRange:
+    red, green, blue = (_range(channel, weight) for channel in values.T)
+    return red, green, blue
+
+
+def _range(values: Array, weight: Array) -> Range:
+    """Return the middle range of values (n,) with weights (n,) that has the stated probability."""
     order = np.argsort(values)
     cumulative = np.cumsum(weight[order])
     middle = (cumulative - 0.5 * weight[order]) / cumulative[-1]

@@ -1,7 +1,7 @@
 """Fractions of a model's values that belong to the layers of a structure, by the formula of the decomposition."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,26 +17,52 @@ SPIKE_HALF_WIDTH = float(np.radians(3.0))
 """Border between the specular spike and the specular lobe [rad of theta_half]."""
 HALO = float(np.tan(np.radians(30.0))) ** 2
 """tan(theta_half)**2 up to which most of what the layers miss is the highlight's."""
-_TRANSITION = 3  # power of the diffuse part's share with which it takes what the layers miss
-_TINY, _LARGEST_RATIO = 1e-300, 1e100
+_TRANSITION = 3
+"""Power of a part's fraction of the layers with which it takes the light that the layers lack."""
+_MIN_TOTAL = 1e-300
+_MAX_RATIO = 1e100
 
 
-class NormalRule(NamedTuple):
-    """Nodes (n,) for the directional albedo at normal incidence, where nothing depends on the azimuth [rad]."""
+class LightRule(NamedTuple):
+    """Nodes (n,) and weights of the directional albedo at one angle.
 
-    angle: Array  # theta_half, which is theta_diff; phi_diff is 0
-    weight: Array  # [sr]
+    Attributes
+    ----------
+    angles : tuple of Array
+        theta_half, theta_diff and phi_diff (n,) [rad].
+    points : Points
+        The same nodes for layers.
+    weight : Array
+        Weights (n,) [sr].
+    """
+
+    angles: tuple[Array, Array, Array]
     points: Points
+    weight: Array
 
 
-def _normal_rule() -> NormalRule:
+def _normal_rule() -> LightRule:
+    """Return the rule at normal incidence, where theta_half is theta_diff and nothing depends on the azimuth."""
     rule = half_vector_rule(0.0)
     angle, place = np.unique(rule.theta_half, return_inverse=True)
     weight = np.asarray(np.bincount(place, rule.weight), dtype=np.float64)
-    return NormalRule(angle, weight, Points.at(angle, angle, np.zeros(angle.size)))
+    angles = angle, angle, np.zeros(angle.size)
+    return LightRule(angles, Points.at(*angles), weight)
+
+
+def _light_rule(theta_out: float) -> LightRule:
+    rule = half_vector_rule(theta_out)
+    angles = rule.theta_half, rule.theta_diff, rule.phi_diff
+    return LightRule(angles, Points.at(*angles), rule.weight)
 
 
 NORMAL = _normal_rule()
+
+
+@cache
+def light_rules() -> tuple[LightRule, LightRule, LightRule]:
+    """Return the rules of the directional albedo at 0, 45 and 70 degrees."""
+    return NORMAL, _light_rule(float(np.radians(45.0))), _light_rule(float(np.radians(70.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,27 +96,24 @@ class WeightedLayers:
         layers = self.model.layer_values(points)
         place = np.array([LABELS.index(label) for label in self.labels])
         narrow, wide, diffuse = (layers[place == label].sum(axis=0) for label in range(3))
-        specular = narrow + wide
-        total = specular + diffuse + _TINY
+        specular = narrow + wide + _MIN_TOTAL
+        total = specular + diffuse
         beyond, missed = (points.squared_tangent / HALO) ** 2, _ratio(values, total) - 1.0
         taken = (diffuse / total) ** _TRANSITION * np.where(missed > 0.0, beyond / (1.0 + beyond), 1.0)
-        # A ground alone explains all values, but no highlight: what is much brighter near the mirror direction is one.
+        # A ground alone explains all values, but no highlight: light far above it near the mirror direction is one.
         most = 1.0 + missed * taken if (place < 2).any() else 2.0 + beyond
         ground = np.minimum(values, diffuse * most)
         rest = values - ground
-        spike = rest * (narrow / (specular + _TINY))
-        return np.stack([spike, rest - spike, ground])
+        if not (place == 0).any():
+            return np.stack([np.zeros_like(rest), rest, ground])
+        lobe = wide * (1.0 + (_ratio(rest, specular) - 1.0) * (wide / specular) ** _TRANSITION)
+        lobe = np.minimum(rest, lobe)
+        return np.stack([rest - lobe, lobe, ground])
 
-    def brightest(self, label: str) -> Layer:
-        """The layer of a component that reflects most at normal incidence."""
-        own = [number for number, found in enumerate(self.labels) if found == label]
-        return self.model.layers[max(own, key=lambda number: float(self._light[number]))]
-
-    def reflectance(self, label: str) -> Array:
-        """Reflectance at normal incidence of all surfaces of a component together, shape (3,)."""
+    def kinds_of(self, label: str) -> set[type[Layer]]:
+        """Return the kinds of the layers of a component."""
         layers = zip(self.model.layers, self.labels, strict=True)
-        own = [layer.reflectance for layer, found in layers if found == label and isinstance(layer, SpecularLayer)]
-        return np.sum(own, axis=0) if own else np.zeros(3)
+        return {type(layer) for layer, found in layers if found == label}
 
     def light_of(self, kind: type[Layer]) -> float:
         """Share of the light at normal incidence that layers of a kind reflect."""
@@ -104,9 +127,9 @@ class WeightedLayers:
 
 
 def _ratio(values: Array, total: Array) -> Array:
-    """Quotient of values and what layers have, bounded: where layers have nothing, or a model is absurdly bright."""
+    """Divide values by the light of layers, bounded for layers without light."""
     with np.errstate(over="ignore"):
-        return np.minimum(values / total, _LARGEST_RATIO)
+        return np.minimum(values / total, _MAX_RATIO)
 
 
 def _label(layer: Layer, is_diffuse: bool) -> str:

@@ -122,6 +122,39 @@ _FIBRES = _prior(
 )
 
 
+OWN_PRIORS: dict[type[Layer], LayerPrior] = {
+    SpecularLayer: _prior(
+        SpecularLayer,
+        (np.log(0.15), 2.0),
+        2.0,
+        (
+            (-0.1, 0.8),
+            (0.0, 1.5),
+            (0.0, 0.6),
+            (np.log(0.12), 3.0),
+            (np.log(2.0), 1.0),
+            (0.5, 0.4),
+            (0.0, _HELD),
+        ),
+        (
+            _STRONG,
+            (np.log(0.02), 0.7),
+            (-3.0, 3.0),
+            (-3.0, 3.0),
+            (np.log(0.001), np.log(0.9)),
+            (np.log(0.6), np.log(60.0)),
+            (-0.5, 1.5),
+            (0.0, 0.0),
+        ),
+        is_diffuse=False,
+    ),
+    DiffuseLayer: _diffuse(((0.5, 0.7), (0.0, 0.6), (0.0, 0.6), (0.0, 0.5), (0.0, 0.4), (0.0, 0.6))),
+    SheenLayer: _SHEEN,
+    RetroLayer: _RETRO,
+}
+"""Weak priors of the layers of one component, whose light is already known."""
+
+
 @dataclass(frozen=True, eq=False)
 class LayerStructure:
     """Layers of a kind of material, with U unknowns."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.description import Description
 from dsbrdf.components.ranges import ComponentRanges
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.typed_json import typed
@@ -24,34 +25,38 @@ def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
 
 
 def component_document(component: Component) -> dict[str, Any]:
-    """Return one component as JSON content: light, physical parameters with ranges, heights at `LOBE_THETA_DIFF`."""
-    ranges = asdict(component.ranges)
-    widths = ranges.pop("half_width")
-    height = component.height(np.radians(LOBE_THETA_DIFF))
+    """Return one component as JSON content: light, surfaces with ranges, misfit, heights at `LOBE_THETA_DIFF`."""
+    width = component.half_width
     return {
         "label": component.label,
         "structure": component.structure,
         "light_share": component.light_share,
         "albedo": component.albedo.tolist(),
         "color": component.color.tolist(),
-        "half_width_deg": None if component.half_width is None else float(np.degrees(component.half_width)),
-        "alpha": component.alpha,
-        "kappa": component.kappa,
-        "f0": None if component.f0 is None else component.f0.tolist(),
-        "f90": component.f90,
-        "lobe": {"theta_diff_deg": list(LOBE_THETA_DIFF), "height": height.tolist()},
-        "ranges": ranges | {"half_width_deg": None if widths is None else np.degrees(widths).tolist()},
+        "half_width_deg": None if width is None else float(np.degrees(width)),
+        "layers": asdict(component.layers)["layers"],
+        "surfaces": [asdict(surface) for surface in component.surfaces],
+        "misfit": asdict(component.misfit),
+        "remarks": list(component.remarks),
+        "lobe": {
+            "theta_diff_deg": list(LOBE_THETA_DIFF),
+            "height": component.height(np.radians(LOBE_THETA_DIFF)).tolist(),
+        },
+        "ranges": asdict(component.ranges),
     }
 
 
 def ranges_in(document: Mapping[str, Any]) -> ComponentRanges:
-    """Return the ranges in a component's document, but for rounding.
+    """Return the ranges in a component's document.
 
     Raises ModelFormatError if they are damaged, KeyError or TypeError if there are none.
     """
-    ranges = dict(document["ranges"])
-    widths = ranges.pop("half_width_deg")
-    stored: ComponentRanges = typed(
-        ComponentRanges, ranges | {"half_width": None if widths is None else np.radians(widths).tolist()}, "ranges"
-    )
-    return stored
+    ranges: ComponentRanges = typed(ComponentRanges, document["ranges"], "ranges")
+    return ranges
+
+
+def description_in(document: Mapping[str, Any]) -> Description:
+    """Return the layers, surfaces and misfit in a component's document; errors are those of `ranges_in`."""
+    parts = {name: document[name] for name in ("surfaces", "misfit")} | {"layers": {"layers": document["layers"]}}
+    description: Description = typed(Description, parts, "description")
+    return description

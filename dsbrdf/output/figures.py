@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.shares import LABELS
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError, one_of
@@ -199,14 +199,9 @@ def _component_parts(model: DSBRDF) -> list[_Part]:
     for component in decompose(model):
         colour, name = COMPONENT_COLOURS[component.label], component.label.replace("_", " ")
         width = component.half_width
-        label = name if width is None else f"{name}, half width {np.degrees(width):.2g}°{_range(component)}"
+        label = name if width is None else f"{name}, half width {np.degrees(width):.2g}°"
         parts += [(component.layers, colour, "--", ""), (component, colour, "-", label)]
     return parts
-
-
-def _range(component: Component) -> str:
-    ranges = component.ranges.half_width
-    return "" if ranges is None else " ({:.2g}° to {:.2g}°)".format(*np.degrees(ranges))
 
 
 def _lobe_parts(model: DSBRDF, channel: int) -> list[_Part]:

@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -25,12 +26,7 @@ from dsbrdf.output.serialize import to_json
 
 SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
 """theta_diff of the parameters that are printed, some of `LOBE_THETA_DIFF` [degrees]."""
-_SHOWN_PARAMETERS = (
-    ("alpha", "alpha", ""),
-    ("half width", "half_width_deg", "°"),
-    ("kappa", "kappa", ""),
-    ("F90", "f90", ""),
-)
+_WIDTH = 60  # Characters in a line of text.
 # Likeness of the lit spheres of a measurement and its fit, from so many decibels on.
 _VERDICTS = (
     (45.0, "hardly to be told apart"),
@@ -62,25 +58,35 @@ def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def component_layers_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return what is known of each component's layer, with ranges, and its height at `SHOWN_THETA_DIFF`."""
+def component_surfaces_table(components: Sequence[Mapping[str, Any]], *, remarks: bool = True) -> list[str]:
+    """Return a block of surfaces, and of remarks if asked for, for each component; then heights."""
     lines: list[str] = []
     for component in components:
         lines.append(f"{component['label']} ({component['structure']})")
-        ranges = component["ranges"]
-        for name, key, unit in _SHOWN_PARAMETERS:
-            if component[key] is not None:
-                lines.append(f"  {name:<12}{_with_range(component[key], ranges.get(key), unit)}")
-        if component["f0"] is not None:
-            for channel, value, spread in zip(CHANNELS, component["f0"], ranges["f0"], strict=True):
-                lines.append(f"  {f'F0 {channel}':<12}{_with_range(value, spread, '')}")
+        for number, surface in enumerate(component["surfaces"], 1):
+            lines += _surface_lines(number, surface)
+        for remark in component["remarks"] if remarks else ():
+            lines += wrap(remark, _WIDTH, initial_indent="  ", subsequent_indent="  ")
     return lines + _heights_table(components)
 
 
-def _with_range(value: float, spread: Sequence[float] | None, unit: str) -> str:
+def _surface_lines(number: int, surface: Mapping[str, Any]) -> list[str]:
+    """Return the parameters of one surface that describe its component, with their ranges."""
+    rows = []
+    if surface["alpha"] is not None:
+        rows += [("alpha", _with_range(surface["alpha"], surface["alpha_range"]))]
+        rows += [("kappa", f"{surface['kappa']:.3g}")]
+    if surface["f0"] is not None:
+        spreads = zip(CHANNELS, surface["f0"], surface["f0_range"], strict=True)
+        rows += [(f"F0 {channel}", _with_range(value, spread)) for channel, value, spread in spreads]
+        rows += [("F90", f"{surface['f90']:.3g}")]
+    heads = [f"surface {number}"] + [""] * (len(rows) - 1)
+    return [f"  {head:<12}{name:<10}{text}" for head, (name, text) in zip(heads, rows, strict=False)]
+
+
+def _with_range(value: float, spread: Sequence[float]) -> str:
     """Return a value, and the range in which it lies with 90 % probability."""
-    text = f"{value:.3g}{unit}"
-    return text if spread is None else f"{text:<9}({spread[0]:.3g}{unit} to {spread[1]:.3g}{unit})"
+    return f"{value:<9.3g}({spread[0]:.3g} to {spread[1]:.3g})"
 
 
 def _heights_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -186,10 +192,10 @@ def samples_tables(report: FitReport) -> list[str]:
     return lines
 
 
-def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red") -> list[str]:
-    """Return the components of a model and their layers, then, if asked for, the model's lobes in one channel."""
+def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red", remarks: bool = True) -> list[str]:
+    """Return the components of a model and their surfaces; if asked for, remarks and the lobes in one channel."""
     components = component_documents(model)
-    lines = [*components_table(components), "", *component_layers_table(components)]
+    lines = [*components_table(components), "", *component_surfaces_table(components, remarks=remarks)]
     return [*lines, "", *parameters_table(model, channel=channel)] if lobes else lines
 
 
@@ -197,7 +203,7 @@ def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: 
     """Return the report of one fit: verdict, warnings, metrics, components, lobes tried, errors; lobes if asked for."""
     warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
     lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
-    lines += model_text(result.model, lobes=lobes, channel=channel)
+    lines += model_text(result.model, lobes=lobes, channel=channel, remarks=False)  # They are among the warnings.
     for table in (
         samples_tables(result.report),
         search_table(result.report),

@@ -19,12 +19,13 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.components.decomposition import Decomposition
 from dsbrdf.components.layers import LayeredModel
+from dsbrdf.components.ranges import Range
 from dsbrdf.components.shares import LABELS, WeightedLayers
 from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
-from dsbrdf.output.component_documents import component_document, ranges_in
+from dsbrdf.output.component_documents import component_document, description_in, ranges_in
 from dsbrdf.output.typed_json import check_keys, typed
 
 FORMAT, LAYERS_FORMAT = "dsbrdf", "dsbrdf-layers"
@@ -132,6 +133,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
             "measure_next": plain["measure_next"],
             "components": [component_document(component) for component in components],
             "structures": [asdict(structure) for structure in components.structures],
+            "diffuse_range": components.diffuse_range,
             **document,
         }
     return _dump(document)
@@ -155,6 +157,7 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
     try:
         labels = tuple(component["label"] for component in document["components"])
         ranges = tuple(ranges_in(component) for component in document["components"])
+        descriptions = tuple(description_in(component) for component in document["components"])
     except (KeyError, TypeError):
         raise ModelFormatError("The stored components are damaged, or there are none.") from None
     if labels != tuple(label for label in LABELS if label in labels):
@@ -162,7 +165,8 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
     structures = typed(tuple[WeightedLayers, ...], document.get("structures"), "structures")
     if any(len(one.is_diffuse) != len(one.model.layers) for one in structures):
         raise ModelFormatError("The stored structures do not say of each layer whether it is diffuse.")
-    return Decomposition(model, structures, labels, ranges), report
+    diffuse_range: Range = typed(Range, document.get("diffuse_range"), "diffuse_range")
+    return Decomposition(model, structures, labels, ranges, descriptions, diffuse_range), report
 
 
 def layers_to_json(layers: LayeredModel) -> str:

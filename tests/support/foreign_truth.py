@@ -57,6 +57,19 @@ class Truth:
 
 
 @dataclass(frozen=True)
+class SurfaceJudgement:
+    """Relative errors of a surface's roughness and of F0's worst channel, and whether their ranges hold the truth.
+
+    All are None if the parameter is withheld, and for F0 if the true surface is black.
+    """
+
+    alpha: float | None
+    alpha_inside: bool | None
+    f0: float | None
+    f0_inside: bool | None
+
+
+@dataclass(frozen=True)
 class Judgement:
     """What is wrong with one decomposition.
 
@@ -64,21 +77,23 @@ class Judgement:
     ----------
     moved : Array
         At `ANGLES_DEG`.
-    alpha, f0 : float or None
-        Relative errors of the brightest specular component's layer; None if the truth is not one layer.
+    surface : SurfaceJudgement or None
+        The brightest surface of the brightest specular component; None if the truth is not one layer.
     share, true_share : float
-        Of the diffuse light at normal incidence.
+        Fraction of the diffuse light at normal incidence.
     range : tuple of float
-        What the decomposition states of the share, see `diffuse_range`.
+        Range that the decomposition states of this fraction.
+    is_warned : bool
+        Whether a sentence says that the split is open.
     """
 
     structure: str
     moved: Array
-    alpha: float | None
-    f0: float | None
+    surface: SurfaceJudgement | None
     share: float
     true_share: float
     range: tuple[float, float]
+    is_warned: bool
 
     @property
     def inside(self) -> bool:
@@ -95,27 +110,32 @@ def judged(parts: dsbrdf.Decomposition, truth: Truth) -> Judgement:
         every = weight @ (diffuse + specular).sum(axis=1)
         moved.append(weight @ np.abs(found - diffuse).sum(axis=1) / every)
         shares.append(weight @ found.sum(axis=1) / every)
-    alpha, f0 = layer_errors(parts, truth)
     return Judgement(
-        parts.structure, np.array(moved), alpha, f0, float(shares[0]), truth.diffuse_share, diffuse_range(parts)
+        parts.structure,
+        np.array(moved),
+        surface_judgement(parts, truth),
+        float(shares[0]),
+        truth.diffuse_share,
+        parts.diffuse_range,
+        any("is open" in sentence for sentence in parts.remarks),
     )
 
 
-def diffuse_range(parts: dsbrdf.Decomposition) -> tuple[float, float]:
-    """What is stated of the diffuse share: where the diffuse part is absent, what the others leave."""
-    if parts.diffuse is not None:
-        return parts.diffuse.ranges.light_share
-    return 0.0, max(0.0, 1.0 - sum(part.ranges.light_share[0] for part in parts))
-
-
-def layer_errors(parts: dsbrdf.Decomposition, truth: Truth) -> tuple[float | None, float | None]:
-    """Relative errors of alpha and of F0's worst channel: 1 without a layer, None if the truth is not one layer."""
+def surface_judgement(parts: dsbrdf.Decomposition, truth: Truth) -> SurfaceJudgement | None:
+    """Compare the brightest surface with the truth, which counts as missed without any surface."""
     if truth.alpha is None or truth.f0 is None:
-        return None, None
+        return None
     bright = truth.f0 > MIN_F0
-    surfaces = [part for part in parts if part.f0 is not None]
-    if not surfaces:
-        return 1.0, 1.0 if bright.any() else None
-    brightest = max(surfaces, key=lambda part: part.light_share)
-    f0 = float(np.abs(np.asarray(brightest.f0) / truth.f0 - 1.0)[bright].max()) if bright.any() else None
-    return (brightest.alpha or 0.0) / truth.alpha - 1.0, f0
+    found = [part for part in parts if part.surfaces]
+    if not found:
+        return SurfaceJudgement(1.0, False, 1.0, False) if bright.any() else SurfaceJudgement(1.0, False, None, None)
+    surface = max(found, key=lambda part: part.light_share).surfaces[0]
+    alpha, alpha_inside, f0, f0_inside = None, None, None, None
+    if surface.alpha is not None and surface.alpha_range is not None:
+        low, high = surface.alpha_range
+        alpha, alpha_inside = surface.alpha / truth.alpha - 1.0, low <= truth.alpha <= high
+    if surface.f0 is not None and surface.f0_range is not None and bright.any():
+        f0 = float(np.abs(np.array(surface.f0) / truth.f0 - 1.0)[bright].max())
+        lows, highs = np.transpose(surface.f0_range)
+        f0_inside = bool(np.all(((lows <= truth.f0) & (truth.f0 <= highs))[bright]))
+    return SurfaceJudgement(alpha, alpha_inside, f0, f0_inside)

@@ -2,11 +2,14 @@
 
 The functions of the layers return logarithms: far from the highlight values are too small for single precision, but
 their shares are not. A component's function evaluates the model and the layers of each structure once and divides the
-model as `dsbrdf.components.decomposition` does, with the formula turned so that hardly a difference of nearly equal
-numbers is left: with s the diffuse share of the layers, their sum g, and a = q / (1 + q) where f > g, else 1,
+model as `dsbrdf.components.shares` does, with the formula turned so that hardly a difference of nearly equal numbers is
+left: with s the diffuse fraction of the layers, their sum g, and a = q / (1 + q) where f > g, else 1,
 
     diffuse = min(f, g s (1 - a s**3) + f a s**4),
-    specular = max(0, (1 - s) (f + (f - g) a (s + s**2 + s**3)) + (f - g) (1 - a) s).
+    specular = max(0, (1 - s) (f + (f - g) a (s + s**2 + s**3)) + (f - g) (1 - a) s),
+    spike = max(0, n (specular (1 + v) (1 + v**2) - l (1 + v + v**2))),
+
+where the layers of the lobe are l, a fraction v of the specular ones, and n = 1 - v.
 """
 
 from collections.abc import Sequence
@@ -212,7 +215,9 @@ mat3 dsbrdf_divided(float tangent2, vec3 whole, vec3 narrow, vec3 wide, vec3 dif
   float q = tangent2 / HALO;
   vec3 halo = vec3(greaterThan(missed, vec3(0.0))) / (1.0 + q * q), beyond = 1.0 - halo, taken = beyond * s * s * s;
   vec3 highlight = whole + missed * beyond * s * (1.0 + s * (1.0 + s));
-  vec3 rest = max(odds * s * highlight + missed * halo * s, 0.0), spike = rest * exp(narrow - specular);
+  vec3 rest = max(odds * s * highlight + missed * halo * s, 0.0), v = exp(wide - specular);
+  vec3 spike = exp(narrow - specular) * (rest * (1.0 + v) * (1.0 + v * v) - exp(wide) * (1.0 + v * (1.0 + v)));
+  spike = clamp(spike, vec3(0.0), rest);
   return mat3(spike, rest - spike, min(whole, ground * (1.0 - taken) + whole * taken * s));
 }
 

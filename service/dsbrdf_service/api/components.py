@@ -1,6 +1,6 @@
 """The components of a fit, and how each is described."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter
 from pydantic import BaseModel, Field
@@ -31,15 +31,34 @@ class ComponentRangesDocument(BaseModel):
     light_share: Range
     albedo: _RgbRange
     color: _RgbRange
-    half_width_deg: Range | None
-    alpha: Range | None
-    f0: _RgbRange | None
+
+
+class SurfaceDocument(BaseModel):
+    """One rough surface of a component; a parameter that does not describe the component is null."""
+
+    alpha: Annotated[float | None, Field(description="Roughness: that of GGX or of Beckmann's distribution.")]
+    kappa: Annotated[float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller one falls slower.")]
+    f0: Annotated[Rgb | None, Field(description="Reflectance of its facets at normal incidence.")]
+    f90: Annotated[float | None, Field(description="Reflectance of its facets at grazing incidence.")]
+    alpha_range: Annotated[Range | None, Field(description="Where alpha lies with a probability of 90 %.")]
+    f0_range: Annotated[_RgbRange | None, Field(description="Where F0 lies with a probability of 90 %.")]
+
+
+class MisfitDocument(BaseModel):
+    """Distance of a component's own layers from its values."""
+
+    peak: Annotated[float | None, Field(description="Factor of the height at theta_half = 0, less 1.")]
+    color: Annotated[float, Field(description="Largest difference of a channel, over the largest channel.")]
+    half_width: Annotated[float | None, Field(description="Factor of the half width, less 1.")]
+    albedo: Annotated[
+        float, Field(description="Largest difference of the albedo at 0 and 45 degrees, over the largest.")
+    ]
 
 
 class ComponentDocument(BaseModel):
     """One component of a fit that has light; the values of all components add up to the fit's.
 
-    Its parameters are those of its brightest layer; a diffuse component has none.
+    Its surfaces describe it, the brightest first; a diffuse component has none.
     """
 
     label: Label
@@ -48,12 +67,14 @@ class ComponentDocument(BaseModel):
     albedo: Annotated[Rgb, Field(description="Directional albedo at normal incidence.")]
     color: Annotated[Rgb, Field(description="The albedo over its largest channel.")]
     half_width_deg: Annotated[
-        float | None, Field(description="theta_half at which slopes of facets are half as frequent as at 0.")
+        float | None, Field(description="theta_half at which slopes of its surfaces are half as frequent as at 0.")
     ]
-    alpha: Annotated[float | None, Field(description="Roughness: that of GGX or of Beckmann's distribution.")]
-    kappa: Annotated[float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller one falls slower.")]
-    f0: Annotated[Rgb | None, Field(description="Reflectance of its facets at normal incidence.")]
-    f90: Annotated[float | None, Field(description="The same at grazing incidence.")]
+    layers: Annotated[
+        list[dict[str, Any]], Field(description="Layers fitted to its values, as the export of layers writes them.")
+    ]
+    surfaces: Annotated[list[SurfaceDocument], Field(description="Its rough surfaces, at most two.", max_length=2)]
+    misfit: MisfitDocument
+    remarks: Annotated[list[str], Field(description="Sentences about parameters that do not describe it.")]
     lobe: ComponentLobe
     ranges: ComponentRangesDocument
 

@@ -29,7 +29,7 @@ from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
 from .components import ComponentDocument
 from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheOptions, TheRow, TheTableOptions, name_of
-from .fields import FIT_ID, PLAIN, SHA256, Input, Name, Options, Page, Share, as_time, next_page, parse_document
+from .fields import FIT_ID, PLAIN, SHA256, Input, Name, Options, Page, Range, Share, as_time, next_page, parse_document
 from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLE_PARAMETERS, TABLES, receive_upload
 
 
@@ -78,6 +78,9 @@ class FitDocument(FitSummary):
     ]
     components: Annotated[
         list[ComponentDocument] | None, Field(description="Those that have light, from narrow to wide.")
+    ]
+    diffuse_range: Annotated[
+        Range | None, Field(description="Where the diffuse fraction of all light lies with a probability of 90 %.")
     ]
     structures: Annotated[
         list[dict[str, Any]] | None,

@@ -15,7 +15,6 @@ from PIL import Image
 
 import dsbrdf
 from dsbrdf import FitResult, decompose, load, read_merl, render_sphere
-from dsbrdf.components import SpecularLayer
 from dsbrdf.fitting import SelectionStep
 from dsbrdf.fitting.lobe_search import SearchStep
 from dsbrdf.output import export_model, from_json
@@ -84,12 +83,12 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
         assert item["light_share"] == pytest.approx(component.light_share)
         assert item["ranges"]["light_share"] == list(component.ranges.light_share)
         assert (item["albedo"], item["color"]) == (component.albedo.tolist(), component.color.tolist())
-        if component.half_width is None or not isinstance(component.layer, SpecularLayer):
-            assert [item[name] for name in ("half_width_deg", "alpha", "kappa", "f0", "f90")] == [None] * 5
-        else:
-            assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width))
-            assert (item["alpha"], item["f0"]) == (component.alpha, np.asarray(component.f0).tolist())
-            assert f"  alpha       {component.layer.alpha:<9.3g}(" in "\n".join(lines)
+        width = component.half_width
+        assert item["half_width_deg"] == (None if width is None else pytest.approx(np.degrees(width)))
+        for number, (stated, surface) in enumerate(zip(item["surfaces"], component.surfaces, strict=True), 1):
+            assert stated["alpha"] == surface.alpha
+            assert tuple(stated["f0"]) == surface.f0
+            assert f"  surface {number}   alpha     {surface.alpha:<9.3g}(" in "\n".join(lines)
         lobe = item["lobe"]
         angles = np.radians(lobe["theta_diff_deg"])
         np.testing.assert_allclose(lobe["height"], component.layers.evaluate(0.0, angles), rtol=1e-9)

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 
 import dsbrdf
 from dsbrdf import DSBRDF, InvalidArgumentError, Measurement, decompose
-from dsbrdf.components import LABELS, SpecularLayer
+from dsbrdf.components import LABELS
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, synthetic_measurement
 from dsbrdf.model import FAMILIES
 from tests.support.known_models import single_lobe
@@ -126,15 +126,16 @@ def test_a_component_says_its_physical_parameters_with_ranges(paint_model: DSBRD
     parts = decompose(paint_model)
     assert parts.structure == "dielectric over diffuse"
     spike, diffuse = parts["specular_spike"], parts["diffuse"]
-    layer, ranges = spike.layer, spike.ranges
-    assert isinstance(layer, SpecularLayer)
-    assert layer.alpha == pytest.approx(ROUGHNESS, rel=0.05)
-    np.testing.assert_allclose(layer.f0, COAT, rtol=0.15)
-    assert ranges.alpha is not None
-    assert ranges.alpha[0] < ROUGHNESS < ranges.alpha[1]
-    assert ranges.f0 is not None
-    assert all(low < value < high for value, (low, high) in zip(COAT, ranges.f0, strict=True))
-    assert (diffuse.layer, diffuse.half_width, diffuse.ranges.alpha) == (None, None, None)
+    (surface,) = spike.surfaces
+    assert surface.alpha == pytest.approx(ROUGHNESS, rel=0.05)
+    assert surface.kappa == pytest.approx(2.0, rel=0.1)
+    assert surface.f0 is not None
+    np.testing.assert_allclose(surface.f0, COAT, rtol=0.15)
+    assert surface.alpha_range is not None
+    assert surface.alpha_range[0] < ROUGHNESS < surface.alpha_range[1]
+    assert surface.f0_range is not None
+    assert all(low < value < high for value, (low, high) in zip(COAT, surface.f0_range, strict=True))
+    assert (diffuse.surfaces, diffuse.half_width) == ((), None)
     for component in parts:
         low, high = component.ranges.light_share
         assert low <= component.light_share <= high < low + 0.1

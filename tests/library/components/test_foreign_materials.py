@@ -79,16 +79,20 @@ def test_light_is_on_its_own_side_and_the_share_within_its_range(name: str) -> N
 @pytest.mark.parametrize("name", [*IN_RANGE, "silver_15_beckmann", "coloured_highlight"])
 def test_roughness_and_reflectance_of_a_layer_come_out_as_they_were_put_in(name: str) -> None:
     parts, found = known(name)
-    assert found.alpha == pytest.approx(0.0, abs=0.03)
-    assert found.f0 == pytest.approx(0.0, abs=0.10)
+    assert found.surface is not None
+    assert found.surface.alpha == pytest.approx(0.0, abs=0.03)
+    assert found.surface.f0 == pytest.approx(0.0, abs=0.10)
     material, component = CATALOGUE[name], parts[parts.labels[0]]
     assert material.f0 is not None
     np.testing.assert_allclose(component.color, material.f0 / material.f0.max(), atol=0.06)
-    ranges, true = (component.ranges.f0, component.ranges.alpha), [*material.f0, material.alpha]
-    low, high = np.vstack([stated for stated in ranges if stated is not None]).T
+    surface = component.surfaces[0]
+    assert surface.alpha_range is not None
+    assert surface.f0_range is not None
+    low, high = np.vstack([*surface.f0_range, surface.alpha_range]).T
+    true = [*material.f0, material.alpha]
     assert np.all((low <= true) & (true <= high)) or name not in IN_RANGE
-    assert component.kappa is not None  # 2 is the tail of GGX, more a shorter one
-    assert component.kappa > 4.0 if material.distribution == "beckmann" else abs(component.kappa - 2.0) < 0.15
+    assert surface.kappa is not None  # 2 is the tail of GGX, more a shorter one
+    assert surface.kappa > 4.0 if material.distribution == "beckmann" else abs(surface.kappa - 2.0) < 0.15
 
 
 @pytest.mark.parametrize(

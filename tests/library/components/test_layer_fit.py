@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
-from dsbrdf.components.layer_data import layer_data
+from dsbrdf.components.layer_data import component_data, grid_values, material_data
 from dsbrdf.components.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
 from dsbrdf.components.structures import STRUCTURES
 
@@ -41,7 +41,7 @@ MATERIALS: dict[str, tuple[tuple[Layer, ...], float]] = {
 
 
 def fitted(*layers: Layer) -> list[FittedStructure]:
-    data = layer_data(LayeredModel(layers))
+    data = material_data(grid_values(LayeredModel(layers)))
     assert data is not None
     return fit_structures(data)
 
@@ -65,7 +65,7 @@ def test_parameters_come_out_as_they_were_put_in() -> None:
 
 
 def test_the_descent_ends_in_a_minimum_of_the_documented_cost() -> None:
-    data = layer_data(LayeredModel((PLASTIC, GROUND)))
+    data = material_data(grid_values(LayeredModel((PLASTIC, GROUND))))
     assert data is not None
     structure = next(one for one in STRUCTURES if one.name == "dielectric over diffuse")
     (found,) = fit_structures(data, [structure])
@@ -105,10 +105,12 @@ def test_draws_do_not_hang_on_which_eigenvectors_a_library_finds() -> None:
 
 
 def test_weights_of_the_data_are_shares_of_the_signal() -> None:
-    data = layer_data(LayeredModel((PLASTIC, GROUND)))
+    data = material_data(grid_values(LayeredModel((PLASTIC, GROUND))))
     assert isinstance(data, LayerData)
     assert np.sum(data.weighted**2) == pytest.approx(1.0)
 
 
 def test_a_model_without_light_has_no_data() -> None:
-    assert layer_data(LayeredModel(())) is None
+    dark = grid_values(LayeredModel(()))
+    assert material_data(dark) is None
+    assert component_data(dark, has_peak=True) is None

@@ -1,5 +1,6 @@
 """Components over HTTP: readable, adding up to the fit, absent without light."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -37,11 +38,10 @@ def test_components_are_those_of_the_library_and_lead_the_fits_document(
         assert item["structure"] == component.structure
         low, high = item["ranges"]["light_share"]
         assert low <= item["light_share"] <= high
-        if component.half_width is None:
-            assert item["half_width_deg"] is item["alpha"] is None
-        else:
-            assert item["half_width_deg"] == pytest.approx(np.degrees(component.half_width), rel=1e-12)
-            assert item["alpha"] == getattr(component.layer, "alpha", None)
+        width = component.half_width
+        assert item["half_width_deg"] == (None if width is None else pytest.approx(np.degrees(width), rel=1e-12))
+        assert [surface["alpha"] for surface in item["surfaces"]] == [surface.alpha for surface in component.surfaces]
+        assert item["misfit"] == asdict(component.misfit)
 
 
 def test_the_height_of_a_component_is_its_own_layers_at_the_stated_angles(

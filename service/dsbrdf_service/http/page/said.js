@@ -29,12 +29,13 @@ const NUMBERS = [
   ["light_share", "light", (value) => `${Math.round(100 * value)} %`],
   ["color", "colour", (value) => value.toFixed(2)],
   ["albedo", "albedo", (value) => value.toFixed(3)],
-  ["alpha", "alpha", three],
   ["half_width_deg", "half width", (value) => `${three(value)}°`],
-  ["kappa", "kappa", three],
-  ["f0", "F0", three],
   ["height", "height in 1/sr", three],
 ];
+
+// Of a surface of a component: the same.
+/** @type {[string, string, (value: number) => string][]} */
+const OF_SURFACES = [["alpha", "alpha", three], ["kappa", "kappa", three], ["f0", "F0", three], ["f90", "F90", three]];
 
 /** @param {(string | HTMLElement)[]} title @param {string} value @param {string} meaning */
 function row(title, value, meaning) {
@@ -52,13 +53,26 @@ function showComponents(table, components) {
   if (!components.length) return table.append(tableRow(["There are none: the fit is black."]));
   const heads = components.map(({ label }) => make("span", { className: `name c-part-${LABELS.indexOf(label)}` }, words(label)));
   const rows = NUMBERS.map(([property, title, write]) => [title, ...components.map((part) => {
-    const values = [Object({ ...part, height: part.lobe.height[0] })[property]].flat();
-    const ranges = [Object(part.ranges)[property]].flat(values.length > 1 ? 1 : 0);
-    const cells = values.map((value, i) => numberCell(value, ranges[i], values.length, write));
     const swatch = make("span", { className: "swatch", style: `background: color(srgb-linear ${part.color.join(" ")})` });
-    return make("span", {}, ...(property === "color" ? [swatch] : []), ...cells.flatMap((cell) => [cell, " "]));
+    const cell = valuesCell(Object({ ...part, height: part.lobe.height[0] })[property], Object(part.ranges)[property], write);
+    if (property === "color") cell.prepend(swatch);
+    return cell;
   })]);
+  const most = Math.max(...components.map(({ surfaces }) => surfaces.length));
+  for (let i = 0; i < most; i += 1) {
+    for (const [property, title, write] of OF_SURFACES) {
+      const cells = components.map(({ surfaces: { [i]: surface } }) => (surface ? valuesCell(Object(surface)[property], Object(surface)[`${property}_range`], write) : ""));
+      rows.push([most > 1 ? `${title}, surface ${i + 1}` : title, ...cells]);
+    }
+  }
   return table.append(tableRow(["", ...heads], true), ...rows.map((cells) => tableRow(cells)));
+}
+
+/** One value or several, with their ranges. @param {number | number[] | null} value @param {any} range @param {(value: number) => string} write */
+function valuesCell(value, range, write) {
+  const values = [value].flat();
+  const ranges = [range].flat(values.length > 1 ? 1 : 0);
+  return make("span", {}, ...values.flatMap((one, i) => [numberCell(one, ranges[i], values.length, write), " "]));
 }
 
 /** A number with its range: beside it, or under the pointer where there are several. @param {number | null} value @param {Interval | null | undefined} range @param {number} several @param {(value: number) => string} write */
@@ -146,15 +160,15 @@ export function showSide(box, fit) {
   find(box, ".warnings").append(...warningsOf(fit.warnings));
   showComponents(find(box, ".components"), fit.components);
   find(box, ".scroll").setAttribute("aria-label", `Components of ${nameOf(fit)}`);
-  find(box, ".remarks").append(...fit.components.flatMap((part) => part.remarks ?? []).map((remark) => make("p", { className: "note" }, remark)));
+  find(box, ".remarks").append(...fit.components.flatMap((part) => part.remarks).filter((remark) => !fit.warnings.includes(remark)).map((remark) => make("p", { className: "note" }, remark)));
   const [options, meanings] = [find(box, ".fitted-by"), find(box, ".meanings")];
   whenOpened(options, async () => {
     const described = optionsOf(await openapi());
     options.replaceChildren(...Object.entries(fit.options).map(([name, value]) => row([make("code", {}, name)], String(value ?? "none"), sentenceOf(described[name].description))));
   });
   whenOpened(meanings, async () => {
-    const { ComponentDocument, ComponentLobe } = (await openapi()).components.schemas;
-    const described = { ...ComponentDocument.properties, ...ComponentLobe.properties };
-    meanings.replaceChildren(...NUMBERS.map(([property, title]) => row([title], "", described[property].description)));
+    const { ComponentDocument, ComponentLobe, SurfaceDocument } = (await openapi()).components.schemas;
+    const described = { ...ComponentDocument.properties, ...ComponentLobe.properties, ...SurfaceDocument.properties };
+    meanings.replaceChildren(...[...NUMBERS, ...OF_SURFACES].map(([property, title]) => row([title], "", described[property].description)));
   });
 }

@@ -3,11 +3,13 @@ type Rgb = [number, number, number];
 type Interval = [number, number];
 
 interface Component {
-  label: string; light_share: number; albedo: Rgb; color: Rgb; remarks?: string[];
-  half_width_deg: number | null; alpha: number | null; kappa: number | null; f0: Rgb | null;
+  label: string; light_share: number; albedo: Rgb; color: Rgb; remarks: string[];
+  half_width_deg: number | null; surfaces: Surface[];
   lobe: { theta_diff_deg: number[]; height: Rgb[] };
-  ranges: { light_share: Interval; albedo: Interval[]; color: Interval[]; half_width_deg: Interval | null; alpha: Interval | null; f0: Interval[] | null };
+  ranges: { light_share: Interval; albedo: Interval[]; color: Interval[] };
 }
+
+interface Surface { alpha: number | null; kappa: number | null; f0: Rgb | null; f90: number | null; alpha_range: Interval | null; f0_range: Interval[] | null }
 
 interface Fit {
   id: string; name: string | null; status: string; progress: number; measurement: string; likeness: string | null;
