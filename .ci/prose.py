@@ -22,7 +22,7 @@ NOT_YET_CLEAN = (
         for wing in ("cli", "components", "data", "engines", "fitting", "model", "output", "rendering")
     ),
     "dsbrdf/samples/",
-    "service/",
+    "service/dsbrdf_service/api/",
 )
 
 DANGLING_COMMENT = re.compile(r"(?:#|//|/\*)+ ?(?:of|which|that|to|with|by)\b")

@@ -4,7 +4,7 @@ import signal
 import sys
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # what follows takes a second, and Ctrl-C may end it at once
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # The imports take a second; Ctrl-C ends them at once.
 
 from .admin.serve import main
 

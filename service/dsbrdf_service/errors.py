@@ -1,13 +1,10 @@
-"""Every error that the service raises on purpose.
-
-The library's own errors and those of the machine are answered with problem documents too: `http.problems`.
-"""
+"""The errors that the service raises on purpose; `http.problems` answers the library's and the machine's as well."""
 
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_PLAIN_WORDS = {  # for what pydantic says
+_PLAIN_WORDS = {  # Patterns in pydantic's messages, and plain words for each.
     r", unable to [^,]*| after validation": "",
     r"^(Input|String|List|Value) should (be|have|match) ": r"must \2 ",
     r"^Value error, ": "",
@@ -31,14 +28,14 @@ class DataFolderError(DSBRDFServiceError):
 
 
 class DatabaseLostError(DSBRDFServiceError, OSError):
-    """The database's file has been removed or replaced: what is written now would be lost with this process."""
+    """The database's file has been removed or replaced, so further writes would be lost with this process."""
 
 
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 
-    `kind` is a key of `http.problems.KINDS`, which has the status; `detail` is one sentence: what is wrong and
-    what would be right. The response gets `headers`.
+    `kind` is a key of `http.problems.KINDS`, which has the status. `detail` is one sentence that says what is wrong,
+    and how to mend it. The response gets `headers`.
     """
 
     def __init__(self, kind: str, detail: str, headers: Mapping[str, str] | None = None) -> None:
@@ -60,7 +57,7 @@ class FitNotFoundError(ProblemError):
     """The caller has no fit with this id."""
 
     def __init__(self, fit_id: str) -> None:
-        super().__init__("not-found", f"There is no fit {fit_id[:64]!r}; GET /v1/fits lists those that there are.")
+        super().__init__("not-found", f"There is no fit {fit_id[:64]!r}; GET /v1/fits lists your fits.")
 
 
 class MeasurementNotFoundError(ProblemError):
@@ -72,14 +69,14 @@ class MeasurementNotFoundError(ProblemError):
 
 
 class MeasurementDamagedError(ProblemError):
-    """The file of a measurement is missing, or has not the bytes that it is named by: what is needed is an upload."""
+    """The file of a measurement is missing, or its bytes have another sha256: it must be uploaded again."""
 
     def __init__(self, damage: str) -> None:
         super().__init__("measurement-damaged", f"The stored measurement is damaged ({damage}); upload it again.")
 
 
 def validation_sentence(errors: Sequence[Mapping[str, Any]]) -> str:
-    """Return pydantic's list of errors as one sentence, with what was given instead."""
+    """Return pydantic's list of errors as one sentence, with the values that were sent."""
     parts = []
     for error in errors[:3]:
         place = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "path"))

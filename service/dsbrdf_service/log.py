@@ -1,8 +1,7 @@
 """The service's log: every line of this process, whoever writes it, on stderr: JSON, or words at a terminal.
 
-A line carries the id of the request that caused it, and what else was bound, also in the tasks and threads that the
-request has started. Keys never reach it: whatever looks like one is cut out of every text. A line stays short, whatever
-a client sends.
+A line carries the id of the request that caused it, and whatever else was bound, also in the tasks and threads that the
+request has started. Texts that look like keys are cut out of every line. Long texts are cut off.
 """
 
 import json
@@ -23,22 +22,22 @@ from typing import Any
 from .settings import Settings
 
 _SECRETS = re.compile(r"(dsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic)\s+)[\w.~+/=-]{8,})")
-# What every record has, and uvicorn's copy of the message with colours; all else was given as `extra`.
+# Every record has these attributes, and uvicorn adds the message with colours; all others were given as `extra`.
 _NOT_SHOWN = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime", "color_message"))
-_LONGEST = 500  # characters of one value in a line
-_LONGEST_TRACEBACK = 20_000
+_MAX_VALUE_LENGTH = 500  # [characters] Longer values in a line are cut off.
+_MAX_TRACEBACK_LENGTH = 20_000  # [characters]
 _bound: ContextVar[Mapping[str, str]] = ContextVar("bound", default=MappingProxyType({}))
-_MOST_WAITING = 2000  # lines
-_LONGEST_FLUSH = 1.0  # seconds
+_MAX_QUEUED_LINES = 2000  # Further lines are dropped and counted until a reader takes some.
+_FLUSH_TIMEOUT_S = 1.0
 
 
 def bind(name: str, value: str) -> None:
-    """Add a value to what this task logs from now on, and the tasks and threads that it starts."""
+    """Add a value to all lines that this task logs from now on, and the tasks and threads that it starts."""
     _bound.set({**_bound.get(), name: value})
 
 
 def configure(settings: Settings) -> None:
-    """Send everything that is logged or warned of in this process to stderr, from the level of the settings on."""
+    """Write all log lines and warnings of this process to stderr, from the level of the settings on."""
     handler = LogWriter(sys.stderr.fileno())
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
     handler.setFormatter(LineFormatter(in_words=sys.stderr.isatty()))
@@ -46,16 +45,16 @@ def configure(settings: Settings) -> None:
 
 
 class LogWriter(logging.Handler):
-    """Hands lines to a thread that writes them to a descriptor, so that who logs never waits for who reads the log.
+    """A handler whose own thread writes the lines, so that logging never waits for a slow reader of the log.
 
-    Lines for which there is no room are dropped and counted; the count is a line too. The descriptor is used without
-    the lock of Python's streams, which a thread that waits forever would keep.
+    When the queue is full, lines are dropped and counted, and the count is logged. The thread writes to the descriptor
+    itself: it would hold the lock of a Python stream as long as nobody reads.
     """
 
     def __init__(self, descriptor: int) -> None:
         super().__init__()
         self._descriptor = descriptor
-        self._lines: Queue[str] = Queue(_MOST_WAITING)
+        self._lines: Queue[str] = Queue(_MAX_QUEUED_LINES)
         self._n_dropped = 0
         Thread(target=self._write_lines, name="log", daemon=True).start()
 
@@ -67,29 +66,29 @@ class LogWriter(logging.Handler):
             self._n_dropped += 1
 
     def flush(self) -> None:
-        """Wait for the lines to be written, for a moment."""
-        end = time.monotonic() + _LONGEST_FLUSH
+        """Wait at most a second for the queued lines to be written."""
+        end = time.monotonic() + _FLUSH_TIMEOUT_S
         while self._lines.unfinished_tasks and time.monotonic() < end:
             time.sleep(0.01)
 
     def _write_lines(self) -> None:
-        n_told = 0
+        n_reported = 0
         while True:
             lines, n_dropped = [self._lines.get()], self._n_dropped
-            if n_dropped > n_told:
-                told = f"{n_dropped - n_told} lines of the log were dropped: nobody read it."
-                about = {"name": __name__, "levelname": "WARNING", "msg": told}
+            if n_dropped > n_reported:
+                report = f"{n_dropped - n_reported} lines of the log were dropped: nobody read it."
+                about = {"name": __name__, "levelname": "WARNING", "msg": report}
                 lines.append(self.format(logging.makeLogRecord(about)))
-                n_told = n_dropped
+                n_reported = n_dropped
             rest = "".join(f"{line}\n" for line in lines).encode(errors="replace")
-            with suppress(OSError):  # nobody can read it any more
+            with suppress(OSError):  # The reader of the log has gone.
                 while rest:
                     rest = rest[os.write(self._descriptor, rest) :]
             self._lines.task_done()
 
 
 class LineFormatter(logging.Formatter):
-    """Makes a line of a log record: JSON, or words, first when and what happened, then the rest by name."""
+    """A formatter that makes one line of a record: JSON, or words with time, level and event first."""
 
     def __init__(self, *, in_words: bool = False) -> None:
         super().__init__()
@@ -105,24 +104,24 @@ class LineFormatter(logging.Formatter):
             **_bound.get(),
         }
         line |= {name: value for name, value in vars(record).items() if name not in _NOT_SHOWN}
-        line = {name: _shown(value, _LONGEST) for name, value in line.items()}
-        # A record that came from another process has its traceback as text.
+        line = {name: _shown(value, _MAX_VALUE_LENGTH) for name, value in line.items()}
+        # A record from another process has its traceback as text.
         exception = self.formatException(record.exc_info) if record.exc_info else record.exc_text
         if exception:
-            line["exception"] = _shown(exception, _LONGEST_TRACEBACK)
+            line["exception"] = _shown(exception, _MAX_TRACEBACK_LENGTH)
         if not self._in_words:
             return json.dumps(line)
-        texts = {name: json.dumps(value).strip('"') for name, value in line.items()}  # on one line, as in JSON
+        texts = {name: json.dumps(value).strip('"') for name, value in line.items()}  # JSON has no line breaks.
         first = [texts.pop(name) for name in ("time", "level", "event")]
         return " ".join([*first, *(f"{name}={text}" for name, text in texts.items())])
 
 
-def _shown(value: Any, longest: int) -> Any:
-    """Return a number as it is, and anything else as a text without keys; of a long text, the beginning and the length.
+def _shown(value: Any, max_length: int) -> Any:
+    """Return a number as it is, and anything else as a text without keys, cut off at `max_length` characters.
 
-    Keys are cut out first: a part of one does not look like a key.
+    Keys are removed before the text is cut: a part of a key would not be recognised.
     """
     if value is None or isinstance(value, int | float):
         return value
     text = _SECRETS.sub(lambda match: f"{match[1] or match[2]}...", str(value))
-    return text if len(text) <= longest else f"{text[:longest]}... ({len(text)} characters)"
+    return text if len(text) <= max_length else f"{text[:max_length]}... ({len(text)} characters)"

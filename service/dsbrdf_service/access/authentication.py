@@ -1,8 +1,8 @@
 """Authentication: whose request it is, whether it is allowed, how often, and how many at once.
 
-A key is needed where other machines can reach the service. On loopback the local user needs none; the request must then
-be this user's own: not one from a page of another site in the user's browser, nor one to a foreign host name that has
-been made to resolve to this machine.
+A key is needed where other machines can reach the service. On loopback the local user needs none. Two kinds of requests
+reach loopback without being the user's own, and are refused: those of another site's page in the user's browser, and
+those to a foreign host name that was made to resolve to this machine.
 """
 
 import math
@@ -20,17 +20,19 @@ from .keys import Keys
 
 HEALTH = ("/health/live", "/health/ready")
 """Paths that are answered to everyone, even when the service is overloaded."""
-CALLER = "dsbrdf.caller"  # members of the ASGI scope: whose rows a request sees,
-CALLER_NAME = "dsbrdf.caller_name"  # and whom it counts for, a key or an address
+CALLER = "dsbrdf.caller"
+"""Member of the ASGI scope: the `Caller` whose rows the request sees."""
+CALLER_NAME = "dsbrdf.caller_name"
+"""Member of the ASGI scope: the key or the address that the request counts for."""
 _LOCAL = Caller()
-# A name without a dot is the machine's or the local network's: nobody outside can make it resolve to this machine.
+# Names without a dot are allowed: nobody outside of the local network can make them resolve to this machine.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 
 
 class Access:
-    """Lets requests in with their callers, or refuses them; one caller can take half of all places.
+    """Admits requests with their callers, or refuses them; one caller can take half of all places.
 
-    What `is_open` says of a path is whether it shows nothing that belongs to a key.
+    `is_open` says whether a path shows nothing that belongs to a key.
     """
 
     def __init__(self, settings: Settings, keys: Keys, in_progress: Gauge, is_open: Callable[[str], bool]) -> None:
@@ -39,11 +41,11 @@ class Access:
         self._needs_key = settings.require_keys or not (settings.loopback or settings.insecure)
         self._local_only = settings.loopback and not settings.insecure
         self._free = self._places = settings.limit_concurrency
-        self._in_progress: Counter[str] = Counter()  # requests of each key, or of each address without one
+        self._in_progress: Counter[str] = Counter()  # By key, or by address without a key.
         in_progress.set_function(lambda: self._places - self._free)
 
     def admit(self, scope: Scope, headers: dict[bytes, bytes]) -> str | None:
-        """Count a request and return whose it is, a key's or an address's; None if it asks for the service's health.
+        """Count a request and return its key or its address; None if it asks for the service's health.
 
         Raises ProblemError if the request is not allowed, or all places are taken, or the caller has more requests in
         progress than places are free.
@@ -62,7 +64,7 @@ class Access:
                 caller = f"key {scope[CALLER].owner}"
             else:
                 self._check_local(headers)
-            if not path.isprintable():  # a route would take a line break for the end of the path
+            if not path.isprintable():  # A route takes a line break for the end of the path.
                 raise ProblemError("not-found", "No path here has control characters; GET /docs lists what there is.")
         scope[CALLER_NAME] = caller
         number = self._in_progress[caller]
@@ -74,7 +76,7 @@ class Access:
         return caller
 
     def release(self, caller: str | None) -> None:
-        """Give the place of a request back."""
+        """Release the place of a request."""
         if caller is not None:
             self._free += 1
             self._in_progress[caller] -= 1
@@ -82,9 +84,9 @@ class Access:
                 del self._in_progress[caller]
 
     def _owner(self, scope: Scope) -> Caller:
-        """Return whose key a request has, and count it.
+        """Return the owner of the key that a request sends, and count the request.
 
-        A key that is sent is checked even where none is needed; with two it would be unclear which one counts.
+        A key is checked even where none is needed. Two keys are refused, because either could be meant.
         """
         sent = [value for name, value in scope["headers"] if name == b"authorization"]
         scheme, _, text = sent[0].partition(b" ")
@@ -98,7 +100,7 @@ class Access:
         return caller
 
     def _check_local(self, headers: dict[bytes, bytes]) -> None:
-        """Check that it is the local user who asks."""
+        """Check that the request is the local user's own."""
         if self._needs_key:
             detail = "An API key is needed here; send it as 'Authorization: Bearer <key>'."
             raise ProblemError("unauthorized", detail, {"WWW-Authenticate": "Bearer"})

@@ -1,7 +1,7 @@
 """API keys: who may send requests, and how many.
 
 A key is ``dsbrdf_<id>_<secret>``. The database has the sha256 of its secret only: a secret of 32 random bytes cannot
-be guessed from it, so nothing slower is needed. The id is public, and it is the owner of what is stored with the key.
+be guessed from its hash, so a slow hash would add nothing. The id is public, and owns all that is stored with the key.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ from ..storage.database import Database
 from ..storage.keys import active_key, insert_key, is_active
 from ..storage.schema import Caller
 
-if TYPE_CHECKING:  # pydantic takes longer to import than `dsbrdf keys` to run
+if TYPE_CHECKING:  # Importing pydantic would take longer than `dsbrdf keys` takes to run.
     from ..settings import Settings
 
 _KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
@@ -25,7 +25,7 @@ _BURST_SECONDS = 5.0
 
 
 def add_key(database: Database, name: str, **fields: Any) -> tuple[str, str]:
-    """Make a key, with other `fields` of its row; return its id and the key itself, which cannot be shown again."""
+    """Make a key, with other `fields` of its row; return its id and the key, which is not stored."""
     key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
     digest = hashlib.sha256(secret.encode()).hexdigest()
     insert_key(database, {"id": key_id, "name": name, "secret_sha256": digest, **fields})
@@ -33,18 +33,18 @@ def add_key(database: Database, name: str, **fields: Any) -> tuple[str, str]:
 
 
 class Keys:
-    """The active keys of a database, which is asked each time; `settings` has the limits of keys without their own."""
+    """The active keys of a database, which is read at each request; `settings` has the default limits."""
 
     def __init__(self, settings: "Settings") -> None:
         self._usual = settings.key_requests_per_second, settings.key_stored_mb, settings.key_queued_fits
-        self._paid_until: dict[str, float] = {}  # by key: when its requests so far would end, one after the other
+        self._paid_until: dict[str, float] = {}  # By key: when its requests so far end at the rate that it may have.
 
     def open(self, database: Database) -> None:
-        """Set the database; before, there are no keys to ask for."""
+        """Set the database, before the first request."""
         self._database = database
 
     def find(self, text: bytes) -> Caller | None:
-        """Return whose key has this text; the time that it takes does not depend on which part of it is wrong."""
+        """Return the caller whose key has this text, or None; the time does not tell which part of it is wrong."""
         parts = _KEY.fullmatch(text)
         if parts is None:
             return None
@@ -60,7 +60,7 @@ class Keys:
     def wait(self, caller: Caller) -> float:
         """Count a request and return 0, or return the time until the next one may come [s].
 
-        Those of five seconds, and one at least, may come at once.
+        A burst may have the requests of five seconds, and always one.
         """
         now, each = monotonic(), 1.0 / caller.requests_per_second
         begin = max(now, self._paid_until.get(caller.owner, now))

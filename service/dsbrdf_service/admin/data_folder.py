@@ -1,4 +1,4 @@
-"""What the commands on a data folder have in common: which folder it is, and how they end."""
+"""The data folder of a command, and the errors with which commands on a folder end."""
 
 import os
 import sqlite3
@@ -20,9 +20,9 @@ Json = Annotated[bool, Parameter(help="Print one JSON document instead of text."
 
 
 def data_folder(given: Path | None, *, existing: bool = True) -> Path:
-    """Return the data folder: the one given, that of the environment, or the default one.
+    """Return the given data folder, or else the folder that the environment names, or else the default one.
 
-    Raises DataFolderError if it is to be an `existing` one and no service has made it.
+    Raises DataFolderError if it must be an `existing` one and no service has made it.
     """
     folder = given or Path(os.environ.get("DSBRDF_DATA_DIR") or DEFAULT_DATA_DIR)
     if existing and not is_data_folder(folder):
@@ -31,10 +31,10 @@ def data_folder(given: Path | None, *, existing: bool = True) -> Path:
 
 
 def run_on_folder(app: App, words: Sequence[str]) -> int:
-    """Run what `words` ask of an application that works on a data folder; return the exit code."""
+    """Run an application that works on a data folder with the arguments `words`; return the exit code."""
     try:
         return run_words(app, words)
-    except BrokenPipeError:  # of who has read enough
+    except BrokenPipeError:  # The reader of the output has left; the caller handles that.
         raise
     except (DataFolderError, OSError) as error:
         return refuse(str(error))
@@ -44,6 +44,6 @@ def run_on_folder(app: App, words: Sequence[str]) -> int:
 
 
 def refuse(reason: str) -> int:
-    """Say why the command cannot be run; return the exit code."""
+    """Print why the command cannot be run; return the exit code."""
     print_error(reason)
     return BAD_INPUT

@@ -12,7 +12,7 @@ from .data_folder import DataDir, Json, data_folder, run_on_folder
 
 
 def main(words: Sequence[str]) -> int:
-    """Run the command with the words that follow it; return the exit code."""
+    """Run the command with the arguments that follow its name; return the exit code."""
     app = new_application("dsbrdf doctor", "Check the service's database and every measurement; a server may run.")
     app.default(_examine)
     return run_on_folder(app, words)
@@ -61,4 +61,4 @@ def _files(folder: Path) -> tuple[bool, str]:
 
 
 CHECKS = {"database": _database, "measurements": _measurements, "files": _files}
-"""A check returns whether all is well, and what it has found."""
+"""The checks in their order; each returns whether all is well, and one sentence."""

@@ -16,12 +16,12 @@ from ..storage.database import Database, is_data_folder
 from ..storage.keys import all_keys, revoke_key
 from .data_folder import DataDir, Json, data_folder, refuse, run_on_folder
 
-_MAX_NAME = 100
-_TIMES = ("created", "revoked")
+_MAX_NAME_LENGTH = 100
+_TIME_COLUMNS = ("created", "revoked")
 
 
 def main(words: Sequence[str]) -> int:
-    """Run the command with the words that follow it; return the exit code."""
+    """Run the command with the arguments that follow its name; return the exit code."""
     app = new_application("dsbrdf keys", "API keys of the service; a running server heeds a change at once.")
     app.command(_add, name="add", help="Make a key and print it, this once.")
     app.command(_list, name="list", help="Print the keys, without their secrets.")
@@ -32,8 +32,8 @@ def main(words: Sequence[str]) -> int:
 
 
 def _check_name(_: Any, text: str) -> None:
-    if not 0 < len(text) <= _MAX_NAME or not text.isprintable() or text.isspace():
-        raise ValueError(f"a name has 1 to {_MAX_NAME} printable characters")
+    if not 0 < len(text) <= _MAX_NAME_LENGTH or not text.isprintable() or text.isspace():
+        raise ValueError(f"a name has 1 to {_MAX_NAME_LENGTH} printable characters")
 
 
 _Name = Annotated[str, Parameter(validator=_check_name, help="Whose key it is, for the list.")]
@@ -80,7 +80,7 @@ def _list(*, data_dir: DataDir = None, json: Json = False) -> None:
     with closing(Database(data_folder(data_dir), exclusive=False)) as database:
         rows = all_keys(database)
     for row in rows:
-        row |= {name: row[name] and datetime.fromtimestamp(row[name], UTC).isoformat() for name in _TIMES}
+        row |= {name: row[name] and datetime.fromtimestamp(row[name], UTC).isoformat() for name in _TIME_COLUMNS}
         row["metrics"] = bool(row["metrics"])
     if json:
         print_json({"items": rows})
@@ -89,5 +89,5 @@ def _list(*, data_dir: DataDir = None, json: Json = False) -> None:
     for row in rows:
         limits = (row[name] for name in ("requests_per_second", "stored_mb", "queued_fits"))
         rate, stored, fits = ("default" if limit is None else f"{limit:g}" for limit in limits)
-        days = "".join(f"{(row[name] or '-')[:16].replace('T', ' '):<18}" for name in _TIMES)
+        days = "".join(f"{(row[name] or '-')[:16].replace('T', ' '):<18}" for name in _TIME_COLUMNS)
         print(f"{row['id']:<14}{days}{rate:>12}{stored:>10}{fits:>10}  {row['name']}")

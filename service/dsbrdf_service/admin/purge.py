@@ -21,7 +21,7 @@ _PURPOSE = "Remove fits that ended long ago, measurements as old that no other f
 
 
 def main(words: Sequence[str]) -> int:
-    """Run the command with the words that follow it; return the exit code."""
+    """Run the command with the arguments that follow its name; return the exit code."""
     app = new_application("dsbrdf purge", _PURPOSE)
     app.default(_purge)
     return run_on_folder(app, words)

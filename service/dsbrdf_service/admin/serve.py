@@ -33,8 +33,8 @@ from ..storage.keys import has_active_key
 from ..storage.store import Store
 from .data_folder import refuse
 
-_CONNECTIONS = 8  # for each request that may be in progress: many are idle
-_CLEANUP_SECONDS = 5.0  # for what has to be closed after the open requests have ended
+_CONNECTIONS_PER_REQUEST = 8  # Most connections are idle; further ones are refused.
+_CLEANUP_TIMEOUT_S = 5.0  # Closing all parts after the last request takes less; then the process is ended.
 
 logger = logging.getLogger(__name__)
 _PURPOSE = "Run the HTTP service. Further settings are environment variables that begin with DSBRDF_."
@@ -54,7 +54,7 @@ def flags(
     workers: Annotated[str | None, _flag("workers")] = None,
     insecure: Annotated[bool | None, _flag("insecure")] = None,
 ) -> dict[str, Any]:
-    """Return the flags that are given, as text, which `Settings` checks."""
+    """Return the flags that were given, as texts, which `Settings` checks."""
     return {name: value for name, value in locals().items() if value is not None}
 
 
@@ -87,8 +87,8 @@ def _serve(given: Mapping[str, Any]) -> int:
                 f"{settings.host} can be reached from other machines and there is no API key: add one with "
                 "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
             )
-        make_engine(settings)  # what it needs may not be installed
-        store = Store(settings.data_dir)  # from here on no other server has the folder
+        make_engine(settings)  # Raises now if a library is missing.
+        store = Store(settings.data_dir)  # No other server can open the folder from here on.
     except (DataFolderError, MissingExtraError) as error:
         return refuse(str(error))
     except OSError as error:
@@ -113,16 +113,16 @@ def _run(settings: Settings, store: Store) -> int:
         host=settings.host,
         port=settings.port,
         http=Connection,
-        limit_concurrency=_CONNECTIONS * settings.limit_concurrency,
+        limit_concurrency=_CONNECTIONS_PER_REQUEST * settings.limit_concurrency,
         timeout_graceful_shutdown=settings.shutdown_seconds,
         server_header=False,
-        # Only where the operator names the proxies that are trusted: otherwise anyone could send that header.
+        # The headers of a proxy count only if the operator names the proxies, because anyone can send such headers.
         proxy_headers="FORWARDED_ALLOW_IPS" in os.environ,
         ws="none",
         log_config=None,
         log_level=settings.log_level,
         access_log=False,
-        callback_notify=partial(asyncio.to_thread, trim_memory),  # in a thread that requests do not have
+        callback_notify=partial(asyncio.to_thread, trim_memory),  # This thread is not one of the requests' threads.
         timeout_notify=60,
     )
     server = _Server(config)
@@ -132,22 +132,22 @@ def _run(settings: Settings, store: Store) -> int:
 
 
 class _Server(uvicorn.Server):
-    """Releases the requests that wait for a fit or follow one before it waits for requests to end."""
+    """A server that ends all waits for fits before it waits for the open requests to end."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Begin to end at a signal; further ones do not break that off, which takes some seconds at most."""
+        """Begin the shutdown at the first signal; further signals do not interrupt it."""
 
         def end(*_: object) -> None:
             self.should_exit = True
 
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-            if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+            if signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores SIGHUP, for example.
                 signal.signal(number, end)
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to serve, and tell a person at a terminal where."""
+        """Begin to serve, and print the address at a terminal."""
         await super().startup(sockets)
         if self.started and sys.stdout.isatty():
             host, port = self.servers[0].sockets[0].getsockname()[:2]
@@ -158,8 +158,8 @@ class _Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop accepting requests and let those in progress end soon."""
         context: Context = cast(FastAPI, self.config.app).state.context
-        # Accepted fits are stored, and the next start cleans up: the process ends in time although something hangs.
-        faulthandler.dump_traceback_later(context.settings.shutdown_seconds + _CLEANUP_SECONDS, exit=True)
+        # If a part hangs, the process ends all the same: accepted fits are stored, and the next start cleans up.
+        faulthandler.dump_traceback_later(context.settings.shutdown_seconds + _CLEANUP_TIMEOUT_S, exit=True)
         context.readiness.stop()
         context.queue.release_waiters()
         await super().shutdown(sockets)
@@ -176,14 +176,14 @@ def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
 
 
 def _raise_descriptor_limit() -> None:
-    """Raise the limit of open files to the largest allowed; the usual one is below the number of connections."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with suppress(OSError, ValueError):  # some systems report more than they allow
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    """Raise the limit of open files to the maximum; the usual limit is below the number of connections."""
+    _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(OSError, ValueError):  # Some systems report more than they allow.
+        resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
 
 
 def _check_address(host: str, port: int) -> None:
-    """Raise OSError unless the address can be listened on, before anything of the service runs."""
+    """Raise OSError unless the service could listen on the address."""
     for family, kind, protocol, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
         with socket.socket(family, kind, protocol) as trial:
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -1,4 +1,4 @@
-"""Models of finished fits that are kept in memory with their components: a request for values reads nothing."""
+"""A cache of fitted models with their components, so that a request for values parses nothing."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class ModelCache:
     def __init__(self, store: Store, size: int) -> None:
         self._store = store
         self._size = size
-        self._models: OrderedDict[tuple[FitKey, int | None], LoadedFit] = OrderedDict()  # by what tells its result
+        self._models: OrderedDict[tuple[FitKey, int | None], LoadedFit] = OrderedDict()  # By fit and result stamp.
 
     async def get(self, key: FitKey) -> LoadedFit:
         """Return the model of a fit; raise ProblemError if there is no such fit, or it has no result.
@@ -54,8 +54,8 @@ class ModelCache:
             self._models.move_to_end((key, stamp))
             return self._models[key, stamp]
         loaded = LoadedFit(*await run_in_threadpool(lambda: fit_from_json(self._store.result(key).decode())))
-        if stamp is not None:  # else its fit has ended meanwhile
-            loaded = self._models.setdefault((key, stamp), loaded)  # it may have come together with this request
+        if stamp is not None:  # Without a stamp, the fit has ended since it was read.
+            loaded = self._models.setdefault((key, stamp), loaded)  # Another request may have loaded it meanwhile.
             if len(self._models) > self._size:
                 self._models.popitem(last=False)
         return loaded

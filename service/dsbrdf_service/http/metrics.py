@@ -1,6 +1,6 @@
-"""What is counted and timed, for Prometheus; each application has a registry of its own.
+"""Counts and times for Prometheus; each application has a registry of its own.
 
-Labels take few values: a path counts under its route's template, and nothing by owner, fit or measurement.
+Labels have few values: a request counts under the template of its route, never by owner, fit or measurement.
 """
 
 from functools import cache
@@ -14,21 +14,21 @@ from ..storage.store import Store
 
 NO_ROUTE = "unknown"
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
-_SECONDS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+_BUCKET_BOUNDS_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
 
 class Metrics:
-    """The metrics of one service; each says in its description what it counts."""
+    """The metrics of one service."""
 
     def __init__(self) -> None:
         self._registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
         labels = ("method", "route", "status")
         requests = Counter("dsbrdf_requests", "Requests answered.", labels, registry=registry)
-        timed: dict[str, Any] = {"buckets": _SECONDS, "registry": registry}
+        timed: dict[str, Any] = {"buckets": _BUCKET_BOUNDS_S, "registry": registry}
         from_head_to_end = "Time from a request's head to the end of its answer [s]."
         request_seconds = Histogram("dsbrdf_request_seconds", from_head_to_end, ("method", "route"), **timed)
-        # Looking labels up takes longer than counting.
+        # The cache saves the look-up of the labels, which takes longer than counting.
         self._of_request = cache(lambda *of: (requests.labels(*of), request_seconds.labels(*of[:2])))
         stage_seconds = Histogram("dsbrdf_stage_seconds", "Time of a part of the work [s].", ("stage",), **timed)
         self.upload_seconds = stage_seconds.labels("upload")
@@ -46,7 +46,7 @@ class Metrics:
         histogram.observe(seconds)
 
     def exposition(self, store: Store) -> bytes:
-        """Return everything in Prometheus' text format, with what is stored now."""
+        """Return all metrics in Prometheus' text format, with the present numbers of the store."""
         numbers = store.fits_by_status()
         for state in get_args(Status):
             self._fits.labels(state).set(numbers.get(state, 0))

@@ -1,6 +1,6 @@
-"""Names of measurements and fits: given by who sends them, shown in lists, and the names of the files they become.
+"""Names of measurements and fits, which their senders choose; lists show them, and exported files have them.
 
-A name is no part of an identity: the same measurement or fit sent with another name is renamed.
+A name is no part of an identity: a measurement that is sent again under another name is renamed.
 """
 
 import re
@@ -11,7 +11,7 @@ from dsbrdf.errors import InvalidArgumentError
 
 MAX_LENGTH = 100
 _SUFFIX = ".binary"
-_LONGEST_HEADER = 1024
+_MAX_HEADER_LENGTH = 1024  # [characters] A longer Content-Disposition is refused.
 _PARAMETER = re.compile(r';\s*([^\s=;"]+)\s*=\s*("(?:[^"\\]|\\.)*"|[^\s;"]+)\s*')
 
 
@@ -33,14 +33,14 @@ def given_name(given: str | None, content_disposition: str) -> str | None:
     if given is not None:
         return check_name(given)
     name = _file_name(content_disposition)
-    # A folder is the sender's matter.
+    # The folder is cut off, because it means nothing to the service.
     return None if name is None else check_name(re.split(r"[/\\]", name)[-1].removesuffix(_SUFFIX))
 
 
 def _file_name(header: str) -> str | None:
-    """Return the file name in a ``Content-Disposition``, that with an encoding (RFC 8187) if there are two."""
-    if len(header) > _LONGEST_HEADER:
-        raise InvalidArgumentError(f"A Content-Disposition has at most {_LONGEST_HEADER} characters.")
+    """Return the file name in a ``Content-Disposition``, preferably ``filename*`` (RFC 8187)."""
+    if len(header) > _MAX_HEADER_LENGTH:
+        raise InvalidArgumentError(f"A Content-Disposition has at most {_MAX_HEADER_LENGTH} characters.")
     found: dict[str, str] = {}
     place = header.find(";")
     while place >= 0 and (parameter := _PARAMETER.match(header, place)):
@@ -54,7 +54,7 @@ def _file_name(header: str) -> str | None:
     if name is not None:
         name = re.sub(r"\\(.)", r"\1", name[1:-1]) if name.startswith('"') else name
         with suppress(UnicodeError):
-            return name.encode("latin-1").decode()  # many programs send UTF-8, though HTTP takes it for Latin-1
+            return name.encode("latin-1").decode()  # Many programs send UTF-8, though HTTP reads it as Latin-1.
     return name
 
 

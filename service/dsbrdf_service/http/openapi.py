@@ -1,4 +1,4 @@
-"""The OpenAPI document: what routes declare to FastAPI beyond their types, and what is true of every operation."""
+"""The OpenAPI document: declarations of routes beyond their types, and answers that every operation can give."""
 
 import json
 from collections.abc import Sequence
@@ -67,7 +67,7 @@ EXAMPLE_EVENTS = f"event: succeeded\ndata: {json.dumps(_FIT)}\n\n"
 
 
 def problems(*kinds: str, behind_a_key: bool = True) -> Responses:
-    """Return the responses for problems of these kinds, and of those that can occur at every operation."""
+    """Return the responses for problems of these kinds, and for the problems that every operation can have."""
     responses: Responses = {}
     for kind in (*kinds, *_EVERYWHERE, *(_BEHIND_A_KEY if behind_a_key else ())):
         status, title, retry_after = KINDS[kind]
@@ -81,17 +81,17 @@ def problems(*kinds: str, behind_a_key: bool = True) -> Responses:
 
 
 def headers(*names: str) -> dict[str, Any]:
-    """Return what a response declares of its headers."""
+    """Return the declaration of a response's headers."""
     return {"headers": {name: {"description": _HEADERS[name], "schema": {"type": "string"}} for name in names}}
 
 
 def body(description: str, content: dict[str, Any]) -> dict[str, Any]:
-    """Return a request body that the service reads itself; `content` by media type."""
+    """Return the declaration of a request body that FastAPI does not read; `content` by media type."""
     return {"requestBody": {"required": True, "description": description, "content": content}}
 
 
 def header_parameter(name: str, description: str, **schema: Any) -> dict[str, Any]:
-    """Return a request header that the service reads itself."""
+    """Return the declaration of a request header that FastAPI does not read."""
     return {"name": name, "in": "header", "description": description, "schema": {"type": "string", **schema}}
 
 
@@ -104,19 +104,19 @@ ENCODING = header_parameter("Content-Encoding", "The body may be compressed.", e
 
 
 def reference(model: type[BaseModel]) -> dict[str, str]:
-    """Return the schema that refers to a model's."""
+    """Return a schema that refers to the schema of a model."""
     return {"$ref": _REFERENCE.format(model=model.__name__)}
 
 
 def file(media_type: str, **schema: Any) -> dict[str, Any]:
     """Return the content of a binary body or response."""
-    # `format` is what generators of clients know; version 3.1 has the media type alone.
+    # OpenAPI 3.1 wants the media type alone; generators of clients read `format`.
     return {"schema": {"type": "string", "format": "binary", "contentMediaType": media_type, **schema}}
 
 
 def document_of(app: FastAPI, referenced: Sequence[type[BaseModel]]) -> dict[str, Any]:
     """Return the complete OpenAPI document of `app`; FastAPI does not find the models `referenced` itself."""
-    # Readers and generated pages begin where the work does.
+    # Readers and generated pages find fits first.
     routes = sorted((route for route in app.routes if getattr(route, "tags", None)), key=_place)
     document = get_openapi(title=app.title, version=app.version, description=app.description, routes=routes)
     models: tuple[type[BaseModel], ...] = (Problem, *referenced)
@@ -138,7 +138,7 @@ def _place(route: Any) -> int:
 
 def _complete(content: dict[str, Any]) -> None:
     """Add the example to a body or an answer; remove what FastAPI adds of its own accord."""
-    content.get("text/event-stream", {}).pop("itemSchema", None)  # which is no part of version 3.1
+    content.get("text/event-stream", {}).pop("itemSchema", None)  # OpenAPI 3.1 has no such member.
     described = content.get(JSON, {})
     model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
     if model in _EXAMPLES:
@@ -146,9 +146,10 @@ def _complete(content: dict[str, Any]) -> None:
 
 
 def option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return an option as a query parameter of a raw upload: `none` for null, and a list with commas.
+    """Return an option as a query parameter of a raw upload: `none` stands for null, commas separate a list.
 
-    The default is told in words: generated clients would send it, also beside a JSON body with options of its own.
+    The description names the default. As `default` of the schema, generated clients would always send it, and so
+    contradict the options in a JSON body.
     """
     none = {"type": "string", "enum": ["none"]}
     described = {**schema}

@@ -1,7 +1,6 @@
-"""Files of the web page, and of the page that shows the OpenAPI document: what is in them belongs to nobody's key.
+"""Files of the web page, and of the page that shows the OpenAPI document; everybody may read them.
 
-Nothing is loaded from elsewhere, so they work without the internet. Addresses in them are relative, so that they hold
-behind a proxy that adds a prefix.
+They load nothing from the internet. Their addresses are relative, and so work behind a proxy that adds a prefix.
 """
 
 import gzip
@@ -21,7 +20,7 @@ POLICY = (
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 """What a page may load: its own scripts and styles, the answers of the service, and pictures that scripts make."""
-# Addresses of the one page, which says itself what is wrong with an address.
+# Every address of this form shows the one page, which itself reports a wrong address.
 _PAGE_PATHS = re.compile(r"/|/compare|/(fits|measurements)/[0-9A-Za-z_-]{1,100}")
 _TYPES = {"js": "text/javascript", "css": "text/css", "html": "text/html; charset=utf-8"}
 
@@ -35,7 +34,7 @@ class StaticFile:
 
     @cached_property
     def compressed(self) -> bytes:
-        """The same for who accepts gzip."""
+        """The content as gzip."""
         return gzip.compress(self.content, mtime=0)
 
     def reply(self, request: Request) -> Response:
@@ -60,16 +59,16 @@ _PAGE_BELOW = StaticFile(_PAGE.content.replace(b'="./', b'="../'), _PAGE.media_t
 STATIC_FILES = {f"/docs/{name}": _read(_SWAGGER_UI / name) for name in ("swagger-ui-bundle.js", "swagger-ui.css")}
 STATIC_FILES |= {f"/page/{file.name}": _read(file) for file in _OURS.iterdir() if file.name.endswith((".js", ".css"))}
 STATIC_FILES["/docs"] = _read(_OURS / "docs.html")
-"""What else is sent, by path."""
+"""All static files but the page, by path."""
 
 
 def file_at(path: str) -> StaticFile | None:
-    """Return what is sent for a path; from an address of the page that is a level deeper, files are a level higher."""
+    """Return the file for a path; below ``/fits`` and ``/measurements``, the page's addresses begin a level higher."""
     if _PAGE_PATHS.fullmatch(path):
         return _PAGE_BELOW if path.count("/") > 1 else _PAGE
     return STATIC_FILES.get(path)
 
 
 def is_open(path: str) -> bool:
-    """Return whether a path is that of a file, or of the OpenAPI document."""
+    """Return whether a path needs no key: a static file, or the OpenAPI document."""
     return path == "/openapi.json" or file_at(path) is not None

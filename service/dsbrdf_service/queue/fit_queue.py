@@ -1,7 +1,7 @@
 """The life of a fit: accepted, running, then succeeded, failed or cancelled.
 
-The state of a fit is in the store; here are the tasks that wait for a free slot or for the engine, their progress, and
-who waits for a change.
+The store has the state of every fit. This module has the tasks that wait for a free place or for the engine, their
+progress, and the requests that wait for a change.
 """
 
 import asyncio
@@ -32,15 +32,15 @@ logger = logging.getLogger(__name__)
 Values = TypeVarTuple("Values")
 T = TypeVar("T")
 
-_RETRY_DELAY = 5.0  # seconds between attempts at what the machine does not allow now: to write, to start a process
+_RETRY_DELAY = 5.0  # [s] Pause after the disk refused a write, or the machine a new process.
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)
-_MIN_POLL_INTERVAL = 0.05  # seconds between looks at a row that is ahead of this process, or behind it, by one step
-_LOST_DELAY = 0.5  # seconds until a lost fit is looked at: if everything is being ended, that is known by then
+_MIN_POLL_INTERVAL = 0.05  # [s] Pause between two readings of a row whose fit has no task here at the moment.
+_LOST_DELAY = 0.5  # [s] When the machine shuts down, this service learns of it within this time of the fit's end.
 
 
 @dataclass
 class _RunningFit:
-    """An unfinished fit in this process; its task is cancelled by its scope, which lets calls in threads end."""
+    """An unfinished fit in this process. Its scope cancels the task, and lets calls in threads end first."""
 
     task: "asyncio.Task[None]"
     scope: CancelScope
@@ -54,7 +54,7 @@ class _RunningFit:
 
 
 class FitMeters(NamedTuple):
-    """What is counted and timed of fits."""
+    """Prometheus metrics of fits."""
 
     waiting: Histogram
     fitting: Histogram
@@ -80,7 +80,7 @@ class FitQueue:
             self._begin(key)
 
     def release_waiters(self) -> None:
-        """Give everyone who waits for a fit or follows one its present state: the service is about to end."""
+        """End all waits for fits with the present state of each, because the service is about to end."""
         if not self._stopping.done():
             self._stopping.set_result(None)
 
@@ -95,7 +95,7 @@ class FitQueue:
     async def submit(
         self, caller: Caller, sha256: str, options: dict[str, Any], name: str | None = None
     ) -> tuple[FitRow, bool]:
-        """Accept a fit or find the same one, as `Store.add_fit`; the row is durable."""
+        """Accept a fit, or find an equal one; return its durable row, and whether it is new. See `Store.add_fit`."""
         limit = self._settings.queue_limit
         row, new = await in_write_thread(self._store.add_fit, caller, sha256, options, limit, name)
         if new and not self._stopping.done():
@@ -103,21 +103,24 @@ class FitQueue:
         return row, new
 
     async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow:
-        """Return the fit's row at its end, after `seconds` or at one of `ends`; raises as `Store.fit`."""
+        """Wait until a fit ends, `seconds` are over or one of `ends` is done; return its row. Raises as `Store.fit`."""
         with move_on_after(seconds):
             async for _ in self.watch(key, *ends, each_step=False):
                 pass
         return await run_in_threadpool(self._store.fit, key)
 
     def progress(self, row: FitRow) -> float:
-        """Return the finished share of a fit, 0 to 1."""
+        """Return the progress of a fit, 0 to 1."""
         if row.status == "succeeded":
             return 1.0
         running = self._running.get(row.key)
         return 0.0 if running is None else running.progress
 
     async def watch(self, key: FitKey, *ends: "asyncio.Future[None]", each_step: bool = True) -> AsyncIterator[FitRow]:
-        """Yield the fit's row now and at its end, or at `each_step`, until it has ended, is deleted, or at `ends`."""
+        """Yield the row of a fit now, at `each_step` of its progress if wanted, and at its end.
+
+        The iteration ends early when the fit is deleted, or one of `ends` is done.
+        """
         ends = (self._stopping, *ends)
         while True:
             running = self._running.get(key)
@@ -129,14 +132,14 @@ class FitQueue:
             yield row
             if row.ended or any(end.done() for end in ends):
                 return
-            if change is None:  # the row is ahead of, or behind, this process by one step
+            if change is None:  # The fit has no task yet, or no longer; its row will say so soon.
                 await asyncio.sleep(_MIN_POLL_INTERVAL)
             else:
                 await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
 
     async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
-        running = self._running.get(key)  # before the row changes: the same request may begin another one after it
+        running = self._running.get(key)  # Read before the row changes, because an equal request may begin then.
         row = await in_write_thread(self._store.cancel_fit, key)
         if row is not None and running is not None:
             running.scope.cancel()
@@ -144,7 +147,7 @@ class FitQueue:
 
     def _begin(self, key: FitKey) -> None:
         previous, scope = self._running.get(key), CancelScope()
-        if previous is not None:  # its row has ended, and this is another one
+        if previous is not None:  # The row of that fit has ended, so it is not needed any more.
             previous.scope.cancel()
         task = asyncio.create_task(self._run(key, scope, previous.task if previous else None))
         self._running[key] = running = _RunningFit(task, scope)
@@ -177,13 +180,13 @@ class FitQueue:
             return True
         self._set_progress(key, 0.0)
         if row.started is not None and row.attempts == 1:
-            seconds = max(0.0, row.started - row.created)  # a clock may have been set back
+            seconds = max(0.0, row.started - row.created)  # The clock may have been set back.
             self._meters.waiting.observe(seconds)
         with self._meters.fitting.time():
             outcome = await self._compute(row)
         if isinstance(outcome, Fault) and outcome.origin == "system":
             await asyncio.sleep(_LOST_DELAY)
-            if self._stopping.done():  # its process was ended together with this one: the next one runs it
+            if self._stopping.done():  # The whole service is being ended, and its next start runs the fit.
                 return True
             if row.attempts < self._settings.fit_attempts:
                 logger.warning("the fit runs again: %s", outcome.message)
@@ -193,7 +196,7 @@ class FitQueue:
         return True
 
     async def _compute(self, row: FitRow) -> Outcome:
-        """Run the fit of a row after checking its file; wait as long as no process can be started."""
+        """Check the file of a row and run its fit; retry as long as no process can be started."""
         while True:
             try:
                 path = await run_in_threadpool(self._store.sound_file, row.measurement)
@@ -216,7 +219,7 @@ class FitQueue:
             await asyncio.sleep(_RETRY_DELAY)
 
     def _record(self, key: FitKey, outcome: Outcome) -> None:
-        """Write how a fit has ended."""
+        """Write the outcome of a fit."""
         if isinstance(outcome, FitDocument):
             self._store.complete_fit(key, outcome.text, outcome.metrics, outcome.thumbnail)
             logger.info("the fit has succeeded")
@@ -224,19 +227,19 @@ class FitQueue:
             self._store.fail_fit(key, asdict(outcome))
             logger.warning("the fit has failed: %s", outcome.message)
 
-    def _progress_in_loop(self, key: FitKey, share: float) -> None:
-        """Take a share from another thread."""
-        self._loop.call_soon_threadsafe(self._set_progress, key, share)
+    def _progress_in_loop(self, key: FitKey, progress: float) -> None:
+        """Pass the progress on from another thread to the event loop."""
+        self._loop.call_soon_threadsafe(self._set_progress, key, progress)
 
-    def _set_progress(self, key: FitKey, share: float) -> None:
+    def _set_progress(self, key: FitKey, progress: float) -> None:
         running = self._running.get(key)
         if running is not None:
-            running.progress = share
+            running.progress = progress
             running.notify()
 
 
 async def _write(write: Callable[[*Values], T], *values: *Values) -> T:
-    """Call `write` in a thread, repeatedly while the disk refuses it, so that no computed fit is lost."""
+    """Call `write` in a thread, and retry while the disk refuses it, so that no computed fit is lost."""
     while True:
         try:
             return await in_write_thread(write, *values)

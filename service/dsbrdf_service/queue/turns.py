@@ -1,4 +1,4 @@
-"""Turns at what only so many can do at once, and the end of what was begun in one."""
+"""Fair turns at a bounded number of places, and waiting for the process that uses one."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -13,14 +13,15 @@ T = TypeVar("T")
 
 
 class FairTurns:
-    """At most `count` turns at once; owners alternate, and each is served in the order it came.
+    """A semaphore of `count` places at which owners alternate.
 
-    Of each owner one waits among those of all owners, who are served in their order; the others wait behind it.
+    Each owner has a queue. Only the first of each queue waits for a place, so an owner with much to do delays another
+    by one turn.
     """
 
     def __init__(self, count: int = 1) -> None:
         self._places = asyncio.Semaphore(count)
-        self._queues: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()  # by owner, while one waits
+        self._queues: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()  # By owner.
 
     @asynccontextmanager
     async def turn(self, owner: str) -> AsyncIterator[None]:
@@ -35,7 +36,7 @@ class FairTurns:
 
 
 async def result_of(future: "Future[T]") -> T:
-    """Await a process; when cancelled, return after its end, so that its turn is not given away before."""
+    """Await the future of a process; when cancelled, wait for the process to end, which keeps its turn so long."""
     try:
         return await asyncio.wrap_future(future)
     except asyncio.CancelledError:

@@ -1,7 +1,6 @@
-"""The end of measurements: first their rows, then the files that no row wants any more.
+"""The removal of fits and measurements: first their rows, then the files that have no row any more.
 
-What is broken off in between leaves a file without a row: it stays where it is until `dsbrdf purge` is told to remove
-such files. No file goes on doubt.
+A crash in between leaves a file without a row. It stays until `dsbrdf purge --files-without-rows` removes it.
 """
 
 import shutil
@@ -14,11 +13,11 @@ from .blobs import Blobs
 from .database import Database
 from .schema import IS_UNFINISHED
 
-_ROOM = 1 << 24  # bytes of free disk space that writing to the database does not use up
-_ROWS_PER_TRANSACTION = 50  # so that a running server waits for a moment at most
+_SPARE_DISK_BYTES = 1 << 24  # With less free space, the commit of a removal could fail.
+_ROWS_PER_TRANSACTION = 50  # A running server waits for one transaction, a few milliseconds.
 
 _OLD_FITS = f"FROM fits WHERE NOT {IS_UNFINISHED} AND coalesce(finished, created) < :before"
-# A fit that remains keeps its measurement; an old fit is removed before.
+# Old fits are removed before; a fit that remains keeps its measurement.
 _OLD_MEASUREMENTS = (
     "FROM measurements AS m WHERE created < :before AND NOT EXISTS (SELECT 1 FROM fits AS f"  # noqa: S608
     " WHERE f.owner = m.owner AND f.measurement = m.sha256"
@@ -29,11 +28,12 @@ _OLD_MEASUREMENTS = (
 def remove_rows(db: sqlite3.Connection, blobs: Blobs, rows: Sequence[tuple[int, str]]) -> list[str]:
     """Delete rows of measurements, each given by rowid and sha256, in a write transaction.
 
-    Return the measurements that have no row then. On a full disk their files go at once: to commit takes their room.
+    Return the measurements that have no row any more. On a full disk their files go at once, because the commit needs
+    their space.
     """
     db.executemany("DELETE FROM measurements WHERE rowid = ?", [(rowid,) for rowid, _ in rows])
     unwanted = [sha256 for _, sha256 in rows if not _has_row(db, sha256)]
-    if unwanted and shutil.disk_usage(blobs.temporary).free < _ROOM:
+    if unwanted and shutil.disk_usage(blobs.temporary).free < _SPARE_DISK_BYTES:
         for sha256 in unwanted:
             blobs.path(sha256).unlink(missing_ok=True)
     return unwanted
@@ -42,7 +42,7 @@ def remove_rows(db: sqlite3.Connection, blobs: Blobs, rows: Sequence[tuple[int, 
 def remove_files(database: Database, blobs: Blobs, names: Iterable[str]) -> list[int]:
     """Remove the files of measurements that have no row; return their sizes.
 
-    An upload of the same bytes comes before this transaction, which then finds its row, or after it.
+    An upload of the same bytes is ordered by the transaction: if it came before, its row is found here.
     """
     sizes = []
     with database.transaction() as db:
@@ -60,9 +60,9 @@ def _has_row(db: sqlite3.Connection, sha256: str) -> bool:
 
 
 def purge(folder: Path, before: float | None, *, files_without_rows: bool = False) -> dict[str, int]:
-    """Remove what is older than the time `before` [s since 1970], and perhaps the files that have no row.
+    """Remove fits and measurements older than `before` [s since 1970], and perhaps the files without rows.
 
-    Return how many fits, measurements and files without rows that were, and how many bytes of files.
+    Return the numbers of removed fits, measurements and files without rows, and the bytes of all removed files.
 
     Raises DataFolderError if the folder cannot be opened, or its database is damaged.
     """
@@ -89,7 +89,7 @@ def _remove_fits(database: Database, before: float) -> int:
 
 
 def _remove_measurements(database: Database, blobs: Blobs, before: float) -> tuple[int, int]:
-    """Remove some old measurements; return how many, and how many bytes of files."""
+    """Remove some old measurements; return their number and the bytes of their files."""
     query = f"SELECT m.rowid, sha256 {_OLD_MEASUREMENTS} LIMIT {_ROWS_PER_TRANSACTION}"
     with database.transaction() as db:
         old = db.execute(query, {"before": before}).fetchall()

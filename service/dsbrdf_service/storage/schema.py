@@ -8,16 +8,16 @@ import math
 import sqlite3
 import zlib
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any, Literal, NamedTuple
 
 from ..errors import DataFolderError
 
 # `owner` is the id of an API key, '' without keys. `seq` counts the rows of each owner, so that the cursor of a page
-# does not tell how many rows others have. `size` of a fit is what it takes on the disk, with or without a
-# result: it counts as stored bytes. `checksum` is that of metrics and result, which lie on pages of their own: if two
-# of those change places, SQLite does not notice. A limit of a key that is NULL is the server's default; `metrics` is
-# whether it may read ``/metrics``, which has the totals of all keys.
-ROW_SIZE = 2_000  # bytes that a fit takes with its places in the indexes, without its result
+# does not show how many rows other owners have. `size` of a fit is its size on the disk, and counts as stored bytes.
+# `checksum` covers metrics and result: SQLite does not notice if two of their pages change places. NULL as the limit of
+# a key means the server's default. `metrics` says whether a key may read ``/metrics``, with the totals of all keys.
+ROW_SIZE = 2_000  # [bytes] A fit with its index entries, without its result.
 _TABLES = f"""
     CREATE TABLE IF NOT EXISTS measurements (
         owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
@@ -48,11 +48,11 @@ _TABLES = f"""
         metrics INTEGER NOT NULL DEFAULT 0
     ) STRICT;
 """
-VERSION = zlib.crc32(_TABLES.encode()) >> 1  # another one whenever the tables are; SQLite keeps 31 bits of it
+VERSION = zlib.crc32(_TABLES.encode()) >> 1  # It changes with the tables; SQLite keeps 31 bits.
 
 Status = Literal["accepted", "running", "succeeded", "failed", "cancelled"]
 UNFINISHED: tuple[Status, ...] = ("accepted", "running")
-IS_UNFINISHED = f"status IN {UNFINISHED}"  # for SQL, which writes a tuple as Python does
+IS_UNFINISHED = f"status IN {UNFINISHED}"  # A tuple of Python is a list in SQL.
 
 
 def create_tables(connection: sqlite3.Connection) -> None:
@@ -77,12 +77,12 @@ def create_tables(connection: sqlite3.Connection) -> None:
 
 
 def checksum(metrics: str | None, result: bytes) -> int:
-    """Return the checksum of what a fit has given."""
+    """Return the checksum of a fit's metrics and result."""
     return zlib.crc32(result, zlib.crc32((metrics or "").encode()))
 
 
 class FitKey(NamedTuple):
-    """What names a fit: the same request of two owners has the same id, and makes two fits."""
+    """The owner and the id of a fit; equal requests of two owners have one id, and make two fits."""
 
     owner: str
     id: str
@@ -93,17 +93,18 @@ class FitKey(NamedTuple):
 
 @dataclass(frozen=True)
 class Caller:
-    """Who asks, and how much they may have at once; rows are seen by their owner only."""
+    """The sender of a request, who sees the rows of one owner, and the sender's limits."""
 
-    owner: str = ""  # id of the key that was sent
+    owner: str = ""  # The id of the key that was sent.
     stored_bytes: float = math.inf
     queued_fits: float = math.inf
-    metrics: bool = True  # whether they may see the totals of all
+    metrics: bool = True  # Whether the caller may read the totals of all keys.
     requests_per_second: float = math.inf
 
 
+@cache
 def columns(row: type) -> str:
-    """Return the columns of a row, which has a field for each."""
+    """Return the columns of a row's table, as SQL lists them."""
     return ", ".join(field.name for field in fields(row))
 
 
@@ -121,15 +122,15 @@ class MeasurementRow:
 
     @property
     def on_grid(self) -> bool:
-        """Whether it is a MERL file, which has nodes; else it is a table of scattered samples."""
+        """Whether it is a MERL file; otherwise it is a table of scattered samples."""
         return self.valid_nodes > 0
 
 
 @dataclass(frozen=True)
 class FitRow:
-    """A fit's state without its result; options as on the wire; `seq` counts the fits of its owner.
+    """The state of a fit without its result; `seq` counts the fits of its owner.
 
-    `attempts` counts the processes that were started for it since the start of the service.
+    `attempts` counts the processes that were started for the fit since the start of the service.
     """
 
     owner: str
@@ -150,8 +151,8 @@ class FitRow:
 
     @classmethod
     def from_values(cls, values: tuple[Any, ...]) -> "FitRow":
-        """Make a row of the values of its `columns`."""
-        named = dict(zip((field.name for field in fields(cls)), values, strict=True))
+        """Make a row from the values of its `columns`."""
+        named = dict(zip(cls.__dataclass_fields__, values, strict=True))
         for name in ("options", "metrics", "error"):
             try:
                 named[name] = None if named[name] is None else json.loads(named[name])
@@ -161,15 +162,15 @@ class FitRow:
 
     @property
     def key(self) -> FitKey:
-        """What names the fit."""
+        """The owner and the id."""
         return FitKey(self.owner, self.id)
 
     @property
     def ended(self) -> bool:
-        """Whether the fit is over, well or not."""
+        """Whether the fit has succeeded, failed or been cancelled."""
         return self.status not in UNFINISHED
 
     @property
     def repeatable(self) -> bool:
-        """Whether the same request computes it once more: not where its input is at fault."""
+        """Whether an equal request computes the fit again, as it does unless the input is at fault."""
         return self.status == "cancelled" or (self.error is not None and self.error["origin"] != "input")

@@ -134,13 +134,13 @@ def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: 
     server = own_server()
     fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
     with closing(sqlite3.connect(server.data_dir / FILE_NAME)) as database, database:
-        database.execute("UPDATE fits SET options = '[]'")
+        database.execute("UPDATE fits SET created = 1e300")
     answer = server.http.get(f"/v1/fits/{fit}", headers={"X-Request-ID": "broken"})
     assert_problem(answer, 500, "internal")
     assert answer.headers["x-request-id"] == "broken"
     with_reason, request = lines_of(server, "broken")
     assert (with_reason["level"], request["level"]) == ("error", "error")
-    assert "ValidationError" in with_reason["exception"]
+    assert "OverflowError" in with_reason["exception"]
     assert sum("Traceback" in line for line in server.log.read_text().splitlines()) == 1
 
 
