@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import numpy as np
@@ -27,9 +28,11 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.report import SuggestedPair
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
 from dsbrdf.samples.measurement_files import read_measurement
+from dsbrdf.samples.reading import read_samples
 from dsbrdf.samples.table_options import TableOptions
 
 _FILES = (".json", ".png", ".svg", ".pdf", ".csv", ".binary")
@@ -94,6 +97,8 @@ def fit(
     work: Work = _HERE,
     csv: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     plot: bool = False,
+    measure_next: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    together: Annotated[str | None, Parameter(metavar="NAME")] = None,
     json: Json = False,
     flags: Flags = DEFAULT,
     table: AboutTable = NO_TABLE_FLAGS,
@@ -109,14 +114,28 @@ def fit(
         Write the metrics of all files as a table.
     plot
         Write a figure NAME.png of each fit into the folder, or here without one.
+    measure_next
+        Write the directions at which further samples of a table would tell most, sorted by incidence, as a .csv
+        table whose values are left to fill in.
+    together
+        Fit all files, tables of one material, as one measurement with this name.
     """
     keep_freed_memory()
+    if together is not None:
+        with TemporaryDirectory() as folder:
+            joined = Path(folder) / f"{together}.csv"
+            joined.write_bytes(read_samples(files, table.options()).encode())
+            return fit(joined, work=work, csv=csv, plot=plot, measure_next=measure_next, json=json, flags=flags)
     paths = measurement_files(files)
+    if measure_next is not None and len(paths) > 1:
+        raise InvalidArgumentError("--measure-next is for one table: name one file")
     if plot:
         require("plot", "matplotlib", purpose="dsbrdf fit --plot")
     done = _fit(paths, flags.options(), table.options(), work, quiet=json)
     if csv is not None:
         write_atomically(csv, [summary_csv(done)])
+    if measure_next is not None and done[0].result is not None:
+        write_atomically(measure_next, [plan_csv(done[0].result.report.measure_next)])
     if plot:
         for line in _plot(done, table.options(), work.output or Path()):
             if not json:
@@ -224,6 +243,13 @@ def summary_table(items: Sequence[FileFit]) -> list[str]:
     if failed:
         lines.append(f"{failed} {'file' if failed == 1 else 'files'} could not be fitted")
     return lines
+
+
+def plan_csv(pairs: Sequence[SuggestedPair]) -> bytes:
+    """Return pairs of directions as a table without values, sorted by incidence; the mirror direction has phi 180."""
+    rows = sorted((pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in pairs)
+    lines = [f"{theta_in:g},0,{theta_out:g},{phi:g}," for theta_in, theta_out, phi in rows]
+    return "\n".join(["theta_in,phi_in,theta_out,phi_out,value", *lines, ""]).encode()
 
 
 def summary_csv(items: Sequence[FileFit]) -> bytes:

@@ -220,6 +220,8 @@ def headline(file: Path, result: FitResult) -> str:
     close = "fitted" if metrics.relative_rms is None else f"relative_rms {metrics.relative_rms:.3g}"
     if metrics.psnr is not None:
         close = likeness(metrics.psnr)
+    if metrics.relative_rms_expected is not None:
+        close = f"expected error {metrics.relative_rms_expected:.0%} over all directions, {close} at the samples"
     return f"{file.stem}: {close}; {lobes_phrase(result.model)}; {seconds:.2f} s"
 
 

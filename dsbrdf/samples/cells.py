@@ -4,7 +4,7 @@ import codecs
 import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,17 +73,13 @@ class TextTable:
         except ValueError:  # missing cells, decimal commas, or no numbers at all
             return np.array([self._number(place, column) for place in range(len(cells))])
 
-    def with_columns(self, constants: Constants, *notes: str) -> "TextTable":
+    def with_columns(self, constants: Constants) -> "TextTable":
         """Return the table with columns of the same number in each row."""
-        more = tuple(np.full(self.n_rows, value) for value in constants.values())
-        return TextTable(
-            (*self.names, *constants),
-            (*self.units, *[""] * len(more)),
-            self.rows,
-            self.lines,
-            self.separator,
-            (*self.columns, *more),
-            (*self.notes, *notes),
+        return replace(
+            self,
+            names=(*self.names, *constants),
+            units=(*self.units, *[""] * len(constants)),
+            columns=(*self.columns, *(np.full(self.n_rows, value) for value in constants.values())),
         )
 
     def _number(self, place: int, column: int) -> float:

@@ -16,11 +16,12 @@ _MIN_DIFFERENT_VALUES, _MIN_EQUAL_VALUES = 10, 4
 _FAR_OFF_FACTOR = 3.0
 _CLEARLY_LIT = 0.02  # of the median: noise about zero has values below
 _N_NEIGHBOURS = 4
-# Lit samples beside a zero that scatter by more are noise about zero.
+# Lit samples beside zeros that scatter by more are noise about zero.
 _MAX_SCATTER_FACTOR = 4.0
 # A zero beside samples of at most so many last digits, or so small a fraction of the median, is a rounded value.
 _MAX_ROUNDED_DIGITS, _MAX_ROUNDED_FRACTION = 10.0, 1e-4
-_MIN_RUN = 3
+# Fewer zeros, or zeros among lit samples, are no run.
+_MIN_RUN, _N_IN_RUN, _MIN_ZERO_FRACTION = 3, 9, 0.2
 
 
 def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[Mask, list[str]]:
@@ -32,12 +33,15 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
         return empty, []
     places = _places(omega_in, omega_out)
     beside = level[lit][cKDTree(places[lit]).query(places[zero], _N_NEIGHBOURS)[1]]
-    darkest, median = beside.min(axis=1), np.median(beside, axis=1)
-    rounded = max(_MAX_ROUNDED_DIGITS * _last_digit(level[lit]), _MAX_ROUNDED_FRACTION * float(np.median(level[lit])))
-    is_clear = (darkest > rounded) & (median < _MAX_SCATTER_FACTOR * darkest)
+    darkest = beside.min(axis=1)
+    if np.median(beside.max(axis=1) / darkest) > _MAX_SCATTER_FACTOR:
+        return empty, []
+    rounded = max(_MAX_ROUNDED_DIGITS * _last_digit(level), _MAX_ROUNDED_FRACTION * float(np.median(level[lit])))
+    nearest = cKDTree(places).query(places[zero], min(_N_IN_RUN, len(level)))[1]
+    is_run = np.mean(level[nearest] == 0.0, axis=1) > _MIN_ZERO_FRACTION
     # All of a run is left out, also a part that lies beside darker samples.
-    nearest = cKDTree(places[zero]).query(places[zero], min(_N_NEIGHBOURS, len(zero)))[1]
-    empty[zero] = is_clear[nearest].mean(axis=1) > 0.5
+    alike = cKDTree(places[zero]).query(places[zero], min(_N_NEIGHBOURS, len(zero)))[1]
+    empty[zero] = is_run & (np.mean((darkest > rounded)[alike], axis=1) > 0.5)
     count = int(np.count_nonzero(empty))
     if count < _MIN_RUN:
         return np.zeros_like(empty), []
@@ -75,6 +79,9 @@ def _places(omega_in: Array, omega_out: Array) -> Array:
 
 
 def _last_digit(values: Array) -> float:
-    """Return the smallest difference between values, which is a unit of the last digit if they have few."""
-    found = np.unique(values)
-    return float(np.diff(found).min()) if found.size > 1 else float(found[0])
+    """Return the unit of the last decimal that all values have; 0 if they have more than twelve."""
+    for digits in range(13):
+        scaled = values * 10.0**digits
+        if np.all(np.abs(scaled - np.rint(scaled)) < 1e-6 * np.maximum(scaled, 1.0)):
+            return float(10.0**-digits)
+    return 0.0

@@ -9,6 +9,7 @@ to n, and lines of fewer numbers, one block of rows after each, continue them.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -100,12 +101,17 @@ def _rows_and_constants(
 def _with_blocks(table: TextTable, blocks: Sequence[Constants]) -> TextTable:
     """Add what held for each row as columns."""
     names = list(dict.fromkeys(name for block in {id(block): block for block in blocks}.values() for name in block))
-    columns = tuple(np.array([block.get(name, np.nan) for block in blocks]) for name in names)
-    units = (*table.units, *[""] * len(names))
+    columns = [np.array([block.get(name, np.nan) for block in blocks]) for name in names]
     same = {name: column[0] for name, column in zip(names, columns, strict=True) if np.ptp(column) == 0.0}
     held = " and ".join(f"{name} = {number:g}" for name, number in same.items())
     notes = (f"All rows have {held}, as the head of the file says.",) if held else ()
-    return TextTable((*table.names, *names), units, table.rows, table.lines, table.separator, columns, notes)
+    return replace(
+        table,
+        names=(*table.names, *names),
+        units=(*table.units, *[""] * len(names)),
+        columns=(*table.columns, *columns),
+        notes=(*table.notes, *notes),
+    )
 
 
 def _check_lengths(lines: Sequence[str]) -> None:

@@ -36,12 +36,12 @@ def unnamed_table(numbered: Sequence[tuple[int, str]]) -> TextTable:
         elif len(cells) > width:
             raise wrong_count(number, len(cells), separator, ("",) * width)
         else:
-            numbers = [as_number(cell, separator) for cell in cells]
-            if None in numbers:
+            numbers = _numbers(cells, separator) or _numbers(line.split(), separator)
+            if not numbers:
                 raise MeasurementFormatError(
                     f"Line {number} of the table has {line[:40]!r} between lines that have numbers alone."
                 )
-            block = [number for number in numbers if number is not None]
+            block = numbers
     size = max(map(len, blocks))
     before = np.array([[*block, *[np.nan] * (size - len(block))] for block in blocks]).T
     names = tuple(str(place) for place in range(1, width + size + 1))
@@ -53,10 +53,18 @@ def _layout(numbered: Sequence[tuple[int, str]]) -> tuple[int, str, int]:
     best = (0, " ", 0)
     for separator in SEPARATORS:
         cells = list(split_cells((line for _, line in numbered[:_LOOKED_AT]), separator))
-        plain = [at for at, row in enumerate(cells) if all(as_number(cell, separator) is not None for cell in row)]
-        if plain:
-            best = max(best, (max(len(cells[at]) for at in plain), separator, plain[0]), key=lambda one: one[0])
+        lines = zip(cells, numbered, strict=False)
+        widest = max((len(row) for row in cells if _numbers(row, separator)), default=0)
+        if widest > best[0]:
+            begins = (bool(_numbers(row, separator) or _numbers(line.split(), separator)) for row, (_, line) in lines)
+            best = (widest, separator, list(begins).index(True))
     return best
+
+
+def _numbers(cells: Sequence[str], separator: str) -> list[float]:
+    """Return the numbers in cells; none if a cell has words."""
+    numbers = [number for cell in cells if (number := as_number(cell, separator)) is not None]
+    return numbers if len(numbers) == len(cells) else []
 
 
 def _nameless(lines: Sequence[tuple[int, str]]) -> MeasurementFormatError:

@@ -59,7 +59,7 @@ def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, b
     assert document["size"] == len(merl)
     assert document["valid_nodes"] == dsbrdf.parse_merl(merl).valid.sum()
     assert post(server, bsdf, "paint.BSDF").status_code == 200
-    assert server.http.get(answer.headers["location"]).content == merl
+    assert server.http.get(f"{answer.headers['location']}/content").content == merl
     picture = server.http.get(f"{answer.headers['location']}/figures/sphere.png?size=16")
     assert picture.headers["content-type"] == "image/png"
 
@@ -81,7 +81,7 @@ def test_a_table_is_stored_as_its_samples(server: Server, table: bytes, name: st
     stored = samples.encode()
     expected = {"name": "felt", "sha256": samples.sha256, "size": len(stored), "valid_nodes": 0}
     assert {name: document[name] for name in expected} == expected
-    file = server.http.get(answer.headers["location"])
+    file = server.http.get(f"{answer.headers['location']}/content")
     assert file.content == stored
     assert file.headers["content-disposition"] == 'attachment; filename="felt.csv"'
     again = post(server, stored, name, media_type)
@@ -102,7 +102,7 @@ def test_a_spreadsheet_is_the_table_in_it(server: Server, table: bytes, name: st
     place = answer.headers["location"]
     found = np.load(BytesIO(server.http.get(f"{place}/samples.npy").content))
     np.testing.assert_allclose(found[:, 6:], parse_samples(table).values, rtol=1e-6)
-    file = server.http.get(place)
+    file = server.http.get(f"{place}/content")
     assert file.content == parse_samples(content).encode()
 
 
@@ -127,7 +127,7 @@ def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
     places = [post(server, table, "felt.csv"), post(server, bsdf, "paint.bsdf")]
     server.stop(9)
     server.start()
-    files = [server.http.get(answer.headers["location"]).content for answer in places]
+    files = [server.http.get(f"{answer.headers['location']}/content").content for answer in places]
     assert files == [parse_samples(table).encode(), merl]
     assert [len(file) for file in files] == [answer.json()["size"] for answer in places]
 

@@ -1,0 +1,122 @@
+"""Tables with what laboratories leave in them, of known truth: read right, or told what is wrong and what helps."""
+
+import numpy as np
+import pytest
+
+from dsbrdf import MeasurementFormatError, ScatteredSamples, TableOptions
+from dsbrdf.arrays import Array
+from dsbrdf.data.geometry import spherical
+from dsbrdf.samples.reading import parse_samples
+from dsbrdf.samples.units import sample_doubts
+from tests.library.samples.test_layouts import truth
+from tests.library.samples.test_reading import table
+
+NAMES = ("theta_in", "phi_in", "theta_out", "phi_out", "value")
+GRID = np.array([(a, 180.0, b, p) for a in (15.0, 40.0, 65.0) for b in range(0, 86, 5) for p in range(0, 181, 20)])
+"""theta_in, phi_in, theta_out, phi_out [degrees]."""
+
+
+def directions(angles: Array) -> tuple[Array, Array]:
+    theta_in, phi_in, theta_out, phi_out = np.radians(angles).T
+    return spherical(theta_in, phi_in), spherical(theta_out, phi_out)
+
+
+TRUE = 0.1 * truth(*directions(GRID))[:, 0]
+"""A dark, rough material [1/sr]."""
+
+
+def read(values: Array, number: str = "{:.6g}") -> ScatteredSamples:
+    return parse_samples(table(NAMES, np.column_stack([GRID, values]), number=number.format))
+
+
+def test_zeros_beyond_the_reach_of_an_instrument_are_left_out_and_said() -> None:
+    unseen = GRID[:, 2] > 0.9 * 85.0 - 0.1 * GRID[:, 3] / 20.0
+    samples = read(np.where(unseen, 0.0, TRUE))
+    assert len(samples.values) == np.count_nonzero(~unseen)
+    assert f"{np.count_nonzero(unseen)} samples have the value 0 beside samples of 0.0" in samples.notes[-1]
+    assert not sample_doubts(samples).sentences
+
+
+def test_values_below_a_floor_that_are_written_as_0_are_left_out() -> None:
+    falling = 0.02 * np.exp(-GRID[:, 2] / 9.0)
+    samples = read(np.where(falling < 5e-5, 0.0, falling))
+    assert samples.values.min() >= 5e-5
+    assert "as instruments write where they see nothing" in samples.notes[-1]
+
+
+@pytest.mark.parametrize("kind", ["few digits", "noise"])
+def test_true_zeros_of_a_black_sample_are_kept(kind: str) -> None:
+    noise = 3e-4 * np.random.default_rng(2).standard_normal(len(GRID))
+    falling = 0.02 * np.exp(-GRID[:, 2] / 9.0)
+    samples = read(falling, "{:.4f}") if kind == "few digits" else read(np.maximum(2e-4 + noise, 0.0))
+    assert len(samples.values) == len(GRID)
+    assert np.count_nonzero(samples.values[:, 0] == 0.0) > 50
+
+
+def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubted() -> None:
+    values = TRUE.copy()
+    for at, (theta_in, _, _, _) in enumerate(GRID):
+        if GRID[at, 2] == theta_in and GRID[at, 3] == 0.0:
+            values[at] = 90.0
+    (said,) = sample_doubts(read(values)).sentences
+    assert said.startswith("At 3 angles of incidence one sample alone lies in the highlight: it is up to ")
+    assert "not its width; measure between them" in said
+
+
+def test_a_retro_reflector_is_told_as_such() -> None:
+    omega_in, omega_out = directions(GRID * [1.0, 0.0, 1.0, 1.0])
+    aside = np.arccos(np.clip(np.sum(omega_in * omega_out, axis=1), -1.0, 1.0))
+    samples = ScatteredSamples.from_arrays(
+        omega_in, omega_out, np.repeat(0.02 + 4.0 * np.exp(-((aside / 0.3) ** 2))[:, None], 3, axis=1)
+    )
+    (said,) = sample_doubts(samples).sentences
+    assert said.startswith("The brightest samples lie back towards the light, as those of a retro-reflector do")
+
+
+def test_exchanged_angles_are_told_with_the_option_that_exchanges_them() -> None:
+    content = table(("phi_i", "theta_i", "phi_o", "theta_o", "brdf"), np.column_stack([GRID, TRUE]))
+    with pytest.raises(MeasurementFormatError, match="exchanged, set columns to theta_in=phi_i,theta_out=") as caught:
+        parse_samples(content)
+    option = str(caught.value).rpartition(" ")[2].rstrip(".")
+    samples = parse_samples(content, options=TableOptions(columns=option))
+    np.testing.assert_allclose(samples.omega_out, directions(GRID)[1], atol=1e-9)
+
+
+def test_columns_that_are_not_understood_are_quoted_and_can_be_named_by_position() -> None:
+    names = "lamp p,lamp q,cam p,cam q,450.1nm,550.2nm,650.3nm"
+    content = table(names, np.column_stack([GRID, TRUE, TRUE, TRUE]))
+    with pytest.raises(MeasurementFormatError, match="not understood are 'lamp p', 'lamp q', 'cam p', 'cam q'"):
+        parse_samples(content)
+    chosen = TableOptions(columns="theta_in=1,phi_in=lamp q,theta_out=3,phi_out=4")
+    np.testing.assert_allclose(parse_samples(content, options=chosen).values[:, 0], TRUE, rtol=1e-6)
+
+
+def test_blocks_without_names_are_read_by_positions() -> None:
+    lines = [f"{theta_in:g} 180\n" + rows for theta_in, rows in _blocks()]
+    content = "".join(lines).encode()
+    with pytest.raises(MeasurementFormatError, match=r"has no line that names .* lines of 2 between them"):
+        parse_samples(content)
+    chosen = TableOptions(columns="theta_out=1,phi_out=2,value=3,theta_in=4,phi_in=5")
+    np.testing.assert_allclose(parse_samples(content, options=chosen).values[:, 0], TRUE, rtol=1e-5)
+
+
+def test_a_matrix_at_one_incidence_needs_its_angle() -> None:
+    theta_in = GRID[:, 0] == 40.0
+    rows = TRUE[theta_in].reshape(-1, 10)
+    head = "theta_out / phi_out," + ",".join(f"{phi}" for phi in range(0, 181, 20))
+    lines = [
+        f"{theta}," + ",".join(f"{value:.6g}" for value in row)
+        for theta, row in zip(range(0, 86, 5), rows, strict=True)
+    ]
+    content = "\n".join([head, *lines]).encode()
+    with pytest.raises(MeasurementFormatError, match="theta_out down and phi_out across, at one angle of incidence"):
+        parse_samples(content)
+    samples = parse_samples(content, options=TableOptions(constants="theta_in=40,phi_in=180"))
+    np.testing.assert_allclose(samples.values[:, 0], TRUE[theta_in], rtol=1e-5)
+    np.testing.assert_allclose(samples.omega_in[:, 2], np.cos(np.radians(40.0)), rtol=1e-12)
+
+
+def _blocks() -> list[tuple[float, str]]:
+    at = [(angle, GRID[:, 0] == angle) for angle in (15.0, 40.0, 65.0)]
+    rows = [(angle, zip(GRID[chosen, 2:], TRUE[chosen], strict=True)) for angle, chosen in at]
+    return [(angle, "".join(f"{b}\t{p}\t{value:.6g}\n" for (b, p), value in found)) for angle, found in rows]
