@@ -24,7 +24,7 @@ from ..http.names import given_name
 from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
 from ..http.readiness import Readiness
 from ..http.request_body import Bodies
-from ..queue.fit_options import DEFAULTS, TABLE_DEFAULTS, from_query, table_from_query
+from ..queue.fit_options import from_query, table_from_query
 from ..queue.fit_queue import FitQueue
 from ..settings import Settings
 from ..storage.schema import Caller, FitKey, FitRow
@@ -120,12 +120,11 @@ def name_of(request: Request) -> str | None:
 
 
 async def _options_in(request: Request) -> FitOptions:
-    return from_query((name, text) for name, text in request.query_params.multi_items() if name in DEFAULTS)
+    return from_query(request.query_params.multi_items())
 
 
 async def _table_options_in(request: Request) -> TableOptions:
-    items = request.query_params.multi_items()
-    return table_from_query((name, text) for name, text in items if name in TABLE_DEFAULTS)
+    return table_from_query(request.query_params.multi_items())
 
 
 TheOptions = Annotated[FitOptions, Depends(_options_in)]

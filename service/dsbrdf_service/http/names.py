@@ -32,7 +32,7 @@ def given_name(given: str | None, content_disposition: str) -> str | None:
     """
     if given is not None:
         return check_name(given)
-    name = _file_name(content_disposition)
+    name = _file_name(content_disposition) if content_disposition else None
     # The folder is cut off, because it means nothing to the service.
     return None if name is None else check_name(re.split(r"[/\\]", name)[-1].removesuffix(_SUFFIX))
 

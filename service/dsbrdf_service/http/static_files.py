@@ -71,4 +71,4 @@ def file_at(path: str) -> StaticFile | None:
 
 def is_open(path: str) -> bool:
     """Return whether a path needs no key: a static file, or the OpenAPI document."""
-    return path == "/openapi.json" or file_at(path) is not None
+    return not path.startswith("/v1/") and (path == "/openapi.json" or file_at(path) is not None)

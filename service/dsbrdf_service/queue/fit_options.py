@@ -4,7 +4,7 @@ The Python client uses this module too: it needs neither FastAPI nor pydantic.
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -13,45 +13,60 @@ import numpy as np
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.global_method import KNOTS
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.samples.table_options import TableOptions
+from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 _NAMES = [field.name for field in fields(FitOptions)]
 
 
 def to_wire(options: FitOptions | TableOptions) -> dict[str, Any]:
     """Return the options in JSON's types; equal options give equal dicts."""
-    values = {field.name: getattr(options, field.name) for field in fields(options)}
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+    wire = {}
+    for field in fields(options):
+        value = getattr(options, field.name)
+        wire[field.name] = list(value) if isinstance(value, tuple) else value
+    return wire
 
 
 def from_wire(values: Mapping[str, Any]) -> FitOptions:
-    """Return the options for JSON values; what is not given is the default.
+    """Return the options for JSON values; missing ones have their defaults.
 
     Raises InvalidArgumentError if a name is unknown, or a value is of a wrong type or out of range.
     """
-    unknown = [name for name in values if name not in _NAMES]
-    if unknown:
-        names = ", ".join(repr(name[:60]) for name in unknown[:5])
-        plural = "options" if len(unknown) > 1 else "option"
-        raise InvalidArgumentError(f"Unknown {plural} {names}; known options are {', '.join(_NAMES)}.")
-    return FitOptions(**{name: _whole(value) for name, value in values.items()})
+    options: dict[str, Any] = {}
+    for name, value in values.items():
+        if name not in _NAMES:
+            raise InvalidArgumentError(f"Unknown option {name[:60]!r}; known options are {', '.join(_NAMES)}.")
+        is_whole = isinstance(value, float) and value.is_integer()  # JSON and its writers do not tell 3.0 from 3.
+        options[name] = int(value) if is_whole else value
+    return FitOptions(**options)
 
 
 def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
-    """Return the options for the parameters of a query; commas separate the items of a list, ``none`` means null.
+    """Return the options among the parameters of a query: commas separate a list, ``none`` means null.
 
     Raises InvalidArgumentError as `from_wire`.
     """
-    return from_wire({name: _from_text(text) for name, text in items})
+    chosen = _chosen(items, DEFAULTS)
+    return from_wire(chosen) if chosen else _DEFAULT_OPTIONS
 
 
 def table_from_query(items: Iterable[tuple[str, str]]) -> TableOptions:
-    """Return the options of a table for the parameters of a query; notation and errors are those of `from_query`."""
-    return TableOptions(**{name: _from_text(text) for name, text in items})
+    """Return the options of a table among the parameters of a query; notation and errors are those of `from_query`."""
+    chosen = _chosen(items, TABLE_DEFAULTS)
+    return TableOptions(**chosen) if chosen else AS_WRITTEN
+
+
+def _chosen(items: Iterable[tuple[str, str]], names: Container[str]) -> dict[str, Any]:
+    """Return the values of the parameters that have one of the names."""
+    chosen = {}
+    for name, text in items:
+        if name in names:
+            chosen[name] = _from_text(text)
+    return chosen
 
 
 def canonical(options: FitOptions) -> dict[str, Any]:
-    """Return the wire form with the method's own choices filled in: options that give the same fit become equal."""
+    """Return the wire form with the method's own choices filled in, so that options of equal fits are equal."""
     wire, paper = to_wire(options), options.method == "paper"
     if wire["knots_deg"] == _USUAL_KNOTS[options.variation]:
         wire["knots_deg"] = None
@@ -64,7 +79,7 @@ def canonical(options: FitOptions) -> dict[str, Any]:
 
 
 def _from_text(text: str) -> Any:
-    """Return the JSON value, or the list of values, that a text stands for; its parts if it stands for none."""
+    """Return the JSON value or values of a text, or else its parts between commas."""
     try:
         values = json.loads(f"[{'null' if text.lower() == 'none' else text.lower()}]")
     except (ValueError, RecursionError):
@@ -72,11 +87,7 @@ def _from_text(text: str) -> Any:
     return values[0] if len(values) == 1 else values
 
 
-def _whole(value: Any) -> Any:
-    """Return a whole number as an int, however it is written."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
 _USUAL_KNOTS = {name: np.rint(np.degrees(knots[0])).astype(int).tolist() for name, knots in KNOTS.items()}
-DEFAULTS = to_wire(FitOptions())
-TABLE_DEFAULTS = to_wire(TableOptions())
+_DEFAULT_OPTIONS = FitOptions()
+DEFAULTS = to_wire(_DEFAULT_OPTIONS)
+TABLE_DEFAULTS = to_wire(AS_WRITTEN)

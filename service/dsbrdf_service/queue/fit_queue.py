@@ -130,7 +130,7 @@ class FitQueue:
             except FitNotFoundError:
                 return
             yield row
-            if row.ended or any(end.done() for end in ends):
+            if row.ended or any(map(asyncio.Future.done, ends)):
                 return
             if change is None:  # The fit has no task yet, or no longer; its row will say so soon.
                 await asyncio.sleep(_MIN_POLL_INTERVAL)
