@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from dsbrdf.fitting.options import FitOptions as FitOptions
     from dsbrdf.fitting.report import FitReport as FitReport
     from dsbrdf.fitting.report import FitResult as FitResult
+    from dsbrdf.model.blend import Blend as Blend
+    from dsbrdf.model.blend import blend as blend
     from dsbrdf.model.dsbrdf import DSBRDF as DSBRDF
     from dsbrdf.model.furnace import FurnaceReport as FurnaceReport
     from dsbrdf.model.furnace import white_furnace as white_furnace
@@ -47,6 +49,8 @@ if TYPE_CHECKING:
     from dsbrdf.pipeline import fit as fit
     from dsbrdf.rendering.environment import EnvironmentMap as EnvironmentMap
     from dsbrdf.rendering.environment import read_environment as read_environment
+    from dsbrdf.rendering.space import MaterialSpace as MaterialSpace
+    from dsbrdf.rendering.space import space as space
     from dsbrdf.rendering.sphere import render_sphere as render_sphere
     from dsbrdf.samples.measurement_files import read_measurement as read_measurement
     from dsbrdf.samples.reading import read_samples as read_samples
@@ -71,9 +75,11 @@ _DEFINED_IN = {
     "pipeline": "fit",
     "fitting.report": "FitReport FitResult",
     "components.decomposition": "Component Decomposition decompose",
+    "model.blend": "Blend blend",
     "model.dsbrdf": "DSBRDF",
     "rendering.environment": "EnvironmentMap read_environment",
     "model.furnace": "FurnaceReport white_furnace",
+    "rendering.space": "MaterialSpace space",
     "rendering.sphere": "render_sphere",
     "output.export": "export",
     "output.plots": "plot",

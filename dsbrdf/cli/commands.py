@@ -56,6 +56,7 @@ _COMMANDS = {
     "Pictures": {
         "plot": ("picture_commands:plot", "Draw the fit of a measurement, or the parameters of a model."),
         "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement, or compare two."),
+        "map": ("picture_commands:map_materials", "Draw a map of materials by their likeness, and list neighbours."),
         "compare": ("picture_commands:compare", "Compare two models or measurements, with their spheres side by side."),
     },
     "Files": {

@@ -15,6 +15,7 @@ from dsbrdf.cli.parameters import (
     ComponentName,
     Json,
     OutputFile,
+    RequiredFiles,
     SourceFile,
     is_measurement,
     named_in_errors,
@@ -33,9 +34,11 @@ from dsbrdf.output.parameter_figures import parameters_figure
 from dsbrdf.output.plots import plot_fit
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sample_figures import samples_figure
+from dsbrdf.output.space_figure import space_figure
 from dsbrdf.output.sphere_panels import compare_spheres, encode_png, side_by_side
 from dsbrdf.rendering.environment import EnvironmentMap, read_environment
 from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.space import space
 from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_normals
 from dsbrdf.samples.errors import relative_rms
 from dsbrdf.samples.scattered_samples import ScatteredSamples
@@ -138,11 +141,7 @@ def plot(
     lobes
         Draw the lobes of the model instead of its components.
     """
-    image_format = output.suffix.lower().removeprefix(".")
-    if image_format not in IMAGE_FORMATS:
-        raise InvalidArgumentError(
-            f"{output}: the figure's file must end in {one_of([f'.{name}' for name in IMAGE_FORMATS])}"
-        )
+    image_format = _figure_format(output)
     if measurement is not None and is_measurement(model):
         model, measurement = measurement, model
     fitted, report = read_model(model)
@@ -155,6 +154,49 @@ def plot(
         figure = plot_fit(fitted, measured, options, model_lobes=lobes)
     write_atomically(output, [encode_figure(figure, image_format)])
     print_written(output, what, image_format, json=json)
+
+
+def map_materials(*files: RequiredFiles, output: OutputFile, json: Json = False) -> None:
+    """Draw a map of materials by the likeness of their lit spheres, and list the three nearest of each.
+
+    Parameters
+    ----------
+    files
+        Models, measurements, or folders of models: all .json files in them.
+    output
+        The file to write: .png, .svg or .pdf.
+    """
+    image_format = _figure_format(output)
+    found = [path for file in files for path in (sorted(file.glob("*.json")) if file.is_dir() else [file])]
+    if len(found) < 2:
+        raise InvalidArgumentError("a map needs at least two materials: name a folder of .json models, or files")
+    names = [path.stem for path in found]
+    if len({*names}) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InvalidArgumentError(f"two files are called {twice}: a map shows materials by the names of their files")
+    models = {path.stem: read_source(path) for path in found}
+    materials = space(models)
+    write_atomically(output, [encode_figure(space_figure(materials, models), image_format)])
+    if json:
+        near = {name: [{"name": other, "db": db} for other, db in materials.nearest(name)] for name in names}
+        places = dict(zip(names, materials.places.tolist(), strict=True))
+        print_json({"items": [{"name": name, "place": places[name], "nearest": near[name]} for name in names]})
+        return
+    width = max(map(len, names)) + 2
+    print(f"{'material':<{width}}nearest, with the likeness of lit spheres but for colour and brightness")
+    for name in names:
+        print(f"{name:<{width}}" + ", ".join(f"{other} ({db:.1f} dB)" for other, db in materials.nearest(name)))
+    print_written(output, f"a map of {len(names)} materials", image_format)
+
+
+def _figure_format(output: Path) -> str:
+    """Return the format that the name of a figure's file says."""
+    image_format = output.suffix.lower().removeprefix(".")
+    if image_format not in IMAGE_FORMATS:
+        raise InvalidArgumentError(
+            f"{output}: the figure's file must end in {one_of([f'.{name}' for name in IMAGE_FORMATS])}"
+        )
+    return image_format
 
 
 def compare(

@@ -1,6 +1,7 @@
 """The model: the lobe, its parameters over theta_diff, values, albedo and sampling."""
 
 from dsbrdf.model.albedo import directional_albedo
+from dsbrdf.model.blend import Blend, blend
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.furnace import FurnaceReport, white_furnace
 from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
@@ -11,8 +12,10 @@ __all__ = [
     "DSBRDF",
     "FAMILIES",
     "LARGEST_CENTER",
+    "Blend",
     "FurnaceReport",
     "ReflectanceModel",
+    "blend",
     "directional_albedo",
     "gamma_of_half_width",
     "half_width",

@@ -2,7 +2,7 @@
 
 They use what NumPy, PyTorch and JAX have in common, which `xp` stands for. A derivative is finite wherever a value is:
 an argument of a root or below a fraction is held above 0. Parameters and formulas are those of `dsbrdf.model.dsbrdf`,
-`dsbrdf.components.layers` and `dsbrdf.components.decomposition`. The code is dense: a file has at most 150 lines.
+`dsbrdf.components.layers` and `dsbrdf.components.shares`. The code is dense: a file has at most 150 lines.
 """
 
 import itertools
@@ -89,15 +89,13 @@ def _student(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
 def _rise(xp: Any, cosine: Any) -> Any:
     """Return how far the reflectance of glass has risen from normal (0) to grazing incidence (1)."""
     bent = xp.sqrt(1.25 + cosine**2)
-    ratio = (cosine * (bent + cosine) - 1.0) / (cosine * (bent - cosine) + 1.0)
-    across = (bent - cosine) / (bent + cosine)
-    return xp.clip(0.5 * across**2 * (1.0 + ratio**2) - COAT_F0, 0.0, None) / (1.0 - COAT_F0)
+    square = ((cosine * (bent + cosine) - 1.0) / (cosine * (bent - cosine) + 1.0)) ** 2
+    return xp.clip(0.5 * ((bent - cosine) / (bent + cosine)) ** 2 * (1.0 + square) - COAT_F0, 0.0, None) / (1 - COAT_F0)
 
 
 def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, alpha: Any, kappa: Any, masking: Any) -> Any:
     """Return the logarithm of a rough surface's facets and masking; alpha is its roughness, kappa = 2 is GGX."""
-    x, square = 8.0 * (kappa - 1.125), alpha**2
-    norm = (1.0 + xp.clip(x, 0.0, None) + xp.log1p(xp.exp(-xp.abs(x)))) / 8.0
+    square, norm = alpha**2, 0.125 + xp.logaddexp(8.0 * (kappa - 1.125), 0.0 * kappa) / 8.0
     to_in, to_out = (xp.sqrt(square + (1.0 - square) * cosine**2) for cosine in (cos_in, cos_out))
     seen, both = cos_out * to_in + cos_in * to_out, (cos_in + to_in) * (cos_out + to_out)
     tails = 2.0 * xp.log1p(tan2) - kappa * xp.log1p(tan2 / (norm * square))
@@ -142,7 +140,9 @@ def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: b
     odds, missed = xp.exp(xp.clip(specular - diffuse, -60.0, 60.0)), whole - xp.exp(specular) - ground
     s, beyond = 1.0 / (1.0 + odds), xp.where(missed > 0.0, q2 / (1.0 + q2), 1.0 + 0.0 * q2)
     rest = odds * s * (whole + missed * beyond * s * (1.0 + s * (1.0 + s))) + missed * (1.0 - beyond) * s
-    rest, spike = xp.clip(rest, 0.0, None), xp.clip(rest, 0.0, None) * xp.exp(narrow - specular)
+    rest, v = xp.clip(rest, 0.0, None), xp.exp(wide - specular)
+    narrower = rest * (1.0 + v) * (1.0 + v**2) - xp.exp(wide) * (1.0 + v + v**2)
+    spike = xp.minimum(xp.clip(xp.exp(narrow - specular) * narrower, 0.0, None), rest)
     return [spike, rest - spike, xp.minimum(whole, ground * (1.0 - beyond * s**3) + whole * beyond * s**4)]
 
 

@@ -311,3 +311,23 @@ def test_compare_as_json(model_file: Path, two_lobe_fit: FitResult) -> None:
     assert [item["relative_rms"] for item in answer["items"]] == [two_lobe_fit.report.metrics.relative_rms] * 2
     assert answer["likeness"] == {"psnr": None, "ssim": pytest.approx(1.0)}
     assert answer["output"] is None
+
+
+@pytest.mark.slow
+def test_map_of_a_folder_and_what_it_refuses(tmp_path: Path) -> None:
+    for seed in range(3):
+        dsbrdf.save(random_model(seed), tmp_path / f"paint{seed}.json")
+    answer = document("map", tmp_path, "-o", tmp_path / "map.png", "--json")
+    expected = dsbrdf.space({f"paint{seed}": random_model(seed) for seed in range(3)})
+    assert [item["name"] for item in answer["items"]] == list(expected.names)
+    assert answer["items"][0]["nearest"] == [{"name": n, "db": db} for n, db in expected.nearest("paint0")]
+    np.testing.assert_allclose([item["place"] for item in answer["items"]], expected.places)
+    text = printed("map", *sorted(tmp_path.glob("*.json")), "-o", tmp_path / "map.pdf")
+    assert f"{expected.nearest('paint1')[0][0]} ({expected.nearest('paint1')[0][1]:.1f} dB)" in text.splitlines()[2]
+    with Image.open(tmp_path / "map.png") as picture:
+        assert picture.size[0] > 1000
+    assert "at least two" in sentence("map", tmp_path / "paint0.json", "-o", tmp_path / "map.png")
+    assert "must end in" in sentence("map", tmp_path, "-o", tmp_path / "map.gif")
+    (tmp_path / "more").mkdir()
+    dsbrdf.save(random_model(0), tmp_path / "more" / "paint0.json")
+    assert "called paint0" in sentence("map", tmp_path, tmp_path / "more", "-o", tmp_path / "map.png")

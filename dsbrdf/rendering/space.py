@@ -1,0 +1,104 @@
+"""The space of materials: how far apart they are as seen, and a map of them (Nishino 2009, section 7).
+
+The paper embeds parameters, which must be those of equally many lobes in equal slices. Here the distance of two
+materials is that of their lit spheres, under three lights and under a sky: any models and measurements can be compared,
+and parameters that nobody sees do not count. Colour and brightness are taken out, as they are in the paper, whose
+coordinates are the shapes of lobes: a sphere's luminance is divided by its mean. Lightness is its cube root, as in CIE
+L*, so that neither highlights nor the dark decide alone.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components, shortest_path
+from scipy.spatial.distance import cdist
+
+from dsbrdf.arrays import Array
+from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.rendering.sphere import LIGHTINGS, Source, render_sphere, sphere_normals
+
+MEAN_LUMINANCE = 0.2
+"""Luminance of white being 1, that of a sphere in the mean, about that of a white one under three lights."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_SIZE = 48  # pixels
+_NEIGHBORS = 7  # The graph of Isomap has at least so many edges at each material.
+_MIN_EDGE = 1e-6  # SciPy takes 1e-8 for no edge.
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialSpace:
+    """Materials, their distances and their places on a map.
+
+    Attributes
+    ----------
+    names : tuple of str
+    distance : ndarray, shape (n, n)
+        Root mean square of the difference of the spheres' lightness, that of white being 1.
+    places : ndarray, shape (n, 2)
+        Coordinates on a map that keeps distances along chains of neighbours; the first grows with gloss.
+    """
+
+    names: tuple[str, ...]
+    distance: Array
+    places: Array
+
+    def nearest(self, name: str, count: int = 3) -> list[tuple[str, float]]:
+        """Return the materials nearest to one, each with its likeness [dB], 20 dB being a difference of 0.1.
+
+        Raises InvalidArgumentError if the space has no such name.
+        """
+        if name not in self.names:
+            raise InvalidArgumentError(f"the space has no material {name!r}")
+        row = self.distance[self.names.index(name)]
+        others = [index for index in np.argsort(row, kind="stable").tolist() if self.names[index] != name]
+        with np.errstate(divide="ignore"):
+            return [(self.names[index], float(-20.0 * np.log10(row[index]))) for index in others[:count]]
+
+
+def space(models: Mapping[str, Source]) -> MaterialSpace:
+    """Compare materials as they are seen, and map them.
+
+    Parameters
+    ----------
+    models : mapping of str to DSBRDF, FitResult, Measurement or another source of `render_sphere`
+        Materials by their names.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If there is none, or one reflects no light.
+    """
+    if not models:
+        raise InvalidArgumentError("a space needs at least one material")
+    seen = np.array([_lightness(name, model) for name, model in models.items()])
+    distance = cdist(seen, seen) / np.sqrt(seen.shape[1])
+    return MaterialSpace(tuple(models), distance, _places(distance, gloss=seen.max(axis=1)))
+
+
+def _lightness(name: str, source: Source) -> Array:
+    """Return the lightness of a material's spheres under all lightings, shape (pixels,)."""
+    _, mask = sphere_normals(_SIZE)
+    rows = [render_sphere(source, lighting=lighting, size=_SIZE)[mask] @ LUMINANCE for lighting in LIGHTINGS]
+    if not all(row.mean() > 0.0 for row in rows):
+        raise InvalidArgumentError(f"{name}: the material reflects no light")
+    return np.concatenate([np.cbrt(MEAN_LUMINANCE * row / row.mean()) for row in rows])
+
+
+def _places(distance: Array, gloss: Array) -> Array:
+    """Return the map (n, 2) of Isomap (Tenenbaum, de Silva and Langford 2000): classical scaling of shortest paths."""
+    count = len(distance)
+    places = np.zeros((count, 2))
+    for neighbors in range(min(_NEIGHBORS, count - 1), count):  # More of them, if islands are not connected yet.
+        farthest = np.sort(distance, axis=1)[:, neighbors, np.newaxis]
+        graph = np.where(distance <= farthest, np.maximum(distance, _MIN_EDGE), 0.0)
+        if connected_components(graph, directed=False)[0] == 1:
+            break
+    squared = shortest_path(graph, directed=False) ** 2
+    centered = squared - squared.mean(axis=0) - squared.mean(axis=1)[:, np.newaxis] + squared.mean()
+    sizes, axes = np.linalg.eigh(-0.5 * centered)
+    found = (axes * np.sqrt(np.maximum(sizes, 0.0)))[:, ::-1][:, :2]
+    places[:, : found.shape[1]] = found
+    # Eigenvectors have no sign of their own.
+    reference = np.stack([gloss - gloss.mean(), np.arange(count) - (count - 1) / 2.0], axis=1)
+    return places * np.where(np.sum(places * reference, axis=0) < 0.0, -1.0, 1.0)
