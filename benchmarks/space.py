@@ -1,7 +1,7 @@
 """The space of materials: whether neighbours are of one kind, and whether a blend lies between its ends.
 
-``python -m benchmarks space FITS`` takes a folder that ``dsbrdf fit FOLDER -o FITS`` has written. Kinds are those that
-the names of MERL's and RGL's materials say. "one of three" is the fraction of materials that have one of their own kind
+``python -m benchmarks space --fits FITS`` takes a folder that ``dsbrdf fit FOLDER -o FITS`` has written. Kinds are by
+the names of MERL's and RGL's materials. "one of three" is the fraction of materials that have one of their own kind
 among the three nearest, "mean" the fraction of all these that are; by chance they are 36 and 14 %. A midpoint of two
 materials lies between if it is nearer to each of them than they are to each other.
 """
@@ -68,7 +68,7 @@ def midpoints(models: dict[str, DSBRDF], count: int) -> list[float]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the figures."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks space", description=__doc__)
-    parser.add_argument("fits", type=Path, help="a folder of models")
+    parser.add_argument("--fits", type=Path, required=True, help="a folder of models")
     parser.add_argument("--pairs", type=int, default=300, help="random pairs to blend (default: 300)")
     arguments = parser.parse_args(argv)
     models = {path.stem: load(path) for path in sorted(arguments.fits.glob("*.json"))}

@@ -1,7 +1,5 @@
 """The command ``dsbrdf fit``: its progress, and the fits of several files as a table, in the terminal and as CSV."""
 
-import csv
-import io
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -29,6 +27,8 @@ from dsbrdf.extras import require
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import SuggestedPair
+from dsbrdf.output.component_documents import component_documents
+from dsbrdf.output.component_table import COLUMNS, component_rows, table_csv
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
 from dsbrdf.samples.measurement_files import read_measurement
@@ -111,7 +111,7 @@ def fit(
         A MERL .binary file, a folder of them, an RGL .bsdf file, or a table of scattered samples, in a text or
         in a spreadsheet.
     csv
-        Write the metrics of all files as a table.
+        Write the metrics of all files, with the parameters of their components, as one table.
     plot
         Write a figure NAME.png of each fit into the folder, or here without one.
     measure_next
@@ -226,7 +226,8 @@ def _document(item: FileFit) -> dict[str, Any]:
 SHOWN = {"relative_rms": 12, "excess": 8, "psnr": 7}
 """Metrics in the table of the terminal, each with the width of its column; the CSV has all."""
 
-_COLUMNS = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
+_OF_FILE = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
+_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # The last, psnr, is one of the metrics.
 
 
 def summary_table(items: Sequence[FileFit]) -> list[str]:
@@ -253,19 +254,16 @@ def plan_csv(pairs: Sequence[SuggestedPair]) -> bytes:
 
 
 def summary_csv(items: Sequence[FileFit]) -> bytes:
-    """Return a table as CSV with a line for each file, in their order."""
-    text = io.StringIO()
-    table = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
-    table.writeheader()
-    table.writerows(_row(item) for item in items)
-    return text.getvalue().encode()
+    """Return a table as CSV with the rows of each file, in their order; a failed one has a row with its error."""
+    return table_csv((row for item in items for row in _rows(item)), _COLUMNS)
 
 
-def _row(item: FileFit) -> dict[str, Any]:
+def _rows(item: FileFit) -> Iterator[dict[str, Any]]:
     if item.result is None:
-        return {"file": item.file, "status": "failed", "error": item.error}
+        yield {"material": item.file.stem, "file": item.file, "status": "failed", "error": item.error}
+        return
     model, report = item.result.model, item.result.report
-    return asdict(report.metrics) | {
+    about = asdict(report.metrics) | {
         "file": item.file,
         "status": "succeeded",
         "n_lobes": model.n_lobes,
@@ -274,6 +272,9 @@ def _row(item: FileFit) -> dict[str, Any]:
         "output": item.output,
         "warnings": " ".join(report.warnings),
     }
+    rows = [*component_rows(item.file.stem, component_documents(model), report.metrics.psnr)]
+    for row in rows or [{"material": item.file.stem}]:  # A model without light has no components.
+        yield row | about
 
 
 def _progress_bar() -> Progress:

@@ -33,6 +33,7 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.component_documents import component_documents
+from dsbrdf.output.component_table import component_rows, table_csv, table_latex
 from dsbrdf.output.export import FORMATS, export_model, format_of
 from dsbrdf.output.export.examples import example as example_of
 from dsbrdf.output.export.glsl import NAME
@@ -93,32 +94,63 @@ def _aligned(cells: Sequence[str], widths: Sequence[int]) -> str:
     return "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
 
 
-def show(model: ModelFile, /, *, lobes: bool = False, channel: Channel = "red", json: Json = False) -> None:
-    """Print the report of a fit again.
+def show(*models: RequiredFiles, lobes: bool = False, channel: Channel = "red", json: Json = False) -> None:
+    """Print the reports of fits again.
 
     Parameters
     ----------
+    models
+        A .json file from dsbrdf fit, or several.
     lobes
         Print the lobes of the model too, not only those of its components.
     channel
         Of the model's lobes in the text.
     """
-    stored, report = read_model(model)
+    stored = {model: read_model(model) for model in models}
     if json:
-        print_json(result_document(stored, report))
-    elif report is None:
-        print(f"{model.stem}: {lobes_phrase(stored)}", "", *model_text(stored, lobes=lobes, channel=channel), sep="\n")
-    else:
-        print(*result_text(model, FitResult(stored, report), lobes=lobes, channel=channel), sep="\n")
+        documents = [{"file": str(model)} | result_document(*found) for model, found in stored.items()]
+        print_json(documents[0] if len(models) == 1 else {"items": documents})
+        return
+    for model, (found, report) in stored.items():
+        if report is None:
+            print(
+                f"{model.stem}: {lobes_phrase(found)}", "", *model_text(found, lobes=lobes, channel=channel), sep="\n"
+            )
+        else:
+            print(*result_text(model, FitResult(found, report), lobes=lobes, channel=channel), sep="\n")
 
 
-def print_components(model: ModelFile, /, *, json: Json = False) -> None:
-    """Print the components of a model and their layers."""
-    stored, _ = read_model(model)
+def print_components(
+    *models: RequiredFiles,
+    csv: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    latex: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    json: Json = False,
+) -> None:
+    """Print the components of models and their surfaces.
+
+    Parameters
+    ----------
+    models
+        A .json file from dsbrdf fit, or several.
+    csv
+        Write a table with a row for each surface and each diffuse part.
+    latex
+        Write the same table for LaTeX, with the package booktabs.
+    """
+    stored = {model: read_model(model) for model in models}
+    parts = {model: component_documents(found) for model, (found, _) in stored.items()}
+    rows: list[dict[str, Any]] = []
+    for model, (_, report) in stored.items():
+        rows += component_rows(model.stem, parts[model], None if report is None else report.metrics.psnr)
+    for file, encode in ((csv, table_csv), (latex, table_latex)):
+        if file is not None:
+            write_atomically(file, [encode(rows)])
     if json:
-        print_json({"items": component_documents(stored)})
-    else:
-        print(*model_text(stored), sep="\n")
+        items = [{"file": str(model), "items": own} for model, own in parts.items()]
+        print_json({"items": parts[models[0]]} if len(models) == 1 else {"items": items})
+        return
+    for model, (found, _) in stored.items():
+        print(*([f"{model.stem}:"] if len(models) > 1 else []), *model_text(found), "", sep="\n")
 
 
 def export(

@@ -14,6 +14,8 @@ from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.component_documents import component_documents
+from dsbrdf.output.component_table import component_rows, table_csv
 from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
 from dsbrdf.output.export.python_file import python_file
@@ -73,6 +75,13 @@ def _glsl(source: DSBRDF | LayeredModel | Component, extras: Extras) -> str:
     return glsl_function(source, NAME if extras.name is None else extras.name, sampling=extras.sampling)
 
 
+def _components(model: DSBRDF | LayeredModel, extras: Extras) -> bytes:
+    if isinstance(model, LayeredModel):
+        raise InvalidArgumentError("components are those of a whole model: leave the component out")
+    psnr = None if extras.report is None else extras.report.metrics.psnr
+    return table_csv(component_rows(extras.title, component_documents(model), psnr))
+
+
 _BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
 FORMATS = {
     "json": ExportFormat(
@@ -103,6 +112,13 @@ FORMATS = {
         "csv",
         "text/csv; charset=utf-8",
         lambda model, _: layers_csv(model) if isinstance(model, LayeredModel) else parameters_csv(model),
+        holds_parameters=True,
+    ),
+    "components": ExportFormat(
+        "a table of the components: light, alpha, kappa, F0, F90, albedo and their ranges",
+        "csv",
+        "text/csv; charset=utf-8",
+        _components,
         holds_parameters=True,
     ),
     "bsdf": ExportFormat("for Mitsuba 3", "bsdf", _BINARY, lambda source, _: rgl_bsdf(source), time="medium"),

@@ -16,7 +16,7 @@ import pytest
 from cyclopts import App
 
 import dsbrdf
-from dsbrdf import FitResult, TableOptions, load, read_merl
+from dsbrdf import FitResult, TableOptions, decompose, load, read_merl
 from dsbrdf.cli import fit_command
 from dsbrdf.cli.parameters import DEFAULT, Flags
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, read_rgl
@@ -228,6 +228,14 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     assert nothing == "the models were not saved here: -o DIR saves each as NAME.json"
 
     written = list(csv.DictReader(table.read_text().splitlines()))
+    parts = decompose(two_lobe_fit)
+    surfaces = [(part.label, str(n)) for part in parts for n in range(1, len(part.surfaces) + 1)]
+    rows_of_good = [(row["component"], row["surface"]) for row in written if row["file"] == "good.binary"]
+    assert [row for row in rows_of_good if row[1]] == surfaces
+    assert ("diffuse", "") in rows_of_good
+    assert float(written[0]["alpha_high"]) > float(written[0]["alpha"]) > float(written[0]["alpha_low"])
+    assert float(written[0]["albedo_green"]) == next(iter(parts)).albedo[1]
+    written = [row for n, row in enumerate(written) if row["file"] not in {before["file"] for before in written[:n]}]
     assert [row["file"] for row in written] == ["good.binary", "none.binary", "bad.binary"]
     assert [row["status"] for row in written] == ["succeeded", "failed", "succeeded"]
     assert float(written[0]["psnr"]) == two_lobe_fit.report.metrics.psnr

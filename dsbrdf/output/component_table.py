@@ -1,0 +1,103 @@
+"""The components of many materials as one table: a row for each surface, and for each part that has none."""
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from dsbrdf.data.grid import CHANNELS
+
+_RANGES = ("", "_low", "_high")
+COLUMNS = (
+    *("material", "component", "surface"),
+    *(f"light_share{end}" for end in _RANGES),
+    *(f"alpha{end}" for end in _RANGES),
+    "kappa",
+    *(f"f0_{channel}{end}" for channel in CHANNELS for end in _RANGES),
+    "f90",
+    *(f"albedo_{channel}{end}" for channel in CHANNELS for end in _RANGES),
+    *("half_width_deg", "psnr"),
+)
+"""Columns of the table; ``_low`` and ``_high`` hold a figure with 90 % probability."""
+
+
+def component_rows(
+    material: str, components: Sequence[Mapping[str, Any]], psnr: float | None
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a material, from its components in JSON's types and the likeness of its fit [dB]."""
+    for part in components:
+        own = {"material": material, "component": part["label"], "half_width_deg": part["half_width_deg"], "psnr": psnr}
+        own |= _with_range("light_share", part["light_share"], part["ranges"]["light_share"])
+        own |= _by_channel("albedo", part["albedo"], part["ranges"]["albedo"])
+        for number, surface in enumerate(part["surfaces"], 1):
+            row = own | {"surface": number, "kappa": surface["kappa"], "f90": surface["f90"]}
+            row |= _with_range("alpha", surface["alpha"], surface["alpha_range"])
+            yield row | _by_channel("f0", surface["f0"], surface["f0_range"])
+        if not part["surfaces"]:
+            yield own
+
+
+def _with_range(name: str, value: float | None, spread: Sequence[float] | None) -> dict[str, Any]:
+    return dict(zip((f"{name}{end}" for end in _RANGES), (value, *(spread or (None, None))), strict=True))
+
+
+def _by_channel(name: str, values: Sequence[float] | None, spreads: Sequence[Sequence[float]] | None) -> dict[str, Any]:
+    cells: dict[str, Any] = {}
+    for index, channel in enumerate(CHANNELS):
+        spread = None if spreads is None else spreads[index]
+        cells |= _with_range(f"{name}_{channel}", None if values is None else values[index], spread)
+    return cells
+
+
+def table_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMNS) -> bytes:
+    """Return rows as CSV with a line of names; a cell without a value is empty."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, columns, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue().encode()
+
+
+_LATEX = {
+    "material": "material",
+    "part": "part",
+    "light_share": "light [\\%]",
+    "alpha": "$\\alpha$",
+    "kappa": "$\\kappa$",
+    "f0": "$F_0$ (r, g, b)",
+    "f90": "$F_{90}$",
+    "albedo": "albedo (r, g, b)",
+    "psnr": "dB",
+}
+
+
+def table_latex(rows: Iterable[Mapping[str, Any]]) -> bytes:
+    """Return rows as a LaTeX table for the package booktabs, with ranges of the light and of alpha as indices."""
+    lines = [f"\\begin{{tabular}}{{ll{'r' * (len(_LATEX) - 2)}}}", "\\toprule"]
+    lines += [" & ".join(_LATEX.values()) + r" \\", "\\midrule"]
+    for row in rows:
+        surface = f" {row['surface']}" if row.get("surface") else ""
+        cells = [row["material"], row["component"].replace("_", " ") + surface]
+        cells = [re.sub(r"([&%#$_{}])", r"\\\1", cell) for cell in cells]
+        cells += [_latex_range(row, "light_share", "{:.0f}", 100.0), _latex_range(row, "alpha", "{:.3g}", 1.0)]
+        cells += [_number(row.get("kappa")), _rgb(row, "f0"), _number(row.get("f90")), _rgb(row, "albedo")]
+        cells.append(_number(row["psnr"]))
+        lines.append(" & ".join(cells) + r" \\")
+    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""]).encode()
+
+
+def _latex_range(row: Mapping[str, Any], name: str, form: str, factor: float) -> str:
+    if row.get(name) is None:
+        return ""
+    value, low, high = (form.format(factor * row[f"{name}{end}"]) for end in _RANGES)
+    return f"${value}_{{{low}}}^{{{high}}}$"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
+
+
+def _rgb(row: Mapping[str, Any], name: str) -> str:
+    values = [row.get(f"{name}_{channel}") for channel in CHANNELS]
+    return "" if values[0] is None else ", ".join(map(_number, values))
