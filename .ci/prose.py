@@ -21,7 +21,6 @@ NOT_YET_CLEAN = (
         f"dsbrdf/{wing}/"
         for wing in ("cli", "components", "data", "engines", "fitting", "model", "output", "rendering")
     ),
-    "dsbrdf/samples/",
     "service/dsbrdf_service/api/",
 )
 

@@ -21,8 +21,10 @@ from dsbrdf.samples.prediction import SamplePrediction
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 _MODEL_ERROR = 0.015  # relative, that lobes have at best: a node that is as uncertain counts half
-_LEAST_SHARE = 1e-3  # of its weight that a node keeps among samples
-_LARGEST_RATIO = 16.0  # between values at a sample and at the next whole degree of theta_diff
+# A node keeps at least this fraction of its weight where samples are near.
+_MIN_NODE_WEIGHT = 1e-3
+# A value changes by at most this factor when its sample moves to the next whole degree of theta_diff.
+_MAX_MOVE_RATIO = 16.0
 
 
 def predicted_profiles(samples: ScatteredSamples, prediction: SamplePrediction, options: FitOptions) -> Profiles:
@@ -64,11 +66,11 @@ def sample_rows(
     at_sample = each[:, *_cells(theta_half, theta_diff, phi_diff)] * samples.weight
     row = _nearest(THETA_DIFF, theta_diff)
     there, here = (model.evaluate_unmasked(theta_half, angle, phi_diff) for angle in (THETA_DIFF[row], theta_diff))
-    values = samples.values * np.clip(there / np.maximum(here, 1e-300), 1.0 / _LARGEST_RATIO, _LARGEST_RATIO)
+    values = samples.values * np.clip(there / np.maximum(here, 1e-300), 1.0 / _MAX_MOVE_RATIO, _MAX_MOVE_RATIO)
     share = np.sum(counted * predicted**2) / max(float(np.sum(at_sample * values.T**2)), 1e-300)
     nodes = THETA_HALF[cells[1]], THETA_DIFF[cells[0]], np.arccos(np.sqrt(folded.cos2_phi[*cells]))
     spread, unknown = prediction.spread(*nodes), prediction.unknown_share(*nodes)
-    counted = counted * np.maximum(unknown * _MODEL_ERROR**2 / (_MODEL_ERROR**2 + spread**2), _LEAST_SHARE)
+    counted = counted * np.maximum(unknown * _MODEL_ERROR**2 / (_MODEL_ERROR**2 + spread**2), _MIN_NODE_WEIGHT)
     return FitData.from_samples(
         np.concatenate([values, predicted.T]),
         np.concatenate([share * at_sample.T, counted.T]),

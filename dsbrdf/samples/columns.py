@@ -32,12 +32,16 @@ from dsbrdf.samples.names import (
 from dsbrdf.samples.spectra import linear_srgb, of_rows
 from dsbrdf.samples.table_options import TableOptions
 
-_THETAS, _PHIS = ("theta_in", "theta_out"), ("phi_in", "phi_out")
-_GREY, _WEIGHT, _WAVELENGTH = "value", "weight", "wavelength"
-_FORMS = (VECTORS, HALF_DIFFERENCE, _THETAS)  # of directions
+_THETAS = ("theta_in", "theta_out")
+_PHIS = ("phi_in", "phi_out")
+_GREY = "value"
+_WEIGHT = "weight"
+_WAVELENGTH = "wavelength"
+_DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, _THETAS)
 _PER_STERADIAN = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
-# Wavelengths without a unit are in metres, micrometres or nanometres: the largest that each can have.
-_LARGEST_METRES, _LARGEST_MICROMETRES = 1e-3, 20.0
+# Wavelengths without a unit are in metres, or in micrometres, up to these; larger ones are in nanometres.
+_MAX_WAVELENGTH_M = 1e-3
+_MAX_WAVELENGTH_UM = 20.0
 _NO_UNIT = ("", "1", "-", "none")
 _POSSIBLE = (
     "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
@@ -82,7 +86,7 @@ def sample_columns(table: TextTable, options: TableOptions) -> SampleColumns:
     from_horizon = [side for side in ("in", "out") if f"elevation_{side}" in places and f"theta_{side}" not in places]
     for side in from_horizon:
         places[f"theta_{side}"] = places.pop(f"elevation_{side}")
-    form = next((form for form in _FORMS if places.keys() >= {*form}), None)
+    form = next((form for form in _DIRECTION_FORMS if places.keys() >= {*form}), None)
     if form is None:
         # Those of which the table has most columns; angles if it has none.
         nearest = max((_THETAS, VECTORS, HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
@@ -141,7 +145,7 @@ def _in_nanometres(wavelengths: Array, unit: str) -> Array:
     if unit not in (*_NO_UNIT, *NANOMETRES):
         raise MeasurementFormatError(f"The wavelengths are in {unit!r}; they are in nm, um or m.")
     largest = _largest(wavelengths)
-    by_size = "m" if largest < _LARGEST_METRES else "um" if largest < _LARGEST_MICROMETRES else "nm"
+    by_size = "m" if largest < _MAX_WAVELENGTH_M else "um" if largest < _MAX_WAVELENGTH_UM else "nm"
     return wavelengths * NANOMETRES[by_size if unit in _NO_UNIT else unit]
 
 

@@ -18,7 +18,7 @@ START_BYTES = 4096
 """How many bytes at the beginning of a file tell its kind."""
 _RGL = b"tensor_file\0"
 _OLD_SPREADSHEET = b"\xd0\xcf\x11\xe0"  # .xls
-_MARKS = (b"\xff\xfe", b"\xfe\xff")  # of UTF-16
+_UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _NAMES = {"merl": "a MERL file", "rgl": "an RGL file"}
 
@@ -38,7 +38,7 @@ def measurement_kind(start: bytes) -> MeasurementKind:
         raise MeasurementFormatError(
             "The file is a spreadsheet of another kind: save it as .xlsx, or its sheet as .csv."
         )
-    is_text = start.startswith(_MARKS) or not _CONTROLS.search(start)
+    is_text = start.startswith(_UTF_16_MARKS) or not _CONTROLS.search(start)
     return "samples" if start and not start.startswith(HEADER) and (is_text or start.startswith(b"PK")) else "merl"
 
 

@@ -6,22 +6,26 @@ values that scatter about 0.
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dsbrdf.arrays import Array, Mask
 
 # A note on the smallest or largest value needs this many different values, and this many samples that have it.
-_MIN_DIFFERENT_VALUES, _MIN_EQUAL_VALUES = 10, 4
+_MIN_DIFFERENT_VALUES = 10
+_MIN_EQUAL_VALUES = 4
 # Factor between the extreme value and the next one from which on the extreme one is named.
 _FAR_OFF_FACTOR = 3.0
-_CLEARLY_LIT = 0.02  # of the median: noise about zero has values below
+# Noise about zero has values below this fraction of the median.
+_CLEARLY_LIT_FRACTION = 0.02
 _N_NEIGHBOURS = 4
 # Lit samples beside zeros that scatter by more are noise about zero.
 _MAX_SCATTER_FACTOR = 4.0
 # A zero beside samples of at most so many last digits, or so small a fraction of the median, is a rounded value.
-_MAX_ROUNDED_DIGITS, _MAX_ROUNDED_FRACTION = 10.0, 1e-4
+_MAX_ROUNDED_DIGITS = 10.0
+_MAX_ROUNDED_FRACTION = 1e-4
 # Fewer zeros, or zeros among lit samples, are no run.
-_MIN_RUN, _N_IN_RUN, _MIN_ZERO_FRACTION = 3, 9, 0.2
+_MIN_RUN = 3
+_N_IN_RUN = 9
+_MIN_ZERO_FRACTION = 0.2
 
 
 def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[Mask, list[str]]:
@@ -31,6 +35,8 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
     empty = np.zeros(len(level), dtype=bool)
     if len(zero) < _MIN_RUN or len(lit) <= _N_NEIGHBOURS or values.min() < 0.0:
         return empty, []
+    from scipy.spatial import cKDTree  # It takes time to import, and few tables have such zeros.
+
     places = _places(omega_in, omega_out)
     beside = level[lit][cKDTree(places[lit]).query(places[zero], _N_NEIGHBOURS)[1]]
     darkest = beside.min(axis=1)
@@ -59,7 +65,7 @@ def about_repeated(values: Array) -> list[str]:
     found = np.unique(values)
     if found.size < _MIN_DIFFERENT_VALUES:
         return []
-    least = max(_FAR_OFF_FACTOR * found[0], _CLEARLY_LIT * float(np.median(values)))
+    least = max(_FAR_OFF_FACTOR * found[0], _CLEARLY_LIT_FRACTION * float(np.median(values)))
     extremes = (("smallest", 0, found[1] > least), ("largest", -1, found[-1] > _FAR_OFF_FACTOR * found[-2]))
     counts = {place: int(np.count_nonzero(np.any(values == found[place], axis=1))) for place in (0, -1)}
     return [

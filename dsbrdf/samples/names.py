@@ -14,7 +14,7 @@ _SIDES = {
         *("receiver", "detector", "view", "viewing", "viewer", "observer", "observation"),
     ),
 }
-_SHORT = {"in": ("i", "incident"), "out": ("o", "r", "s")}
+_SIDE_ABBREVIATIONS = {"in": ("i", "incident"), "out": ("o", "r", "s")}
 _ANGLES = {
     "theta": ("theta", "zenith", "polar", "zenith_angle", "polar_angle"),
     "phi": ("phi", "azimuth", "azimuth_angle", "azimuthal_angle"),
@@ -40,12 +40,14 @@ _OTHERS = {
 }
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDES for axis in "xyz")
 HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
-DEGREES, RADIANS = ("deg", "degree", "degrees", "°"), ("rad", "radian", "radians")
+DEGREES = ("deg", "degree", "degrees", "°")
+RADIANS = ("rad", "radian", "radians")
 NANOMETRES = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
 """Units of wavelengths, and how many nanometres each has."""
-_LONGEST_NAME = 200  # characters of a cell with a name and its unit
+_MAX_NAME_LENGTH = 200  # [characters] with the unit.
 _BAND = re.compile(r"(?:(?:value|brdf|bsdf|f_?r?|r|l|w|wl|lambda)_?)?([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?")
-_FIRST_BAND, _LAST_BAND = 200.0, 3000.0  # [nm]
+_MIN_BAND_NM = 200.0
+_MAX_BAND_NM = 3000.0
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _CONSTANT = re.compile(rf"(.*?[^\s:=,;])[\s:=,;]+({_NUMBER}(?:[\s,;]+{_NUMBER})?)[\s,;]*([A-Za-zμ°]*)")
 _HELD = ("theta_in", "phi_in", "elevation_in", "wavelength")  # what a line can give to all rows below
@@ -59,7 +61,7 @@ def _spellings() -> Iterator[tuple[str, str]]:
         for angle, names in _ANGLES.items():
             for name in names:
                 yield from ((f"{word}_{name}", f"{angle}_{side}") for word in words)
-                for word in (*words, *_SHORT[side]):
+                for word in (*words, *_SIDE_ABBREVIATIONS[side]):
                     yield from ((f"{name}{mark}{word}", f"{angle}_{side}") for mark in ("_", ""))
         for angle, names in _BEHIND_WORDS.items():
             yield from ((f"{word}_{name}", f"{angle}_{side}") for word in words[1:] for name in names)
@@ -98,12 +100,12 @@ def wavelength_of(cell: str) -> float | None:
     """Return the wavelength [nm] that a column with this name is for, as in "450 nm", "0.45um" or "brdf_450nm"."""
     found = _BAND.fullmatch(name_and_unit(cell)[0])
     number = 0.0 if found is None else float(found[1].replace("_", ".")) * NANOMETRES[found[2] or "nm"]
-    return number if _FIRST_BAND <= number <= _LAST_BAND else None
+    return number if _MIN_BAND_NM <= number <= _MAX_BAND_NM else None
 
 
 def constants_in(line: str) -> dict[str, float]:
     """Return the numbers that a line such as "#intheta 30" or "AOI [deg]: 30" gives to all rows below it."""
-    found = _CONSTANT.fullmatch(line) if len(line) <= _LONGEST_NAME else None
+    found = _CONSTANT.fullmatch(line) if len(line) <= _MAX_NAME_LENGTH else None
     if found is None:
         return {}
     name, unit = name_and_unit(found[1])
@@ -121,7 +123,7 @@ def constants_in(line: str) -> dict[str, float]:
 
 def name_and_unit(cell: str) -> tuple[str, str]:
     """Return the name in a cell in lower case, Greek letters as words, and the unit after it, if any."""
-    if len(cell) > _LONGEST_NAME:
+    if len(cell) > _MAX_NAME_LENGTH:
         return cell, ""
     text, unit = unicodedata.normalize("NFKC", cell).strip().strip("'\"").strip().lower(), ""
     for letter, word in (("θ", "theta"), ("φ", "phi"), ("λ", "lambda"), ("ω", "omega")):

@@ -30,24 +30,35 @@ from dsbrdf.data.reduction import NORMAL_QUARTILE, OUTLIER
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-_DARK = 0.02  # of the median of the channels' mean: errors of values below count alike
-_MOST, _MOST_OF_SEARCH = 800, 500  # samples; of more, so many taken at random
-# Half widths of the narrowest highlights: that instruments see, if no sample is in them; and of all. What is narrower
-# than a quarter of theta_half of the nearest sample is seen by its tails alone, which tell nothing of its peak.
-_APERTURE, _NARROWEST = np.radians(0.3), 1e-4
-_NEGLIGIBLE = 1e-3  # weight of a structure
-_DRAWS, _DOUBT = 32, 0.5  # layers drawn; power of their weights with which: evidence is surer than it should be
+# Errors of values below this fraction of the median of the channels' mean count alike.
+_DARK_FRACTION = 0.02
+# If there are more samples, so many are taken at random, for the prediction and for its kernel.
+_MAX_SAMPLES = 800
+_MAX_KERNEL_SAMPLES = 500
+# A highlight in which no sample lies has at least the half width that instruments resolve, or a quarter of theta_half
+# of the nearest sample: a narrower one is seen by its tails alone, which tell nothing of its peak. The second is the
+# smallest half width of any highlight.
+_APERTURE = np.radians(0.3)
+_MIN_HALF_WIDTH = 1e-4
+_NEGLIGIBLE_WEIGHT = 1e-3
+_N_DRAWS = 32
+# Structures are drawn with this power of their weights, as evidence is surer than it should be.
+_DRAWN_POWER = 0.5
 _ENERGY_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0, 85.0])
 _OFFSET = np.radians(1.5)
-_REACH = np.array([0.4, np.radians(15.0), 0.4])  # of the kernel in x and y, times one of
-_SCALES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0)
-_NOISE = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)  # variance, in units of that of the factor
-_COMMON = 0.75
-_MISFIT = 0.33  # of the logarithm, of highlights at grazing incidence, between samples of measured materials
-_LARGEST_LOG = 2.5  # of a factor at a sample
-_BLOCK = 256  # points at once, so that their kernel stays in the cache
-_FOLDS = 5
-_LEAST_OUTLIER = 1e-2
+# The kernel reaches so far in x and y, times one of the scales.
+_KERNEL_REACH = np.array([0.4, np.radians(15.0), 0.4])
+_REACH_SCALES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0)
+# Variance of the noise over the variance of the factor.
+_NOISE_RATIOS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
+_COMMON_FRACTION = 0.75
+# Layers miss the logarithm of measured highlights at grazing incidence by this between samples.
+_MISFIT_LOG = 0.33
+# The logarithm of a factor at a sample is clipped here.
+_MAX_LOG_FACTOR = 2.5
+_MAX_POINTS_AT_ONCE = 256  # Their kernel stays in the cache.
+_N_FOLDS = 5
+_MIN_OUTLIER_LOG = 1e-2
 
 
 def layer_samples(samples: ScatteredSamples) -> LayerData:
@@ -61,10 +72,10 @@ def layer_samples(samples: ScatteredSamples) -> LayerData:
 
 def dark_level(samples: ScatteredSamples) -> float:
     """Value below which errors count alike [1/sr]."""
-    return float(_DARK * np.median(samples.values.mean(axis=1)) + 1e-9 * samples.values.max())
+    return float(_DARK_FRACTION * np.median(samples.values.mean(axis=1)) + 1e-9 * samples.values.max())
 
 
-def thinned(samples: ScatteredSamples, most: int = _MOST) -> ScatteredSamples:
+def thinned(samples: ScatteredSamples, most: int = _MAX_SAMPLES) -> ScatteredSamples:
     """At most so many of the samples, taken at random."""
     return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < most)
 
@@ -81,10 +92,10 @@ class SampleLayers:
     def fit(cls, samples: ScatteredSamples, structures: Sequence[LayerStructure] = STRUCTURES) -> "SampleLayers":
         """Fit structures; those that hardly count are dropped."""
         nearest = float(half_difference(samples.omega_in, samples.omega_out)[0].min())
-        narrowest = max(min(nearest, _APERTURE), nearest / 4.0, _NARROWEST)
+        narrowest = max(min(nearest, _APERTURE), nearest / 4.0, _MIN_HALF_WIDTH)
         found = fit_structures(layer_samples(samples), [one.no_narrower(narrowest) for one in structures])
         weights = structure_weights(found)
-        kept = np.flatnonzero(weights > _NEGLIGIBLE)
+        kept = np.flatnonzero(weights > _NEGLIGIBLE_WEIGHT)
         return cls(tuple(found[at] for at in kept), weights[kept] / weights[kept].sum(), dark_level(samples))
 
     @property
@@ -131,13 +142,13 @@ class SampleLayers:
             values = fitted.model.layer_values(points).mean(axis=1)
             is_specular = np.logical_not(fitted.structure.is_diffuse)
             share += weight * values[is_specular].sum(axis=0) / (values.sum(axis=0) + self.dark)
-        return _MISFIT * share * points.rise[0]
+        return _MISFIT_LOG * share * points.rise[0]
 
     @cached_property
     def _drawn(self) -> list[LayeredModel]:
         generator = np.random.default_rng(0)
-        weights = self.weights**_DOUBT
-        counts = generator.multinomial(_DRAWS, weights / weights.sum()).tolist()
+        weights = self.weights**_DRAWN_POWER
+        counts = generator.multinomial(_N_DRAWS, weights / weights.sum()).tolist()
         pairs = zip(self.found, counts, strict=True)
         return [model for fitted, count in pairs for model in fitted.draw(generator, count)]
 
@@ -156,9 +167,9 @@ class SamplePrediction:
     layers: SampleLayers
     places: Array  # x and y of the samples, in units of the kernel's reach, (n, 3)
     reach: Array  # (3,)
-    root_weight: Array  # of the samples, of which the mean square is 1, (n,)
-    logs: Array  # of samples over layers, times the root of their weight, (n, 3)
-    noise: float  # variance over that of the factor
+    root_weight: Array  # (n,), its mean square is 1
+    logs: Array  # (n, 3), logarithms of samples over layers, times the root of their weight
+    noise: float  # its variance over the variance of the factor
 
     @classmethod
     def fit(cls, samples: ScatteredSamples, like: "SamplePrediction | None" = None) -> "SamplePrediction":
@@ -167,9 +178,9 @@ class SamplePrediction:
         angles = half_difference(samples.omega_in, samples.omega_out)
         ratio = (samples.values + layers.dark) / (layers.evaluate_unmasked(*angles) + layers.dark)
         root = np.sqrt(samples.weight / samples.weight.mean())
-        logs = np.clip(np.log(ratio), -_LARGEST_LOG, _LARGEST_LOG) * root[:, np.newaxis]
+        logs = np.clip(np.log(ratio), -_MAX_LOG_FACTOR, _MAX_LOG_FACTOR) * root[:, np.newaxis]
         x = _places(*angles)
-        few = np.random.default_rng(0).permutation(root.size)[:_MOST_OF_SEARCH]
+        few = np.random.default_rng(0).permutation(root.size)[:_MAX_KERNEL_SAMPLES]
         reach, noise = _most_probable(x[few], root[few], logs[few]) if like is None else (like.reach, like.noise)
         return cls(layers, x / reach, reach, root, logs, noise)
 
@@ -249,8 +260,8 @@ class SamplePrediction:
 
     def _near(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         places = _places(theta_half, theta_diff, phi_diff) / self.reach
-        for start in range(0, max(len(places), 1), _BLOCK):
-            yield _kernel(places[start : start + _BLOCK], self.places) * self.root_weight
+        for start in range(0, max(len(places), 1), _MAX_POINTS_AT_ONCE):
+            yield _kernel(places[start : start + _MAX_POINTS_AT_ONCE], self.places) * self.root_weight
 
 
 def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
@@ -262,15 +273,15 @@ def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
         dark = prediction.layers.dark
         off = np.max(np.abs(np.log((samples.values + dark) / (expected + dark))), axis=1)
         usual = float(np.quantile(off, 0.75)) / NORMAL_QUARTILE
-        kept = samples.take(off <= OUTLIER * usual + _LEAST_OUTLIER)
+        kept = samples.take(off <= OUTLIER * usual + _MIN_OUTLIER_LOG)
     return kept
 
 
 def left_out_predictions(samples: ScatteredSamples, prediction: SamplePrediction) -> Array:
     """Values (n, 3) that predictions without each sample and a fifth of the others have for it."""
-    fold = np.random.default_rng(1).permutation(len(samples.values)) % _FOLDS
+    fold = np.random.default_rng(1).permutation(len(samples.values)) % _N_FOLDS
     values = np.empty(samples.values.shape)
-    for number in range(_FOLDS):
+    for number in range(_N_FOLDS):
         rest, out = samples.take(fold != number), samples.take(fold == number)
         angles = half_difference(out.omega_in, out.omega_out)
         is_lit = rest.values.any()
@@ -286,7 +297,7 @@ def _places(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
 
 def _kernel(first: Array, second: Array) -> Array:
     along, across = (_gaussian(first[:, part], second[:, part]) for part in (slice(2), slice(2, 3)))
-    return along * (_COMMON + (1.0 - _COMMON) * across)
+    return along * (_COMMON_FRACTION + (1.0 - _COMMON_FRACTION) * across)
 
 
 def _gaussian(first: Array, second: Array) -> Array:
@@ -303,13 +314,13 @@ def _eigen(places: Array, root: Array) -> tuple[Array, Array]:
 
 def _most_probable(x: Array, root: Array, logs: Array) -> tuple[Array, float]:
     """Reach of the kernel (3,), and the noise."""
-    best, reach, noise = -np.inf, _REACH, _NOISE[-1]
-    for scale in _SCALES:
-        values, vectors = _eigen(x / (scale * _REACH), root)
+    best, reach, noise = -np.inf, _KERNEL_REACH, _NOISE_RATIOS[-1]
+    for scale in _REACH_SCALES:
+        values, vectors = _eigen(x / (scale * _KERNEL_REACH), root)
         along = (vectors.T @ logs) ** 2
-        for tried in _NOISE:
+        for tried in _NOISE_RATIOS:
             variance = np.mean(along / (values + tried)[:, np.newaxis]) + 1e-12
             probability = -np.log(variance) * root.size - np.sum(np.log(values + tried))
             if probability > best:
-                best, reach, noise = float(probability), scale * _REACH, tried
+                best, reach, noise = float(probability), scale * _KERNEL_REACH, tried
     return reach, noise

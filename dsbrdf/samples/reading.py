@@ -25,18 +25,23 @@ from dsbrdf.samples.spreadsheet import is_spreadsheet, spreadsheet_text
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 _MAX_FILE_BYTES = 1 << 30
-_TABLE_TOLERANCE = 0.02
-_ROUNDED = 1e-3  # tables have few digits: a smaller deviation from unit length is not worth a word
-_SAME_DIRECTION = 1e-5  # of the components of unit vectors
-_CONTRADICTION, _DARK = 1.25, 0.05  # factor between values of one pair of directions; of the median, which is added
-_LARGEST_NOISE = 0.01  # of negative values: each as a share of the largest value, their sum as a share of all
+# Vectors further off unit length are refused; tables have few digits, and a smaller deviation is not mentioned.
+_MAX_LENGTH_DEVIATION = 0.02
+_ROUNDED_LENGTH_DEVIATION = 1e-3
+# Components of unit vectors that differ by less are the same direction.
+_SAME_COMPONENT = 1e-5
+# Values of one pair of directions contradict each other by this factor, once a fraction of the median is added.
+_CONTRADICTION_FACTOR = 1.25
+_DARK_FRACTION = 0.05
+# A negative value is noise up to this fraction of the largest, and all of them up to this fraction of the sum.
+_MAX_NOISE_FRACTION = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class ReadTable:
     """A table that was read."""
 
-    columns: tuple[tuple[str, str, str], ...]  # of each its name, what it was read as, and the unit, if they say them
+    columns: tuple[tuple[str, str, str], ...]  # name, meaning and unit of each, empty where the table says none
     n_rows: int
     samples: ScatteredSamples
 
@@ -156,12 +161,12 @@ def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Ar
     """Return vectors made of unit length."""
     length = np.linalg.norm(vectors, axis=1)
     off = np.where(used, np.abs(length - 1.0), 0.0)
-    if off.max(initial=0.0) > _TABLE_TOLERANCE:
+    if count := np.count_nonzero(off > _MAX_LENGTH_DEVIATION):
         raise MeasurementFormatError(
-            f"In {np.count_nonzero(off > _TABLE_TOLERANCE)} of {off.size} rows {side} is not of unit length, which is "
+            f"In {count} of {off.size} rows {side} is not of unit length, which is "
             f"{length[int(np.argmax(off))]:.4g} in one of them; directions are unit vectors."
         )
-    if off.max(initial=0.0) > _ROUNDED:
+    if off.max(initial=0.0) > _ROUNDED_LENGTH_DEVIATION:
         notes.append(f"The vectors {side} were up to {off.max():.1%} off unit length; they were made unit vectors.")
     return np.asarray(vectors / np.where(used & (length > 0.0), length, 1.0)[:, np.newaxis])
 
@@ -174,7 +179,10 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
         return values
     lowest, largest = -values.min(), values.max()
     several = "1 value is" if count == 1 else f"{count} values are"
-    if lowest > _LARGEST_NOISE * largest or -values[negative].sum() > _LARGEST_NOISE * values[~negative].sum():
+    if (
+        lowest > _MAX_NOISE_FRACTION * largest
+        or -values[negative].sum() > _MAX_NOISE_FRACTION * values[~negative].sum()
+    ):
         raise MeasurementFormatError(
             f"{several} negative, down to {-lowest:.4g}, more than noise about zero explains: if they stand for what "
             f"is missing, set missing to {-lowest:g}."
@@ -188,12 +196,12 @@ def _contradictions(pairs: Array, values: Array) -> list[str]:
     """Tell of pairs of directions (n, 6) that have several values (n,) far apart."""
     if values.size == 0:
         return []
-    digits = np.rint(pairs / _SAME_DIRECTION).astype(np.int64)
+    digits = np.rint(pairs / _SAME_COMPONENT).astype(np.int64)
     key = digits @ np.random.default_rng(0).integers(1 << 62, size=6)  # equal pairs have equal keys, in linear time
     order = np.lexsort((values, key))
     starts = np.flatnonzero(np.diff(key[order], prepend=key[order][:1] - 1))
     lowest, highest = values[order][starts], values[order][np.append(starts[1:], values.size) - 1]
-    apart = highest > _CONTRADICTION * (lowest + _DARK * np.median(values))
+    apart = highest > _CONTRADICTION_FACTOR * (lowest + _DARK_FRACTION * np.median(values))
     count = int(np.count_nonzero(apart))
     if count == 0:
         return []
@@ -201,8 +209,8 @@ def _contradictions(pairs: Array, values: Array) -> list[str]:
     theta_in, theta_out = np.degrees(np.arccos(np.clip(pairs[order][worst][[2, 5]], 0.0, 1.0)))
     several = "1 pair of directions has" if count == 1 else f"{count} pairs of directions have"
     return [
-        f"{several} values that differ by more than {_CONTRADICTION - 1.0:.0%}, such as theta_in = {theta_in:.4g} and "
-        f"theta_out = {theta_out:.4g} degrees: all of them count, so that the fit is between them."
+        f"{several} values that differ by more than {_CONTRADICTION_FACTOR - 1.0:.0%}, such as theta_in = "
+        f"{theta_in:.4g} and theta_out = {theta_out:.4g} degrees: all of them count, so that the fit is between them."
     ]
 
 

@@ -48,7 +48,7 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
         texts = {sheet.title: _text(sheet.iter_rows(values_only=True)) for sheet in workbook.worksheets}
     except (MeasurementFormatError, MemoryError):
         raise
-    except Exception as error:  # of openpyxl, of XML or of ZIP, whatever is wrong with the file
+    except Exception as error:  # openpyxl, XML and ZIP raise their own
         raise MeasurementFormatError("The spreadsheet cannot be read; save its sheet as .csv.") from error
     title = max(texts, key=lambda name: len(texts[name]), default="")
     notes = [f"Of {len(texts)} sheets the longest was read, {title!r}."] if len(texts) > 1 else []

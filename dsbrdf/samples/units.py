@@ -27,16 +27,25 @@ _FACTORS = {
 _MERL_FACTOR = 1.0 / 1500.0
 _OF_INTEGERS = (1.0, "1/1500 (scale 0.0006667; are they the integers of a MERL file?)")
 # Usual albedo, and the standard deviation of its logarithm; factors less probable than the best by more are not named.
-_USUAL_ALBEDO, _ALBEDO_SPREAD, _NAMED_FRACTION = 0.3, 1.1, 0.1
+_USUAL_ALBEDO = 0.3
+_ALBEDO_SPREAD = 1.1
+# Layers do not know materials that are darker.
+_MIN_LEVEL = 1e-5
+_NAMED_FRACTION = 0.1
 _INCIDENCE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 _NEAR_INCIDENCE = np.radians(7.6)
 _MIN_IN_GROUP = 6
-_N_NEIGHBOURS = 4  # over theta_half, of which the least value counts
-_MAX_ASKED = 300  # samples that layers are fitted to
+# The least value of so many neighbours over theta_half counts.
+_N_NEIGHBOURS = 4
+# Layers are fitted to at most so many samples.
+_MAX_ASKED_SAMPLES = 300
 # Evidence by which values divided by a cosine, or turned, are better; of values that are right it is at most 6.
 _MORE_PROBABLE = 15.0
-_MAX_ERROR = 0.3  # of layers that explain the divided values: beyond it, nothing does
-_SPIKE_FACTOR, _SPIKE_THETA_HALF = 8.0, np.radians(3.0)
+# Layers that miss the divided values by more do not explain them.
+_MAX_LAYER_ERROR = 0.3
+# One sample is a spike if it is near the mirror direction and this much brighter than its neighbours.
+_SPIKE_FACTOR = 8.0
+_SPIKE_THETA_HALF = np.radians(3.0)
 
 
 @dataclass(frozen=True)
@@ -46,7 +55,7 @@ class SampleDoubts:
     Attributes
     ----------
     factor : float
-        What makes them reflect less light than they receive; 1 if they do.
+        What makes their albedo a usual one if it is none; 1 otherwise.
     sentences : tuple of str
         One for each property to check.
     """
@@ -58,13 +67,16 @@ class SampleDoubts:
 def sample_doubts(samples: ScatteredSamples) -> SampleDoubts:
     """Return what should be checked about samples."""
     bound = albedo_bound(samples)
-    factors = _likely_factors(samples.values, bound) if bound > _MAX_ALBEDO_BOUND else []
+    # Where samples are few, the bound is far below the albedo, and the median tells more.
+    level = max(bound, np.pi * float(np.median(samples.values)) + 1e-4 * float(samples.values.max()))
+    factors = _likely_factors(samples.values, level) if bound > _MAX_ALBEDO_BOUND else []
     sentences = _about_energy(samples, bound, factors) if factors else _about_layers(samples)
-    return SampleDoubts(factors[0][0] if factors else 1.0, (*sentences, *_about_spikes(samples)))
+    factor = factors[0][0] if factors else 1.0 if level > _MIN_LEVEL else _USUAL_ALBEDO / level
+    return SampleDoubts(factor, (*sentences, *_about_spikes(samples)))
 
 
 def _about_energy(samples: ScatteredSamples, bound: float, factors: list[tuple[float, str]]) -> Iterator[str]:
-    asked = thinned(samples, _MAX_ASKED)
+    asked = thinned(samples, _MAX_ASKED_SAMPLES)
     side = _side_of_cosine(replace(asked, values=asked.values * factors[0][0]))
     named = " or ".join(words for _, words in factors)
     cosine = "" if side is None else f', and set cosine to "{side}": they look like a BRDF times that cosine'
@@ -75,7 +87,7 @@ def _about_energy(samples: ScatteredSamples, bound: float, factors: list[tuple[f
 
 
 def _about_layers(samples: ScatteredSamples) -> Iterator[str]:
-    asked = thinned(samples, _MAX_ASKED)
+    asked = thinned(samples, _MAX_ASKED_SAMPLES)
     layers = SampleLayers.fit(asked)
     turned = replace(asked, omega_in=asked.omega_in * np.array([-1.0, -1.0, 1.0]))
     if SampleLayers.fit(turned).evidence < layers.evidence - _MORE_PROBABLE:
@@ -98,22 +110,22 @@ def _side_of_cosine(samples: ScatteredSamples, layers: SampleLayers | None = Non
     evidence = (layers or SampleLayers.fit(samples)).evidence
     found = {side: SampleLayers.fit(samples.divided_by_cosine(side)) for side in ("in", "out")}
     side = min(found, key=lambda name: found[name].evidence)
-    is_clear = found[side].evidence < evidence - _MORE_PROBABLE and found[side].found[0].error < _MAX_ERROR
+    is_clear = found[side].evidence < evidence - _MORE_PROBABLE and found[side].found[0].error < _MAX_LAYER_ERROR
     return side if is_clear else None
 
 
-def _likely_factors(values: Array, bound: float) -> list[tuple[float, str]]:
-    """Return the factors that make the albedo a usual one, the most probable first."""
+def _likely_factors(values: Array, level: float) -> list[tuple[float, str]]:
+    """Return the factors that make the albedo a usual one, the most probable first; it is about `level` here."""
     is_integer = bool(np.all(values == np.rint(values)))
     known = _FACTORS | ({_MERL_FACTOR: _OF_INTEGERS} if is_integer else {})
     scores = {
-        factor: np.log(prior) - 0.5 * (np.log(bound * factor / _USUAL_ALBEDO) / _ALBEDO_SPREAD) ** 2
+        factor: np.log(prior) - 0.5 * (np.log(level * factor / _USUAL_ALBEDO) / _ALBEDO_SPREAD) ** 2
         for factor, (prior, _) in known.items()
     }
     best = max(scores.values())
     order = sorted(scores, key=lambda factor: -scores[factor])
-    if order[0] * bound > _MAX_ALBEDO_BOUND:
-        return [(_USUAL_ALBEDO / bound, "what makes them 1/sr")]
+    if order[0] * level > _MAX_ALBEDO_BOUND:
+        return [(_USUAL_ALBEDO / level, "what makes them 1/sr")]
     return [(factor, known[factor][1]) for factor in order if scores[factor] > best + np.log(_NAMED_FRACTION)]
 
 
@@ -154,7 +166,7 @@ def _outgoing(incidence_deg: float) -> tuple[Array, Array]:
 def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
     """Tell of highlights in which one sample alone lies, at most angles of incidence."""
     theta_half = half_difference(samples.omega_in, samples.omega_out)[0]
-    incidence = np.degrees(np.arccos(np.clip(samples.omega_in[:, 2], 0.0, 1.0))).round()
+    incidence = np.degrees(np.arccos(np.clip(samples.omega_in[:, 2], 0.0, 1.0))).round(1)
     level = samples.values.mean(axis=1)
     seen, covered, ratios, gaps = 0, 0, list[float](), list[float]()
     for angle in np.unique(incidence):
