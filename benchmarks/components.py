@@ -3,8 +3,11 @@
 Known: 15 synthetic materials, GGX on the diffuse term of `dsbrdf.data.synthetic`, five roughnesses on three grounds
 with 2 % noise. The diffuse albedo at normal incidence, channels added, and the colour of the highlight are compared.
 
-On measurements: the diffuse part at theta_half below 12 degrees, as a share of its largest value from 8 to 40 degrees,
-at theta_diff 0, 30 and 45 degrees in every channel where it holds 5 % of the light.
+On measurements, two tables. Misfits are distances of each component's own layers from its values, for components with
+2 % of the light: peak, colour, half width, albedo as `dsbrdf.components.Misfit` has them; components whose parameters
+are withheld count apart. Dents are the deviations of a wider component under a highlight, as a fraction of its largest
+value around it, at theta_diff 0, 30 and 45 degrees in every channel where it holds 5 % of the light: of the diffuse
+part below 12 degrees of theta_half, and how far the middle of a lobe below a spike is under its largest value.
 """
 
 import argparse
@@ -12,12 +15,14 @@ import itertools
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, astuple
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_measurements
-from dsbrdf import ConvergenceWarning, Decomposition, decompose, fit, profiles
+from dsbrdf import DSBRDF, ConvergenceWarning, Decomposition, decompose, fit, load, profiles
 from dsbrdf.arrays import Array
 from dsbrdf.data import synthetic_measurement
 
@@ -30,6 +35,7 @@ DENT_ANGLES = np.radians([0.0, 30.0, 45.0])
 ANGLES_UNDER_HIGHLIGHT = np.radians(np.linspace(0.0, 12.0, 49))
 ANGLES_AROUND_HIGHLIGHT = np.radians(np.linspace(8.0, 40.0, 65))
 MIN_DIFFUSE_FRACTION = 0.05
+MIN_DESCRIBED_LIGHT = 0.02
 # integral of cos (1 - (1 - cos / 2)**5) d cos from 0 to 1, by which the diffuse term's albedo is known
 _FALL = 0.5 - 4.0 * ((1.0 - 0.5**6) / 6.0 - (1.0 - 0.5**7) / 7.0)
 
@@ -63,38 +69,62 @@ def print_known() -> None:
 
 
 def dents(parts: Decomposition) -> list[float]:
-    """Deviation of the diffuse part under the highlight for each angle and channel where it has light."""
-    if parts.diffuse is None:
-        return []
+    """Deviations of the diffuse part under a highlight and of the lobe under a spike, by angle and channel."""
     found = []
     measure = np.sin(2.0 * ANGLES_AROUND_HIGHLIGHT)
     for theta_diff in DENT_ANGLES.tolist():
-        whole, around = (
-            parts.model.evaluate(ANGLES_AROUND_HIGHLIGHT, theta_diff),
-            parts.diffuse.evaluate(ANGLES_AROUND_HIGHLIGHT, theta_diff),
-        )
-        under = parts.diffuse.evaluate(ANGLES_UNDER_HIGHLIGHT, theta_diff)
-        share = (measure @ around) / (measure @ whole)
-        deviation = np.abs(under / around.max(axis=0) - 1.0).max(axis=0)
-        found += deviation[share > MIN_DIFFUSE_FRACTION].tolist()
+        whole = parts.model.evaluate(ANGLES_AROUND_HIGHLIGHT, theta_diff)
+        if parts.diffuse is not None:
+            around = parts.diffuse.evaluate(ANGLES_AROUND_HIGHLIGHT, theta_diff)
+            under = parts.diffuse.evaluate(ANGLES_UNDER_HIGHLIGHT, theta_diff)
+            deviation = np.abs(under / around.max(axis=0) - 1.0).max(axis=0)
+            found += deviation[(measure @ around) / (measure @ whole) > MIN_DIFFUSE_FRACTION].tolist()
+        if parts.specular_lobe is not None and parts.specular_spike is not None:
+            lobe = parts.specular_lobe.evaluate(ANGLES_UNDER_HIGHLIGHT, theta_diff)
+            share = (measure @ parts.specular_lobe.evaluate(ANGLES_AROUND_HIGHLIGHT, theta_diff)) / (measure @ whole)
+            found += (1.0 - lobe[0] / lobe.max(axis=0))[share > MIN_DIFFUSE_FRACTION].tolist()
     return found
 
 
+def print_measured(models: Iterable[tuple[str, DSBRDF]]) -> None:
+    """Print the dents and misfits of materials, and their spread."""
+    every, misfits, n_components = [], [], 0
+    for name, model in models:
+        parts = decompose(model)
+        found = dents(parts)
+        every += found
+        print(f"{name:34} deviation under a highlight {max(found, default=0.0):6.1%}", flush=True)
+        for part in parts:
+            if part.light_share < MIN_DESCRIBED_LIGHT:
+                continue
+            n_components += 1
+            withheld = any(surface.f0 is None or surface.alpha is None for surface in part.surfaces)
+            if not withheld:
+                misfits.append([np.nan if off is None else off for off in astuple(part.misfit)])
+            words = ", ".join(f"{name} {off:.3f}" for name, off in asdict(part.misfit).items() if off is not None)
+            print(f"    {part.label:16} {words}{', withheld' if withheld else ''}", flush=True)
+    print(f"under a highlight: p90 of the deviation {np.quantile(every, 0.9):.1%}")
+    median, p90 = np.nanquantile(np.array(misfits), [0.5, 0.9], axis=0)
+    for name, *figures in zip(("peak", "colour", "half width", "albedo"), median, p90, strict=True):
+        print(f"{name}: median {figures[0]:.3f}, p90 {figures[1]:.3f}")
+    print(f"withheld: {n_components - len(misfits)} of {n_components} components")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Print both tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks components", description=__doc__)
     add_arguments(parser, every=1)
+    parser.add_argument("--models", type=Path, help="folder of fits (default: the materials are fitted)")
     arguments = parser.parse_args(argv)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
+        if arguments.models:
+            print_measured((path.stem, load(path)) for path in sorted(arguments.models.glob("*.json")))
+            return 0
         print_known()
         if os.environ.get(REFERENCE_VARIABLE):
-            every = []
-            for measurement in chosen_measurements(arguments):
-                found = dents(decompose(fit(profiles(measurement)).model))
-                every += found
-                print(f"{measurement.name:34} diffuse under the highlight {max(found, default=0.0):6.1%}", flush=True)
-            print(f"diffuse part under the highlight: p90 of the deviation {np.quantile(every, 0.9):.1%}")
+            chosen = chosen_measurements(arguments)
+            print_measured((measurement.name, fit(profiles(measurement)).model) for measurement in chosen)
     return 0
 
 

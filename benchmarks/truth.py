@@ -10,7 +10,7 @@ import argparse
 import sys
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ import dsbrdf
 from dsbrdf import ConvergenceWarning, Measurement
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, directions, nodes_above_horizon
 from tests.support.foreign_bsdfs import Color, lambert, ward_duer
+from tests.support.foreign_kinds import materials as materials_of_kinds
 from tests.support.foreign_materials import (
     CATALOGUE,
     Material,
@@ -175,22 +176,30 @@ def print_summary(rows: Sequence[Judgement]) -> None:
     print(f"open split said: {sum(row.is_warned for row in rows)} of {len(rows)}; said or inside: {warned:.0%}")
 
 
+def chosen_materials(arguments: argparse.Namespace) -> Mapping[str, Material]:
+    """Return the catalogue, materials drawn at random, or those of difficult kinds."""
+    if arguments.random:
+        return drawn(arguments.random, arguments.seed)
+    return materials_of_kinds() if arguments.kinds else CATALOGUE
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Print a line for each material, and the spread."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks truth", description=__doc__)
     parser.add_argument("--names", default="", help="only materials whose name contains one of these, with commas")
     parser.add_argument("--random", type=int, metavar="N", help="N materials drawn at random instead of the catalogue")
+    parser.add_argument("--kinds", action="store_true", help="30 materials that scatter light several ways instead")
     parser.add_argument("--seed", type=int, default=1, help="of the random materials (default: 1)")
     parser.add_argument("--noise", type=float, default=0.0, help="relative noise of every value (default: 0)")
     models_help = "keep fits and truth there, and take those that are there; these are decomposed anew, with the time"
     parser.add_argument("--models", type=Path, metavar="DIR", help=models_help)
     arguments = parser.parse_args(argv)
-    materials = drawn(arguments.random, arguments.seed) if arguments.random else CATALOGUE
+    materials = chosen_materials(arguments)
     words = arguments.names.split(",")
     chosen = {name: material for name, material in materials.items() if any(word in name for word in words)}
     if not chosen:
         raise SystemExit(f"no material has one of {arguments.names} in its name")
-    kind = f"random_{arguments.seed}" if arguments.random else "catalogue"
+    kind = f"random_{arguments.seed}" if arguments.random else "kinds" if arguments.kinds else "catalogue"
     folder = arguments.models and arguments.models / f"{kind}_noise_{arguments.noise:g}"
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)

@@ -28,6 +28,7 @@ from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
 from dsbrdf.components.points import Points, grid_points
 from dsbrdf.components.ranges import ComponentRanges, DrawnLayers, Range
 from dsbrdf.components.shares import LABELS, NORMAL, LightRule, WeightedLayers, light_rules
+from dsbrdf.components.structures import RARE_STRUCTURES, STRUCTURES
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -318,7 +319,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
     data = material_data(grid_values(model))
     if data is None:
         return Decomposition(model, (), (), (), (), (0.0, 0.0))
-    found = fit_structures(data)
+    found = fit_structures(data, (*STRUCTURES, *RARE_STRUCTURES))
     kept = [one for one, weight in zip(found, structure_weights(found), strict=True) if weight >= _MIN_WEIGHT]
     structures = tuple(
         WeightedLayers(one.structure.name, float(weight), one.model, one.structure.is_diffuse)

@@ -23,7 +23,7 @@ from dsbrdf.model.reflectance import ReflectanceModel
 
 _ROWS = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _COLUMNS = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
-_AZIMUTHS = np.radians([15.0, 45.0, 75.0])
+_AZIMUTHS = np.radians([20.0, 70.0])
 LAYER_POWER = 1.4
 """Errors of layers count relative to f to this power: the wide, faint range decides on the diffuse part."""
 PLAIN_SHARE = 0.3
@@ -35,7 +35,7 @@ _PEAK_SHARE = 1.0  # Weight of the error at a highlight's peak, in units of the 
 _RENDERED_PEAK_SHARE = 0.5  # The same for all components together.
 _PEAK_ANGLE = np.radians(50.0)  # Peaks at a larger theta_diff count less and less.
 _CENTER_ANGLE = np.radians(0.05)  # Angles theta_half below count alike.
-_BAND_WEIGHT = 4.0  # Weight of the relative errors of a component's light in bands, in units of the whole.
+_BAND_WEIGHT = 6.0  # Weight of the relative errors of a component's light in bands, in units of the whole.
 _RENDERED_BAND_WEIGHT = 1.0  # The same for all components together.
 _BAND_ENDS = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # Bands of theta_diff.
 _DARK_BAND = 0.05  # A band's error counts relative to this fraction of the mean band's light or more.

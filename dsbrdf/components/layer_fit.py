@@ -114,10 +114,14 @@ class FittedStructure:
 
 def fit_structures(data: LayerData, structures: Sequence[LayerStructure] = STRUCTURES) -> list[FittedStructure]:
     """Fit structures to data, the best first; hopeless ones are given up after a few steps."""
-    trials = [_best_trial(data, structure) for structure in structures]
+    trials: dict[str, _Descent] = {}
+    for structure in structures:
+        if structure.parent in trials:
+            structure = structure.started_from(trials[structure.parent].model)
+        trials[structure.name] = _best_trial(data, structure)
     found: list[FittedStructure] = []
     best = np.inf
-    for descent in sorted(trials, key=lambda trial: trial.prospect):
+    for descent in sorted(trials.values(), key=lambda trial: trial.prospect):
         if descent.prospect > best + _HOPELESS_COST * data.n_samples / N_SAMPLES:
             break
         descent.run(_MAX_STEPS)
@@ -172,6 +176,11 @@ class _Descent:
         """Cost, and what the number of unknowns is about worth."""
         cost = self._cost(self._error, is_first=False) + self._penalty(self.unknowns)
         return cost + self.structure.price + self.structure.mean.size
+
+    @property
+    def model(self) -> LayeredModel:
+        """The layers that are reached."""
+        return self.structure.model(self.unknowns)
 
     def run(self, steps: int) -> None:
         """Take at most so many steps."""
@@ -235,16 +244,20 @@ class _Descent:
         """Find C and its normal equations, which are those of each channel's own unknowns."""
         size = self.unknowns.size
         self._error, self._matrix, self._gradient = 0.0, np.zeros((size, size)), np.zeros(size)
+        total = np.sum([layer.values for layer in layers], axis=0)
         for channel, places in enumerate(self.structure.of_channel):
-            rows = []
+            root = self.data.root_weight[channel]
+            columns = np.empty((places.size + 1, root.size))  # Derivatives, then the residual.
+            end = 0
             for layer in layers:
-                rows.append(layer.own[channel][np.newaxis])
-                rows += [] if layer.grazing is None else [layer.grazing[np.newaxis]]
-                rows.append(layer.relative * layer.values[channel])
-            rows.append(np.sum([layer.values[channel] for layer in layers], axis=0, keepdims=True))
-            columns = np.concatenate(rows)  # derivatives, then the residual
-            columns *= self.data.root_weight[channel]
-            columns[-1] -= self.data.weighted[channel]
+                np.multiply(layer.own[channel], root, out=columns[end])
+                end += 1
+                if layer.grazing is not None:
+                    np.multiply(layer.grazing, root, out=columns[end])
+                    end += 1
+                start, end = end, end + len(layer.relative)
+                np.multiply(layer.relative, layer.values[channel] * root, out=columns[start:end])
+            np.subtract(total[channel] * root, self.data.weighted[channel], out=columns[end])
             products = columns[:-1] @ columns.T
             self._error += float(columns[-1] @ columns[-1])
             if self.data.sums is not None:

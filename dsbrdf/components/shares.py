@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layers import Layer, LayeredModel, RetroLayer, SpecularLayer
+from dsbrdf.components.layers import Layer, LayeredModel, SpecularLayer
 from dsbrdf.components.points import Points
 from dsbrdf.model.albedo import half_vector_rule
 
@@ -133,6 +133,6 @@ def _ratio(values: Array, total: Array) -> Array:
 
 
 def _label(layer: Layer, is_diffuse: bool) -> str:
-    if is_diffuse or not isinstance(layer, (SpecularLayer, RetroLayer)):
+    if is_diffuse:
         return LABELS[2]
     return LABELS[0 if isinstance(layer, SpecularLayer) and layer.half_width < SPIKE_HALF_WIDTH else 1]

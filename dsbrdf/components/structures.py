@@ -101,6 +101,8 @@ def _diffuse(exponents: Sequence[Range]) -> LayerPrior:
 
 _DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, strength=_WEAK)
 _COAT = _specular((np.log(0.045), 0.35), 0.03)  # or the peak of a metal with haze, which is as bright as metal
+_CLEAR_COAT = replace(_COAT, upper=np.where(np.arange(_COAT.upper.size) == 6, np.log(0.08), _COAT.upper))
+"""A coat that is smoother than what it covers."""
 _METAL = _specular((np.log(0.6), 0.6), 1.0)
 _METAL_UNDER_COAT = _specular((np.log(0.6), 0.6), 1.0, under_coat=True)
 _HIGHLIGHT = _specular((np.log(0.5), 0.8), 0.7)
@@ -120,6 +122,23 @@ _FIBRES = _prior(
     ((-0.1, 0.4), *_RISE, (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _HELD)),
     (_WEAK, *_SPECULAR_BOUNDS[:3], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)), *_SPECULAR_BOUNDS[5:]),
 )
+
+
+_WIDEST_START_DEG = 35.0
+_INTERREFLECTION_POWER = 2.4  # The light between facets grows with this power of alpha.
+_INTERREFLECTION_LEVEL = float(np.log(0.106) - _INTERREFLECTION_POWER * np.log(0.3))
+_INTERREFLECTION = replace(
+    _prior(
+        DiffuseLayer,
+        (0.0, 0.3),
+        0.2,
+        ((0.4, 0.2), (-0.1, 0.15), (0.0, 0.1), (0.6, 0.5), (0.2, 0.2), (-0.05, 0.1)),
+        ((-14.0, np.log(2.0)), (-1.0, 2.0), (-1.0, 2.0), (-2.5, 4.0), (-1.0, 2.5), (-2.5, 2.5), (-1.0, 1.5)),
+    ),
+    is_diffuse=False,
+    freedom=np.array([_GAUSSIAN] * 3 + [_FREEDOM] * 6),
+)
+"""Light of a metal that leaves after several reflections (Kulla and Conty 2017): its colour is that of F0 squared."""
 
 
 OWN_PRIORS: dict[type[Layer], LayerPrior] = {
@@ -157,12 +176,39 @@ OWN_PRIORS: dict[type[Layer], LayerPrior] = {
 
 @dataclass(frozen=True, eq=False)
 class LayerStructure:
-    """Layers of a kind of material, with U unknowns."""
+    """Layers of a kind of material, with U unknowns.
+
+    Attributes
+    ----------
+    name : str
+        The structure in words.
+    layers : tuple of LayerPrior
+        Its layers.
+    price : float
+        Cost of its freedom.
+    starts : tuple of tuple of float
+        Half widths of the specular layers that a fit starts from [degrees].
+    interreflects : bool
+        Whether the last layer is light between the facets of the first.
+    parent : str or None
+        Structure fitted before, whose half widths are the start.
+    start_factors : tuple of tuple
+        Number of the parent's specular layer, and factor of its half width, for each specular layer.
+    """
 
     name: str
     layers: tuple[LayerPrior, ...]
     price: float = 0.0
-    starts: tuple[tuple[float, ...], ...] = ((),)  # half widths of the free specular layers [degrees]
+    starts: tuple[tuple[float, ...], ...] = ((),)
+    interreflects: bool = False
+    parent: str | None = None
+    start_factors: tuple[tuple[int, float], ...] = ()
+
+    def started_from(self, parent: LayeredModel) -> "LayerStructure":
+        """Return the structure with a start at the half widths of another one's layers."""
+        widths = [float(np.degrees(one.half_width)) for one in parent.layers if isinstance(one, SpecularLayer)]
+        start = tuple(min(widths[number] * factor, _WIDEST_START_DEG) for number, factor in self.start_factors)
+        return replace(self, starts=(start,))
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
@@ -173,12 +219,21 @@ class LayerStructure:
     @cached_property
     def mean(self) -> Array:
         """Mean of the prior (U,)."""
-        return np.concatenate([layer.mean for layer in self.layers])
+        mean = np.concatenate([layer.mean for layer in self.layers])
+        if self.interreflects:
+            mean[self.slices[-1]][:3] = 2.0 * mean[:3] + _INTERREFLECTION_POWER * mean[6] + _INTERREFLECTION_LEVEL
+        return mean
 
     @cached_property
     def root(self) -> Array:
-        """What whitens deviations from the mean (U, U)."""
-        return np.asarray(block_diag(*(layer.root for layer in self.layers)))
+        """Matrix (U, U) that whitens deviations from the mean."""
+        root = np.asarray(block_diag(*(layer.root for layer in self.layers)))
+        if self.interreflects:
+            rows = self.slices[-1].start + np.arange(3)
+            own = root[np.ix_(rows, rows)]
+            root[np.ix_(rows, np.arange(3))] = -2.0 * own
+            root[rows, 6] = -_INTERREFLECTION_POWER * own.sum(axis=1)
+        return root
 
     @cached_property
     def freedom(self) -> Array:
@@ -233,16 +288,74 @@ class LayerStructure:
 _ONE = ((0.3,), (1.5,), (6.0,), (18.0,))
 _TWO = ((0.15, 12.0), (1.0, 6.0), (1.0, 16.0), (4.0, 16.0))
 
+_SAME_WIDTH = ((0, 1.0),)
+_SAME_WIDTHS = ((0, 1.0), (1, 1.0))
+
 STRUCTURES = (
     LayerStructure("diffuse", (_GROUND,)),
     LayerStructure("diffuse with sheen", (_GROUND, _SHEEN), 2.0),
     LayerStructure("diffuse with retro-reflection", (_RETRO, _GROUND), 6.0),
     LayerStructure("fibres", (_FIBRES, _YARN), 5.0),
     LayerStructure("dielectric over diffuse", (_DIELECTRIC, _GROUND), 0.0, _ONE),
-    LayerStructure("dielectric", (_DIELECTRIC,), 0.0, _ONE),
     LayerStructure("metal", (_METAL,), 0.0, _ONE),
-    LayerStructure("highlight over diffuse", (_HIGHLIGHT, _GROUND), 6.0, _ONE),
+    LayerStructure("dielectric", (_DIELECTRIC,), 0.0, _ONE, parent="metal", start_factors=_SAME_WIDTH),
+    LayerStructure(
+        "highlight over diffuse",
+        (_HIGHLIGHT, _GROUND),
+        6.0,
+        _ONE,
+        parent="dielectric over diffuse",
+        start_factors=_SAME_WIDTH,
+    ),
     LayerStructure("coat over highlight over diffuse", (_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND), 8.0, _TWO),
     LayerStructure("coat over metal", (_COAT, _METAL_UNDER_COAT), 2.0, _TWO),
-    LayerStructure("two highlights over diffuse", (_COAT, _DIELECTRIC, _GROUND), 2.0, _TWO),
+    LayerStructure(
+        "two highlights over diffuse",
+        (_COAT, _DIELECTRIC, _GROUND),
+        2.0,
+        _TWO,
+        parent="coat over highlight over diffuse",
+        start_factors=_SAME_WIDTHS,
+    ),
 )
+"""Usual structures; a parent stands before the structure that starts from it."""
+
+RARE_STRUCTURES = (
+    LayerStructure(
+        "dielectric over diffuse with sheen",
+        (_DIELECTRIC, _GROUND, _SHEEN),
+        4.0,
+        parent="dielectric over diffuse",
+        start_factors=_SAME_WIDTH,
+    ),
+    LayerStructure(
+        "dielectric over diffuse with retro-reflection",
+        (_DIELECTRIC, _RETRO, _GROUND),
+        6.0,
+        parent="dielectric over diffuse",
+        start_factors=_SAME_WIDTH,
+    ),
+    LayerStructure(
+        "metal with interreflection",
+        (_METAL, _INTERREFLECTION),
+        2.0,
+        interreflects=True,
+        parent="metal",
+        start_factors=_SAME_WIDTH,
+    ),
+    LayerStructure(
+        "metal of two roughnesses",
+        (_METAL, _METAL),
+        4.0,
+        parent="coat over metal",
+        start_factors=_SAME_WIDTHS,
+    ),
+    LayerStructure(
+        "coat over flakes of two scales over diffuse",
+        (_CLEAR_COAT, _HIGHLIGHT_UNDER_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND),
+        12.0,
+        parent="coat over highlight over diffuse",
+        start_factors=((0, 1.0), (1, 0.7), (1, 2.0)),
+    ),
+)
+"""Structures with more kinds of light than those above, which they start from."""

@@ -18,6 +18,7 @@ from dsbrdf.components import LABELS
 from dsbrdf.data import directions
 from dsbrdf.model import ReflectanceModel
 from tests.support.foreign_bsdfs import conductor
+from tests.support.foreign_kinds import KINDS
 from tests.support.foreign_materials import CATALOGUE, Material
 from tests.support.foreign_truth import Judgement, Truth, judged
 
@@ -114,3 +115,11 @@ def test_what_an_open_split_is_worth_is_said() -> None:
     """A black dielectric of alpha 0.55, half as wide as a matte surface: its light may as well be diffuse."""
     black = Material((conductor(0.55, color=(0.04, 0.04, 0.04)),))
     assert judged(decomposed(black), Truth.of(black)).inside
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_light_that_a_material_scatters_several_ways_is_on_its_own_side(kind: str) -> None:
+    material = KINDS[kind]()[0]
+    found = judged(decomposed(material), Truth.of(material))
+    assert found.moved.mean() < 0.03
+    assert found.inside

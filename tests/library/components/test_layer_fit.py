@@ -24,19 +24,18 @@ YARN = DiffuseLayer((0.4, 0.15, 0.05), (0.0, 0.0, 0.6, 0.0, 0.5, 0.0))
 COAT = surface(GLASS, 0.02)
 PLASTIC = surface(GLASS, 0.2)
 METAL = surface(GOLD, 0.15)
-# The evidence is that of a fit of today: what is known beforehand of each layer decides on it.
-MATERIALS: dict[str, tuple[tuple[Layer, ...], float]] = {
-    "diffuse": ((GROUND,), -328.10),
-    "diffuse with sheen": ((GROUND, SheenLayer((0.3, 0.3, 0.3), (2.0, 3.0))), -301.05),
-    "diffuse with retro-reflection": ((RetroLayer((0.2, 0.2, 0.2), 0.1), GROUND), -292.35),
-    "fibres": ((surface(GLASS, 0.65), YARN), -302.76),
-    "dielectric over diffuse": ((PLASTIC, GROUND), -298.60),
-    "dielectric": ((PLASTIC,), -336.85),
-    "metal": ((METAL,), -321.01),
-    "highlight over diffuse": ((surface(COPPER, 0.15), GROUND), -272.65),
-    "coat over highlight over diffuse": ((COAT, surface(COPPER, 0.25, 1.0), GROUND), -246.70),
-    "coat over metal": ((COAT, surface(GOLD, 0.25, 1.0)), -287.71),
-    "two highlights over diffuse": ((COAT, surface(GLASS, 0.3), GROUND), -269.75),
+MATERIALS: dict[str, tuple[Layer, ...]] = {
+    "diffuse": (GROUND,),
+    "diffuse with sheen": (GROUND, SheenLayer((0.3, 0.3, 0.3), (2.0, 3.0))),
+    "diffuse with retro-reflection": (RetroLayer((0.2, 0.2, 0.2), 0.1), GROUND),
+    "fibres": (surface(GLASS, 0.65), YARN),
+    "dielectric over diffuse": (PLASTIC, GROUND),
+    "dielectric": (PLASTIC,),
+    "metal": (METAL,),
+    "highlight over diffuse": (surface(COPPER, 0.15), GROUND),
+    "coat over highlight over diffuse": (COAT, surface(COPPER, 0.25, 1.0), GROUND),
+    "coat over metal": (COAT, surface(GOLD, 0.25, 1.0)),
+    "two highlights over diffuse": (COAT, surface(GLASS, 0.3), GROUND),
 }
 
 
@@ -48,12 +47,10 @@ def fitted(*layers: Layer) -> list[FittedStructure]:
 
 @pytest.mark.parametrize("name", [structure.name for structure in STRUCTURES])
 def test_the_structure_of_known_layers_is_found(name: str) -> None:
-    layers, evidence = MATERIALS[name]
-    found = fitted(*layers)
+    found = fitted(*MATERIALS[name])
     assert found[0].structure.name == name
     assert structure_weights(found)[0] > 0.5
     assert found[0].error < 0.01
-    assert found[0].evidence == pytest.approx(evidence, abs=0.15)
 
 
 def test_parameters_come_out_as_they_were_put_in() -> None:

@@ -1,0 +1,89 @@
+"""What a component says describes it: its surfaces are those of its own values, or are withheld."""
+
+from typing import cast
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.components import Component, DiffuseLayer, Layer, LayeredModel, SpecularLayer
+from dsbrdf.components.description import MAX_PEAK_MISFIT, Description, Misfit, Surface
+from tests.support.random_models import random_model
+
+GREEN = (0.02, 0.14, 0.08)
+GROUND = DiffuseLayer((0.3, 0.25, 0.28), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+def surface(f0: tuple[float, float, float], alpha: float) -> SpecularLayer:
+    return SpecularLayer(f0, 0.9, alpha, 2.0, (0.0, 0.0), 0.5, 0.0)
+
+
+def decomposed(*layers: Layer) -> dsbrdf.Decomposition:
+    return dsbrdf.decompose(cast(dsbrdf.DSBRDF, LayeredModel(layers)))
+
+
+def test_a_highlight_keeps_its_colour() -> None:
+    (lobe,) = [part for part in decomposed(surface(GREEN, 0.12), GROUND) if part.label == "specular_lobe"]
+    (found,) = lobe.surfaces
+    assert found.alpha == pytest.approx(0.12, rel=0.03)
+    assert found.f0 is not None
+    np.testing.assert_allclose(np.array(found.f0) / max(found.f0), np.array(GREEN) / max(GREEN), atol=0.05)
+    assert lobe.half_width == pytest.approx(surface(GREEN, 0.12).half_width, rel=0.03)
+    assert lobe.remarks == ()
+
+
+def test_a_peak_with_haze_has_two_surfaces() -> None:
+    parts = decomposed(surface((0.3, 0.25, 0.1), 0.06), surface((0.5, 0.4, 0.2), 0.25))
+    alphas = sorted(found.alpha or 0.0 for part in parts for found in part.surfaces)
+    assert alphas[0] == pytest.approx(0.06, rel=0.05)
+    assert alphas[-1] == pytest.approx(0.25, rel=0.05)
+
+
+def test_layers_of_all_components_are_as_bright_as_the_model() -> None:
+    model = LayeredModel((surface(GREEN, 0.05), surface((0.1, 0.1, 0.1), 0.3), GROUND))
+    layers = decomposed(*model.layers).layers
+    angles = np.radians([0.0, 30.0, 60.0])
+    np.testing.assert_allclose(layers.evaluate(0.0, angles), model.evaluate(0.0, angles), rtol=0.05)
+    np.testing.assert_allclose(layers.albedo(angles), model.albedo(angles), rtol=0.05)
+
+
+def test_a_lobe_below_a_spike_has_no_dent() -> None:
+    parts = decomposed(surface((0.04,) * 3, 0.02), surface((0.3, 0.2, 0.1), 0.2), GROUND)
+    lobe = parts["specular_lobe"].evaluate(np.radians(np.linspace(0.0, 4.0, 30)), 0.0)
+    assert np.all(np.diff(lobe, axis=0) < 1e-3 * lobe[0])
+
+
+def misfit_of(part: Component) -> tuple[float, float]:
+    """Peak and albedo of a component's layers over its own, less 1, as the misfit defines them."""
+    angles = np.radians([0.0, 15.0, 30.0, 45.0])
+    own, layers = (one.evaluate(0.0, angles).sum() for one in (part, part.layers))
+    albedos = [part.directional_albedo(np.radians([0.0, 45.0])), part.layers.albedo(np.radians([0.0, 45.0]))]
+    off = np.abs(albedos[1] - albedos[0]).max() / albedos[0].max()
+    return max(own / layers, layers / own) - 1.0, float(off)
+
+
+def test_parameters_that_do_not_describe_are_withheld_with_a_sentence() -> None:
+    withheld = 0
+    for seed in range(4):
+        for part in dsbrdf.decompose(random_model(seed, 3)):
+            if part.misfit.peak is None or not part.surfaces:
+                continue
+            peak, albedo = misfit_of(part)
+            assert part.misfit.peak == pytest.approx(peak, rel=0.02, abs=0.005)
+            assert part.misfit.albedo == pytest.approx(albedo, rel=0.05, abs=0.005)
+            is_withheld = part.surfaces[0].f0 is None
+            assert is_withheld or part.misfit.peak <= MAX_PEAK_MISFIT
+            assert any("F0" in sentence for sentence in part.remarks) == is_withheld
+            withheld += is_withheld
+    assert withheld > 0
+
+
+def test_sentences_name_the_misfit() -> None:
+    empty = Surface(None, None, None, None, None, None)
+    found = Description(LayeredModel(()), (empty,), Misfit(0.5, 0.2, 0.4, 0.2))
+    assert found.half_width is None
+    (sentence,) = found.remarks("specular_lobe")
+    assert sentence == (
+        "No alpha or F0 describes the specular lobe: the nearest surfaces miss its peak by a factor of 1.50, its half "
+        "width by a factor of 1.40, its colour by 20% of the brightest channel and its albedo by 20%."
+    )
