@@ -187,9 +187,8 @@ async def submit_fit(
     `Location` tells where to ask again.
     """
     name = name_of(request)
-    media_type = media_type_of(request, BINARY, JSON, *TABLES)
-    if media_type != JSON:
-        stored, _ = await receive_upload(request, context, caller, name, media_type, table)
+    if media_type_of(request, BINARY, JSON, *TABLES) != JSON:
+        stored, _ = await receive_upload(request, context, caller, name, table)
         sha256, options, name = stored.sha256, canonical(chosen), name and stored.name
     else:
         if request.query_params.keys() - {"name"}:

@@ -83,8 +83,8 @@ async def upload_measurement(
     its values, and a table of samples, which is read with its options, as a file of samples: `sha256` and `size` are
     those of what is stored.
     """
-    media_type = media_type_of(request, *UPLOADED)
-    row, new = await receive_upload(request, context, caller, name_of(request), media_type, options)
+    media_type_of(request, *UPLOADED)
+    row, new = await receive_upload(request, context, caller, name_of(request), options)
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}"}
     return Response(to_json(_document(row)), 201 if new else 200, headers, JSON)
 

@@ -14,7 +14,7 @@ from ..http import openapi
 from ..http.request_body import media_type_of
 from .context import CHECKED_QUERY, TheCaller, TheContext, TheTableOptions
 from .fields import Range, Share
-from .uploads import CONTENT, MOST_CONVERTED, TABLE_PARAMETERS, TABLES, read_table
+from .uploads import CONTENT, MAX_CONVERTED_BYTES, TABLE_PARAMETERS, TABLES, read_table
 
 
 class ColumnDocument(BaseModel):
@@ -60,7 +60,7 @@ async def describe_table(
     Nothing is stored: so a table can be looked at, and the right options found, before it is uploaded.
     """
     media_type_of(request, *TABLES)
-    async with context.bodies.received(request, MOST_CONVERTED) as content:
+    async with context.bodies.received(request, MAX_CONVERTED_BYTES) as content:
         key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
         found = await read_table(request, context, key, understood_step, content, options)
     return TableDocument(**found)

@@ -1,7 +1,7 @@
 """Uploads of measurements: MERL files, RGL ``.bsdf`` files, and tables of samples.
 
-They are hashed and checked while they are written; a body is never held whole, and nothing of it stays if anything is
-wrong with it.
+A file is hashed and checked while it is written, and never held whole in memory. If anything is wrong with it, nothing
+of it stays.
 """
 
 from collections.abc import AsyncIterator
@@ -10,11 +10,12 @@ from typing import Any
 
 from fastapi import Request
 
-from dsbrdf.data.merl_validation import FILE_SIZE, HEADER_SIZE, MerlChecker, check_length
+from dsbrdf.data.merl_validation import FILE_SIZE, HEADER, MerlChecker, check_length
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from dsbrdf.samples.measurement_files import START_BYTES, measurement_kind
 from dsbrdf.samples.table_options import TableOptions
 
-from ..compute.steps import Kind, conversion_step
+from ..compute.steps import conversion_step
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.names import MAX_LENGTH
@@ -32,13 +33,13 @@ TABLES = (
 )
 UPLOADED = (BINARY, *TABLES)
 """Media types of uploads."""
-_SUFFIXES: dict[str, Kind] = {".bsdf": "rgl", **dict.fromkeys((".csv", ".tsv", ".txt", ".astm", ".xlsx"), "samples")}
+_SUFFIXES = (".binary", ".bsdf", ".csv", ".tsv", ".txt", ".astm", ".xlsx")
 PARAMETERS = [
     {
         "name": "name",
         "in": "query",
-        "description": "Name of the measurement and of the fit; exports are called after it. Of an upload, "
-        f"{', '.join(_SUFFIXES)} at its end tells the kind of file, and is no part of the name.",
+        "description": "Name of the measurement and of the fit; exports are called after it; "
+        f"{', '.join(_SUFFIXES)} at its end is no part of the name.",
         "schema": {"type": "string", "minLength": 1, "maxLength": MAX_LENGTH},
     },
     openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
@@ -48,40 +49,44 @@ OPTION_PARAMETERS, TABLE_PARAMETERS = (
     [openapi.option_parameter(name, declared) for name, declared in schema["properties"].items()]
     for schema in (OPTIONS_SCHEMA, TABLE_SCHEMA)
 )
-"""Options of a fit, and of a table, in a query."""
+"""Query parameters for the options of a fit, and of a table."""
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
-_PIECE = 1 << 18  # bytes that are worth a switch to another thread
-MOST_CONVERTED = 1 << 23
-"""Bytes of an RGL file or a table: to read one takes up to 70 times as much memory."""
+_PIECE_BYTES = 1 << 18  # Smaller pieces take less time to write than to pass to another thread.
+MAX_CONVERTED_BYTES = 1 << 23
+"""Limit of an RGL file or a table, because reading one takes up to 70 times as much memory."""
 
 
 async def receive_upload(
-    request: Request, context: Context, caller: Caller, name: str | None, media_type: str, options: TableOptions
+    request: Request, context: Context, caller: Caller, name: str | None, options: TableOptions
 ) -> tuple[MeasurementRow, bool]:
-    """Store the measurement that is the body; the flag says whether it is new to the caller.
+    """Store the measurement that is the body; return its row, and whether it is new to the caller.
 
-    The end of its `name` can tell the kind of file. A table is read with the options, and its samples are stored.
-    Raises InvalidArgumentError if it is none and they are used. Raises MeasurementFormatError if it is no measurement
-    of its kind. Raises ProblemError if it is too long, it does not decode, or the caller may not store it.
+    The content tells the kind of the file, whatever its type or name. A table is read with the options, and its samples
+    are stored.
+
+    Raises InvalidArgumentError if options are given for another file than a table, MeasurementFormatError if the file
+    is no measurement, and ProblemError if it is too long, does not decode, or the caller may not store it.
     """
-    kind = _SUFFIXES.get(Path(name or "").suffix.lower())
-    if name is not None and kind is not None:
+    if name is not None and Path(name).suffix.lower() in _SUFFIXES:
         name = Path(name).stem
-    kind = "samples" if media_type in TABLES else kind
-    if kind is None:
-        options.refuse("a MERL file")
     with context.metrics.upload_seconds.time():
         async with context.store.uploads.incoming(caller) as incoming:
-            if kind is None:
-                await _receive_merl(request, incoming)
+            pieces = _pieces(request)
+            start = await anext(pieces)
+            if measurement_kind(start) == "merl":
+                options.refuse("a MERL file")
+                await _receive_merl(request, start, pieces, incoming)
             else:
-                await _receive_other(request, context, incoming, kind, options)
+                await _write_bounded(start, pieces, incoming)
+                key = "upload", incoming.path
+                found = await read_table(request, context, key, conversion_step, incoming.path, options, place="long")
+                incoming.sha256, incoming.size, incoming.valid_nodes = found
             return await in_thread(context.store.add_measurement, caller, incoming, name)
 
 
-async def _receive_merl(request: Request, incoming: Incoming) -> None:
-    """Write and check the MERL file that is the body; a wrong length that is declared is refused by the first bytes."""
+async def _receive_merl(request: Request, start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming) -> None:
+    """Write and check a MERL file; its first piece shows a wrong header, or a wrong declared length."""
     checker, declared = MerlChecker(), request.headers.get("content-length", "")
     length = int(declared) if declared.isdecimal() and "content-encoding" not in request.headers else FILE_SIZE
 
@@ -95,26 +100,23 @@ async def _receive_merl(request: Request, incoming: Incoming) -> None:
             raise
         incoming.write(piece)
 
-    async for piece in _pieces(request):
+    await in_thread(write, start)
+    async for piece in pieces:
         await in_thread(write, piece)
     incoming.valid_nodes = int((await in_thread(checker.finish)).sum())
     await in_thread(incoming.close)
 
 
-async def _receive_other(
-    request: Request, context: Context, incoming: Incoming, kind: Kind, options: TableOptions
-) -> None:
-    """Write a file that is no MERL file; replace it when it is complete by a MERL table, or by a file of samples."""
-    async for piece in _pieces(request):
-        if incoming.size + len(piece) > MOST_CONVERTED:
-            most = f"A .bsdf file or a table has at most {MOST_CONVERTED} bytes here, and this one is longer."
+async def _write_bounded(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming) -> None:
+    """Write a file whose reading takes much more memory than the file, and so has a limit of its own."""
+    piece = start
+    while piece:
+        if incoming.size + len(piece) > MAX_CONVERTED_BYTES:
+            most = f"A .bsdf file or a table has at most {MAX_CONVERTED_BYTES} bytes here, and this one is longer."
             raise ProblemError("measurement-too-large", most)
         await in_thread(incoming.write, piece)
+        piece = await anext(pieces, b"")
     await in_thread(incoming.close)
-    key, arguments = ("upload", incoming.path), (incoming.path, kind, options)
-    incoming.sha256, incoming.size, incoming.valid_nodes = await read_table(
-        request, context, key, conversion_step, *arguments, place="long"
-    )
 
 
 async def read_table(request: Request, context: Context, *arguments: Any, **named: Any) -> Any:
@@ -126,11 +128,11 @@ async def read_table(request: Request, context: Context, *arguments: Any, **name
 
 
 async def _pieces(request: Request) -> AsyncIterator[bytes]:
-    """Yield what the body decodes to: a MERL header at once, as it may be wrong, and then larger pieces."""
-    piece, enough = bytearray(), HEADER_SIZE
+    """Yield the decoded body: first as many bytes as tell the kind of the file, a MERL header at once, then pieces."""
+    piece, n_wanted = bytearray(), START_BYTES
     async for part in decoded(request, FILE_SIZE):
         piece += part
-        if len(piece) >= enough:
+        if len(piece) >= n_wanted or (n_wanted == START_BYTES and piece.startswith(HEADER)):
             yield bytes(piece)
-            piece, enough = bytearray(), _PIECE
+            piece, n_wanted = bytearray(), _PIECE_BYTES
     yield bytes(piece)

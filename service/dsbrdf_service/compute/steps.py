@@ -12,7 +12,7 @@ from functools import partial
 from io import BytesIO
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +47,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-Kind = Literal["rgl", "samples"]
-"""Of uploads that are no MERL files."""
 
 FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
     "profiles": profiles_figure,
@@ -181,14 +179,14 @@ def export_step(
     path.write_bytes(export_model(model, file_format, title=title))
 
 
-def conversion_step(path: Path, kind: Kind, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:
-    """Replace a file of RGL by a MERL table, and a table by a file of samples; a table may have the suffix of RGL.
+def conversion_step(path: Path, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:
+    """Replace an RGL file by a MERL table, or a table by a file of samples.
 
     Return the sha256 and the length of the content, and the grid nodes with a value, 0 of samples.
 
     Raises MeasurementFormatError if the file is wrong, and InvalidArgumentError for options of a table that it is not.
     """
-    if kind == "samples" or kind_of_file(path) == "samples":
+    if kind_of_file(path) == "samples":
         content, valid_nodes = parse_samples(path.read_bytes(), options=options).encode(), 0
     else:
         options.refuse("an RGL file")
