@@ -149,7 +149,7 @@ def _result(
     clock.lap("albedo")
     in_slices = options.method == "paper"
     report = FitReport(
-        warnings=tuple(fit_warnings(model, data, knots, albedo, in_slices=in_slices, is_unit_wrong=is_unit_wrong)),
+        warnings=tuple(fit_warnings(data, knots, albedo, in_slices=in_slices, is_unit_wrong=is_unit_wrong)),
         metrics=Metrics(),
         by_channel=(),
         by_theta_diff=(),

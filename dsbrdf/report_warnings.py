@@ -8,12 +8,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
-from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 # Data that end beyond this angle leave a thin line of a sphere; the data of all materials reach 88 degrees.
@@ -29,7 +27,6 @@ _MAX_RELATIVE_MISFIT = 0.1
 
 
 def fit_warnings(
-    model: DSBRDF,
     data: Profiles,
     knots: KnotReport,
     albedo: DirectionalAlbedo,
@@ -37,8 +34,9 @@ def fit_warnings(
     in_slices: bool = False,
     is_unit_wrong: bool = False,
 ) -> Iterator[str]:
-    """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its model.
+    """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its albedo.
 
+    Remarks on components are those of `dsbrdf.decompose`.
     If `is_unit_wrong`, `dsbrdf.samples.units` has already warned about the unit, and the albedo is not mentioned.
     """
     if not np.all(knots.converged):
@@ -59,7 +57,6 @@ def fit_warnings(
             f"{np.degrees(albedo.theta_out[row]):.0f} degrees in the {CHANNELS[channel]} channel, so that rendered "
             "images can become too bright."
         )
-    yield from decompose(model).remarks
 
 
 def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:

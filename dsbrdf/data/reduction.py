@@ -28,17 +28,20 @@ from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, QUARTER, THETA_DI
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 
-N_BINS = 9
-"""Bins of the folded phi_diff, 10 degrees each."""
+N_BINS = 10
+"""Bins of the folded phi_diff: nine of 10 degrees each, and 90 degrees alone.
+
+A lobe that is stretched far across the plane of incidence can be a needle at 90 degrees which no wider bin shows.
+"""
 WEIGHTINGS = ("plain", "cosine", "log")
 """The known weightings of the samples, see `profiles`."""
 
 
-_BIN_OF = np.minimum(np.minimum(np.arange(180), 180 - np.arange(180)) * N_BINS // 90, N_BINS - 1)
+_BIN_OF = np.minimum(np.arange(180), 180 - np.arange(180)) // 10
 IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)
-"""Membership of each phi_diff of the grid in each bin, 1 or 0, shape (180, 9)."""
+"""Membership of each phi_diff of the grid in each bin, 1 or 0, shape (180, 10)."""
 SAMPLES_IN_BIN = IN_BIN[:QUARTER] * np.where(np.arange(QUARTER) % (QUARTER - 1) == 0, 1.0, 2.0)[:, None]
-"""Number of grid samples, mirrored ones included, that each phi_diff up to 90 degrees represents, shape (91, 9)."""
+"""Number of grid samples, mirrored ones included, that each phi_diff up to 90 degrees represents, shape (91, 10)."""
 _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
 _BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(N_BINS))
 OUTLIER = 6.0
@@ -57,9 +60,9 @@ class FoldedProfiles:
     far from the others of their bin count less if the reduction is robust.
     """
 
-    mean: Array  # (3, 90, 90, 9)
-    weight: Array  # (3, 90, 90, 9)
-    cos2_phi: Array  # mean of cos(phi_diff)**2 over the samples, (90, 90, 9)
+    mean: Array  # (3, 90, 90, 10)
+    weight: Array  # (3, 90, 90, 10)
+    cos2_phi: Array  # mean of cos(phi_diff)**2 over the samples, (90, 90, 10)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

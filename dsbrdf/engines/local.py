@@ -2,7 +2,7 @@
 
 import warnings
 from concurrent.futures import Future
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.measurement import Measurement
@@ -42,8 +42,13 @@ def fit_quietly(
 
 
 def document_of(result: FitResult, drawn: Measurement | ScatteredSamples | None = None) -> FitDocument:
-    """Return what is stored of a fit; the thumbnail shows it with the measurement, if that is given."""
-    text = to_json(result.model, result.report, decompose(result.model))
+    """Return what is stored of a fit; the thumbnail shows it with the measurement, if that is given.
+
+    The warnings are those of the fit, then the remarks on the components.
+    """
+    parts = decompose(result.model)
+    report = replace(result.report, warnings=(*result.report.warnings, *parts.remarks))
+    text = to_json(result.model, report, parts)
     return FitDocument(text, asdict(result.report.metrics), None if drawn is None else thumbnail(result.model, drawn))
 
 

@@ -19,44 +19,61 @@ from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
 from dsbrdf.data.weighting import DARK, TINY, bin_weights
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
-from dsbrdf.fitting.lobe_search import Wanted, search
+from dsbrdf.fitting.lobe_search import SearchData, Wanted, search
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
 from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width, width_of_reach
 
-AMPLITUDE_KNOTS = np.radians([0.0, 25.0, 50.0, 65.0, 72.0, 77.0, 81.0, 89.0])
-SHAPE_KNOTS = np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0])
+AMPLITUDE_KNOTS = np.radians([0.0, 30.0, 55.0, 68.0, 75.0, 81.0, 89.0])
+SHAPE_KNOTS = np.radians([0.0, 40.0, 65.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
 """Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
-_CONSTANT = np.zeros(1)
+CONSTANT_KNOT = np.zeros(1)
 KNOTS = {
     "full": (AMPLITUDE_KNOTS, SHAPE_KNOTS, ELONGATION_KNOTS),
-    "parametric": (np.radians([0.0, 70.0, 89.0]), _CONSTANT, _CONSTANT),
+    "parametric": (np.radians([0.0, 70.0, 89.0]), CONSTANT_KNOT, CONSTANT_KNOT),
 }
 """Knots of amplitudes, shapes and elongations [rad] for each variation; a single one is a constant."""
-_SEARCH_KNOTS = KNOTS | {"full": (AMPLITUDE_KNOTS, SHAPE_KNOTS[[0, 2, 4, 5]], ELONGATION_KNOTS[[0, 2]])}
+SEARCH_KNOTS = KNOTS | {"full": (AMPLITUDE_KNOTS, np.radians([0.0, 55.0, 79.0, 89.0]), ELONGATION_KNOTS)}
 MAX_ITERATIONS = 300
-_ROUNDS, _ROBUST_ROUNDS = 2, 3
-_EXPECTED_TRIES = 16
-_SEARCH_ROWS = np.array([0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
-FIT_ROWS = np.unique(np.concatenate([np.arange(0, 60, 6), np.arange(60, 82, 2), [84, 86, 88, 89]]))
-_SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(32, 90, 5)]))
-_HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
-_HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
+COARSE_ITERATIONS = 10
+"""Bound on the iterations with a few bins of phi_diff: more are undone when all bins follow."""
+REFINE_TOLERANCE = 3e-3
+"""Refinement ends where two iterations in a row lower the cost by a smaller fraction.
+
+The parameters then creep along valleys of the cost: ten times as many iterations change no error by more than 1 %.
+"""
+REFINE_ROUNDS = 2
+ROBUST_REFINE_ROUNDS = 3
+EXPECTED_SEARCH_STAGES = 5
+SEARCH_ROWS = np.array([0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
+FIT_ROWS = np.unique(np.concatenate([np.arange(0, 60, 6), np.arange(60, 82, 2), [77, 79, 84, 86, 88, 89]]))
+SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(32, 90, 5)]))
+HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
+HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 FIT_COLUMNS = np.unique(np.concatenate([np.arange(30), np.arange(30, 90, 3), [89]]))
-USED_ROWS = np.unique(np.concatenate([FIT_ROWS, _SEARCH_ROWS, _HELD_OUT_ROWS]))
-USED_COLUMNS = np.unique(np.concatenate([FIT_COLUMNS, _SEARCH_COLUMNS, _HELD_OUT_COLUMNS]))
-"""Rows and columns of a table that the fit looks at."""
-_SEARCH_BINS = (0, 3, 5, 8)  # of phi_diff; joined ones would be so wide that elongated lobes change within them
-_NEIGHBOURS = 5  # columns
-_SMALLEST_OUTLIER = 1e-2  # relative residual that is none, however well a mixture fits
-_FEWEST_LINES = 8  # rows or columns that are not thinned further
-_FEWEST_SAMPLES = 3
-_MANY_SAMPLES = 20_000  # scattered samples that need no more smoothing than a table
-_FEWEST_IN_COLUMN = 5  # bins with data for each knot: with fewer, a column resolves no narrow lobe
-_FEWEST_BINS = 120  # with data between two knots: with fewer, as scattered samples may have, parameters run away
+USED_ROWS = np.unique(np.concatenate([FIT_ROWS, SEARCH_ROWS, HELD_OUT_ROWS]))
+USED_COLUMNS = np.unique(np.concatenate([FIT_COLUMNS, SEARCH_COLUMNS, HELD_OUT_COLUMNS]))
+"""Rows and columns of a table that the fit looks at.
+
+The last rows within the usual horizon cutoff, where reflectance is largest, are all there.
+"""
+SEARCH_BINS = (0, 3, 5, 8, 9)
+"""Bins of phi_diff that the search looks at; an elongated lobe changes too much within joined ones."""
+NEIGHBOUR_COLUMNS = 5
+MIN_OUTLIER_RESIDUAL = 1e-2
+"""Relative residual below which a sample is no outlier, however well a mixture fits."""
+MIN_LINES = 8
+"""Number of rows, or columns, up to which all of them are used."""
+MIN_SAMPLES = 3
+MIN_TABLE_LIKE_SAMPLES = 20_000
+"""Number of scattered samples below which parameters are smoothed more than those of a table."""
+MIN_BINS_IN_COLUMN = 5
+"""Bins with data for each knot below which a column does not allow lobes as narrow as its spacing."""
+MIN_BINS_BETWEEN_KNOTS = 120
+"""Bins with data below which a knot is left out: parameters between would run away, as with scattered samples."""
 
 
 def fit_global(
@@ -71,15 +88,17 @@ def fit_global(
     fit.
     """
     weight = fit_weights(data, options)
-    coarse = _structure(weight, _SEARCH_KNOTS[options.variation], options)
-    fitted, held_out = _search_data(data, weight)
-    tries = itertools.count(1)  # their number is known roughly: each takes its share of half of the work
+    coarse = _structure(weight, SEARCH_KNOTS[options.variation], options)
+    searched = tuple(
+        _select(data, weight, *lines) for lines in ((SEARCH_ROWS, SEARCH_COLUMNS), (HELD_OUT_ROWS, HELD_OUT_COLUMNS))
+    )
+    stages = itertools.count(1)
     mixture, steps = search(
-        fitted,
-        held_out,
+        _search_data(*searched),
         coarse,
         Wanted(options.n_lobes, options.ring_lobes),
-        lambda: progress(0.5 * min(next(tries) / _EXPECTED_TRIES, 1.0)),
+        lambda found: _search_data(*(_exact(part, found) for part in searched)),
+        lambda: progress(0.5 * min(next(stages) / EXPECTED_SEARCH_STAGES, 1.0)),
     )
     fine = _structure(weight, KNOTS[options.variation], options, options.knots)
     mixture = change_knots(mixture, replace(fine, rings=mixture.structure.rings))
@@ -99,7 +118,7 @@ def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixt
     """
     structure = mixture.structure
     # Fewer samples say less: parameters have to be smoother.
-    pull = max(1.0, _MANY_SAMPLES / np.count_nonzero(data.weight[0]))
+    pull = max(1.0, MIN_TABLE_LIKE_SAMPLES / np.count_nonzero(data.weight[0]))
     amplitude, shape, elongation = (pull * smoothing for smoothing in SMOOTHING)
     problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
     solution = minimize(problem, mixture.unknowns, iterations=MAX_ITERATIONS)
@@ -129,18 +148,16 @@ def fit_weights(data: Profiles, options: FitOptions) -> Array:
     mask = options.mask or 0.0
     kept = THETA_HALF <= np.pi / 2 - mask * THETA_DIFF[:, None] + 1e-9
     weight = np.where(kept[..., None], weight, 0.0)
-    if np.count_nonzero(weight) < _FEWEST_SAMPLES or not np.sum(weight * data.folded.mean) > 0.0:
+    if np.count_nonzero(weight) < MIN_SAMPLES or not np.sum(weight * data.folded.mean) > 0.0:
         raise FitError("the mask and the horizon cutoff leave no valid samples: raise the cutoff or lower the mask")
     return weight
 
 
-def _search_data(data: Profiles, weight: Array) -> tuple[FitData, FitData]:
-    """Return the data that lobes are fitted to during the search, and those that decide how many there are."""
-    fitted = _select(data, weight, _SEARCH_ROWS, _SEARCH_COLUMNS)
-    held_out = _select(data, weight, _HELD_OUT_ROWS, _HELD_OUT_COLUMNS)
-    thinned = fitted.take_bins(_SEARCH_BINS), held_out.take_bins(_SEARCH_BINS)
+def _search_data(fitted: FitData, held_out: FitData) -> SearchData:
+    """Thin out the bins of what lobes are fitted to during the search, and of what decides how many there are."""
+    thinned = fitted.take_bins(SEARCH_BINS), held_out.take_bins(SEARCH_BINS)
     fitted, held_out = thinned if thinned[0].signal > 0.0 else (fitted, held_out)
-    return fitted, held_out if held_out.signal > 0.0 else fitted
+    return SearchData(fitted.single(), (held_out if held_out.signal > 0.0 else fitted).single())
 
 
 def _apart(angles: Array, axis: Array, filled: Indices, fewest: int) -> list[float]:
@@ -169,15 +186,15 @@ def _structure(
         elif knots.size == 1:
             return knots
         else:
-            kept = _apart(knots[:-1], THETA_DIFF, rows, _FEWEST_BINS)
-            if len(kept) > 1 and rows[THETA_DIFF >= kept[-1]].sum() < _FEWEST_BINS:
+            kept = _apart(knots[:-1], THETA_DIFF, rows, MIN_BINS_BETWEEN_KNOTS)
+            if len(kept) > 1 and rows[THETA_DIFF >= kept[-1]].sum() < MIN_BINS_BETWEEN_KNOTS:
                 kept.pop()
             knots = np.array([*kept, knots[-1]])
         inner = knots[(knots > first) & (knots < last)]
         return np.unique(np.concatenate([[first], inner, [last]]))
 
     amplitude, shape, elongation = chosen(groups[0], amplitude_knots), chosen(groups[1]), chosen(groups[2])
-    theta_half = _apart(THETA_HALF[columns > 0], THETA_HALF, columns, _FEWEST_IN_COLUMN * amplitude.size)
+    theta_half = _apart(THETA_HALF[columns > 0], THETA_HALF, columns, MIN_BINS_IN_COLUMN * amplitude.size)
     return Structure((), (amplitude, shape, elongation), options.lobe, np.array(theta_half))
 
 
@@ -188,18 +205,18 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
     for axis, wanted in ((1, rows), (0, columns)):
         present = np.flatnonzero(measured.any(axis=axis))
         nearest = np.unique(present[np.abs(wanted[:, None] - present).argmin(axis=1)])
-        chosen.append(nearest if nearest.size >= min(_FEWEST_LINES, present.size) else present)
+        chosen.append(nearest if nearest.size >= min(MIN_LINES, present.size) else present)
     return FitData.select(data.folded, weight, chosen[0], chosen[1])
 
 
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:
     """Least squares on a few bins of phi_diff, then on all, exact, with outliers weighted down if asked for."""
-    rounds = _ROBUST_ROUNDS if options.robust else _ROUNDS
+    rounds = ROBUST_REFINE_ROUNDS if options.robust else REFINE_ROUNDS
     unknowns, weight, iterations = mixture.unknowns, data.weight, 0
     for number in range(rounds):
-        problem = MixtureProblem((data if number else data.take_bins(_SEARCH_BINS)).single(), mixture.structure)
+        problem = MixtureProblem((data if number else data.take_bins(SEARCH_BINS)).single(), mixture.structure)
         if number > 0:
-            exact = replace(data, mean=data.mean - _lost_in_bins(problem, unknowns))
+            exact = _exact(data, Mixture(mixture.structure, unknowns))
             if options.robust:
                 exact = replace(exact, weight=weight * _trust(problem.values(unknowns), exact))
             problem = MixtureProblem(exact.single(), mixture.structure)
@@ -207,7 +224,8 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
         solution = minimize(
             problem,
             unknowns,
-            iterations=MAX_ITERATIONS - iterations,
+            iterations=min(MAX_ITERATIONS, COARSE_ITERATIONS) if number == 0 else MAX_ITERATIONS - iterations,
+            tolerance=REFINE_TOLERANCE,
             on_iteration=lambda i, done=done: progress(done + i / MAX_ITERATIONS / rounds),  # type: ignore[misc]
         )
         unknowns, iterations = solution.unknowns, iterations + solution.iterations
@@ -215,7 +233,7 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
 
 
 def _trust(values: Array, data: FitData) -> Array:
-    """Weights, 0 for outliers to 1, of the shape (3, R, N, 9) of the data.
+    """Weights, 0 for outliers to 1, of the shape (3, R, N, 10) of the data.
 
     A mixture that misses a peak does so on neighbouring columns, an outlier stands alone: what counts is how far the
     relative residual is from the median of its neighbours' over theta_half.
@@ -224,11 +242,17 @@ def _trust(values: Array, data: FitData) -> Array:
     level = np.sum(data.weight * values, axis=(2, 3), keepdims=True)
     level /= np.sum(data.weight, axis=(2, 3), keepdims=True) + TINY
     relative = np.where(seen, (data.mean - values) / (values + DARK * level + 1e-12), 0.0)
-    alone = np.abs(relative - median_filter(relative, (1, 1, _NEIGHBOURS, 1), mode="nearest"))
+    alone = np.abs(relative - median_filter(relative, (1, 1, NEIGHBOUR_COLUMNS, 1), mode="nearest"))
     usual = np.zeros(level.shape)
     for channel, row in np.argwhere(seen.any(axis=(2, 3))):
         usual[channel, row] = np.quantile(alone[channel, row][seen[channel, row]], 0.75)
-    return np.clip(2.0 - alone / (OUTLIER * usual + _SMALLEST_OUTLIER), 0.0, 1.0)
+    return np.clip(2.0 - alone / (OUTLIER * usual + MIN_OUTLIER_RESIDUAL), 0.0, 1.0)
+
+
+def _exact(data: FitData, mixture: Mixture) -> FitData:
+    """Take off what the bins hide of a mixture, so that its values at the bins' means are what has to fit."""
+    problem = MixtureProblem(data.single(), mixture.structure)
+    return replace(data, mean=data.mean - _lost_in_bins(problem, mixture.unknowns))
 
 
 def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg.blas import dsymv as symv
 from scipy.linalg.lapack import dgesv as gesv
-from scipy.linalg.lapack import dpotrf as potrf
-from scipy.linalg.lapack import dtrtrs as trtrs
+from scipy.linalg.lapack import dpotrf, dtrtrs, spotrf, strtrs
 
 from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
@@ -338,7 +337,7 @@ def minimize(
             on_iteration(number)
         if is_new:
             matrix, gradient = problem.linearize(at)
-        step = _step(problem.structure, at.unknowns, matrix, gradient, damping, fixed)
+        step = _step(problem.structure, at.unknowns, matrix, gradient, damping, fixed, problem.data.mean.dtype)
         predicted = -float(2.0 * gradient @ step + step @ symv(1.0, matrix.T, step))
         proposed = problem.evaluate(at.unknowns + step) if predicted > 0.0 else at
         gain = (at.cost - proposed.cost) / predicted if predicted > 0.0 else -1.0
@@ -362,8 +361,9 @@ def _step(
     gradient: Array,
     damping: float,
     fixed: Mask | None,
+    precision: np.dtype[np.floating[Any]],
 ) -> Array:
-    """Damped Gauss-Newton step within the limits of the structure.
+    """Damped Gauss-Newton step within the limits of the structure, solved in the precision of the data.
 
     Unknowns that a limit stops short are given the step that is left to them, and the others are solved for anew, as
     under a constraint, with the same factor: else these would answer to steps that are not made.
@@ -375,7 +375,8 @@ def _step(
         held |= fixed
     if held.all():
         return np.zeros_like(gradient)
-    damped, diagonal = matrix.copy(), matrix.diagonal()
+    potrf, trtrs = (spotrf, strtrs) if precision == np.float32 else (dpotrf, dtrtrs)
+    damped, diagonal = matrix.astype(precision), matrix.diagonal()
     damped.flat[:: len(matrix) + 1] += damping * (diagonal + 1e-12 * diagonal[~held].max())
     places = np.flatnonzero(held)
     damped[places], damped[:, places] = 0.0, 0.0

@@ -23,17 +23,28 @@ from dsbrdf.fitting.structure import Mixture, Structure
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width
 from dsbrdf.model.splines import smooth_control_values
 
-MAX_SEARCHED_LOBES = 8
+MAX_SEARCHED_LOBES = 9
 """Number of lobes from which elimination starts."""
 TOLERATED_RISE = 0.01
 """Fraction of the error on the rows held out by which a dropped lobe may raise it."""
 NEGLIGIBLE_ERROR = 4e-6
-"""Fraction of the weighted squared signal that may be added to it: errors below 0.2 % are nobody's material."""
+"""Fraction of the weighted squared signal that is no error: nobody sees 0.2 % of a material's values."""
+NOISE_CORRELATION = 0.16
+"""Correlation of neighbouring residuals below which they count as noise.
+
+Noise of single samples has 0; where a mixture misses the shape of a material it is above 0.3 as a rule.
+"""
+MAX_NOISE_RESIDUAL = 0.3
+"""Residual, over the root mean square of all, at which it is clipped: few samples must not decide what noise is."""
+MAX_SIMPLE_LOBES = 3
+"""Number of lobes about the normal up to which a mixture is tried where the residual of many is noise."""
+MIN_COLUMNS_FOR_RINGS = 8
+"""Number of angles theta_half below which a free search takes no rings: any of them would explain the data."""
 WIDTHS_DEG = (0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0)
 RING_WIDTHS_DEG = (0.4, 0.8, 1.5, 3.0, 6.0, 10.0, 16.0, 25.0, 40.0)
 RING_CENTERS_DEG = (1.0, 2.0, 4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0)
 CUSP_WIDTHS_DEG = (0.7, 1.5, 3.0, 6.0, 9.0)
-CUSP_CENTER = -1.5  # half widths
+CUSP_CENTER_HALF_WIDTHS = -1.5
 ELONGATIONS = (0.0, 1.0, 3.0)
 """The lobes of the dictionary."""
 START_KAPPA = 1.0
@@ -41,15 +52,15 @@ START_ELONGATION = 0.5
 """Fraction of a candidate's elongation at which the fit starts: too round a lobe is mended sooner than the opposite."""
 MIN_START_HEIGHT = 0.02
 """Fraction of a typical amplitude that a lobe has at least at the start: a fainter one has no derivatives to follow."""
-NOISE_CORRELATION = 0.16
-MIN_COLUMNS_FOR_RINGS = 8
-MAX_SIMPLE_LOBES = 3
-RIDGE = 1e-3
+CHOICE_RIDGE = 1e-3
+"""Fraction of the candidates' squares added to normal equations: candidates that are nearly alike share their gain."""
+EQUAL_GAIN = 1e-4
+"""Relative difference of gains below which candidates explain the data equally well, as on a single column."""
+HEIGHT_SWEEPS = 30
 FIXED_KAPPA_ITERATIONS = 8
 FIT_ITERATIONS = 30
 EXCHANGES = 2
 EXCHANGE_ITERATIONS = 12
-HEIGHT_SWEEPS = 30
 
 
 @dataclass(frozen=True)
@@ -102,17 +113,18 @@ class _Dictionary:
     @classmethod
     def at(cls, data: FitData, family: str) -> "_Dictionary":
         shapes = [(width, 0.0) for width in WIDTHS_DEG]
-        shapes += [(width, CUSP_CENTER * width) for width in CUSP_WIDTHS_DEG]
+        shapes += [(width, CUSP_CENTER_HALF_WIDTHS * width) for width in CUSP_WIDTHS_DEG]
         # Not narrower than the steps of the grid at the center.
         shapes += [(w, c) for c in RING_CENTERS_DEG for w in RING_WIDTHS_DEG if w >= max(0.12 * c, 0.3 * min(c, 5.0))]
         width, center = np.radians(shapes).T
         along, across = data.squared_tangents
         stretch = np.array(ELONGATIONS) * log_cosine(data.theta_diff)[:, None]
-        ratio = np.exp(stretch)[:, :, None]
+        ratio = np.exp(stretch)[:, :, None].astype(along.dtype)
         squared = along / ratio + across * ratio
         kappa = np.array(START_KAPPA)
-        gamma = gamma_of_half_width(width, kappa, family)
-        curves = np.empty((len(along), len(ELONGATIONS), len(shapes), along.shape[2]))
+        gamma = gamma_of_half_width(width, kappa, family).astype(along.dtype)
+        kappa = kappa.astype(along.dtype)
+        curves = np.empty((len(along), len(ELONGATIONS), len(shapes), along.shape[2]), along.dtype)
         for n in range(len(shapes)):
             at = None if center[n] == 0.0 else center[n]
             curves[:, :, n] = lobe_values(squared, kappa, gamma[n], at, family)
@@ -127,27 +139,39 @@ class _Dictionary:
         return self.center != 0.0
 
 
+@dataclass(frozen=True)
+class SearchData:
+    """What the lobes are fitted to, and what decides how many there are."""
+
+    fitted: FitData
+    held_out: FitData
+
+
 def search(
-    fitted: FitData,
-    held_out: FitData,
+    data: SearchData,
     empty: Structure,
     wanted: Wanted,
+    exact: Callable[[Mixture], SearchData],
     on_stage: Callable[[], None],
 ) -> tuple[Mixture, list[SearchStep]]:
     """Find the lobes of a mixture on the knots of an `empty` structure.
 
-    They are fitted to the data `fitted`; those `held_out` decide how many there are. Returns the mixture with the steps
-    of the search; `on_stage` is called after each fit.
+    Where only noise is left, errors matter that the bins of phi_diff make of a mixture: `exact` returns data without.
+    Returns the mixture with the steps of the search; `on_stage` is called after each fit.
     """
+    fitted, wanted = data.fitted, wanted.limited_to(data.fitted)
     dictionary = _Dictionary.at(fitted, empty.family)
-    trials, wanted = _Trials(held_out, on_stage), wanted.limited_to(fitted)
     mixture = _fit(fitted, _choose(fitted, empty, dictionary, wanted))
     is_auto = wanted.n_lobes == "auto"
     if is_auto and _correlation(fitted, mixture) < NOISE_CORRELATION:
+        data = exact(mixture)
+        fitted, trials = data.fitted, _Trials(data.held_out, on_stage)
+        mixture = _minimize(fitted, mixture, EXCHANGE_ITERATIONS)
         trials.add(mixture)
         if (simple := _simplest(fitted, empty, dictionary, wanted, trials)) is not None:
             return simple, trials.steps
     else:
+        trials = _Trials(data.held_out, on_stage)
         for _ in range(EXCHANGES):
             on_stage()
             mixture = _exchange(fitted, mixture, dictionary, wanted)
@@ -199,7 +223,7 @@ def _correlation(data: FitData, mixture: Mixture) -> float:
     """Correlation of the weighted residuals of neighbouring bins of phi_diff, large ones clipped."""
     residual = MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
     residual *= np.sqrt(data.weight)
-    limit = 0.3 * float(np.sqrt(np.mean(residual**2))) or 1.0
+    limit = MAX_NOISE_RESIDUAL * float(np.sqrt(np.mean(residual**2))) or 1.0
     residual = np.clip(residual / limit, -1.0, 1.0)
     both = (data.weight[..., 1:] > 0) & (data.weight[..., :-1] > 0)
     first, second = residual[..., 1:][both], residual[..., :-1][both]
@@ -237,15 +261,15 @@ def _gains(residual: Array, size: Array, gram: Array, own: Array) -> Array:
     """
     left, count = size, own.shape[-1]
     if count:
-        ridge = (RIDGE * np.trace(own, axis1=2, axis2=3)[..., None, None] / count + TINY) * np.eye(count)
+        ridge = (CHOICE_RIDGE * np.trace(own, axis1=2, axis2=3)[..., None, None] / count + TINY) * np.eye(count)
         left = size - np.sum(gram * np.linalg.solve(own + ridge, gram), axis=2)
-    gain = np.maximum(residual, 0.0) ** 2 / np.maximum(left, RIDGE * size + TINY)
+    gain = np.maximum(residual, 0.0) ** 2 / np.maximum(left, CHOICE_RIDGE * size + TINY)
     return np.asarray(gain.sum(axis=(0, 1)))
 
 
 def _widest_of_best(gain: Array, dictionary: _Dictionary) -> int:
-    """Where several candidates do equally well, as on a single column, the widest assumes least."""
-    equal = np.flatnonzero((gain >= (1.0 - 1e-9) * gain.max()) & (gain >= 0.0))
+    """Index of the widest candidate of those that do equally well: it assumes least."""
+    equal = np.flatnonzero((gain >= (1.0 - EQUAL_GAIN) * gain.max()) & (gain >= 0.0))
     return int(equal[dictionary.width[equal].argmax()])
 
 
@@ -279,7 +303,8 @@ def _start(data: FitData, empty: Structure, dictionary: _Dictionary, chosen: Ind
 def _log_amplitudes(data: FitData, structure: Structure, heights: Array) -> Array:
     """Control values of log amplitudes, channel by channel, near heights (R, 3, K)."""
     typical = np.sqrt(np.mean(heights**2, axis=(0, 1)))
-    logs = np.log(np.maximum(heights, MIN_START_HEIGHT * typical + 1e-9))
+    typical = np.maximum(typical, MIN_START_HEIGHT * typical.max() + TINY)
+    logs = np.log(np.maximum(heights, MIN_START_HEIGHT * typical))
     return smooth_control_values(structure.bases(data.theta_diff)[0], logs.reshape(len(logs), -1))
 
 
@@ -329,7 +354,7 @@ def _with_best(data: FitData, mixture: Mixture, dictionary: _Dictionary, wanted:
     size = weight @ np.square(transposed)
     right = (weight * residual) @ transposed
     target = weighted @ residual[..., None]
-    ridge = RIDGE * np.trace(own, axis1=2, axis2=3)[..., None, None] / len(own[0, 0]) * np.eye(own.shape[-1])
+    ridge = CHOICE_RIDGE * np.trace(own, axis1=2, axis2=3)[..., None, None] / len(own[0, 0]) * np.eye(own.shape[-1])
     answered = right - np.sum(gram * np.linalg.solve(own + ridge + TINY * np.eye(own.shape[-1]), target), axis=2)
     gain = _gains(answered, size, gram, own)
     gain[~np.isin(dictionary.is_ring, wanted.kinds_to_add(mixture.structure.rings))] = -1.0

@@ -13,7 +13,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.option_fields import Bounds, documented, option, suggesting
 from dsbrdf.model.lobe_families import Family
 
-MAX_LOBES = 8
+MAX_LOBES = 10
 MAX_RING_LOBES = MAX_LOBES - 1
 _DECIMALS = 9  # of a degree: takes off what conversions to radians and back add
 # option -> what it can be with the method "paper", and why
@@ -42,7 +42,7 @@ class FitOptions:
 
     n_lobes: Annotated[int, Bounds(1, MAX_LOBES)] | Literal["auto"] = option(
         "auto",
-        'Number of all lobes, 1 to 8; "auto" adds them while they lower the error on samples held out; with the '
+        'Number of all lobes, 1 to 10; "auto" drops them while the error on samples held out hardly rises; with the '
         'method "paper" it is the smallest of 1 to 5 that Williams\' test does not find worse than 5.',
     )
     method: Literal["global", "paper"] = option(
@@ -50,7 +50,7 @@ class FitOptions:
     )
     ring_lobes: Annotated[int, Bounds(0, MAX_RING_LOBES)] | Literal["auto"] = option(
         "auto",
-        'How many of the lobes have a center of their own, 0 to 7, fewer than all; "auto" takes what explains '
+        'How many of the lobes have a center of their own, 0 to 9, fewer than all; "auto" takes what explains '
         'most. The method "paper" has none.',
     )
     lobe: Family = option(
@@ -59,7 +59,7 @@ class FitOptions:
     knots_deg: Annotated[tuple[int, ...], Bounds(0, THETA_DIFF.size - 1)] | None = option(
         None,
         'Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, '
-        'increasing; None takes 8 that lie closer towards grazing angles, or 3 with the variation "parametric".',
+        'increasing; None takes 7 that lie closer towards grazing angles, or 3 with the variation "parametric".',
     )
     variation: Literal["full", "parametric"] = option(
         "full",

@@ -96,7 +96,8 @@ class FitReport:
     Attributes
     ----------
     warnings : tuple of str
-        What a user should know before using the model, one sentence each, see `dsbrdf.report_warnings`.
+        What a user should know before using the model, one sentence each, see `dsbrdf.report_warnings`; what concerns
+        the components is in the `remarks` of `dsbrdf.decompose`.
     metrics : Metrics
         All None where only profiles were given.
     by_channel, by_theta_diff : tuple of ChannelErrors, tuple of BandErrors

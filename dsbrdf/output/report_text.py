@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.fitting.metrics import Metrics, RelativeErrors
@@ -201,7 +202,8 @@ def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red", rema
 
 def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: str = "red") -> list[str]:
     """Return the report of one fit: verdict, warnings, metrics, components, lobes tried, errors; lobes if asked for."""
-    warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
+    sentences = dict.fromkeys((*result.report.warnings, *decompose(result.model).remarks))
+    warnings = [f"warning: {sentence}" for sentence in sentences]
     lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
     lines += model_text(result.model, lobes=lobes, channel=channel, remarks=False)  # They are among the warnings.
     for table in (

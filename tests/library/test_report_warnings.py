@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf import DSBRDF, FitResult, Measurement, Profiles, decompose, fit, profiles, render_sphere
+from dsbrdf import FitResult, Measurement, Profiles, fit, profiles, render_sphere
 from dsbrdf.data import THETA_DIFF, THETA_HALF, nodes_above_horizon, synthetic_measurement
 from dsbrdf.fitting import DirectionalAlbedo, KnotReport, Metrics
-from dsbrdf.model import gamma_of_half_width
 from dsbrdf.report_warnings import accuracy_warnings, fit_warnings
-from tests.support.known_models import single_lobe
 from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow
@@ -24,12 +22,6 @@ MODERATE = DirectionalAlbedo((0.0, 1.0), ((0.3, 0.3, 0.3), (0.5, 1.0, 0.5)))
 @pytest.fixture(scope="module")
 def data(matte: Measurement) -> Profiles:
     return profiles(matte)
-
-
-def lobe(half_width_deg: float) -> DSBRDF:
-    """A grey lobe of 0.1/sr."""
-    gamma = gamma_of_half_width(np.radians(half_width_deg), np.array(2.0), "hemi_epd")
-    return single_lobe(2.0, float(gamma), 0.1)
 
 
 @pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"][: repeats(1, 3)])
@@ -49,32 +41,15 @@ def test_measured_materials_have_none(reference_files: dict[str, Path], name: st
 def test_measurement_that_does_not_reach_the_rim(matte: Measurement, kept: NDArray[np.bool_], end: str) -> None:
     valid = nodes_above_horizon() & kept[..., None]
     ended = profiles(Measurement.from_values(matte.values, valid))
-    (found,) = fit_warnings(lobe(80.0), ended, CONVERGED, MODERATE)
+    (found,) = fit_warnings(ended, CONVERGED, MODERATE)
     assert f"no valid samples beyond {end} degrees: the model is extrapolated there" in found
 
 
 def test_model_that_reflects_more_than_it_receives(data: Profiles) -> None:
     bright = replace(MODERATE, albedo=((0.3, 0.3, 0.3), (0.5, 1.2, 0.5)))
-    (found,) = fit_warnings(lobe(80.0), data, CONVERGED, bright)
+    (found,) = fit_warnings(data, CONVERGED, bright)
     assert "more light than it receives: its directional albedo is 1.200 at 57 degrees in the green channel" in found
-    assert not [*fit_warnings(lobe(80.0), data, CONVERGED, MODERATE)]
-
-
-def test_split_that_is_open(data: Profiles) -> None:
-    model = lobe(45.0)  # a rough metal, or a ground that looks nearly so
-    (found,) = fit_warnings(model, data, CONVERGED, MODERATE)
-    parts = decompose(model)
-    assert found == parts.remarks[0]
-    assert parts.diffuse is not None
-    low, high = parts.diffuse.ranges.light_share
-    assert 0.6 < low < 0.9 < high
-    assert found.startswith(
-        f"The split into specular and diffuse light is open: the diffuse part has {low:.0%} to 100% of the light. "
-    )
-    assert parts.structure in found
-    probable = max(parts.structures, key=lambda one: one.weight)
-    assert parts.structure == probable.name
-    assert not [*fit_warnings(lobe(80.0), data, CONVERGED, MODERATE)]
+    assert not [*fit_warnings(data, CONVERGED, MODERATE)]
 
 
 def test_noisy_measurement() -> None:

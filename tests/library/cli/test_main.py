@@ -167,7 +167,7 @@ MISTAKES = {
     "fit nickel.binary --lobes 2": "dsbrdf fit: there is no option --lobes; did you mean --lobe or --n-lobes?",
     "fit nickel.binary --n-lobes two": "--n-lobes: must be a whole number or auto, not 'two'",
     "fit nickel.binary --n-lobes 2.5": "--n-lobes: must be a whole number or auto, not '2.5'",
-    "fit nickel.binary --n-lobes 9": "n_lobes must be an integer from 1 to 8",
+    "fit nickel.binary --n-lobes 11": "n_lobes must be an integer from 1 to 10",
     "fit nickel.binary --n-lobes 2 --n-lobes 3": "dsbrdf fit: --n-lobes is given more than once",
     "fit nickel.binary --weighting heavy": "--weighting: must be balanced or plain or cosine or log, not 'heavy'",
     "fit nickel.binary --method paper --lobe student": 'the method "paper" has the lobe "hemi_epd" only',

@@ -11,6 +11,7 @@ from dsbrdf import DSBRDF, InvalidArgumentError, Measurement, decompose
 from dsbrdf.components import LABELS
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, synthetic_measurement
 from dsbrdf.model import FAMILIES
+from dsbrdf.model.lobes import gamma_of_half_width
 from tests.support.known_models import single_lobe
 from tests.support.random_models import random_model
 from tests.support.soak import repeats
@@ -167,3 +168,16 @@ def test_absent_and_unknown_labels(paint_model: DSBRDF) -> None:
     ):
         with pytest.raises(InvalidArgumentError, match=words):
             found[label]
+
+
+def test_split_that_is_open_is_said() -> None:
+    gamma = gamma_of_half_width(np.radians(45.0), np.array(2.0), "hemi_epd")
+    parts = decompose(single_lobe(2.0, float(gamma), 0.1))  # a rough metal, or a ground that looks nearly so
+    assert parts.diffuse is not None
+    low, high = parts.diffuse.ranges.light_share
+    assert 0.6 < low < 0.9 < high
+    assert parts.remarks[0].startswith(
+        f"The split into specular and diffuse light is open: the diffuse part has {low:.0%} to 100% of the light. "
+    )
+    assert parts.structure in parts.remarks[0]
+    assert parts.structure == max(parts.structures, key=lambda one: one.weight).name

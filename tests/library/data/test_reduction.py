@@ -118,7 +118,7 @@ def expected_robust_weights(values: Array) -> Array:
 def folded_samples(measurement: Measurement, channel: int, i: int, j: int, fold: int) -> tuple[Array, Array]:
     """Values and cos(phi_diff)**2 of the valid samples in a bin of the folded phi_diff, by looking at each."""
     (members,) = np.nonzero(measurement.valid[i, j])
-    members = np.array([k for k in members if min(int(min(k, 180 - k) * N_BINS / 90), N_BINS - 1) == fold], dtype=int)
+    members = np.array([k for k in members if min(k, 180 - k) // 10 == fold], dtype=int)
     return (measurement.stored[channel, i, j] * measurement.scale[channel])[members], np.cos(PHI_DIFF[members]) ** 2
 
 

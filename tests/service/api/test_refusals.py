@@ -47,7 +47,7 @@ def test_invalid_query_is_named(server: Server, fitted: str, target: str, words:
     ("options", "words"),
     [
         ({"nlobes": 3}, ["Unknown ", "'nlobes'", "n_lobes", "horizon_cutoff_deg"]),
-        ({"n_lobes": "many"}, ['n_lobes must be an integer from 1 to 8 or "auto"', "many"]),
+        ({"n_lobes": "many"}, ['n_lobes must be an integer from 1 to 10 or "auto"', "many"]),
         ({"method": "magic"}, ["method must be one of", "paper", "magic"]),
         ({"horizon_cutoff_deg": "wide"}, ["horizon_cutoff_deg must be a number above 0 and at most 90", "wide"]),
         (
