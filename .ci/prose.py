@@ -21,7 +21,7 @@ NOT_YET_CLEAN = (
         f"dsbrdf/{wing}/"
         for wing in ("cli", "components", "data", "engines", "fitting", "model", "output", "rendering")
     ),
-    "service/dsbrdf_service/api/",
+    "service/dsbrdf_service/http/page/",
 )
 
 DANGLING_COMMENT = re.compile(r"(?:#|//|/\*)+ ?(?:of|which|that|to|with|by)\b")

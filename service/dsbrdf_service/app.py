@@ -38,10 +38,10 @@ from .settings import Settings
 from .storage.store import Store
 
 _REFERENCED: tuple[type[BaseModel], ...] = (FitRequest, NewName, *FORMS, MeasurementDetails)
-_THREADS = 8  # of which each that has ever worked keeps memory
-_COMPUTATION_SECONDS = 30.0  # that one in a process of its own may take; the longest need some 15
-_NICENESS = 10  # of these processes: answers that are known already go first
-_SWITCH_INTERVAL = 0.0005  # seconds that a thread which computes may hold up the event loop; Python's own are ten times
+_MAX_WORKER_THREADS = 8  # Every thread keeps its own heap after its first request.
+_COMPUTATION_TIMEOUT_S = 30.0  # The longest computation of a request takes some 15 s.
+_COMPUTATION_NICENESS = 10  # Answers that need no computation go first.
+_SWITCH_INTERVAL_S = 0.0005  # A computing thread delays the event loop by so much at most; Python's default is 0.005.
 
 _DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in the MERL format.
 
@@ -58,8 +58,8 @@ again with `If-None-Match`; `Link` with `rel="next"` leads to the next page of a
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Open the parts of the service, and close them in the opposite order."""
-    to_thread.current_default_thread_limiter().total_tokens = _THREADS
-    sys.setswitchinterval(_SWITCH_INTERVAL)
+    to_thread.current_default_thread_limiter().total_tokens = _MAX_WORKER_THREADS
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     settings, metrics, keys = app.state.settings, app.state.metrics, app.state.keys
     store: Store = app.state.store or Store(settings.data_dir)
     try:
@@ -67,7 +67,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         models = ModelCache(store, settings.model_cache)
         keys.open(store.database)
         readiness = Readiness(store, engine, settings)
-        computations = Computations(FitLimits(_COMPUTATION_SECONDS, settings.fit_memory_mb, _NICENESS))
+        computations = Computations(FitLimits(_COMPUTATION_TIMEOUT_S, settings.fit_memory_mb, _COMPUTATION_NICENESS))
         queue = FitQueue(store, engine, settings, metrics.fit_meters)
         parts = settings, store, queue, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)

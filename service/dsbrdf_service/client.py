@@ -31,7 +31,8 @@ Source = str | os.PathLike[str] | bytes | Measurement
 Document = dict[str, Any]
 """A fit as ``GET /v1/fits/{id}`` describes it."""
 
-_POLL, _POLL_FOR_PROGRESS = 20.0, 0.5  # seconds that one request waits for a fit
+_POLL_S = 20.0  # One request waits so long for a fit.
+_PROGRESS_POLL_S = 0.5  # One request waits so long if the caller wants to see the progress.
 _LIBRARY_ERRORS: dict[str, type[Exception]] = {
     "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
     "urn:dsbrdf:problem:measurement-too-large": MeasurementFormatError,
@@ -43,8 +44,8 @@ _LIBRARY_ERRORS: dict[str, type[Exception]] = {
 class ServiceError(Exception):
     """The service could not do what was asked, for a reason other than the measurement or the options.
 
-    `problem` is the problem document, or what is known of the fault under the same names: its ``status`` is 401 if the
-    service wants another key, 429 if the key has reached a limit.
+    `problem` is the problem document, or has at least ``status`` and ``title``. The status is 401 if the service wants
+    another key, and 429 if the key has reached a limit.
     """
 
     def __init__(self, problem: Mapping[str, Any]) -> None:
@@ -62,8 +63,8 @@ class Client:
     key : str, optional
         API key; by default that of the environment variable ``DSBRDF_KEY``, if there is one.
     timeout : float
-        Longest time without an answer, other than while waiting for a fit [s]. In this time a request that the service
-        refuses for now is repeated, after the pauses that the service names.
+        Longest time without an answer, besides the wait for a fit [s]. During this time, a request that the service
+        refuses for now is sent again after the pauses that the service names.
     """
 
     def __init__(
@@ -76,8 +77,8 @@ class Client:
         self._http = httpx.Client(
             base_url=base_url,
             headers={"Authorization": f"Bearer {key}"} if key else {},
-            timeout=httpx.Timeout(timeout, read=timeout + _POLL),
-            # The service closes a connection that has been idle for 5 s: one that it may be closing is not used again.
+            timeout=httpx.Timeout(timeout, read=timeout + _POLL_S),
+            # The service closes idle connections after 5 s; a connection that it may be closing is not used again.
             limits=httpx.Limits(keepalive_expiry=2.0),
         )
 
@@ -114,7 +115,7 @@ class Client:
         name : str, optional
             What the service calls the measurement and the fit; by default the name that they have, or the file's.
         progress : callable, optional
-            Called with the finished share, 0 to 1, about twice a second.
+            Called with the progress, 0 to 1, about twice a second.
 
         Raises
         ------
@@ -152,7 +153,7 @@ class Client:
         while fit["status"] in ("accepted", "running"):
             if progress is not None:
                 progress(fit["progress"])
-            fit = self.get(fit["id"], wait=_POLL if progress is None else _POLL_FOR_PROGRESS)
+            fit = self.get(fit["id"], wait=_POLL_S if progress is None else _PROGRESS_POLL_S)
         if fit["status"] != "succeeded":
             error = fit["error"] or {"origin": "system", "message": "The fit was cancelled."}
             if error["origin"] == "input":
@@ -167,7 +168,7 @@ class Client:
         return result_from_json(self.document(fit_id))
 
     def document(self, fit_id: str) -> str:
-        """Return that result as the text of a file that `dsbrdf.load_result` reads."""
+        """Return the result of a fit as the text of a file that `dsbrdf.load_result` reads."""
         return self._call("GET", f"/v1/fits/{fit_id}/export", {"format": "json"}).text
 
     def upload(self, measurement: Source, options: TableOptions = AS_WRITTEN, *, name: str | None = None) -> str:
@@ -194,13 +195,16 @@ class Client:
             if error.problem["status"] != 404:
                 raise
             if own_name is not None:
-                with suppress(InvalidArgumentError):  # one that the service would not take
+                with suppress(InvalidArgumentError):  # The service would refuse such a name.
                     name = name or check_name(own_name)
             self._call("POST", "/v1/measurements", {"name": name}, content=measurement, headers=headers)
         return sha256
 
     def _call(self, method: str, url: str, params: Mapping[str, Any] | None = None, **request: Any) -> httpx.Response:
-        """Return a response that is a success, after repeating what is refused for now; None is no parameter."""
+        """Send a request, again while it is refused for now, and return the successful response.
+
+        Parameters that are None are left out.
+        """
         given = {name: value for name, value in (params or {}).items() if value is not None}
         left = self._timeout
         while (answer := self._http.request(method, url, params=given, **request)).status_code >= 400:
@@ -214,7 +218,7 @@ class Client:
 
 def _error(answer: httpx.Response) -> Exception:
     problem: dict[str, Any] = {"status": answer.status_code, "title": f"{answer.status_code} {answer.reason_phrase}"}
-    with suppress(json.JSONDecodeError):  # from a proxy
+    with suppress(json.JSONDecodeError):  # A proxy answers without JSON.
         problem |= answer.json()
     kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
     return ServiceError(problem) if kind is None else kind(problem["detail"])

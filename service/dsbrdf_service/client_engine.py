@@ -12,7 +12,7 @@ from .client import Client, ServiceError
 
 
 class ClientEngine:
-    """Asks the service at `url` for at most `count` fits at once.
+    """Requests at most `count` fits at once from the service at `url`.
 
     The environment variable ``DSBRDF_KEY`` has the key, if one is needed.
     """
@@ -22,7 +22,7 @@ class ClientEngine:
         self._threads = ThreadPoolExecutor(count)
 
     def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
-        """Ask for a fit.
+        """Request a fit.
 
         The future raises ConnectionError if the service cannot be reached, or fails for another reason than the
         measurement or the options. It raises InvalidArgumentError if the service wants a key.
@@ -33,7 +33,7 @@ class ClientEngine:
         """Do nothing: the first fit says whether the service answers."""
 
     def close(self) -> None:
-        """Give up what is asked for, and close the connections."""
+        """Give up the requested fits, and close the connections."""
         self._client.close()
         self._threads.shutdown(cancel_futures=True)
 

@@ -1,4 +1,4 @@
-"""What the service says about itself: liveness, readiness and metrics."""
+"""The service itself: liveness, readiness, metrics, the OpenAPI document and the files of the web page."""
 
 import json
 from typing import Literal
@@ -33,13 +33,13 @@ page = APIRouter(include_in_schema=False)
 
 @router.get("/health/live", responses=openapi.problems(behind_a_key=False))
 async def get_live() -> Health:
-    """Answer whenever the process answers at all."""
+    """Return 200 as long as the process runs."""
     return Health(status="live", version=dsbrdf.__version__)
 
 
 @router.get("/health/ready", responses=openapi.problems("not-ready", behind_a_key=False))
 async def get_ready(context: TheContext) -> Health:
-    """Answer 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
+    """Return 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
 
     The answer comes within 3 s.
     """
@@ -51,7 +51,7 @@ async def get_ready(context: TheContext) -> Health:
 
 @router.get("/metrics", response_class=PlainTextResponse, responses=openapi.problems("not-found"))
 async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
-    """Return requests, fits, times and sizes of all in Prometheus' text format; an API key has to be made for that."""
+    """Return requests, fits, times and sizes of all keys in Prometheus' text format; only some API keys may read it."""
     if not caller.metrics:
         raise ProblemError("not-found", "There are no metrics for this key; dsbrdf keys add --metrics makes one.")
     metrics = await run_in_threadpool(context.metrics.exposition, context.store)
@@ -66,7 +66,7 @@ async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
 @page.get("/docs/{name}")
 @page.get("/page/{name}")
 async def get_file(request: Request) -> Response:
-    """Return the page, which asks ``/v1`` for what its address names; or what is static beside it."""
+    """Return the page, or another static file; the page asks ``/v1`` for all data."""
     file = file_at(request.scope["path"])
     if file is None:
         raise HTTPException(404)

@@ -78,7 +78,7 @@ def _options_schema(kind: type, defaults: dict[str, Any]) -> dict[str, Any]:
         schema = declared[name]
         del schema["title"]
         for choice in schema.get("anyOf", ()):
-            if "const" in choice:  # which fewer generators of clients know
+            if "const" in choice:  # Few generators of clients know `const`.
                 choice["enum"] = [choice.pop("const")]
         properties[name] = {**schema, "default": default, "description": sentences[name]}
     description = "What is not given is the default."

@@ -41,7 +41,7 @@ class FitRequest(Input):
 
 
 class NewName(Input):
-    """Another name of a fit, or none."""
+    """The new name of a fit, or null."""
 
     name: Annotated[str | None, Field(max_length=MAX_LENGTH, description="null takes the name away.")]
 
@@ -105,11 +105,11 @@ class FitDocument(FitSummary):
 
 
 RESULT_MEMBERS = tuple(FitDocument.model_fields)[len(FitSummary.model_fields) :]
-"""Members of the document of a result, as the process of the fit writes it."""
+"""Members that the process of a fit writes into the stored document."""
 
 
 class RemovedFit(BaseModel):
-    """What has become of a fit."""
+    """The outcome of a DELETE."""
 
     id: Annotated[str, Field(pattern=FIT_ID)]
     status: Annotated[
@@ -133,7 +133,7 @@ class FitList(BaseModel):
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
 
-_MAX_JSON = 1 << 16
+_MAX_JSON_BYTES = 1 << 16
 _NO_RESULT = to_json({"warnings": [], "measure_next": []} | dict.fromkeys(RESULT_MEMBERS[2:]))
 _Wait = Annotated[
     float,
@@ -181,10 +181,10 @@ async def submit_fit(
 ) -> Response:
     """Fit the measurement that is the body, or a stored one.
 
-    Answers when the fit has ended: 201, or 200 if the same request was made before. A fit that failed is
-    such an answer too: its `status` is `failed` and its `error` says why. If the fit takes longer than
-    `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202 and
-    `Location` tells where to ask again.
+    The answer comes when the fit has ended: 201, or 200 if an equal request was made before. A fit that failed is
+    answered in the same way: its `status` is `failed` and its `error` says why. If the fit takes longer than
+    `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202, and `Location` is the
+    address at which to ask again.
     """
     name = name_of(request)
     if media_type_of(request, BINARY, JSON, *TABLES) != JSON:
@@ -193,7 +193,7 @@ async def submit_fit(
     else:
         if request.query_params.keys() - {"name"}:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
-        async with context.bodies.received(request, _MAX_JSON) as body:
+        async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
             document = parse_document(FitRequest, body)
         sha256, options = document.measurement, canonical(from_wire(document.options))
     row, new = await context.queue.submit(caller, sha256, options, name)
@@ -234,9 +234,9 @@ async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit:
     openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(NewName)}}),
 )
 async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Response:
-    """Give a fit another name, or none; nothing else of it can be changed."""
+    """Rename a fit, or remove its name; nothing else can be changed."""
     media_type_of(request, JSON)
-    async with context.bodies.received(request, _MAX_JSON) as body:
+    async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
         given = parse_document(NewName, body)
     name = None if given.name is None else check_name(given.name)
     row = await in_write_thread(context.store.rename_fit, fit, name)
@@ -245,9 +245,9 @@ async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Resp
 
 @router.delete("/{fit_id}", responses=openapi.problems("not-found", "fit-ended", "fit-not-finished", "disk-full"))
 async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> RemovedFit:
-    """Cancel an unfinished fit, which stays in the list, or delete one that has ended; the answer says which.
+    """Cancel an unfinished fit, which stays in the list, or delete a fit that has ended; the answer says which.
 
-    `only` asks for one of them alone: a fit may end just before it is to be cancelled.
+    With `only=cancel`, a fit that ends just before is not deleted; `only=delete` cancels nothing.
     """
     if only != "delete" and await context.queue.cancel(fit) is not None:
         return RemovedFit(id=fit.id, status="cancelled")
@@ -270,7 +270,7 @@ async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> Re
     },
 )
 async def follow_fit(context: TheContext, caller: TheCaller, begin: TheRow) -> AsyncIterable[ServerSentEvent]:
-    """Send an event at every step of a fit; the event's name is the fit's status, the last one tells its end."""
+    """Send an event at every step of a fit, named by the fit's status; the last event reports its end."""
     async for row in context.queue.watch(begin.key):
         if not context.keys.allows(caller):
             return
@@ -280,7 +280,7 @@ async def follow_fit(context: TheContext, caller: TheCaller, begin: TheRow) -> A
 async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey, seconds: float) -> FitRow:
     """Return the fit's row when it has ended or after `seconds`.
 
-    The wait ends early when the client goes, which frees its place. What it waited for is for an active key only.
+    The wait ends early when the client leaves. Raises InvalidKeyError if the key was revoked meanwhile.
     """
     if not seconds:
         return await context.fit_row(fit)

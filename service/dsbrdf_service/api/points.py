@@ -68,13 +68,13 @@ class DirectionsRequest(Input):
 
 
 _DIRECTIONS = tuple(DirectionsRequest.model_fields)
-_LONGEST_NPY_HEADER = 1024
-_NPY_SHAPES = ((2,), (3,), (6,), (2, 3))  # of one point
+_MAX_NPY_HEADER_BYTES = 1024
+_POINT_SHAPES = ((2,), (3,), (6,), (2, 3))  # Each row of an array of points has one of these shapes.
 _POINTS = (
     "(n, 2) or (n, 3), theta_half, theta_diff and phi_diff in degrees, or (n, 6) or (n, 2, 3), omega_in and omega_out"
 )
 _PANORAMA = "(rows, 2 rows, 3), linear RGB of 360 by 180 degrees"
-_BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # angles of a pair with a direction below the horizon: every model is 0
+_BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # Every model is 0 at these angles.
 
 
 class Points(NamedTuple):
@@ -126,7 +126,7 @@ def from_npy(data: bytes) -> Points:
 
     Raises InvalidArgumentError if the bytes are not such an array.
     """
-    array = read_npy(data, lambda shape: shape[1:] in _NPY_SHAPES, _POINTS).astype(np.float64)
+    array = read_npy(data, lambda shape: shape[1:] in _POINT_SHAPES, _POINTS).astype(np.float64)
     if array.shape[1:] not in ((2,), (3,)):
         return _of_directions(omega_in=array.reshape(-1, 2, 3)[:, 0], omega_out=array.reshape(-1, 2, 3)[:, 1])
     thetas, phi_diff = array[:, :2], array[:, 2:]
@@ -151,7 +151,7 @@ def read_npy(data: bytes, allowed: Callable[[tuple[int, ...]], bool], wanted: st
     """Return the array of numbers that a .npy file holds; `wanted` says which shapes are `allowed`."""
     file = BytesIO(data)
     try:
-        array: NDArray[Any] = npy.read_array(file, allow_pickle=False, max_header_size=_LONGEST_NPY_HEADER)
+        array: NDArray[Any] = npy.read_array(file, allow_pickle=False, max_header_size=_MAX_NPY_HEADER_BYTES)
     except Exception:  # NumPy parses the header as Python, which can raise any exception
         raise InvalidArgumentError("The body is not a whole .npy file of numbers.") from None
     if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):

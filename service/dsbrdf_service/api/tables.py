@@ -1,4 +1,4 @@
-"""Tables of samples: what is understood of one, before it is uploaded."""
+"""Descriptions of tables of samples, to look at before an upload."""
 
 import hashlib
 from typing import Annotated
@@ -26,7 +26,7 @@ class ColumnDocument(BaseModel):
 
 
 class TableDocument(BaseModel):
-    """What is understood of a table of samples."""
+    """Columns, ranges and samples of a table, as the library reads it."""
 
     n_rows: int
     n_samples: Annotated[int, Field(description="Rows that can be fitted.")]
@@ -57,7 +57,7 @@ async def describe_table(
 ) -> TableDocument:
     """Return columns, units, ranges, planes, warnings and the first samples of the table that is the body.
 
-    Nothing is stored: so a table can be looked at, and the right options found, before it is uploaded.
+    Nothing is stored, so the right options can be found before the upload.
     """
     media_type_of(request, *TABLES)
     async with context.bodies.received(request, MAX_CONVERTED_BYTES) as content:

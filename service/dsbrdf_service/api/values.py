@@ -62,8 +62,8 @@ router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"], route_class=_Dir
 measured = APIRouter(prefix="/v1/measurements/{sha256}/brdf", tags=["values"])
 _Component = Annotated[Label, Path(description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]])]
 
-_MAX_INLINE = 64  # points: so few are evaluated faster than a thread is started
-_BLOCK = 4096  # points that are evaluated at a time
+_MAX_INLINE_POINTS = 64  # More points take longer to evaluate than to pass to a thread.
+_BLOCK_POINTS = 4096  # Larger blocks take more memory and are not faster.
 _MAX_BODY = 16_000_000  # bytes: a hundred thousand pairs of directions as JSON, with all digits
 _MAX_POINTS = 100_000
 _MUCH_JSON = 1 << 20  # bytes that are read in some 50 ms, in which no other thread runs
@@ -154,7 +154,7 @@ async def _values(request: Request, context: Context, fit: FitKey, label: str | 
     """Return the values of a fit or of a component: a few at once, more in a turn."""
     model = (await context.models.get(fit)).part(label)
     points, media_type = await _points(request, context)
-    if points.theta_half.size <= _MAX_INLINE and media_type == JSON:
+    if points.theta_half.size <= _MAX_INLINE_POINTS and media_type == JSON:
         return Response(to_json({"values": model.evaluate(*points).tolist()}), media_type=JSON)
     content = await context.computations.run(request, object(), lambda: _encoded(_in_blocks(model, points), media_type))
     return Response(content, media_type=media_type)
@@ -190,8 +190,8 @@ async def _points(request: Request, context: Context) -> tuple[Points, str]:
 
 def _in_blocks(model: ReflectanceModel, points: Points) -> Array:
     """Return a model's values, computed in blocks, which take less memory."""
-    starts = range(0, points.theta_half.size, _BLOCK)
-    values = [model.evaluate(*(angle[start : start + _BLOCK] for angle in points)) for start in starts]
+    starts = range(0, points.theta_half.size, _BLOCK_POINTS)
+    values = [model.evaluate(*(angle[start : start + _BLOCK_POINTS] for angle in points)) for start in starts]
     return np.concatenate([*values, np.empty((0, 3))])
 
 
@@ -207,5 +207,5 @@ def _encoded(values: Array, media_type: str) -> bytes:
     triples: list[list[float] | None] = values.tolist()
     for row in np.flatnonzero(np.isnan(values[:, 0])):
         triples[row] = None
-    blocks = (to_json(triples[start : start + _BLOCK]) for start in range(0, len(triples), _BLOCK))
+    blocks = (to_json(triples[start : start + _BLOCK_POINTS]) for start in range(0, len(triples), _BLOCK_POINTS))
     return b'{"values":[%b]}' % b",".join(block[1:-1] for block in blocks)

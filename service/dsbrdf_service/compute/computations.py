@@ -150,6 +150,6 @@ class Computations:
 
 async def departure(request: Request) -> None:
     """Return when the client has closed the connection."""
-    with suppress(ProblemError):  # of a body that is not read and arrives too slowly
+    with suppress(ProblemError):  # A body that nobody reads may arrive too slowly.
         while (await request.receive())["type"] != "http.disconnect":
             pass

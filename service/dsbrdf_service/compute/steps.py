@@ -60,7 +60,7 @@ _SAMPLE_FIGURES: dict[str, Callable[[ScatteredSamples, DSBRDF], "Figure"]] = {
     "parameters": lambda samples, model: parameters_figure(model, title=samples.name),
     "residual": samples_residual_figure,
 }
-_DARKEST = 1e-6  # as in `interpolate` [1/sr]
+_MIN_LOGARITHM_VALUE = 1e-6  # [1/sr] `interpolate` adds it to each value, too.
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:
     """
     known = stored.mapped().interpolated
     channels = zip(known.measurement.stored, known.measurement.scale, cycle(known.source), strict=False)
-    tables = [np.log(values.ravel()[source] * scale + _DARKEST) for values, scale, source in channels]
+    tables = [np.log(values.ravel()[source] * scale + _MIN_LOGARITHM_VALUE) for values, scale, source in channels]
     return _npy(np.stack(tables, axis=-1).reshape(*known.measurement.stored.shape[1:], 3).astype("<f2"))
 
 

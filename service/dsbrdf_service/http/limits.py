@@ -10,10 +10,10 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from ..errors import ProblemError
 
-_MAX_LINE = 8192  # bytes of a header, or of what is asked for
+_MAX_LINE_BYTES = 8192  # Longer headers and addresses are refused.
 _MAX_HEADERS = 100
-_ONCE = (b"host", b"origin", b"sec-fetch-site")  # of two, it would not be clear which one counts
-_CLOSE = {"Connection": "close"}
+_SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")  # With two, either could be meant.
+_CLOSE_HEADERS = {"Connection": "close"}
 
 
 class Connection(HttpToolsProtocol):
@@ -31,15 +31,17 @@ def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
     `headers` are those of `scope` by name.
     """
     sent = scope["headers"]
-    too_long = len(sent) > _MAX_HEADERS or len(scope["path"]) + len(scope["query_string"]) > _MAX_LINE
+    too_long = len(sent) > _MAX_HEADERS or len(scope["path"]) + len(scope["query_string"]) > _MAX_LINE_BYTES
     for name, value in sent:
-        too_long = too_long or len(name) + len(value) > _MAX_LINE
+        too_long = too_long or len(name) + len(value) > _MAX_LINE_BYTES
     if too_long:
-        limits = f"an address of {_MAX_LINE} bytes, and {_MAX_HEADERS} headers of {_MAX_LINE} bytes each"
-        raise ProblemError("head-too-long", f"A request has at most {limits}; many points are sent with POST.", _CLOSE)
-    twice = len(headers) < len(sent) and any(sum(name == once for name, _ in sent) > 1 for once in _ONCE)
+        limits = f"an address of {_MAX_LINE_BYTES} bytes, and {_MAX_HEADERS} headers of {_MAX_LINE_BYTES} bytes each"
+        raise ProblemError(
+            "head-too-long", f"A request has at most {limits}; many points are sent with POST.", _CLOSE_HEADERS
+        )
+    twice = len(headers) < len(sent) and any(sum(name == once for name, _ in sent) > 1 for once in _SINGLE_HEADERS)
     if twice or (b"host" not in headers and scope["http_version"] == "1.1"):
-        raise ProblemError("bad-request", "A request has exactly one Host, and at most one Origin.", _CLOSE)
+        raise ProblemError("bad-request", "A request has exactly one Host, and at most one Origin.", _CLOSE_HEADERS)
 
 
 class BodyTimeout:
@@ -75,7 +77,7 @@ class BodyTimeout:
             self._ended = True
             rate = f", or came at less than {self._min_rate:g} bytes a second" if self._min_rate else ""
             detail = f"The body stopped for {self._idle_timeout:g} s{rate}; {self.n_bytes} bytes had arrived."
-            raise ProblemError("request-timeout", detail, _CLOSE) from None
+            raise ProblemError("request-timeout", detail, _CLOSE_HEADERS) from None
         self._waited += loop.time() - begin
         self.n_bytes += len(message.get("body", b""))
         self._ended = not message.get("more_body", False)

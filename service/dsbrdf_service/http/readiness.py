@@ -13,7 +13,7 @@ from dsbrdf.engines.engine import Engine
 from ..settings import Settings
 from ..storage.store import Store
 
-LIMIT = 3.0  # seconds that the checks may take
+LIMIT = 3.0  # [s] Time limit of all checks together.
 
 logger = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ class Readiness:
             "The disk": partial(store.check_space, settings.min_free_mb),
             "The engine": engine.check,
         }
-        self._current = ""  # which is being checked
+        self._current = ""  # The name of the running check.
         self._answer: asyncio.Task[str | None] | None = None
 
     def stop(self) -> None:

@@ -1,4 +1,4 @@
-"""Request bodies and their one encoding, gzip: measurements as a stream, other bodies whole."""
+"""Request bodies, perhaps compressed with gzip: measurements as a stream, other bodies whole."""
 
 import zlib
 from collections import Counter
@@ -12,13 +12,13 @@ from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
 
 PIECE = 1 << 18
-_MOST_HELD = 64_000_000  # bytes of bodies that one caller may have in memory
+_MAX_HELD_BYTES = 64_000_000  # Further bodies of the same caller are refused until some are answered.
 
 
 def media_type_of(request: Request, *supported: str) -> str:
-    """Return the media type of the body, which is the first of those `supported` unless the request says otherwise.
+    """Return the media type of the body; without a header, the first of the types `supported`.
 
-    Raises ProblemError if it is another one.
+    Raises ProblemError if the type is not supported.
     """
     media_type = request.headers.get("content-type", supported[0]).partition(";")[0].strip().lower()
     if media_type not in supported:
@@ -29,24 +29,24 @@ def media_type_of(request: Request, *supported: str) -> str:
 
 
 class Bodies:
-    """Bodies in memory; a caller who has too much of them there has to wait."""
+    """The request bodies in memory, bounded for each caller."""
 
     def __init__(self) -> None:
-        self._held: Counter[str] = Counter()  # bytes, by caller
+        self._held: Counter[str] = Counter()  # Bytes by caller.
 
     @asynccontextmanager
     async def received(self, request: Request, limit: int) -> AsyncIterator[bytes]:
-        """Yield the decoded body of a request, of at most `limit` bytes; it counts until the end of the block.
+        """Yield the decoded body of a request, of at most `limit` bytes, which counts until the end of the block.
 
-        Raises ProblemError as `decoded`, or if it is too much with the caller's other bodies.
+        Raises ProblemError as `decoded`, or if the caller's bodies together take too much memory.
         """
         caller, content = request.scope[CALLER_NAME], bytearray()
         try:
             async for piece in decoded(request, limit):
                 if len(content) + len(piece) > limit:
                     raise _too_large(limit)
-                if self._held[caller] + len(piece) > _MOST_HELD:
-                    most = f"{_MOST_HELD // 10**6} MB, the most allowed"
+                if self._held[caller] + len(piece) > _MAX_HELD_BYTES:
+                    most = f"{_MAX_HELD_BYTES // 10**6} MB, the most allowed"
                     detail = f"Bodies of this caller's requests take {most}; wait for some to be answered."
                     raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
                 self._held[caller] += len(piece)
@@ -54,14 +54,14 @@ class Bodies:
             yield bytes(content)
         finally:
             self._held[caller] -= len(content)
-            self._held += Counter()  # without those that have none
+            self._held += Counter()  # Removes callers without bodies.
 
 
 async def decoded(request: Request, limit: int) -> AsyncIterator[bytes]:
-    """Yield what the body decodes to, in pieces of at most `PIECE` bytes if it is encoded: few bytes can be very many.
+    """Yield the decoded body; a compressed body, which can become very long, in pieces of at most `PIECE` bytes.
 
-    Raises ProblemError if its encoding is unknown, it is damaged, or it is longer than an encoding can make `limit`
-    bytes. The caller looks at the length of what it decodes to.
+    Raises ProblemError if its encoding is unknown, it is damaged, or longer than `limit` bytes could be when encoded.
+    The caller bounds the length of the decoded body.
     """
     names = ",".join(request.headers.getlist("content-encoding")).lower().split(",")
     encoding = ", ".join(name for part in names if (name := part.strip()) not in ("", "identity"))
@@ -71,7 +71,7 @@ async def decoded(request: Request, limit: int) -> AsyncIterator[bytes]:
     member, left = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS), limit + limit // 64 + 1024
     async for piece in request.stream():
         left -= len(piece)
-        if left < 0:  # what decodes to nothing could go on
+        if left < 0:  # A gzip body can go on without end and decode to nothing.
             raise _too_large(limit)
         if not encoding:
             yield piece

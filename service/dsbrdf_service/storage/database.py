@@ -16,8 +16,8 @@ from ..errors import DatabaseLostError, DataFolderError
 from .schema import create_tables
 
 FILE_NAME = "dsbrdf.sqlite"
-_BUSY_TIMEOUT = 5.0  # seconds that a transaction waits for others; then a client is asked to come again
-_LEAST_SIZE = 512  # bytes of a database; SQLite takes a shorter file for an empty one, and writes over it
+_BUSY_TIMEOUT = 5.0  # [s] When a transaction has waited so long for others, its request is answered with 503.
+_MIN_DATABASE_BYTES = 512  # SQLite takes a shorter file for an empty database, and writes over it.
 _RESTORE = "restore the folder from a copy; nothing in it has been changed"
 _REMEDIES = {
     sqlite3.SQLITE_CORRUPT: _RESTORE,
@@ -96,7 +96,7 @@ class Database:
             raise sqlite3.OperationalError("other transactions take too long")
         try:
             self._check_files()
-            with self._writer:  # which commits, or rolls back
+            with self._writer:  # Commits, or rolls back.
                 self._writer.execute("BEGIN IMMEDIATE")
                 yield self._writer
             self._check_files()  # what has been written to a log without a name is not durable
@@ -169,7 +169,7 @@ def _claim(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     database = folder / FILE_NAME
     ours = database.is_file() and not database.is_symlink()
-    if ours and (size := database.stat().st_size) < _LEAST_SIZE:
+    if ours and (size := database.stat().st_size) < _MIN_DATABASE_BYTES:
         # A service that was killed at its first start leaves an empty file.
         ours = not size and names <= {FILE_NAME, f"{FILE_NAME}-journal"}
     if names and not ours:
