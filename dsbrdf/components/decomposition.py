@@ -338,6 +338,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
             drawn.surface_spread(label),
             is_diffuse=label == LABELS[2],
             has_retro=any(RetroLayer in one.kinds_of(label) for one in structures),
+            has_ground=LABELS[2] not in labels,
         )
         for label, own in zip(labels, split.own_values(), strict=True)
     )

@@ -141,12 +141,16 @@ class OwnValues:
     albedo: Array
 
 
-def describe(own: OwnValues, spread: SurfaceSpread, *, is_diffuse: bool, has_retro: bool) -> Description:
-    """Fit layers to the values of a component, which may send light back towards its source."""
+def describe(
+    own: OwnValues, spread: SurfaceSpread, *, is_diffuse: bool, has_retro: bool = False, has_ground: bool = False
+) -> Description:
+    """Fit layers to the values of a component; a highlight may have light of small reflectors or a ground in it."""
     data = component_data(own.grid, has_peak=not is_diffuse)
     if data is None:
         return Description(LayeredModel(()), (), Misfit(None, 0.0, None, 0.0))
-    structures = _DIFFUSE if is_diffuse else _highlights(peak_half_width(own.grid), has_retro=has_retro)
+    structures = (
+        _DIFFUSE if is_diffuse else _highlights(peak_half_width(own.grid), has_retro=has_retro, has_ground=has_ground)
+    )
     best = fit_structures(data, structures)[0]
     misfit = _misfit(own, best.model, is_diffuse=is_diffuse)
     if not _are_distinct(best.model):
@@ -174,23 +178,23 @@ _DIFFUSE = (
 )
 
 
-def _highlights(half_width: float, *, has_retro: bool) -> tuple[LayerStructure, ...]:
-    """Return one and two surfaces that start about a half width [rad]."""
+def _highlights(half_width: float, *, has_retro: bool, has_ground: bool) -> tuple[LayerStructure, ...]:
+    """Return one and two surfaces that start about a half width [rad], and other light beside them if there is some."""
     width = float(np.degrees(half_width))
     widest = float(np.degrees(_WIDEST_START))
     pairs = ((0.7 * width, min(3.0 * width, widest)), (width, min(6.0 * width, widest)))
-    found = (
+    found = [
         LayerStructure("surface", (_SURFACE,), 0.0, ((width,),)),
         LayerStructure("two surfaces", (_SURFACE, _SURFACE), _SURFACE_PRICE, pairs),
-    )
-    if not has_retro:
-        return found
-    retro = OWN_PRIORS[RetroLayer]
-    return (
-        *found,
-        LayerStructure("retro-reflection", (retro,)),
-        LayerStructure("retro-reflection and surface", (retro, _SURFACE), _SURFACE_PRICE, ((width,),)),
-    )
+    ]
+    if has_ground:
+        layers = _SURFACE, _SURFACE, _GROUND
+        found.append(LayerStructure("two surfaces and ground", layers, 2.0 * _SURFACE_PRICE, pairs[:1]))
+    if has_retro:
+        retro = OWN_PRIORS[RetroLayer]
+        found.append(LayerStructure("retro-reflection", (retro,)))
+        found.append(LayerStructure("retro-reflection and surface", (retro, _SURFACE), _SURFACE_PRICE, ((width,),)))
+    return tuple(found)
 
 
 def _are_distinct(model: LayeredModel) -> bool:

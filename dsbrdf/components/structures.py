@@ -347,8 +347,7 @@ RARE_STRUCTURES = (
         "metal of two roughnesses",
         (_METAL, _METAL),
         4.0,
-        parent="coat over metal",
-        start_factors=_SAME_WIDTHS,
+        ((1.0, 8.0), (4.0, 16.0)),
     ),
     LayerStructure(
         "coat over flakes of two scales over diffuse",
@@ -358,4 +357,4 @@ RARE_STRUCTURES = (
         start_factors=((0, 1.0), (1, 0.7), (1, 2.0)),
     ),
 )
-"""Structures with more kinds of light than those above, which they start from."""
+"""Structures with more kinds of light than those above, which most of them start from."""
