@@ -33,16 +33,22 @@ from dsbrdf.model.lobes import LobeSlopes, lobe_curves, log_cosine
 from dsbrdf.model.splines import roughness
 
 SMOOTHING = (1e-7, 3e-6, 1e-6)
-"""Pull on second differences of log amplitudes, shapes and elongations, as a share of the squared signal."""
+"""Pull on second differences of log amplitudes, shapes and elongations, as a fraction of the squared signal."""
 TOLERANCE = 1e-3
-"""An iteration stalls that lowers the cost by a smaller share."""
-_SAMPLES_AT_ONCE = 2400
-_LARGEST_SINGLE = 1e9  # of the values [1/sr]; weights are about one over their squares
-_LARGEST_STEP = 1.5  # in logarithms, radians and elongation
-_FIRST_DAMPING, _LARGEST_DAMPING = 1e-2, 1e8
-_LIMIT_PASSES = 5
-_SMALLEST_CHANGE = 1e-9
-_STALLED_STEPS = 2  # iterations in a row that lower the cost by less than the tolerance
+"""An iteration stalls that lowers the cost by a smaller fraction."""
+SAMPLES_IN_BLOCK = 2400
+"""Samples handled together: what is computed of them stays in a processor's cache."""
+MAX_SINGLE_VALUE = 1e9
+"""Largest value [1/sr] in single precision, and one over the smallest: weights are about one over the squares."""
+MAX_UNKNOWN_STEP = 1.5
+"""Largest change of an unknown in one iteration, be it a logarithm, an angle [rad] or an elongation."""
+START_DAMPING = 1e-2
+MAX_DAMPING = 1e8
+"""Damping beyond which no step is left that lowers the cost: the iterations end."""
+LIMIT_PASSES = 5
+MIN_UNKNOWN_CHANGE = 1e-9
+MAX_STALLED_ITERATIONS = 2
+"""Iterations in a row that lower the cost by less than the tolerance and end the fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +89,11 @@ class FitData:
         )
 
     def single(self) -> "FitData":
-        """The same in single precision, in which what is found of the samples takes half of the time.
+        """Convert the data to single precision, in which the sums over them take half of the time.
 
-        For a search it is too coarse: as the choices of a hundred steps differ, another mixture comes out. Data
-        whose weights leave the range of single precision, as values in a wrong unit have them, stay as they are.
+        Data whose weights leave its range, as those of values in a wrong unit do, stay as they are.
         """
-        if not _LARGEST_SINGLE**-1 < self.mean.max(initial=0.0) < _LARGEST_SINGLE:
+        if not MAX_SINGLE_VALUE**-1 < self.mean.max(initial=0.0) < MAX_SINGLE_VALUE:
             return self
         parts: dict[str, Any] = {
             name: getattr(self, name).astype(np.float32) for name in ("mean", "weight", "cos2_phi")
@@ -119,7 +124,7 @@ class FitData:
     def slices(self) -> list[slice]:
         """The rows, so few at a time that what is found of them stays in a processor's cache."""
         count = len(self.theta_diff)
-        size = -(-count // max(1, round(self.cos2_phi.size / _SAMPLES_AT_ONCE)))
+        size = -(-count // max(1, round(self.cos2_phi.size / SAMPLES_IN_BLOCK)))
         return [slice(start, start + size) for start in range(0, count, size)]
 
     @cached_property
@@ -331,7 +336,7 @@ def minimize(
     `on_iteration` is called with the number of each. The unknowns that are `fixed` keep the value they start from.
     """
     at = problem.evaluate(problem.structure.limit(start))
-    damping, growth, stalled, is_new = _FIRST_DAMPING, 2.0, 0, True
+    damping, growth, stalled, is_new = START_DAMPING, 2.0, 0, True
     for number in range(1, iterations + 1):
         if on_iteration is not None:
             on_iteration(number)
@@ -345,11 +350,11 @@ def minimize(
         if is_new:
             stalled = stalled + 1 if at.cost - proposed.cost < tolerance * at.cost else 0
             at, damping, growth = proposed, damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
-            if stalled >= _STALLED_STEPS:
+            if stalled >= MAX_STALLED_ITERATIONS:
                 return Solution(at.unknowns, at.cost, True, number)
         else:
             damping, growth = damping * growth, growth * 2.0
-            if damping > _LARGEST_DAMPING:
+            if damping > MAX_DAMPING:
                 return Solution(at.unknowns, at.cost, True, number)
     return Solution(at.unknowns, at.cost, False, iterations)
 
@@ -369,8 +374,8 @@ def _step(
     under a constraint, with the same factor: else these would answer to steps that are not made.
     """
     # First those that stand at a limit and are pushed outwards.
-    pushed = structure.limit(unknowns - _SMALLEST_CHANGE * np.sign(gradient))
-    held = np.abs(pushed - unknowns) <= 0.5 * _SMALLEST_CHANGE
+    pushed = structure.limit(unknowns - MIN_UNKNOWN_CHANGE * np.sign(gradient))
+    held = np.abs(pushed - unknowns) <= 0.5 * MIN_UNKNOWN_CHANGE
     if fixed is not None:
         held |= fixed
     if held.all():
@@ -387,9 +392,11 @@ def _step(
     half = trtrs(factor, np.where(held, 0.0, -gradient), trans=1)[0]  # solved with the first of the two triangles
     solved, places, columns = trtrs(factor, half)[0], np.zeros(0, np.intp), np.zeros((held.size, 0))
     stopped = np.zeros(held.size, bool)
-    for _ in range(_LIMIT_PASSES):
-        step = structure.limit(unknowns + np.minimum(np.maximum(solved, -_LARGEST_STEP), _LARGEST_STEP)) - unknowns
-        newly = np.flatnonzero(~stopped & ~held & (np.abs(step - solved) > _SMALLEST_CHANGE))
+    for _ in range(LIMIT_PASSES):
+        step = (
+            structure.limit(unknowns + np.minimum(np.maximum(solved, -MAX_UNKNOWN_STEP), MAX_UNKNOWN_STEP)) - unknowns
+        )
+        newly = np.flatnonzero(~stopped & ~held & (np.abs(step - solved) > MIN_UNKNOWN_CHANGE))
         if not newly.size:
             break
         stopped[newly] = True

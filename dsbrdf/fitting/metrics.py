@@ -41,10 +41,12 @@ OUTSIDE_CENTER = THETA_HALF >= CENTER_CUTOFF
 """Nodes of the theta_half axis that the first five metrics, and the paper's procedure, use; shape (90,)."""
 ALBEDO_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
 """Directions that the albedo is compared at [rad]."""
-_NO_FLOOR = 1e-12  # below this the data do not depend on phi_diff at all, and excess would divide by rounding errors
-_BLACK = 1e-9  # an albedo below this is the rounding of a channel of zeros
-_SPHERE_SIZE = 64
-_GROUPS = 9  # of columns
+MIN_FLOOR = 1e-12
+"""Floor below which data do not depend on phi_diff: excess would divide by rounding errors."""
+MIN_ALBEDO = 1e-9
+"""Albedo below which a channel is zero but for rounding."""
+SPHERE_PIXELS = 64
+COLUMN_GROUPS = 9
 _FOLD = np.minimum(np.arange(PHI_DIFF.size), PHI_DIFF.size - np.arange(PHI_DIFF.size))
 
 
@@ -124,7 +126,7 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
     Raises InvalidArgumentError if there is nothing but zeros to compare with.
     """
     sums = np.zeros((6, 3, THETA_DIFF.size))
-    for columns in np.array_split(np.flatnonzero(OUTSIDE_CENTER), _GROUPS):
+    for columns in np.array_split(np.flatnonzero(OUTSIDE_CENTER), COLUMN_GROUPS):
         masks = [used_samples(measurement, i, horizon_cutoff) for i in columns.tolist()]
         # From some theta_diff on, no sample is used.
         rows = slice(0, 1 + int(np.flatnonzero(np.any(masks, axis=(0, 1, 3))).max(initial=-1)))
@@ -164,7 +166,7 @@ def relative_errors(sums: Array, channels: slice = slice(None), rows: slice = sl
         relative_rms=relative_rms,
         floor=floor,
         symmetric_floor=float(np.sqrt(asymmetry / power)),
-        excess=relative_rms / floor if floor > _NO_FLOOR else None,
+        excess=relative_rms / floor if floor > MIN_FLOOR else None,
         male=log_error / count,
     )
 
@@ -193,8 +195,8 @@ def sample_metrics(model: DSBRDF, measurement: Measurement, sums: Array, albedo:
     errors, data = relative_errors(sums), measurement.interpolated
     # A table has no lobes narrower than its rows: a coarse rule is enough.
     measured = directional_albedo(data.evaluate, ALBEDO_ANGLES)
-    albedo_error = float(np.mean(np.abs(albedo - measured) / np.where(measured > _BLACK, measured, np.inf)))
-    lit = render_sphere(data.evaluate, size=_SPHERE_SIZE)
-    psnr, ssim = sphere_likeness(lit, render_sphere(model.evaluate_unmasked, size=_SPHERE_SIZE))
+    albedo_error = float(np.mean(np.abs(albedo - measured) / np.where(measured > MIN_ALBEDO, measured, np.inf)))
+    lit = render_sphere(data.evaluate, size=SPHERE_PIXELS)
+    psnr, ssim = sphere_likeness(lit, render_sphere(model.evaluate_unmasked, size=SPHERE_PIXELS))
     known = {} if errors is None else asdict(errors)
     return Metrics(**known, albedo_error=albedo_error, psnr=min(psnr, 200.0), ssim=ssim)

@@ -15,7 +15,8 @@ from dsbrdf.model.lobe_families import Family
 
 MAX_LOBES = 10
 MAX_RING_LOBES = MAX_LOBES - 1
-_DECIMALS = 9  # of a degree: takes off what conversions to radians and back add
+OPTION_DECIMALS = 9
+"""Digits kept of a number: conversions to radians and back change the later ones."""
 # option -> what it can be with the method "paper", and why
 _OF_PAPER: dict[str, tuple[tuple[object, ...], str]] = {
     "ring_lobes": (("auto", 0), 'has no ring lobes: use ring_lobes 0 or "auto"'),
@@ -134,8 +135,12 @@ def _checked(name: str, value: Any, kind: type | None, bounds: Bounds | None, wo
             return value
     elif kind is float:
         right = f"a number {bounds}"
-        if isinstance(value, int | float) and not isinstance(value, bool) and bounds.allow(round(value, _DECIMALS)):
-            return round(float(value), _DECIMALS)
+        if (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and bounds.allow(round(value, OPTION_DECIMALS))
+        ):
+            return round(float(value), OPTION_DECIMALS)
     else:
         right = f"at least two increasing whole numbers {bounds}"
         if isinstance(value, list | tuple | np.ndarray):

@@ -7,7 +7,7 @@ Gamma and center are not unknowns themselves, but
 
 where a lobe falls to half its height and how far its peak lies from the normal. So kappa, which trades against gamma,
 changes while the half width stays, and each bound concerns one unknown. The limit of a negative center, a cusp, is the
-half width, and at most `WIDEST_CUSP`: a cusp stays about as steep as the lobe itself.
+half width, and at most `MAX_CUSP_OFFSET`: a cusp stays about as steep as the lobe itself.
 """
 
 from dataclasses import dataclass, field
@@ -30,9 +30,10 @@ REACH_BOUNDS = (4e-6, 70.0)
 OFFSET_BOUNDS = (-1.0, LARGEST_CENTER)
 """From a cusp to a ring at the horizon [rad]."""
 ELONGATION_BOUNDS = (-2.0, 10.0)
-WIDEST_CUSP = 0.25
-"""A center is at most so far below 0 [rad]."""
-_SATURATED = 2.5  # limits of a cusp beyond which an offset changes the center by less than a twelfth of the limit
+MAX_CUSP_OFFSET = 0.25
+"""Largest distance of a center below 0 [rad]."""
+MAX_OFFSET_LIMITS = 2.5
+"""Offset, over the limit of a cusp, beyond which the center changes by less than a twelfth of the limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +113,7 @@ class Structure:
         if self.n_rings:
             reach, offset = self._of_rings(limited)
             if offset.min() < 0.0:
-                np.maximum(offset, -_SATURATED * self._cusp_limit(reach)[0], out=offset)
+                np.maximum(offset, -MAX_OFFSET_LIMITS * self._cusp_limit(reach)[0], out=offset)
             np.maximum(reach, self._narrowest(offset), out=reach)
         return limited
 
@@ -143,7 +144,7 @@ class Structure:
         shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
         limit, _ = self._cusp_limit(shape[:, 2 * k - self.n_rings : 2 * k])
         center = shape[:, 2 * k :]
-        negative = np.maximum(np.minimum(center, 0.0) / limit, np.expm1(-_SATURATED))
+        negative = np.maximum(np.minimum(center, 0.0) / limit, np.expm1(-MAX_OFFSET_LIMITS))
         shape[:, 2 * k :] = np.maximum(center, 0.0) + limit * np.log1p(negative)
         return np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()])
 
@@ -179,8 +180,8 @@ class Structure:
         reach = np.exp(log_reach)
         width = width_of_reach(reach, self.family)
         slope = FAMILIES[self.family].slope_of_width(reach, np.tan(width))
-        narrow = width < WIDEST_CUSP
-        return np.where(narrow, width, WIDEST_CUSP), np.where(narrow, slope, 0.0)
+        narrow = width < MAX_CUSP_OFFSET
+        return np.where(narrow, width, MAX_CUSP_OFFSET), np.where(narrow, slope, 0.0)
 
     def _narrowest(self, offset: Array) -> Array:
         """Log reach of a lobe that is as narrow as the data's spacing is at its center."""

@@ -36,14 +36,19 @@ ANGLES = np.radians(np.arange(0.0, 90.5, 1.5))
 """Angles theta_out to the normal at which the mixture is tabulated [rad]."""
 LEAST_COSINE_SHARE = 0.1
 """Share of the cosine at every angle, so that no weight exceeds ``pi f / LEAST_COSINE_SHARE``."""
-_LAST_ANGLE = np.radians(89.5)  # the mixture at 90 degrees is that of this angle: there nothing is above the horizon
-_N_PARTS = 6  # of a mixture, beside the cosine
-_STRETCHES = np.array([-1.0, 0.0, 1.0])  # logarithms of the roughness along over that across
+MAX_MIXTURE_ANGLE = np.radians(89.5)
+"""Angle whose mixture serves beyond: at 90 degrees nothing is above the horizon."""
+MIXTURE_PARTS = 6
+"""Parts of a mixture beside the cosine."""
+LOG_STRETCHES = np.array([-1.0, 0.0, 1.0])
+"""Logarithms of the ratio of the roughness along to the roughness across."""
 _CANDIDATES = np.stack(
-    [np.geomspace(1e-3, 1.0, 14)[:, None] * np.exp(sign * _STRETCHES) for sign in (0.5, -0.5)], axis=-1
+    [np.geomspace(1e-3, 1.0, 14)[:, None] * np.exp(sign * LOG_STRETCHES) for sign in (0.5, -0.5)], axis=-1
 ).reshape(-1, 2)
-_FIRST_SHARE = 0.03  # of a part that is added
-_STEPS = 20  # that improve the shares, after each part
+START_FRACTION = 0.03
+"""Fraction of the mixture that an added part starts with."""
+FRACTION_ITERATIONS = 20
+"""Iterations that improve the fractions after each part."""
 
 
 class Samples(NamedTuple):
@@ -93,10 +98,10 @@ class DirectionSampler:
 
 def direction_sampler(evaluate: Evaluate) -> DirectionSampler:
     """Tabulate the mixture for the values of a model."""
-    along, across = np.ones((2, ANGLES.size, _N_PARTS))
-    share = np.zeros((ANGLES.size, _N_PARTS + 1))
+    along, across = np.ones((2, ANGLES.size, MIXTURE_PARTS))
+    share = np.zeros((ANGLES.size, MIXTURE_PARTS + 1))
     for row, theta_out in enumerate(ANGLES):
-        parts, found = _mixture(min(float(theta_out), _LAST_ANGLE), evaluate)
+        parts, found = _mixture(min(float(theta_out), MAX_MIXTURE_ANGLE), evaluate)
         along[row, : len(parts)], across[row, : len(parts)] = _CANDIDATES[parts].T
         share[row, : len(parts)], share[row, -1] = found[:-1], found[-1]
     cumulative = np.cumsum(share, axis=1)
@@ -118,20 +123,20 @@ def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
     reflected = evaluate(theta_half, rule.theta_diff[used], rule.phi_diff[used]).mean(axis=1) * cos_in
     squared = reflected**2 * rule.weight[used] / cos_in
     parts, share = [len(_CANDIDATES)], np.ones(1)
-    for _ in range(_N_PARTS):
-        rest = (1.0 - _FIRST_SHARE) * (share @ densities[parts])
+    for _ in range(MIXTURE_PARTS):
+        rest = (1.0 - START_FRACTION) * (share @ densities[parts])
         # One density after the other stays in the cache of a processor, all of them at once do not.
-        variance = np.array([squared @ (1.0 / (rest + _FIRST_SHARE * density)) for density in densities])
+        variance = np.array([squared @ (1.0 / (rest + START_FRACTION * density)) for density in densities])
         variance[parts] = np.inf
         parts.insert(0, int(np.argmin(variance)))
-        share = np.append(_FIRST_SHARE, (1.0 - _FIRST_SHARE) * share)
+        share = np.append(START_FRACTION, (1.0 - START_FRACTION) * share)
         share = _improved(share, densities[parts], squared)
     return parts[:-1], share
 
 
 def _improved(share: Array, densities: Array, squared: Array) -> Array:
     """Shares (M,) of densities (M, n) with less variance; squared is the integrand (n,), weighted by the rule."""
-    for _ in range(_STEPS):
+    for _ in range(FRACTION_ITERATIONS):
         share = share * np.sqrt(densities @ (squared / (share @ densities) ** 2))
         share = share / max(share.sum(), 1e-300)
         share[:-1] *= min(1.0, (1.0 - LEAST_COSINE_SHARE) / max(share[:-1].sum(), 1e-300))

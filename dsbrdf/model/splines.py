@@ -10,7 +10,8 @@ import numpy as np
 from dsbrdf.arrays import Array
 
 DEGREE = 3
-_SMOOTHING = 3e-2  # of squared second differences, beside squared errors
+SECOND_DIFFERENCE_WEIGHT = 3e-2
+"""Weight of a squared second difference of control values beside a squared error."""
 
 
 def n_control_values(n_knots: int) -> int:
@@ -71,7 +72,7 @@ def roughness(n_values: int) -> Array:
 
 def smooth_control_values(basis: Array, values: Array) -> Array:
     """Control values (D, n) of smooth splines near values (R, n), the basis being that of their R rows."""
-    ridge = _SMOOTHING * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
+    ridge = SECOND_DIFFERENCE_WEIGHT * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
     return np.asarray(np.linalg.solve(basis.T @ basis + ridge, basis.T @ values))
 
 
