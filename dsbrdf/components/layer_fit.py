@@ -224,7 +224,7 @@ class _Descent:
         else:
             self.done, self.is_first, self.damping = not self.is_first, False, _FIRST_DAMPING
             return
-        self._stalled = self._stalled + 1 if here - there < _COST_TOLERANCE else 0
+        self._stalled = self._stalled + 1 if here - there < _COST_TOLERANCE * self.data.n_samples / N_SAMPLES else 0
         self.unknowns, self.damping = tried, max(self.damping / 4.0, 1e-5)
         self.done = not self.is_first and self._stalled >= _MAX_STALLED_STEPS
         self._linearize(layers)
