@@ -11,7 +11,7 @@ Afterwards layers are fitted to each component's own values (`dsbrdf.components.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
@@ -236,11 +236,11 @@ class Decomposition:
         """Values of all components (K, 3, n) at the nodes of a rule [1/sr]."""
         return self._split(self.model.evaluate_unmasked(*rule.angles).T, rule.points)
 
-    def own_values(self) -> tuple[OwnValues, ...]:
-        """Values of each component that its layers are fitted to and compared with."""
+    def own_values(self, reflected: Sequence[Array]) -> tuple[OwnValues, ...]:
+        """Values of each component for its layers, with the light (3, 3) of `LABELS` at the first two light rules."""
         grids = self._split(grid_values(self.model), layer_points())
         profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
-        albedos = np.stack([self.split_at(rule) @ rule.weight for rule in light_rules()[:2]], axis=1)
+        albedos = np.stack([self._received(light) for light in reflected], axis=1)
         return tuple(OwnValues(*own) for own in zip(grids, profiles, albedos, strict=True))
 
     def split_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
@@ -259,10 +259,15 @@ class Decomposition:
         if len(self.labels) < 2:
             return values[np.newaxis][: len(self.labels)]
         parts = np.sum([one.weight * one.split(values, points) for one in self.structures], axis=0)
+        return self._received(parts)
+
+    def _received(self, parts: Array) -> Array:
+        """Give the parts (3, ...) of `LABELS` to the components, shape (K, ...)."""
+        received = parts.copy()
         for place, label in enumerate(LABELS):
             if label not in self.labels:
-                parts[LABELS.index(self.receiver(label))] += parts[place]
-        return np.asarray(parts[[LABELS.index(label) for label in self.labels]])
+                received[LABELS.index(self.receiver(label))] += parts[place]
+        return np.asarray(received[[LABELS.index(label) for label in self.labels]])
 
     def _open_split(self) -> Iterator[str]:
         low, high = self.diffuse_range
@@ -325,7 +330,8 @@ def _decompose(model: DSBRDF) -> Decomposition:
         WeightedLayers(one.structure.name, float(weight), one.model, one.structure.is_diffuse)
         for one, weight in zip(kept, structure_weights(kept), strict=True)
     )
-    light = np.max([_light(model, structures, rule) for rule in light_rules()], axis=0)
+    reflected = [_reflected(model, structures, rule) for rule in light_rules()]
+    light = np.max([one.sum(axis=1) / max(float(one.sum()), 1e-300) for one in reflected], axis=0)
     shares = dict(zip(LABELS, light.tolist(), strict=True))
     labels = tuple(label for label in LABELS if _is_there(label, shares[label], structures))
     # Light that no layer explains, such as a delta term alone, is that of the most probable structure.
@@ -340,7 +346,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
             has_retro=any(RetroLayer in one.kinds_of(label) for one in structures),
             has_ground=LABELS[2] not in labels,
         )
-        for label, own in zip(labels, split.own_values(), strict=True)
+        for label, own in zip(labels, split.own_values(reflected[:2]), strict=True)
     )
     return replace(split, descriptions=descriptions)
 
@@ -352,12 +358,11 @@ def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) 
     return probability > 0.0 and share > least
 
 
-def _light(model: DSBRDF, structures: tuple[WeightedLayers, ...], rule: LightRule) -> Array:
-    """Fraction of each of `LABELS` in the light of a rule, shape (3,)."""
+def _reflected(model: DSBRDF, structures: tuple[WeightedLayers, ...], rule: LightRule) -> Array:
+    """Light of a rule that the layers of each of `LABELS` reflect, shape (3, 3)."""
     values = model.evaluate_unmasked(*rule.angles).T
     parts = np.sum([one.weight * one.split(values, rule.points) for one in structures], axis=0)
-    light = np.sum(parts @ rule.weight, axis=1)
-    return np.asarray(light / max(float(light.sum()), 1e-300))
+    return np.asarray(parts @ rule.weight)
 
 
 @one_blas_thread
