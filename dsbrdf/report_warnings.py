@@ -135,7 +135,7 @@ def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str,
         )
     if expected > MAX_EXPECTED_ERROR:
         yield (
-            f"Over all directions an error of {expected:.0%} is to be expected: where there are no samples, the model "
+            f"Over all directions the error is probably below {expected:.0%}: where there are no samples, the model "
             "is what layers that explain the samples are like there; measure_next has the directions that would tell "
             "most."
         )
