@@ -11,7 +11,6 @@ from dsbrdf import FitResult, Measurement, Profiles, fit, profiles, render_spher
 from dsbrdf.data import THETA_DIFF, THETA_HALF, nodes_above_horizon, synthetic_measurement
 from dsbrdf.fitting import DirectionalAlbedo, KnotReport, Metrics
 from dsbrdf.report_warnings import accuracy_warnings, fit_warnings
-from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow
 
@@ -24,7 +23,7 @@ def data(matte: Measurement) -> Profiles:
     return profiles(matte)
 
 
-@pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"][: repeats(1, 3)])
+@pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"])
 def test_measured_materials_have_none(reference_files: dict[str, Path], name: str) -> None:
     if name not in reference_files:
         pytest.skip(f"{name} is not among the measured materials")
