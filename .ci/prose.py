@@ -17,10 +17,7 @@ FOLDERS = (".ci", "benchmarks", "docker", "docs", "dsbrdf", "examples", "service
 SUFFIXES = {".py", ".js", ".css", ".ts", ".html", ".sh", ".conf", ".yaml", ".yml", ""}
 SKIPPED_FOLDERS = {"__pycache__", "_build", "generated", "stored", "cases"}
 NOT_YET_CLEAN = (
-    *(
-        f"dsbrdf/{wing}/"
-        for wing in ("cli", "components", "data", "engines", "fitting", "model", "output", "rendering")
-    ),
+    *(f"dsbrdf/{wing}/" for wing in ("components", "fitting", "model", "output", "rendering")),
     "service/dsbrdf_service/http/page/",
 )
 
@@ -28,7 +25,7 @@ DANGLING_COMMENT = re.compile(r"(?:#|//|/\*)+ ?(?:of|which|that|to|with|by)\b")
 BARE_WORDS = re.compile(
     r"_*(?:MOST|LEAST|LARGEST|SMALLEST|LONGEST|SHORTEST|BRIGHTEST|DARKEST|WIDEST|NARROWEST|FASTEST|"
     r"SLOWEST|FEW|FEWEST|MANY|MORE|LESS|ENOUGH|STEP|STEPS|BLOCK|BLOCKS|DARK|FAR|NEAR|FAINT|"
-    r"PROBABLE|SMALL|LARGE|TINY|SHORT|LONG|BRIGHT|WIDE|NARROW|FLAT|STEEP|SHARP|SMOOTH|SLOW|"
+    r"PROBABLE|SMALL|LARGE|SHORT|LONG|BRIGHT|WIDE|NARROW|FLAT|STEEP|SHARP|SMOOTH|SLOW|"
     r"FAST|GOOD|CLOSE|SECONDS|TIMES|ROUNDS|TRIES|SHARE|SHARES)"
 )
 

@@ -29,8 +29,9 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import export
 from dsbrdf.pipeline import fit
 
-SIZE, NOISE, DARK = 64, 0.01, 0.01
-"""Width [pixels], relative noise of the pictures of synthetic layers, radiance that counts as dark."""
+SIZE = 64  # pixels
+NOISE = 0.01  # relative, in the pictures of synthetic layers
+DARK_RADIANCE = 0.01  # Relative errors of darker pixels hardly count.
 N_SYNTHETIC = 20
 RIM = 0.98
 """Squared radius up to which pixels count: at the very rim of the sphere a pixel has all angles."""
@@ -89,7 +90,7 @@ class Search:
         def loss(light: Any, logarithms: dict[str, Any], fixed: dict[str, Any], picture: Any) -> Any:
             parameters = fixed | {name: jax.numpy.exp(value) for name, value in logarithms.items()}
             seen = radiance(jax.numpy, module.evaluate, light, parameters)
-            return jax.numpy.mean((jax.numpy.log(seen + DARK) - jax.numpy.log(picture + DARK)) ** 2)
+            return jax.numpy.mean((jax.numpy.log(seen + DARK_RADIANCE) - jax.numpy.log(picture + DARK_RADIANCE)) ** 2)
 
         self._loss = jax.jit(loss)
         self._by_light, self._by_parameters = (jax.jit(jax.value_and_grad(loss, argnums=place)) for place in (0, 1))

@@ -42,7 +42,7 @@ def _whole_number(kind: Any, tokens: Sequence[Token]) -> Any:
 
 Whole = Parameter(converter=_whole_number, metavar="N")
 
-_WIDTH = 100  # of the help, at most
+_MAX_HELP_COLUMNS = 100
 _NO_LINES = Box("    \n" * 8)
 
 # group -> command -> (module and function, what the command does)
@@ -123,7 +123,7 @@ def run_command(words: Sequence[str]) -> int:
 
 def run_words(app: App, words: Sequence[str]) -> int:
     """Run what `words` ask of an application; say in one sentence what is wrong with them. Return the exit code."""
-    width = min(shutil.get_terminal_size().columns, _WIDTH)
+    width = min(shutil.get_terminal_size().columns, _MAX_HELP_COLUMNS)
     try:
         code: int | None = app(words, console=Console(width=width))
     except CycloptsError as error:
@@ -163,7 +163,7 @@ def _allowed(kind: Any) -> str:
         return " or ".join(_allowed(member) for member in get_args(kind))
     if get_origin(kind) is Literal:
         return " or ".join(get_args(kind))
-    if get_origin(kind) is tuple:  # of any length
+    if get_origin(kind) is tuple:  # It has any length.
         return _allowed(get_args(kind)[0])
     words = {int: "a whole number", float: "a number", bool: "yes or no", timedelta: "a time such as 30d"}
     return {**words, NoneType: "none"}.get(kind, "a text")

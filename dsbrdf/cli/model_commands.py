@@ -84,7 +84,7 @@ def evaluate(
     heads = [name.removesuffix("_deg") for name in columns]
     widths = [max(map(len, column)) + 2 for column in zip(heads, *rows, strict=True)]
     widths[0] -= 2
-    number = 12 if sum(widths) + 36 <= shutil.get_terminal_size().columns else 9  # of a value; exact ones are in JSON
+    number = 12 if sum(widths) + 36 <= shutil.get_terminal_size().columns else 9  # JSON has all digits of a value.
     print(_aligned(heads, widths) + "".join(f"{channel:>{number}}" for channel in CHANNELS))
     for row, value in zip(rows, values, strict=True):
         print(_aligned(row, widths) + "".join(f"{one:>{number}.{6 if number == 12 else 3}g}" for one in value))
@@ -194,7 +194,7 @@ def export(
 
 
 _WRITTEN = {".binary": "a MERL table", ".bsdf": "an RGL file", ".csv": "a file of samples"}
-_LARGEST_DIFFERENCE = 0.1  # of swapped directions that a reciprocal file may hide without a warning
+_MAX_RECIPROCITY_ERROR = 0.1  # Beyond it, a warning tells what a reciprocal file hides.
 
 
 def convert(
@@ -258,7 +258,7 @@ def _converted(
     if isinstance(found, RglMaterial):  # only a MERL table needs the means of both orders of the directions
         difference = found.non_reciprocity()
         about = {"non_reciprocity": difference}
-        if difference > _LARGEST_DIFFERENCE:
+        if difference > _MAX_RECIPROCITY_ERROR:
             sentences = (
                 f"with the two directions swapped, values differ by {difference:.0%} in the median. A MERL table has "
                 "one value for both, their mean: pictures will look different.",

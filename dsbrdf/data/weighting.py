@@ -26,7 +26,7 @@ SEEN_FACTOR = 1.75
 """Weight of the error that a lit sphere shows, in ``balanced``: 1 costs 0.4 dB of psnr, 3 some 3 % of excess."""
 SEEN_POWER = 1.2
 """Errors count relative to f to this power."""
-DARK = 0.02
+DARK_VALUE_FRACTION = 0.02
 """Fraction of a typical value below which the errors of values count as those of this fraction."""
 # Relative to the squared signal; the floor of a material that does not depend on phi_diff is nearly 0.
 _MIN_RELATIVE_FLOOR = 1e-4
@@ -87,7 +87,7 @@ def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
 
 def seen_weight(lit: Array, mean: Array, typical: float, power: float = SEEN_POWER) -> Array:
     """Turn weights of errors of radiance into weights of errors as a screen shows them."""
-    return np.asarray(lit / (mean + DARK * typical + 1e-12) ** power)
+    return np.asarray(lit / (mean + DARK_VALUE_FRACTION * typical + 1e-12) ** power)
 
 
 def center_share(theta_half: Array) -> Array:

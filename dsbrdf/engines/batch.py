@@ -21,7 +21,7 @@ from dsbrdf.samples.reading import read_samples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.version import ALGORITHM_VERSION
 
-_CLUSTER_TIMEOUT = 15.0  # seconds that a cluster has to answer and to have a usable worker
+_CLUSTER_TIMEOUT_S = 15.0  # A cluster without a usable worker by then is refused.
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class FileFit:
     output: Path | None = None  # the model's file, if a folder was given
     result: FitResult | None = None  # None if it failed
     error: str | None = None  # one sentence that says why it failed
-    lost: bool = False  # by something else than the measurement: its process died, or the disk could not be read
+    lost: bool = False  # Its process died, or the disk could not be read: the measurement may be good.
     resumed: bool = False  # taken from an earlier run
 
 
@@ -110,7 +110,7 @@ def _known_result(
 
 
 def _wait_until_ready(engine: Engine) -> None:
-    deadline = time.monotonic() + _CLUSTER_TIMEOUT
+    deadline = time.monotonic() + _CLUSTER_TIMEOUT_S
     while True:
         try:
             return engine.check()

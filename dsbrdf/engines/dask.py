@@ -32,14 +32,14 @@ from dsbrdf.pipeline import add_sample_metrics, profiles_for
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.version import versions
 
-_TOPIC = "dsbrdf-progress"  # of Dask's, to which workers send the progress of a fit: {its key: its share}
-# Times in seconds.
-_POLL_INTERVAL = 0.1  # between two looks of a worker at whether its fit is wanted
-_LOOK_INTERVAL = 0.5  # between two looks at the cluster
-_TIMEOUT = 2.5  # for the scheduler to answer
-_START_TIMEOUT = 60.0  # for workers to answer, which start the server of their child processes
-_FRESH = 5.0  # for which a cluster that was good is taken to be so
-_LOST_TIMEOUT = 5.0  # from the loss of a worker until the scheduler has told that its fit has ended
+# Workers send {key of a fit: fraction that is done} to this topic of Dask.
+_PROGRESS_TOPIC = "dsbrdf-progress"
+_CANCEL_POLL_INTERVAL_S = 0.1  # A worker notices within it that its fit has been cancelled.
+_CLUSTER_POLL_INTERVAL_S = 0.5
+_SCHEDULER_TIMEOUT_S = 2.5
+_START_TIMEOUT_S = 60.0  # Workers start the server of their child processes within it.
+_CLUSTER_CHECK_LIFETIME_S = 5.0  # A cluster that was good is not checked again before.
+_LOST_WORKER_TIMEOUT_S = 5.0  # The scheduler tells within it that the fit of a lost worker has ended.
 
 logger = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ class DaskEngine(Processes):
 
     def check(self) -> None:
         """Raise OSError if the cluster has no worker that can run fits, or no measurement can be read."""
-        if time.monotonic() - self._good_at > _FRESH:
+        if time.monotonic() - self._good_at > _CLUSTER_CHECK_LIFETIME_S:
             asyncio.run(_try(self._scheduler))
             self._good_at = time.monotonic()
         super().check()
@@ -74,20 +74,22 @@ async def _cluster(scheduler: str) -> AsyncIterator[tuple[Any, set[str]]]:
     """Connect to a cluster; yield the client and the addresses of the workers that can run fits, at least one."""
     distributed: Any = import_module("distributed")  # only partly typed
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it logs a lost connection with pages of traces
-    client = distributed.Client(scheduler, timeout=_TIMEOUT, asynchronous=True, set_as_default=False, name="dsbrdf")
+    client = distributed.Client(
+        scheduler, timeout=_SCHEDULER_TIMEOUT_S, asynchronous=True, set_as_default=False, name="dsbrdf"
+    )
     try:
         yield client, await _usable(client, scheduler)
     finally:
         with suppress(Exception):
-            await client.close(timeout=_TIMEOUT)
+            await client.close(timeout=_SCHEDULER_TIMEOUT_S)
 
 
 async def _usable(client: Any, scheduler: str) -> set[str]:
     """Return the addresses of the workers that can run fits, after connecting."""
     try:
-        async with asyncio.timeout(2 * _TIMEOUT):  # Dask waits for ever for a scheduler that hangs
+        async with asyncio.timeout(2 * _SCHEDULER_TIMEOUT_S):  # Dask waits for ever for a scheduler that hangs
             await client
-        async with asyncio.timeout(_START_TIMEOUT):
+        async with asyncio.timeout(_START_TIMEOUT_S):
             answers = await client.run(unusable_because, asdict(versions()), on_error="return")
     except Exception as error:
         reason = str(error).partition("\n")[0].rstrip(".") or type(error).__name__
@@ -119,7 +121,7 @@ def compute_on_cluster(task: FitTask, scheduler: str, limits: FitLimits, on_prog
     reduced = profiles_for(measurement, task.options) if isinstance(measurement, Measurement) else measurement
     seconds = time.perf_counter() - begin
     while (result := asyncio.run(_fit(reduced, task.options, scheduler, limits, on_progress))) is None:
-        time.sleep(_LOOK_INTERVAL)
+        time.sleep(_CLUSTER_POLL_INTERVAL_S)
     if isinstance(result, Fault):
         return result
     if isinstance(measurement, Measurement):
@@ -139,11 +141,11 @@ async def _fit(
     try:
         async with _cluster(scheduler) as (client, workers):
             fit = client.submit(fit_on_worker, reduced, options, limits, workers=[*workers], retries=3, pure=False)
-            client.subscribe_topic(_TOPIC, lambda event: on_progress(event[1].get(fit.key, 0.0)))
+            client.subscribe_topic(_PROGRESS_TOPIC, lambda event: on_progress(event[1].get(fit.key, 0.0)))
             answer = asyncio.create_task(_answer(fit))
-            while not (await asyncio.wait([answer], timeout=_LOOK_INTERVAL))[0]:
+            while not (await asyncio.wait([answer], timeout=_CLUSTER_POLL_INTERVAL_S))[0]:
                 if not workers & (await client.scheduler.identity(n_workers=-1))["workers"].keys():
-                    await asyncio.wait([answer], timeout=_LOST_TIMEOUT)
+                    await asyncio.wait([answer], timeout=_LOST_WORKER_TIMEOUT_S)
                     break
             return answer.result() if answer.done() else None
     except (CancelledError, OSError) as error:
@@ -199,8 +201,10 @@ def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, lim
         share = memory // worker.state.nthreads >> 20
         limits = replace(limits, memory_mb=share if limits.memory_mb is None else min(share, limits.memory_mb))
     with closing(Processes(1, limits)) as here:
-        fit = here.call(fit_quietly, reduced, options, on_progress=lambda share: worker.log_event(_TOPIC, {key: share}))
-        while not wait([fit], _POLL_INTERVAL).done:
+        fit = here.call(
+            fit_quietly, reduced, options, on_progress=lambda share: worker.log_event(_PROGRESS_TOPIC, {key: share})
+        )
+        while not wait([fit], _CANCEL_POLL_INTERVAL_S).done:
             if stopped():
                 fit.cancel()
     return fit.result()

@@ -55,8 +55,8 @@ class FitTask:
 class FitDocument:
     """A fit that has succeeded: what is stored of it."""
 
-    text: str  # as `to_json` writes it, with the components
-    metrics: dict[str, float | None]  # by their names in `Metrics`
+    text: str  # the JSON of `to_json`, with the components
+    metrics: dict[str, float | None]  # The keys are the names in `Metrics`.
     thumbnail: bytes | None = None  # PNG, if the task asks for one
 
 

@@ -21,12 +21,8 @@ def context() -> Any:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     forking = multiprocessing.get_context("forkserver")
-    forking.set_forkserver_preload(
-        [
-            "dsbrdf.engines.fork_server_preload",
-            *({"distributed"} & sys.modules.keys()),
-        ]  # which every worker would import
-    )
+    # Every worker would import these.
+    forking.set_forkserver_preload(["dsbrdf.engines.fork_server_preload", *({"distributed"} & sys.modules.keys())])
     return forking
 
 

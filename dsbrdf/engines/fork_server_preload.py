@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dsbrdf.process_settings import ONE_BLAS_THREAD
 
-os.environ.update(ONE_BLAS_THREAD)  # which NumPy reads when it is imported
+os.environ.update(ONE_BLAS_THREAD)  # NumPy reads it when it is imported.
 
 import dsbrdf.engines.local  # noqa: F401 (what workers run)
 from dsbrdf.data.grid import nodes_above_horizon

@@ -23,10 +23,10 @@ from dsbrdf.engines.engine import MEMORY_LIMIT, NO_LIMITS, NOT_STARTED, Fault, F
 from dsbrdf.engines.fork_server import START_LOCK, context, start_fork_server
 from dsbrdf.engines.worker import OUT_OF_MEMORY, run_in_worker
 
-_EXIT_TIMEOUT = 5.0  # seconds that a process has to end after it has sent its outcome
-_UNKNOWN_EXIT = 255  # code reported by multiprocessing when the fork server is gone
+_EXIT_TIMEOUT_S = 5.0  # A process that has sent its outcome and runs on is killed then.
+_UNKNOWN_EXIT_CODE = 255  # `multiprocessing` reports it when the fork server is gone.
 # What an operator or the kernel does to a process, so that another attempt may succeed.
-_FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", f"exit code {_UNKNOWN_EXIT}")
+_FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", f"exit code {_UNKNOWN_EXIT_CODE}")
 _NOTHING = object()  # instead of the outcome of a process that has died
 
 logger = logging.getLogger(__name__)
@@ -120,7 +120,7 @@ class _Call(Future[Any]):
             patience = 0.0
             try:
                 outcome = _outcome(ours, self._limits.seconds, self._on_progress)
-                patience = _EXIT_TIMEOUT
+                patience = _EXIT_TIMEOUT_S
             except TimeoutError:
                 message = f"The fit took longer than the {self._limits.seconds:g} s that a fit may take."
                 outcome = Fault("compute", "TimeLimit", message)
@@ -158,7 +158,7 @@ def _end(process: Any, patience: float) -> int | None:
     with START_LOCK:
         process.join()
     code: int | None = process.exitcode
-    if code == _UNKNOWN_EXIT:
+    if code == _UNKNOWN_EXIT_CODE:
         _kill(process)
     return code
 

@@ -27,8 +27,8 @@ except ImportError:  # pragma: no cover (no such limits outside POSIX)
 OUT_OF_MEMORY = 75
 """Exit code of a process that could not send its outcome."""
 
-_PROGRESS_INTERVAL = 0.05  # seconds between two messages of progress, at least
-_LEAST_MEMORY = 4 << 20  # bytes without which a step is not begun
+_MIN_PROGRESS_INTERVAL_S = 0.05
+_MIN_FREE_MEMORY_BYTES = 4 << 20  # With less, a step is not begun.
 
 
 def run_in_worker(pipe: socket.socket, limits: FitLimits, step: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
@@ -59,7 +59,7 @@ def _rising(on_progress: OnProgress) -> OnProgress:
     def filtered(share: float) -> None:
         nonlocal last, then
         now = time.monotonic()
-        if share > last and (now - then >= _PROGRESS_INTERVAL or share >= 1.0):
+        if share > last and (now - then >= _MIN_PROGRESS_INTERVAL_S or share >= 1.0):
             last, then = float(share), now
             on_progress(last)
 
@@ -81,7 +81,7 @@ def _prepare(limits: FitLimits) -> None:
         if limits.memory_mb is not None and (most == resource.RLIM_INFINITY or limits.memory_mb << 20 < most):
             resource.setrlimit(resource.RLIMIT_AS, (limits.memory_mb << 20, limits.memory_mb << 20))
         try:
-            mmap.mmap(-1, _LEAST_MEMORY).close()
+            mmap.mmap(-1, _MIN_FREE_MEMORY_BYTES).close()
         except OSError:
             raise MemoryError from None
     keep_freed_memory()

@@ -16,7 +16,7 @@ from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.geometry import above_horizon
 from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
-from dsbrdf.data.weighting import DARK, TINY, bin_weights
+from dsbrdf.data.weighting import DARK_VALUE_FRACTION, TINY, bin_weights
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.lobe_search import SearchData, Wanted, search
@@ -241,7 +241,7 @@ def _trust(values: Array, data: FitData) -> Array:
     seen = data.weight > 0.0
     level = np.sum(data.weight * values, axis=(2, 3), keepdims=True)
     level /= np.sum(data.weight, axis=(2, 3), keepdims=True) + TINY
-    relative = np.where(seen, (data.mean - values) / (values + DARK * level + 1e-12), 0.0)
+    relative = np.where(seen, (data.mean - values) / (values + DARK_VALUE_FRACTION * level + 1e-12), 0.0)
     alone = np.abs(relative - median_filter(relative, (1, 1, NEIGHBOUR_COLUMNS, 1), mode="nearest"))
     usual = np.zeros(level.shape)
     for channel, row in np.argwhere(seen.any(axis=(2, 3))):

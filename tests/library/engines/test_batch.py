@@ -174,7 +174,7 @@ def test_batch_that_was_ended_resumes_where_it_stopped(files: list[Path], tmp_pa
 def test_unreachable_cluster_is_one_sentence(
     files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT", 0.5)
+    monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT_S", 0.5)
     address = "tcp://127.0.0.1:1"
     assert cli.main(["fit", str(files[0]), "--scheduler", address]) == 1
     captured = capsys.readouterr()

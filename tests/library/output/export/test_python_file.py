@@ -42,7 +42,7 @@ DECOMPOSED = {
     "diffuse alone": known_models.single_lobe(1.5, 1.0, 0.5),
     "paper": known_models.MODELS["paper"],
 }
-SHORT = DSBRDF(  # JAX compiles every knot
+TWO_KNOT_MODEL = DSBRDF(  # JAX compiles every knot
     np.radians([0.0, 80.0]),
     amplitude=np.random.default_rng(0).uniform(0.1, 3.0, (3, 4, 3)),
     kappa=np.array([[[0.5, 1.0, 2.0]] * 4]),
@@ -63,7 +63,7 @@ def written(source: Source, path: Path) -> Path:
 
 def expected_of(source: Source, first: Array, second: Array) -> tuple[Array, Array]:
     """The library's values, and those of the whole material, of which a component is a difference."""
-    angles = half_difference(first, second)  # of just these directions: the library's own way makes them unit vectors
+    angles = half_difference(first, second)  # The library's own way would make them unit vectors.
     whole = source.whole.model if isinstance(source, Component) else source
     return source.evaluate(*angles), whole.evaluate(*angles)
 
@@ -128,7 +128,7 @@ def test_a_file_needs_nothing_of_this_library(tmp_path: Path) -> None:
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_values_and_derivatives_in_other_libraries(library: str, tmp_path: Path) -> None:
     sources: dict[str, Source] = {
-        "model": SHORT,
+        "model": TWO_KNOT_MODEL,
         "layers": CLOTH,
         f"{WITHOUT_DERIVATIVES}_component": decompose(DECOMPOSED["three components"])["specular_lobe"],
     }
