@@ -54,10 +54,10 @@ _COMMANDS = {
         "decompose": ("model_commands:print_components", "Print the specular spike, specular lobe and diffuse part."),
     },
     "Pictures": {
-        "plot": ("picture_commands:plot", "Draw the fit of a measurement, or the parameters of a model."),
+        "plot": ("picture_commands:plot", "Draw a measurement, its fit, or the parameters of a model."),
         "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement, or compare two."),
         "map": ("picture_commands:map_materials", "Draw a map of materials by their likeness, and list neighbours."),
-        "compare": ("picture_commands:compare", "Compare two models or measurements, with their spheres side by side."),
+        "compare": ("compare_command:compare", "Compare models or measurements, with their spheres side by side."),
     },
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),

@@ -1,10 +1,9 @@
-"""Commands that draw models and measurements, and compare two."""
+"""Commands that draw models and measurements."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import numpy as np
 from cyclopts import Parameter
 
 from dsbrdf.cli.arguments import print_json, print_written
@@ -16,10 +15,10 @@ from dsbrdf.cli.parameters import (
     Json,
     OutputFile,
     RequiredFiles,
-    SourceFile,
     is_measurement,
     named_in_errors,
     named_part,
+    read_grid,
     read_measured,
     read_model,
     read_source,
@@ -27,22 +26,17 @@ from dsbrdf.cli.parameters import (
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError, one_of
-from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.output.figure_parts import IMAGE_FORMATS, encode_figure
 from dsbrdf.output.parameter_figures import parameters_figure
+from dsbrdf.output.plots import plot as plot_source
 from dsbrdf.output.plots import plot_fit
-from dsbrdf.output.report_text import lobes_phrase
-from dsbrdf.output.sample_figures import samples_figure
 from dsbrdf.output.space_figure import space_figure
-from dsbrdf.output.sphere_panels import compare_spheres, encode_png, side_by_side
+from dsbrdf.output.sphere_panels import encode_png
 from dsbrdf.rendering.environment import EnvironmentMap, read_environment
 from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.space import space
 from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_normals
-from dsbrdf.samples.errors import relative_rms
-from dsbrdf.samples.scattered_samples import ScatteredSamples
-from dsbrdf.samples.table_options import TableOptions
 
 
 @Parameter(name="*")
@@ -82,10 +76,10 @@ class Look:
             return read_environment(self.lighting)
 
 
-_USUAL = Look()
+USUAL_LOOK = Look()
 
 
-def render(source: Path, /, *, output: OutputFile, look: Look = _USUAL, json: Json = False) -> None:
+def render(source: Path, /, *, output: OutputFile, look: Look = USUAL_LOOK, json: Json = False) -> None:
     """Draw a lit sphere of a model or a measurement.
 
     Parameters
@@ -95,7 +89,7 @@ def render(source: Path, /, *, output: OutputFile, look: Look = _USUAL, json: Js
     output
         The file to write, a .png.
     """
-    _check_png(output)
+    check_png(output)
     light, whole = look.light(), read_source(source)
     if look.component is not None and isinstance(whole, Measurement):
         raise InvalidArgumentError(f"{source}: a measurement has no components; fit it first")
@@ -112,7 +106,8 @@ def render(source: Path, /, *, output: OutputFile, look: Look = _USUAL, json: Js
         print(f"{output}: {look.lighting}, radiance times {factor:.4g}, clipped at 1, sRGB curve")
 
 
-def _check_png(output: Path) -> None:
+def check_png(output: Path) -> None:
+    """Raise InvalidArgumentError unless the name of a picture ends in ``.png``."""
     if output.suffix.lower() != ".png":
         raise InvalidArgumentError(f"{output}: the picture's file must end in .png")
 
@@ -127,12 +122,12 @@ def plot(
     json: Json = False,
     table: AboutTable = NO_TABLE_FLAGS,
 ) -> None:
-    """Draw the fit of a measurement, or the parameters of a model.
+    """Draw the fit of a measurement, a measurement alone, or the parameters of a model.
 
     Parameters
     ----------
     model
-        A .json file from dsbrdf fit.
+        A .json file from dsbrdf fit, or a .binary or .bsdf measurement alone.
     measurement
         What was fitted: draws its profiles, the fit and the components, or a table's samples beside the fit, and the
         residual; without it, the parameters over theta_diff. It may also come first.
@@ -144,6 +139,11 @@ def plot(
     image_format = _figure_format(output)
     if measurement is not None and is_measurement(model):
         model, measurement = measurement, model
+    if measurement is None and is_measurement(model):
+        figure = plot_source(read_grid(model))
+        write_atomically(output, [encode_figure(figure, image_format)])
+        print_written(output, "the measurement", image_format, json=json)
+        return
     fitted, report = read_model(model)
     if measurement is None:
         what, figure = "parameters over theta_diff", parameters_figure(fitted, title=model.stem, model_lobes=lobes)
@@ -197,74 +197,3 @@ def _figure_format(output: Path) -> str:
             f"{output}: the figure's file must end in {one_of([f'.{name}' for name in IMAGE_FORMATS])}"
         )
     return image_format
-
-
-def compare(
-    first: SourceFile,
-    second: SourceFile,
-    /,
-    *,
-    output: OutputFile | None = None,
-    look: Look = _USUAL,
-    json: Json = False,
-    table: AboutTable = NO_TABLE_FLAGS,
-) -> None:
-    """Compare two models or measurements, or a table of samples with a model.
-
-    Parameters
-    ----------
-    output
-        Write a picture, a .png file: both spheres with the exposure of the first, their difference and the components
-        of a fit; or the samples, the fit and the residual.
-    """
-    if output is not None:
-        _check_png(output)
-    if look.component is not None:
-        raise InvalidArgumentError("a comparison shows all components: leave --component out")
-    paths = (first, second)
-    sources, columns = zip(*(_source(path, table) for path in paths), strict=True)
-    tables = [source for source in sources if isinstance(source, ScatteredSamples)]
-    if tables:
-        model, _ = read_model(second if sources[0] is tables[0] else first)
-        (samples,) = tables
-        found_values = model.evaluate_directions(samples.omega_in, samples.omega_out)
-        error = relative_rms(found_values, samples.values, samples.weight)
-        likeness, sentence = {"relative_rms": error}, f"at the {len(samples.values)} samples: relative_rms {error:.4g}"
-        picture = None if output is None else encode_figure(samples_figure(samples, model))
-        shown = "samples, fit and residual"
-    else:
-        # Components are those of a fit beside what was measured, not those of one of two models.
-        parts = isinstance(sources[0], Measurement) and output is not None
-        found = compare_spheres(
-            *sources, with_components=parts, lighting=look.light(), size=look.size, factor=look.exposure
-        )
-        likeness = {"psnr": found.psnr if np.isfinite(found.psnr) else None, "ssim": found.ssim}
-        sentence = f"likeness of their lit spheres {found.light}: PSNR {found.psnr:.1f} dB, SSIM {found.ssim:.4f}"
-        picture = None if output is None else encode_png(side_by_side(found.panels))
-        shown = f"{', '.join(found.panels)}; radiance times {found.exposure:.4g}"
-    if output is not None and picture is not None:
-        write_atomically(output, [picture])
-    if json:
-        items = [{"file": str(path)} | column for path, column in zip(paths, columns, strict=True)]
-        print_json({"items": items, "likeness": likeness, "output": None if output is None else str(output)})
-        return
-    print(f"{'':<16}" + "".join(f"{path.stem[-20:]:>22}" for path in paths))
-    for name in columns[0]:
-        print(f"{name:<16}" + "".join(f"{_cell(column[name]):>22}" for column in columns))
-    print(sentence)
-    if output is not None:
-        print(f"{output}: {shown}")
-
-
-def _source(path: Path, table: TableOptions) -> tuple[Any, dict[str, Any]]:
-    """Read a model, or a measurement, a table with these options; return it with what is known of it."""
-    if is_measurement(path):
-        measured = read_measured(path, table)
-        return measured, {"kind": "measurement", "numbers": None} | dict.fromkeys(METRICS)
-    model, report = read_model(path)
-    metrics = {name: None if report is None else report.metrics[name] for name in METRICS}
-    return model, {"kind": lobes_phrase(model), "numbers": model.n_numbers} | metrics
-
-
-def _cell(value: str | float | None) -> str:
-    return "" if value is None else value if isinstance(value, str) else f"{value:.4g}"

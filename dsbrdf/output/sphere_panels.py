@@ -6,9 +6,10 @@ clipped to [0, 1] and shown with the sRGB curve.
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
+from typing import TypeAlias
 
 import numpy as np
 
@@ -29,6 +30,9 @@ _LIGHTS = {"three_lights": "under three lights", "environment": "in the environm
 _NAME_HEIGHT, _ROOM_FOR_NAMES = 20, 128  # pixels: of names, and of panels that have them
 _THUMBNAIL = 112  # pixels along a side
 _EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
+
+
+Panels: TypeAlias = dict[str, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,7 @@ def compare_spheres(
     measured: Measurement | DSBRDF,
     fit: Measurement | DSBRDF,
     *,
+    names: tuple[str, str] = ("measured", "fit"),
     with_components: bool = True,
     lighting: str | EnvironmentMap = "three_lights",
     size: int = 256,
@@ -63,14 +68,14 @@ def compare_spheres(
 ) -> SphereComparison:
     """Draw a measurement, or a model, beside a fit or another measurement.
 
-    With components, those of a fit that is a model are drawn too. Lighting and size are as for
-    `dsbrdf.render_sphere`; the exposure `factor` is by default that of the measured sphere.
+    The first two panels have the `names`. With components, those of a fit that is a model are drawn too. Lighting and
+    size are as for `dsbrdf.render_sphere`; the exposure `factor` is by default that of the measured sphere.
     """
     reference, fitted = (render_sphere(source, lighting=lighting, size=size) for source in (measured, fit))
     factor = exposure(reference, sphere_normals(size)[1]) if factor is None else factor
     seen, compared = displayed(reference, factor), displayed(fitted, factor)
     difference = np.clip(DIFFERENCE_GAIN * np.abs(seen - compared), 0.0, 1.0)
-    panels = {"measured": seen, "fit": compared, f"difference x {DIFFERENCE_GAIN:g}": difference}
+    panels = {names[0]: seen, names[1]: compared, f"difference x {DIFFERENCE_GAIN:g}": difference}
     for component in decompose(fit) if with_components and isinstance(fit, DSBRDF) else ():
         part = render_sphere(component, lighting=lighting, size=size)
         panels[component.label.replace("_", " ")] = displayed(part, factor)
@@ -83,6 +88,19 @@ def side_by_side(panels: Mapping[str, Array]) -> Array:
     picture = np.concatenate(list(panels.values()), axis=1)
     is_named = len(picture) >= _ROOM_FOR_NAMES and find_spec("matplotlib") is not None
     return np.concatenate([_names(panels, picture.shape[1]), picture]) if is_named else picture
+
+
+def one_below_another(rows: Sequence[Mapping[str, Array]]) -> Array:
+    """One picture of rows of panels, black where a row has fewer panels than the longest."""
+    pictures = [side_by_side(row) for row in rows if row]
+    width = max(picture.shape[1] for picture in pictures)
+    return np.concatenate([np.pad(one, ((0, 0), (0, width - one.shape[1]), (0, 0))) for one in pictures])
+
+
+def component_panels(model: DSBRDF, name: str, lighting: str | EnvironmentMap, size: int, factor: float) -> Panels:
+    """Draw a model's components with one exposure, each titled with the name of the model and its own."""
+    spheres = {part.label: render_sphere(part, lighting=lighting, size=size) for part in decompose(model)}
+    return {f"{name}: {label.replace('_', ' ')}": displayed(one, factor) for label, one in spheres.items()}
 
 
 def _names(panels: Mapping[str, Array], width: int) -> Array:

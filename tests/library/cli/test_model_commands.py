@@ -1,6 +1,5 @@
 """Commands of stored models: values, reports, components, exports, pictures."""
 
-import csv
 import re
 import struct
 import subprocess
@@ -312,47 +311,3 @@ def test_compare_as_json(model_file: Path, two_lobe_fit: FitResult) -> None:
     assert [item["relative_rms"] for item in answer["items"]] == [two_lobe_fit.report.metrics.relative_rms] * 2
     assert answer["likeness"] == {"psnr": None, "ssim": pytest.approx(1.0)}
     assert answer["output"] is None
-
-
-@pytest.mark.slow
-def test_map_of_a_folder_and_what_it_refuses(tmp_path: Path) -> None:
-    for seed in range(3):
-        dsbrdf.save(random_model(seed), tmp_path / f"paint{seed}.json")
-    answer = document("map", tmp_path, "-o", tmp_path / "map.png", "--json")
-    expected = dsbrdf.space({f"paint{seed}": random_model(seed) for seed in range(3)})
-    assert [item["name"] for item in answer["items"]] == list(expected.names)
-    assert answer["items"][0]["nearest"] == [{"name": n, "db": db} for n, db in expected.nearest("paint0")]
-    np.testing.assert_allclose([item["place"] for item in answer["items"]], expected.places)
-    text = printed("map", *sorted(tmp_path.glob("*.json")), "-o", tmp_path / "map.pdf")
-    assert f"{expected.nearest('paint1')[0][0]} ({expected.nearest('paint1')[0][1]:.1f} dB)" in text.splitlines()[2]
-    with Image.open(tmp_path / "map.png") as picture:
-        assert picture.size[0] > 1000
-    assert "at least two" in sentence("map", tmp_path / "paint0.json", "-o", tmp_path / "map.png")
-    assert "must end in" in sentence("map", tmp_path, "-o", tmp_path / "map.gif")
-    (tmp_path / "more").mkdir()
-    dsbrdf.save(random_model(0), tmp_path / "more" / "paint0.json")
-    assert "called paint0" in sentence("map", tmp_path, tmp_path / "more", "-o", tmp_path / "map.png")
-
-
-def test_several_models_at_once_and_their_components_as_tables(model_file: Path, tmp_path: Path) -> None:
-    other = tmp_path / "50%_gloss.json"
-    dsbrdf.save(random_model(1), other)
-    table, latex = tmp_path / "all.csv", tmp_path / "all.tex"
-    text = printed("decompose", model_file, other, "--csv", table, "--latex", latex)
-    assert f"{model_file.stem}:" in text.splitlines()
-    rows = list(csv.DictReader(table.read_text().splitlines()))
-    assert {row["material"] for row in rows} == {model_file.stem, "50%_gloss"}
-    parts = decompose(random_model(1))
-    assert {row["component"] for row in rows if row["material"] == "50%_gloss"} == {*parts.labels}
-    psnr = dsbrdf.load_result(model_file).report.metrics.psnr
-    assert {row["psnr"] for row in rows} == {str(psnr), ""}
-    lines = latex.read_text().splitlines()
-    assert len(lines) == len(rows) + 6
-    assert lines[-3].startswith("50\\%\\_gloss & ")
-    assert {line.count("&") for line in lines[4:-2]} == {8}
-    answer = document("show", model_file, other, "--json")["items"]
-    assert [item["file"] for item in answer] == [str(model_file), str(other)]
-    assert printed("show", model_file, other).startswith(printed("show", model_file))
-    alone = tmp_path / "alone.csv"
-    run("export", model_file, "--format", "components", "-o", alone)
-    assert next(csv.DictReader(alone.read_text().splitlines()))["material"] == "alone"
