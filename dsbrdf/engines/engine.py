@@ -34,6 +34,7 @@ class FitLimits:
     seconds: float = math.inf  # time [s]
     memory_mb: int | None = None  # address space of its process [MB]; None sets no limit
     niceness: int = 0  # added to the nice value of its process, where the system has one
+    processor_seconds: float = math.inf  # time of the processor, which other work does not lengthen [s]
 
 
 NO_LIMITS = FitLimits()

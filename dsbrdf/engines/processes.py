@@ -172,6 +172,8 @@ def _fault_of_exit(code: int | None) -> Fault:
     if code == OUT_OF_MEMORY:
         return MEMORY_LIMIT
     reason = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
+    if reason == "SIGXCPU":
+        return Fault("compute", "ProcessorLimit", "The fit took more processor time than a fit may take.")
     if reason in _FROM_OUTSIDE:
         return Fault("system", "ProcessLost", f"The fit's process was ended from outside ({reason}).")
     return Fault("compute", "ProcessCrashed", f"The fit's process crashed ({reason}).")

@@ -76,6 +76,9 @@ def _prepare(limits: FitLimits) -> None:
         os.nice(limits.niceness)
     if resource is not None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        if math.isfinite(limits.processor_seconds):
+            seconds = math.ceil(limits.processor_seconds)
+            resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
         reserve_blas_memory()
         most, _ = resource.getrlimit(resource.RLIMIT_AS)
         if limits.memory_mb is not None and (most == resource.RLIM_INFINITY or limits.memory_mb << 20 < most):

@@ -149,7 +149,7 @@ def _checked(name: str, value: Any, kind: type | None, bounds: Bounds | None, wo
                 rising = all(first < second for first, second in pairwise(items))
                 if len(items) > 1 and rising:
                     return tuple(int(item) for item in items)
-    raise InvalidArgumentError(f"{name} must be {right}, not {str(value)[:60] if kind is tuple else repr(value)[:60]}")
+    raise InvalidArgumentError(f"{name} must be {right}, not {repr(value)[:60]}")
 
 
 @cache

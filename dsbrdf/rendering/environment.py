@@ -20,6 +20,7 @@ from dsbrdf.extras import require
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """What red, green and blue in linear sRGB count."""
+MAX_RADIANCE = 1e10  # Differences of brighter pixels lose the light of the others.
 _WIDEST = 2048  # pixels of a picture; finer ones are averaged
 _BRIGHT = 16.0  # times the mean: brighter spots are taken for distant lights,
 _SMALL = np.radians(5.0) ** 2  # if they are not larger than this [sr]
@@ -117,7 +118,7 @@ class EnvironmentMap:
         Raises
         ------
         ImageFormatError
-            If the shape is another, a value is negative or not finite, or the picture is black.
+            If the shape is another, a value is negative or above 1e10, or the picture is black.
         """
         image = np.asarray(pixels, dtype=np.float64)
         if image.ndim != 3 or image.shape[2] != 3 or not 0 < 2 * image.shape[0] == image.shape[1]:
@@ -125,8 +126,8 @@ class EnvironmentMap:
                 "A picture of an environment shows 360 by 180 degrees in RGB and is twice as wide as high, "
                 f"unlike one of the shape {image.shape}."
             )
-        if not (np.isfinite(image).all() and (image >= 0.0).all()):
-            raise ImageFormatError("A picture of an environment has values that are finite and not negative.")
+        if not ((image >= 0.0) & (image <= MAX_RADIANCE)).all():
+            raise ImageFormatError(f"A picture of an environment has values from 0 to {MAX_RADIANCE:g}.")
         if not image.any():
             raise ImageFormatError("The picture of an environment is black.")
         return cls(*_without_lights(averaged(image, _WIDEST)))

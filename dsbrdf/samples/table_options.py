@@ -61,7 +61,7 @@ class TableOptions:
             raise InvalidArgumentError("constants must be finite numbers")
         given = self.missing if isinstance(self.missing, list | tuple) else (self.missing,)
         if not all(_is_number(number) for number in given):
-            raise InvalidArgumentError(f"missing must be finite numbers, not {str(self.missing)[:60]}")
+            raise InvalidArgumentError(f"missing must be finite numbers, not {repr(self.missing)[:60]}")
         object.__setattr__(self, "missing", tuple(map(float, given)))
         if not _is_number(self.scale) or not _SCALES.allow(self.scale):
             raise InvalidArgumentError(f"scale must be a number {_SCALES}, not {repr(self.scale)[:60]}")

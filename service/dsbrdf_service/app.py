@@ -39,8 +39,10 @@ from .storage.store import Store
 
 _REFERENCED: tuple[type[BaseModel], ...] = (FitRequest, NewName, *FORMS, MeasurementDetails)
 _MAX_WORKER_THREADS = 8  # Every thread keeps its own heap after its first request.
-_COMPUTATION_TIMEOUT_S = 30.0  # The longest computation of a request takes some 15 s.
-_COMPUTATION_NICENESS = 10  # Answers that need no computation go first.
+# The longest computation of a request takes some 15 s of a processor, and fits go before it.
+_COMPUTATION_TIMEOUT_S = 120.0
+_COMPUTATION_PROCESSOR_LIMIT_S = 60.0
+_COMPUTATION_NICENESS = 5
 _SWITCH_INTERVAL_S = 0.0005  # A computing thread delays the event loop by so much at most; Python's default is 0.005.
 
 _DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in the MERL format.
@@ -67,7 +69,10 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         models = ModelCache(store, settings.model_cache)
         keys.open(store.database)
         readiness = Readiness(store, engine, settings)
-        computations = Computations(FitLimits(_COMPUTATION_TIMEOUT_S, settings.fit_memory_mb, _COMPUTATION_NICENESS))
+        limits = FitLimits(
+            _COMPUTATION_TIMEOUT_S, settings.fit_memory_mb, _COMPUTATION_NICENESS, _COMPUTATION_PROCESSOR_LIMIT_S
+        )
+        computations = Computations(limits)
         queue = FitQueue(store, engine, settings, metrics.fit_meters)
         parts = settings, store, queue, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)

@@ -40,6 +40,11 @@ def address_space(_: OnProgress) -> int:
     return resource.getrlimit(resource.RLIMIT_AS)[0]
 
 
+def spin(_: OnProgress) -> None:
+    while True:
+        pass
+
+
 def do_nothing(_: OnProgress) -> None:
     """End as a process that has done its work."""
 

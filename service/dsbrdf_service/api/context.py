@@ -29,6 +29,7 @@ from ..queue.fit_queue import FitQueue
 from ..settings import Settings
 from ..storage.schema import Caller, FitKey, FitRow
 from ..storage.store import Store
+from ..storage.writing import in_thread
 from .fields import FIT_ID, SHA256
 
 
@@ -51,23 +52,29 @@ class Context:
         return await run_in_threadpool(self.store.fit, fit)
 
     async def in_process(
-        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, **named: Any
+        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, max_bytes: int = 0
     ) -> Any:
-        """Return as `Computations.run_in_process`; raise MeasurementNotFoundError if it is deleted meanwhile."""
+        """Return as `Computations.run_in_process`, or, with `max_bytes`, the file as `Computations.make_file`.
+
+        Raises MeasurementNotFoundError if the measurement is deleted meanwhile.
+        """
         try:
-            return await self.computations.run_in_process(request, key, step, *arguments, **named)
+            if not max_bytes:
+                return await self.computations.run_in_process(request, key, step, *arguments)
+            of_file: dict[str, Any] = {"writing": self.store.writing, "max_bytes": max_bytes}
+            return await self.computations.make_file(request, key, step, *arguments, **of_file)
         except ProblemError:
             owner = (await caller_of(request)).owner
             for stored in arguments:
                 if isinstance(stored, StoredMeasurement):
-                    await run_in_threadpool(self.store.measurement_file, owner, stored.sha256)
+                    await in_thread(self.store.measurement_file, owner, stored.sha256)
             raise
 
     async def stored_measurement(
         self, owner: str, sha256: str, name: str | None = None, kind: Literal["grid", "samples", "any"] = "grid"
     ) -> StoredMeasurement:
         """Return a measurement to be drawn; raises as `Store.measurement_file`."""
-        path = await run_in_threadpool(self.store.measurement_file, owner, sha256, drawn=kind)
+        path = await in_thread(self.store.measurement_file, owner, sha256, kind)
         return StoredMeasurement(path, sha256, name)
 
 

@@ -8,6 +8,7 @@ from pydantic import Field
 from starlette.requests import Request
 from starlette.responses import Response
 
+from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.output.export import FORMATS, LAYERS, PARTS, check_holds_component, check_shader_options, export_model
 
 from ..compute.steps import export_step
@@ -64,10 +65,18 @@ async def export_fit(
     headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
     headers["Content-Type"] = FORMATS[wanted.format].media_type
     model = loaded.decomposition.layers if wanted.component == LAYERS else loaded.part(wanted.component)
-    key, place = ("export", row.key, *wanted.model_dump().values()), FORMATS[wanted.format].time
+    key, place = ("export", row.key, row.name, *wanted.model_dump().values()), FORMATS[wanted.format].time
     if place != "short":
         made = await context.computations.make_file(
-            request, key, export_step, model, wanted.format, name, blobs=context.store.blobs, place=place
+            request,
+            key,
+            export_step,
+            model,
+            wanted.format,
+            name,
+            writing=context.store.writing,
+            max_bytes=FILE_SIZE,
+            place=place,
         )
         return OpenFileResponse(made, headers)
     report = loaded.report if wanted.component is None else None

@@ -3,6 +3,8 @@
 Angles in degrees (``_deg``), RGB order.
 """
 
+import json
+from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, TypeVar
@@ -98,9 +100,18 @@ def parse_document(kind: type[_Document], body: bytes) -> _Document:
     Raises InvalidArgumentError if the body is not such a document.
     """
     try:
-        return kind.model_validate_json(body)
+        document = kind.model_validate_json(body)
     except ValidationError as error:
         raise InvalidArgumentError(validation_sentence(error.errors())) from None
+    json.loads(body, object_pairs_hook=_refuse_repetition)
+    return document
+
+
+def _refuse_repetition(members: list[tuple[str, Any]]) -> None:
+    """Raise InvalidArgumentError if an object has two members of one name: it is unclear which one counts."""
+    for name, count in Counter(name for name, _ in members).items():
+        if count > 1:
+            raise InvalidArgumentError(f"The member {name[:60]!r} is given more than once; give it once.")
 
 
 class Page(Input):

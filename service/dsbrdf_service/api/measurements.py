@@ -19,6 +19,7 @@ from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefe
 from ..storage.blobs import OpenFile
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, MeasurementRow
+from ..storage.writing import in_thread
 from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions, name_of
 from .fields import SHA256, Name, Page, as_time, next_page
 from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
@@ -153,7 +154,7 @@ async def _content(request: Request, context: Context, caller: Caller, sha256: s
     """Return the file of a measurement."""
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     headers = {"ETag": f'"{sha256}"', **_VARY}
-    path = await run_in_threadpool(context.store.measurement_file, caller.owner, sha256)
+    path = await in_thread(context.store.measurement_file, caller.owner, sha256)
     if known := not_modified(request, headers):
         return known
     if IS_HEAD in request.scope:

@@ -18,7 +18,7 @@ from dsbrdf.rendering.sphere import LIGHTINGS
 from ..compute.steps import FIGURES, figure_step, samples_step, sphere_step, table_step
 from ..http import openapi
 from ..http.request_body import media_type_of
-from ..http.responses import NPY, not_modified, tag_of, tagged_reply
+from ..http.responses import NPY, OpenFileResponse, long_reply, not_modified, tag_of, tagged_reply
 from ..queue.fit_options import from_wire
 from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheLoadedFit, TheMeasurement, TheRow
 from .fields import PLAIN, Label
@@ -30,6 +30,7 @@ router = APIRouter(prefix="/v1", tags=["figures"], dependencies=CHECKED_QUERY)
 
 _MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml", "npy": NPY}
 _MAX_PANORAMA = 16_000_000  # bytes
+_MAX_TABLE_BYTES = 9_000_000
 _Size = Annotated[int, Query(ge=8, le=256, description="Pixels along a side."), PLAIN]
 _Lighting = Annotated[
     Literal[*LIGHTINGS],  # type: ignore[valid-type]
@@ -68,17 +69,25 @@ class _Drawing:
     """Answers a request with what a step draws, unless the client has it."""
 
     def __init__(self, request: Request, context: TheContext, caller: TheCaller) -> None:
-        self._request, self._context, self._owner = request, context, caller.owner
+        self._request, self._context, self._caller = request, context, caller
 
-    async def __call__(self, step: Callable[..., bytes], *arguments: Any, of: Hashable = None) -> Response:
-        """Return what `step` draws: the address, the owner and what it is `of` determine it."""
+    async def __call__(
+        self, step: Callable[..., Any], *arguments: Any, of: Hashable = None, max_bytes: int = 0
+    ) -> Response:
+        """Return what `step` draws: the address, the owner and what it is `of` determine it.
+
+        With `max_bytes`, the step writes a file of at most that length.
+        """
         path = self._request.scope["path"]
-        key = self._owner, path, self._request.url.query, of
+        key = self._caller.owner, path, self._request.url.query, of
         headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
         if known := not_modified(self._request, headers):
             return known
-        content = await self._context.in_process(self._request, key, step, *arguments)
-        return Response(content, 200, headers, _MEDIA_TYPES[path.rpartition(".")[2]])
+        headers["Content-Type"] = _MEDIA_TYPES[path.rpartition(".")[2]]
+        drawn = await self._context.in_process(self._request, key, step, *arguments, max_bytes=max_bytes)
+        if max_bytes:
+            return OpenFileResponse(drawn, headers)
+        return await long_reply(self._context.store.writing, self._caller, drawn, headers)
 
 
 Draw = Annotated[_Drawing, Depends()]
@@ -185,7 +194,7 @@ async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
 
     Linear interpolation of it is the measurement as the spheres show it; a texture of a graphics card can hold it.
     """
-    return await draw(table_step, stored)
+    return await draw(table_step, stored, max_bytes=_MAX_TABLE_BYTES)
 
 
 @_draws_npy("/measurements/{sha256}/samples.npy")

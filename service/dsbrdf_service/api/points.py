@@ -112,6 +112,9 @@ def from_json(body: bytes) -> Points:
         raise InvalidArgumentError(f"The body is not JSON: {error}.") from None
     if not isinstance(given, dict):
         raise InvalidArgumentError(f"The body must be an object; {_CHOICE}.")
+    for name in given.keys() & _FORM_OF:  # The parser keeps the last one of a name.
+        if body.count(b'"%b"' % name.encode()) > 1:
+            raise InvalidArgumentError(f"The member {name!r} is given more than once; give it once.")
     several = {name: [value] if isinstance(value, int | float) else value for name, value in given.items()}
     return _points(several, strict=True)
 

@@ -23,7 +23,7 @@ from ..http.request_body import decoded
 from ..http.responses import BINARY
 from ..storage.blobs import Incoming
 from ..storage.schema import Caller, MeasurementRow
-from ..storage.uploads import in_thread
+from ..storage.writing import in_thread
 from .context import Context
 from .fields import OPTIONS_SCHEMA, TABLE_SCHEMA
 
@@ -52,7 +52,7 @@ OPTION_PARAMETERS, TABLE_PARAMETERS = (
 """Query parameters for the options of a fit, and of a table."""
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
-_PIECE_BYTES = 1 << 18  # Smaller pieces take less time to write than to pass to another thread.
+_PIECE_BYTES = 1 << 16  # Every open upload holds a piece.
 MAX_CONVERTED_BYTES = 1 << 23
 """Limit of an RGL file or a table, because reading one takes up to 70 times as much memory."""
 
@@ -71,7 +71,7 @@ async def receive_upload(
     if name is not None and Path(name).suffix.lower() in _SUFFIXES:
         name = Path(name).stem
     with context.metrics.upload_seconds.time():
-        async with context.store.uploads.incoming(caller) as incoming:
+        async with context.store.writing.incoming(caller) as incoming:
             pieces = _pieces(request)
             start = await anext(pieces)
             if measurement_kind(start) == "merl":

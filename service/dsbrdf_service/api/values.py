@@ -21,7 +21,7 @@ from ..compute.steps import Array, StoredMeasurement, measured_step
 from ..errors import ProblemError
 from ..http import openapi
 from ..http.request_body import media_type_of
-from ..http.responses import JSON, NPY, prefers
+from ..http.responses import JSON, NPY, long_reply, prefers
 from ..storage.schema import FitKey
 from .context import Context, TheContext, TheFit, TheMeasurement, check_query
 from .fields import Label, Rgb
@@ -157,14 +157,15 @@ async def _values(request: Request, context: Context, fit: FitKey, label: str | 
     if points.theta_half.size <= _MAX_INLINE_POINTS and media_type == JSON:
         return Response(to_json({"values": model.evaluate(*points).tolist()}), media_type=JSON)
     content = await context.computations.run(request, object(), lambda: _encoded(_in_blocks(model, points), media_type))
-    return Response(content, media_type=media_type)
+    return await long_reply(context.store.writing, request.scope[CALLER], content, {"Content-Type": media_type})
 
 
 async def _measured_values(request: Request, context: Context, stored: StoredMeasurement) -> Response:
     """Return a measurement's values, which a process of its own interpolates."""
     points, media_type = await _points(request, context)
     values = await context.in_process(request, object(), measured_step, stored, *points)
-    return Response(await run_in_threadpool(_encoded, values, media_type), media_type=media_type)
+    content = await run_in_threadpool(_encoded, values, media_type)
+    return await long_reply(context.store.writing, request.scope[CALLER], content, {"Content-Type": media_type})
 
 
 async def _points(request: Request, context: Context) -> tuple[Points, str]:

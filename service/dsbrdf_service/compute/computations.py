@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, TypeVar, get_args
+from weakref import WeakValueDictionary
 
 from anyio import CancelScope
 from starlette.concurrency import run_in_threadpool
@@ -20,15 +21,20 @@ from dsbrdf.engines.engine import DISK_FULL, Fault, FitLimits
 from dsbrdf.engines.processes import Processes
 from dsbrdf.errors import InvalidArgumentError
 
-from ..access.authentication import CALLER_NAME
+from ..access.authentication import CALLER, CALLER_NAME
 from ..errors import ProblemError
 from ..queue.turns import FairTurns, result_of
-from ..storage.blobs import Blobs, OpenFile
+from ..storage.blobs import OpenFile
+from ..storage.writing import Writing
 
 T = TypeVar("T")
 
 Place = Literal["short", "medium", "long"]
 """Where something is computed, by its time: at most some 50 ms, about a second, or longer."""
+_TOO_COSTLY = {
+    "MemoryLimit": "The computation takes more than the {0.memory_mb} MB that one may use; ask for less at once.",
+    "ProcessorLimit": "The computation takes more than {0.processor_seconds:g} s of a processor; ask for less at once.",
+}
 
 
 @dataclass
@@ -49,8 +55,11 @@ class Computations:
 
     def __init__(self, limits: FitLimits) -> None:
         self._turns = {place: FairTurns() for place in get_args(Place)}
+        self._limits = limits
         self._processes = Processes(len(self._turns), limits)
         self._in_progress: dict[Hashable, _Computation] = {}
+        # Files that somebody still reads, by what they are.
+        self._files: WeakValueDictionary[Hashable, OpenFile] = WeakValueDictionary()
 
     async def run(self, request: Request, key: Hashable, compute: Callable[[], T]) -> T:
         """Return what `compute` returns, which is called in a thread.
@@ -86,24 +95,36 @@ class Computations:
             raise InvalidArgumentError(found.message)
         if found == DISK_FULL:
             raise OSError(errno.ENOSPC, found.message)
-        raise ProblemError("internal", f"The answer could not be computed ({found.type}); ask for it again.")
+        if found.type in ("MemoryLimit", "ProcessorLimit"):
+            raise ProblemError("too-costly", _TOO_COSTLY[found.type].format(self._limits))
+        if found.origin == "system" or found.type == "TimeLimit":
+            raise ProblemError("interrupted", f"The computation was interrupted ({found.type}); ask for it again.")
+        raise ProblemError("internal", f"The answer cannot be computed ({found.type}); the service's log says why.")
 
     async def make_file(
-        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, blobs: Blobs, place: Place
+        self,
+        request: Request,
+        key: Hashable,
+        step: Callable[..., Any],
+        *arguments: Any,
+        writing: Writing,
+        max_bytes: int,
+        place: Place = "medium",
     ) -> OpenFile:
         """Return the file that ``step(*arguments, path, on_progress)`` writes, which is called as by `run_in_process`.
 
-        The file is a temporary one of `blobs`, and goes with the last request that has it.
+        It goes with the last request that has it; until then, requests with its `key` get this file.
 
-        Raises OSError too if it cannot be made.
+        Raises OSError too if it cannot be made, and ProblemError if the caller has too many files in progress.
         """
 
         async def work() -> OpenFile:
-            with blobs.temporary_file() as (file, path):
+            async with writing.answer(request.scope[CALLER], max_bytes) as (file, path):
                 await self._called(step, *arguments, path)
+            self._files[key] = file
             return file
 
-        made: OpenFile = await self._wait(request, key, work, place)
+        made: OpenFile = self._files.get(key) or await self._wait(request, key, work, place)
         return made
 
     async def close(self) -> None:

@@ -106,15 +106,15 @@ def measured_step(
     return stored.mapped().evaluate(theta_half, theta_diff, phi_diff)
 
 
-def table_step(stored: StoredMeasurement, _: OnProgress) -> bytes:
-    """Return a .npy of ln(value + 1e-6) of a measurement at all nodes, float16 (theta_half, theta_diff, phi_diff, RGB).
+def table_step(stored: StoredMeasurement, path: Path, _: OnProgress) -> None:
+    """Write a .npy of ln(value + 1e-6) of a measurement at all nodes, float16 (theta_half, theta_diff, phi_diff, RGB).
 
     Between nodes linear interpolation of them is that of `interpolate`.
     """
     known = stored.mapped().interpolated
     channels = zip(known.measurement.stored, known.measurement.scale, cycle(known.source), strict=False)
     tables = [np.log(values.ravel()[source] * scale + _MIN_LOGARITHM_VALUE) for values, scale, source in channels]
-    return _npy(np.stack(tables, axis=-1).reshape(*known.measurement.stored.shape[1:], 3).astype("<f2"))
+    path.write_bytes(_npy(np.stack(tables, axis=-1).reshape(*known.measurement.stored.shape[1:], 3).astype("<f2")))
 
 
 def _npy(array: NDArray[Any]) -> bytes:

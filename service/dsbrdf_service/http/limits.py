@@ -4,6 +4,7 @@ Slow heads, slow readers and floods are the matter of the proxy in front of a pu
 """
 
 import asyncio
+from typing import Any, cast
 
 from starlette.types import Message, Receive, Scope
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
@@ -14,6 +15,8 @@ _MAX_LINE_BYTES = 8192  # Longer headers and addresses are refused.
 _MAX_HEADERS = 100
 _SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")  # With two, either could be meant.
 _CLOSE_HEADERS = {"Connection": "close"}
+ABORT = "dsbrdf.abort"
+"""Member of the ASGI scope: what closes the connection without sending what waits."""
 
 
 class Connection(HttpToolsProtocol):
@@ -23,6 +26,7 @@ class Connection(HttpToolsProtocol):
         """Begin to answer the request; what comes later goes to another list."""
         super().on_headers_complete()
         self.headers = self.headers.copy()
+        cast(dict[str, Any], self.scope)[ABORT] = self.transport.abort
 
 
 def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:

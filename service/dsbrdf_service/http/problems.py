@@ -66,6 +66,7 @@ KINDS: dict[str, Kind] = {
     "misdirected": Kind(421, "The service has another name"),
     "measurement-format": Kind(422, "Not an acceptable measurement"),
     "invalid-argument": Kind(422, "An argument is not acceptable"),
+    "too-costly": Kind(422, "The computation takes too much time or memory"),
     "fit-impossible": Kind(422, "The measurement cannot be fitted with these options"),
     "rate-limited": Kind(429, "Too many requests"),
     "too-many-at-once": Kind(429, "Too many requests of the caller at once", 5),
@@ -74,6 +75,7 @@ KINDS: dict[str, Kind] = {
     "not-installed": Kind(501, "The service lacks a library"),
     "queue-full": Kind(503, "Too many fits are waiting", 10),
     "overloaded": Kind(503, "Too many requests are in progress", 1),
+    "interrupted": Kind(503, "The computation was interrupted", 1),
     "shutting-down": Kind(503, "The service is shutting down", 10),
     "not-ready": Kind(503, "The service is not ready", 10),
     "disk-full": Kind(507, "The service's disk is full", 30),
@@ -95,7 +97,9 @@ def problem_response(error: ProblemError, path: str) -> Response:
     """Return the problem document of `error` as a response."""
     status, title, retry_after = KINDS[error.kind]
     headers = {} if retry_after is None else {"Retry-After": str(retry_after)}
-    about = {"title": title, "status": status, "detail": error.detail, "instance": path}
+    # Half of a surrogate pair, which JSON can escape and UTF-8 cannot hold, is told by its escape.
+    detail = error.detail.encode(errors="backslashreplace").decode()
+    about = {"title": title, "status": status, "detail": detail, "instance": path}
     return JSONResponse({"type": TYPE_PREFIX + error.kind, **about}, status, headers | error.headers, MEDIA_TYPE)
 
 

@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Callable
 from functools import partial
 
-from anyio import to_thread
+from anyio import CapacityLimiter, to_thread
 
 from dsbrdf.engines.engine import Engine
 
@@ -29,6 +29,7 @@ class Readiness:
             "The disk": partial(store.check_space, settings.min_free_mb),
             "The engine": engine.check,
         }
+        self._thread = CapacityLimiter(1)  # Requests have other threads, so that none waits before a check.
         self._current = ""  # The name of the running check.
         self._answer: asyncio.Task[str | None] | None = None
 
@@ -44,7 +45,8 @@ class Readiness:
         if self._stopping:
             return "The service is shutting down."
         if self._answer is None or self._answer.done():
-            self._answer = asyncio.create_task(to_thread.run_sync(self._check, abandon_on_cancel=True))
+            check = to_thread.run_sync(self._check, abandon_on_cancel=True, limiter=self._thread)
+            self._answer = asyncio.create_task(check)
         answer = self._answer
         await asyncio.wait([answer], timeout=LIMIT)
         return answer.result() if answer.done() else f"{self._current} has not answered within {LIMIT:g} s."

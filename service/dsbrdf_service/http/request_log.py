@@ -9,16 +9,17 @@ import re
 import secrets
 from time import perf_counter
 
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..access.authentication import Access
 from ..errors import ProblemError
 from ..log import bind
 from ..settings import Settings
-from .limits import BodyTimeout, check_head
+from .limits import ABORT, BodyTimeout, check_head
 from .metrics import NO_ROUTE, Metrics
 from .problems import problem_of, problem_response
+from .responses import PIECE_BYTES
 
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 IS_HEAD = "dsbrdf.is_head"
@@ -56,7 +57,7 @@ class RequestLogMiddleware:
             return
         headers = dict(scope["headers"])
         body = BodyTimeout(receive, *self._body_limits)
-        exchange = _Exchange(scope["method"], headers.get(b"x-request-id", b""), send)
+        exchange = _Exchange(scope, headers.get(b"x-request-id", b""), send, *self._body_limits)
         bind("request_id", exchange.request_id)
         if exchange.method == "HEAD":
             scope = {**scope, "method": "GET", IS_HEAD: True}
@@ -73,7 +74,7 @@ class RequestLogMiddleware:
             # What the application raises is answered and logged by it. An answer that broke off in the middle is the
             # server's to log and to cut off.
             await exchange.refuse(scope, error)
-            if not exchange.complete:
+            if not (exchange.complete or exchange.given_up):
                 raise
         finally:
             self._access.release(caller)
@@ -106,13 +107,19 @@ class RequestLogMiddleware:
 class _Exchange:
     """One request and the state of its response."""
 
-    __slots__ = ("_send", "begin", "complete", "method", "request_id", "status")
+    __slots__ = (
+        *("_abort", "_idle_timeout", "_min_rate", "_n_sent", "_send", "_waited"),
+        *("begin", "complete", "given_up", "method", "request_id", "status"),
+    )
 
-    def __init__(self, method: str, given_id: bytes, send: Send) -> None:
+    def __init__(self, scope: Scope, given_id: bytes, send: Send, idle_timeout: float, min_rate: float) -> None:
         self.begin = perf_counter()
-        self.method = method
+        self.method = scope["method"]
+        self._abort = scope.get(ABORT, lambda: None)
+        self._idle_timeout, self._min_rate = idle_timeout, min_rate
+        self._n_sent, self._waited = 0, 0.0
         self.status: int | None = None
-        self.complete = False
+        self.complete = self.given_up = False
         self._send = send
         self.request_id = given_id.decode() if _ACCEPTABLE_ID.fullmatch(given_id) else secrets.token_hex(8)
 
@@ -134,6 +141,32 @@ class _Exchange:
             if self.complete:
                 return
             message, self.complete = {"type": "http.response.body"}, True
-        elif not message.get("more_body", False):
+        elif message.get("more_body", False) or len(message["body"]) > PIECE_BYTES:
+            await self._send_in_pieces(message)
+            return
+        else:
             self.complete = True
         await self._send(message)
+
+    async def _send_in_pieces(self, message: Message) -> None:
+        """Send a part of a long answer; close the connection if the client reads more slowly than a body may arrive."""
+        body, begin = message.get("body", b""), perf_counter()
+        for start in range(0, max(len(body), 1), PIECE_BYTES):
+            piece = body[start : start + PIECE_BYTES]
+            is_last = start + PIECE_BYTES >= len(body) and not message.get("more_body", False)
+            timeout = self._idle_timeout
+            if self._min_rate:
+                timeout = min(timeout, timeout + self._n_sent / self._min_rate - self._waited)
+            try:
+                async with asyncio.timeout(timeout):
+                    await self._send({**message, "body": piece, "more_body": not is_last})
+            except TimeoutError:
+                self.given_up = True
+                logger.info("gave up a client that does not read its answer")
+                self._abort()
+                await asyncio.sleep(0)  # The server learns of the end of the connection.
+                raise ClientDisconnect from None
+            self._n_sent += len(piece)
+            self._waited += perf_counter() - begin
+            begin = perf_counter()
+        self.complete = not message.get("more_body", False)

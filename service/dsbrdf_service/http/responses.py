@@ -11,11 +11,15 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from ..storage.blobs import OpenFile
+from ..storage.schema import Caller
+from ..storage.writing import Writing
 
 BINARY = "application/octet-stream"
 JSON = "application/json"
 NPY = "application/x-npy"
-_PIECE = 1 << 18  # bytes of a file that are read at a time
+PIECE_BYTES = 1 << 16
+"""Length of what is handed to a connection at once: it keeps two of them where the client does not read."""
+_MAX_HELD_BYTES = 1 << 18  # A longer answer of its own is kept in a file while it is sent.
 _WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)
 _ASYNC = re.compile(r"(?:^|,)\s*respond-async\s*(?:[,;]|$)", re.IGNORECASE)
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
@@ -67,10 +71,17 @@ class OpenFileResponse(Response):
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         n_sent, is_last = 0, False
         while not is_last:
-            piece = await run_in_threadpool(self._file.read, _PIECE, n_sent)
+            piece = await run_in_threadpool(self._file.read, PIECE_BYTES, n_sent)
             n_sent += len(piece)
             is_last = n_sent >= self._size or not piece
             await send({"type": "http.response.body", "body": piece, "more_body": not is_last})
+
+
+async def long_reply(writing: Writing, caller: Caller, content: bytes, headers: Mapping[str, str]) -> Response:
+    """Return the answer with a content that nobody else shares: a long one waits for its reader in a file."""
+    if len(content) <= _MAX_HELD_BYTES:
+        return Response(content, 200, dict(headers))
+    return OpenFileResponse(await writing.answer_with(caller, content), headers)
 
 
 def preferred_wait(request: Request, default: float, longest: float) -> float:

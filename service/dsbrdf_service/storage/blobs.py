@@ -1,7 +1,7 @@
 """Measurement files on disk: written under a temporary name, then moved into place in one step.
 
 A file is placed before its row is committed, and goes after its row's end: see `removal`. Its name is the sha256 of its
-bytes; whoever reads it compares the two first, or at least its length with that of its row.
+bytes; whoever reads it compares the two first, by a digest that is computed once as long as the file stays untouched.
 """
 
 import errno
@@ -59,8 +59,9 @@ class Incoming:
 class OpenFile:
     """A file to be read, which is closed when nobody has it any more; it stays readable if it is deleted meanwhile."""
 
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, descriptor: int, hold: object = None) -> None:
         self._descriptor = descriptor
+        self._hold = hold
         weakref.finalize(self, os.close, descriptor)
 
     @property
@@ -78,7 +79,9 @@ class Blobs:
 
     def __init__(self, folder: Path) -> None:
         self._blobs = folder / "blobs"
-        self.temporary = folder / "tmp"  # also for request bodies that are too long for the memory
+        self.temporary = folder / "tmp"
+        # For each measurement whose digest was right, the stat that its file had then.
+        self._sound: dict[str, tuple[int, ...]] = {}
 
     def make_folders(self) -> None:
         """Make both folders if they do not exist; raise DataFolderError if something else is in their place."""
@@ -94,10 +97,13 @@ class Blobs:
         return Incoming(self.temporary)
 
     @contextmanager
-    def temporary_file(self) -> Iterator[tuple[OpenFile, Path]]:
-        """Yield a file that the block writes by its path, which has no name any more when the block has ended."""
+    def temporary_file(self, hold: object) -> Iterator[tuple[OpenFile, Path]]:
+        """Yield a file that the block writes by its path, which has no name any more when the block has ended.
+
+        The `hold` lives as long as the file.
+        """
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=self.temporary)
-        file = OpenFile(descriptor)
+        file = OpenFile(descriptor, hold)
         try:
             yield file, Path(name)
         finally:
@@ -114,27 +120,29 @@ class Blobs:
             _sync_folder(self._blobs)
         incoming.path.replace(target)
         _sync_folder(target.parent)
+        self._sound[incoming.sha256] = _stamp(target.stat())
 
-    def damage(self, sha256: str, size: int | None = None) -> str | None:
-        """Return what is wrong with a measurement's file; None if it has the bytes that it is named by: all are read.
+    def damage(self, sha256: str) -> str | None:
+        """Return what is wrong with a measurement's file; None if it has the bytes that it is named by.
 
-        If the `size` is given that its row says, only its length is looked at.
-
-        Raises OSError if too many files are open.
+        All bytes are read, unless they were right before and the file's stat has not changed since. Raises OSError if
+        too many files are open.
         """
         path = self.path(sha256)
         try:
             status = path.stat()
-            if not stat.S_ISREG(status.st_mode):  # a pipe would have to be waited for
+            if not stat.S_ISREG(status.st_mode):  # A pipe would have to be waited for.
                 return "it is no regular file"
-            if size is not None:
-                return None if status.st_size == size else f"it has {status.st_size} bytes instead of {size}"
+            if self._sound.get(sha256) == _stamp(status):
+                return None
             with path.open("rb") as file:
                 right = hashlib.file_digest(file, "sha256").hexdigest() == sha256
         except OSError as error:
-            if error.errno in (errno.EMFILE, errno.ENFILE):  # the file may be sound
+            if error.errno in (errno.EMFILE, errno.ENFILE):  # The file may be sound.
                 raise
             return error.strerror or str(error)
+        if right:
+            self._sound[sha256] = _stamp(status)
         return None if right else "its sha256 is another one"
 
     def all(self) -> Iterator[str]:
@@ -154,6 +162,11 @@ class Blobs:
         with tempfile.TemporaryFile(dir=self.temporary, buffering=0) as probe:
             probe.write(b"ready?")
             os.fsync(probe.fileno())
+
+
+def _stamp(status: os.stat_result) -> tuple[int, ...]:
+    """Return what changes whenever a file is written or replaced."""
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 def _sync_folder(folder: Path) -> None:

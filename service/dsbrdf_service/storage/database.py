@@ -2,22 +2,27 @@
 
 import fcntl
 import os
+import shutil
 import sqlite3
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from anyio import CapacityLimiter, to_thread
 
 from ..errors import DatabaseLostError, DataFolderError
-from .schema import create_tables
+from .schema import VERSION, create_tables
 
 FILE_NAME = "dsbrdf.sqlite"
+RESERVE = Path("run", "reserve")
+"""File that gives its room to a service that starts on a full disk, so that measurements can be deleted there."""
 _BUSY_TIMEOUT = 5.0  # [s] When a transaction has waited so long for others, its request is answered with 503.
 _MIN_DATABASE_BYTES = 512  # SQLite takes a shorter file for an empty database, and writes over it.
+_MIN_FREE_BYTES = 1 << 16  # The files beside the database need so much.
 _RESTORE = "restore the folder from a copy; nothing in it has been changed"
 _REMEDIES = {
     sqlite3.SQLITE_CORRUPT: _RESTORE,
@@ -47,10 +52,13 @@ class Database:
         _claim(folder)
         self._path = folder.resolve() / FILE_NAME
         self._writer_lock, self._reader_lock = threading.Lock(), threading.Lock()
+        self._written_at = float("-inf")
         try:
             with ExitStack() as resources:
                 if exclusive:
                     resources.enter_context(_lock(folder))
+                    if _is_full(folder):
+                        (folder / RESERVE).unlink(missing_ok=True)
                 check_integrity(folder)
                 with suppress(FileExistsError):  # SQLite gives its other files the same mode
                     os.close(os.open(self._path, os.O_CREAT | os.O_EXCL, 0o600))
@@ -100,6 +108,23 @@ class Database:
                 self._writer.execute("BEGIN IMMEDIATE")
                 yield self._writer
             self._check_files()  # what has been written to a log without a name is not durable
+            self._written_at = monotonic()
+        finally:
+            self._writer_lock.release()
+
+    def check_writing(self) -> None:
+        """Raise sqlite3.Error or OSError unless rows can be written; wait for nobody who writes.
+
+        While others write, the last transaction that has ended is proof enough.
+        """
+        self._check_files()
+        if not self._writer_lock.acquire(blocking=False):
+            if monotonic() - self._written_at > _BUSY_TIMEOUT:
+                raise sqlite3.OperationalError("a transaction takes too long")
+            return
+        try:
+            # To write the value that is there is to write, too.
+            self._writer.execute(f"PRAGMA user_version = {VERSION}")
         finally:
             self._writer_lock.release()
 
@@ -159,6 +184,10 @@ def own_folder(folder: Path) -> Path:
     return folder
 
 
+def _is_full(folder: Path) -> bool:
+    return shutil.disk_usage(folder).free < _MIN_FREE_BYTES
+
+
 def _claim(folder: Path) -> None:
     """Make the folder; raise DataFolderError if it holds anything, but no database of the service."""
     try:
@@ -182,6 +211,8 @@ def _claim(folder: Path) -> None:
 def _cannot_be_opened(folder: Path, error: sqlite3.DatabaseError) -> DataFolderError:
     """Return an error of SQLite as one that says what helps: only a damaged database needs a copy."""
     remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)  # without its details
+    if _is_full(folder):  # SQLite says "disk I/O error" then.
+        remedy = _REMEDIES[sqlite3.SQLITE_FULL]
     return DataFolderError(
         f"the database {folder / FILE_NAME} cannot be opened: {error}" + (f"; {remedy}" if remedy else "")
     )

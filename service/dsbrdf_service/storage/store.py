@@ -12,6 +12,7 @@ import sqlite3
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,13 +20,12 @@ import dsbrdf
 
 from ..errors import FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
 from .blobs import Blobs, Incoming
-from .database import Database, own_folder
+from .database import RESERVE, Database, own_folder
 from .removal import remove_files, remove_rows
 from .schema import (
     IS_UNFINISHED,
     ROW_SIZE,
     UNFINISHED,
-    VERSION,
     Caller,
     FitKey,
     FitRow,
@@ -34,10 +34,11 @@ from .schema import (
     checksum,
     columns,
 )
-from .uploads import Uploads, check_key, check_queue, check_storage
+from .writing import Writing, check_key, check_queue, check_storage
 
 logger = logging.getLogger(__name__)
 
+_RESERVE_BYTES = 1 << 22
 _SELECT_FIT = f"SELECT {columns(FitRow)} FROM fits"  # noqa: S608 (constants only)
 _SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
@@ -69,13 +70,15 @@ class Store:
         self.folder = folder
         self.database = Database(folder)
         self.blobs = Blobs(folder)
-        self.uploads = Uploads(self.database, self.blobs)
+        self.writing = Writing(self.database, self.blobs)
         self.running = folder.resolve() / "run"  # for what is there as long as the service runs
         try:
             self.blobs.make_folders()
             self.blobs.clear_temporary()
             for left in own_folder(self.running).glob("pymp-*"):  # folders, as multiprocessing names them
                 shutil.rmtree(left, ignore_errors=True)
+            with suppress(OSError):  # A full disk has no room for it, and the service can start without.
+                (folder / RESERVE).write_bytes(bytes(_RESERVE_BYTES))
         except BaseException:
             self.close()
             raise
@@ -124,28 +127,25 @@ class Store:
             raise MeasurementDamagedError(damage)
         return self.blobs.path(sha256)
 
-    def measurement_file(
-        self, owner: str, sha256: str, *, drawn: Literal["grid", "samples", "any"] | None = None
-    ) -> Path:
+    def measurement_file(self, owner: str, sha256: str, kind: Literal["grid", "samples", "any"] = "any") -> Path:
         """Return the file of a measurement, which has the bytes that it is named by: whoever reads it asks here.
 
-        Of one that is to be `drawn`, only the length is looked at. So many pictures of a file cost no more than one.
-
         Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if it is damaged,
-        and ProblemError if it is to be `drawn` as what it is not: as a grid or as samples.
+        and ProblemError if it is not of the `kind`.
         """
         row = self.measurement(owner, sha256)
-        damage = self.blobs.damage(sha256, row.size if drawn else None)
-        if damage is not None:
-            self.measurement(owner, sha256)  # raises if it has been deleted meanwhile, file and row
-            logger.error("the file of the measurement %s is damaged: %s", sha256, damage)
-            raise MeasurementDamagedError(damage)
-        if drawn == "grid" and not row.on_grid:
+        try:
+            path = self.sound_file(sha256)
+        except MeasurementDamagedError as error:
+            self.measurement(owner, sha256)  # This raises if it has been deleted meanwhile, file and row.
+            logger.error("the file of the measurement %s is damaged: %s", sha256, error)  # noqa: TRY400 (no traceback)
+            raise
+        if kind == "grid" and not row.on_grid:
             detail = "It is a table of scattered samples, of which there is no picture and no value between them."
             raise ProblemError("not-found", detail)
-        if drawn == "samples" and row.on_grid:
+        if kind == "samples" and row.on_grid:
             raise ProblemError("not-found", "It is a measurement on a grid, which has nodes in the place of samples.")
-        return self.blobs.path(sha256)
+        return path
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, older than the row number `before`; those of one name."""
@@ -308,9 +308,15 @@ class Store:
     def resume(self) -> list[FitKey]:
         """Set the fits that an earlier process has left running back to accepted; return all accepted, oldest first.
 
-        That they were started does not count as an attempt.
+        That they were started does not count as an attempt. Fits of another version of the algorithm fail: their ids
+        name results that this release does not compute.
         """
+        other = f"The service has another fit algorithm since this fit was accepted, {dsbrdf.ALGORITHM_VERSION}; send "
+        fault = {"origin": "system", "type": "OtherRelease", "message": f"{other}the request again for a new fit."}
         with self.database.transaction() as db:
+            change = "UPDATE fits SET status = 'failed', finished = ?, error = ?"
+            values = time.time(), json.dumps(fault), dsbrdf.ALGORITHM_VERSION
+            db.execute(f"{change} WHERE {IS_UNFINISHED} AND algorithm != ?", values)
             db.execute("UPDATE fits SET status = 'accepted', started = NULL, attempts = 0 WHERE status = 'running'")
             rows = db.execute("SELECT owner, id FROM fits WHERE status = 'accepted' ORDER BY rowid")
             return [FitKey(*row) for row in rows]
@@ -339,8 +345,7 @@ class Store:
         """Raise sqlite3.Error or OSError unless rows can be read and written."""
         for table in ("fits", "measurements"):
             self.database.rows(f"SELECT * FROM {table} ORDER BY rowid DESC LIMIT 1")  # noqa: S608
-        with self.database.transaction() as db:
-            db.execute(f"PRAGMA user_version = {VERSION}")  # writing the same value is a write too
+        self.database.check_writing()
 
     def _advance(
         self, change: str, values: tuple[object, ...], key: FitKey, condition: str = IS_UNFINISHED

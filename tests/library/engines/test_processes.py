@@ -25,6 +25,7 @@ from tests.support.crashing_tasks import (
     exit_with,
     fill_and_free,
     nice_value,
+    spin,
     stop_itself,
 )
 from tests.support.dask_cluster import forked
@@ -116,6 +117,11 @@ def test_process_whose_server_is_lost_is_ended_and_another_server_is_started(pro
     stopped.cancel()
     wait_until(stopped.done)
     wait_until(lambda: not alive(victim))
+
+
+def test_a_limit_of_processor_time_is_no_crash() -> None:
+    fault = run_alone(spin, processor_seconds=1.0)
+    assert (fault.origin, fault.type) == ("compute", "ProcessorLimit")
 
 
 def test_a_process_gives_way_as_its_limits_say() -> None:

@@ -71,12 +71,23 @@ def test_invalid_options_are_named(
 NO_MEASUREMENT = b'{"measurement": "' + b"0" * 64 + b'", '
 BODIES = [b"", b"{", b"[]", b"{}", b'{"measurement": 3}', b'{"measurement": "../../etc/passwd"}', b"\xff\xfe"]
 BODIES += [NO_MEASUREMENT + b'"options": []}', NO_MEASUREMENT + b'"option": {}}', b"[" * 20_000]
+BODIES += [
+    NO_MEASUREMENT + b'"measurement": "%b"}' % (b"0" * 64),
+    NO_MEASUREMENT + b'"options": {"mask": 1, "mask": 2}}',
+]
+BODIES += [NO_MEASUREMENT + b'"options": {"%b": "\\ud800"}}' % name for name in (b"knots_deg", b"method", b"\\udfff")]
 
 
 @pytest.mark.parametrize("body", BODIES)
 def test_invalid_documents_are_named(server: Server, body: bytes) -> None:
     answer = server.http.post("/v1/fits", content=body, headers={"Content-Type": "application/json"})
     assert_problem(answer, 422, "invalid-argument")
+
+
+def test_a_name_of_points_is_given_once(server: Server, fitted: str) -> None:
+    body = b'{"theta_half_deg": 1, "theta_diff_deg": 2, "theta_half_deg": 3}'
+    answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=body, headers={"Content-Type": "application/json"})
+    assert "'theta_half_deg' is given more than once" in assert_problem(answer, 422, "invalid-argument")
 
 
 def test_unknown_resources_are_not_found(server: Server) -> None:

@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import Future
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,14 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.types import Message
 
 from dsbrdf.components import decomposition
-from dsbrdf.engines import FitLimits
+from dsbrdf.engines import Fault, FitLimits, Processes
+from dsbrdf.engines.engine import MEMORY_LIMIT
 from dsbrdf_service.access.authentication import CALLER_NAME
 from dsbrdf_service.api import exports, pictures, uploads, values
 from dsbrdf_service.compute import steps
 from dsbrdf_service.compute.computations import Computations
+from dsbrdf_service.http.responses import OpenFileResponse
+from dsbrdf_service.storage.blobs import OpenFile
 from dsbrdf_service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
@@ -182,6 +186,49 @@ class Client:
     async def _receive(self) -> Message:
         await self.leaves.wait()
         return {"type": "http.disconnect"}
+
+
+@pytest.mark.parametrize(
+    ("fault", "status", "asks_again"),
+    [
+        (Fault("compute", "ProcessorLimit", "."), 422, False),
+        (MEMORY_LIMIT, 422, False),
+        (Fault("compute", "InternalError", "."), 500, False),
+        (Fault("compute", "TimeLimit", "."), 503, True),
+        (Fault("system", "ProcessLost", "."), 503, True),
+    ],
+)
+async def test_only_what_may_succeed_is_to_be_asked_for_again(
+    running: Application, key: str, monkeypatch: pytest.MonkeyPatch, fault: Fault, status: int, *, asks_again: bool
+) -> None:
+    def fail(*_: object) -> Future[Fault]:
+        future: Future[Fault] = Future()
+        future.set_result(fault)
+        return future
+
+    monkeypatch.setattr(Processes, "call", fail)
+    for address in (EXPORT, SPHERE):
+        answer = await running.ask(address, key).end()
+        assert answer.status == status
+        assert ("retry-after" in answer.headers) == (b"ask for it again" in answer.body) == asks_again
+
+
+async def test_an_export_is_made_once_for_all_to_whom_it_is_being_sent(
+    running: Application, key: str, monkeypatch: pytest.MonkeyPatch, block: Block
+) -> None:
+    made, kept = block(steps, "export_model"), []
+    made.may_return.set()
+
+    def keep(file: OpenFile, headers: dict[str, str]) -> OpenFileResponse:
+        kept.append(file)
+        return OpenFileResponse(file, headers)
+
+    monkeypatch.setattr(exports, "OpenFileResponse", keep)
+    bodies = {(await running.ask(EXPORT, key).end()).body for _ in range(3)}
+    assert (len(made.calls), len(bodies)) == (1, 1)
+    kept.clear()
+    await running.ask(EXPORT, key).end()
+    assert len(made.calls) == 2
 
 
 async def test_end_of_a_computation_that_was_given_up_leaves_the_next_one_shared() -> None:

@@ -85,6 +85,15 @@ def test_body_below_the_minimum_rate_times_out(
     wait_until(lambda: impatient.files() == before)
 
 
+def test_answer_that_nobody_reads_is_given_up(impatient: Server, data: bytes) -> None:
+    sha256 = impatient.http.post("/v1/measurements", content=data).json()["sha256"]
+    head = f"GET /v1/measurements/{sha256}/content HTTP/1.1\r\nHost: x\r\n\r\n"
+    with impatient.connection(head.encode()) as connection:
+        wait_until(lambda: impatient.log.read_text().count("gave up") == 1, 20.0)
+        assert len(rest(connection)) < len(data)
+    assert "Traceback" not in impatient.log.read_text()
+
+
 def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: Callable[..., Server], data: bytes) -> None:
     patience = 3 * PATIENCE  # for a client that is held up by a busy machine
     server = own_server(fits=False, idle_timeout=str(patience), least_upload_rate="100000")

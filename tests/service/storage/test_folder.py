@@ -335,7 +335,7 @@ def test_deletion_that_cannot_be_committed_keeps_the_file(
             store.remove_measurement("", sha256)
     assert store.measurement_file("", sha256).read_bytes() == b"content"
     assert store.remove_measurement("", sha256)
-    assert not stored(tmp_path)
+    assert not store.blobs.path(sha256).exists()
 
 
 def test_measurement_is_deleted_also_where_its_file_cannot_be(

@@ -1,17 +1,14 @@
 """The store on its own: what a fit may become, what owners share and may have, and what a failure leaves."""
 
-import asyncio
 import shutil
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AsyncExitStack
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 import dsbrdf
-from dsbrdf.data import FILE_SIZE
 from dsbrdf_service.errors import (
     DatabaseLostError,
     DataFolderError,
@@ -139,31 +136,6 @@ def test_upload_that_cannot_be_placed_leaves_no_row(store: Store, monkeypatch: p
     with pytest.raises(OSError, match="No space"):
         store.add_measurement(LOCAL, receive(store))
     assert store.measurements("", 9, None) == []
-
-
-def test_uploads_in_progress_count_towards_the_quota_but_one_may_exceed_it(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def most_at_once(caller: Caller, most: int) -> None:
-        async with AsyncExitStack() as stack:
-            with monkeypatch.context() as broken:
-                broken.setattr(store.blobs, "incoming", lambda: 1 / 0)
-                with pytest.raises(ZeroDivisionError):  # Nothing is reserved.
-                    await stack.enter_async_context(store.uploads.incoming(caller))
-            for _ in range(most):
-                await stack.enter_async_context(store.uploads.incoming(caller))
-            for _ in range(2):
-                with pytest.raises(ProblemError, match=f"and {most} uploads? in progress, which take the rest"):
-                    await stack.enter_async_context(store.uploads.incoming(caller))
-            assert len(list((tmp_path / "tmp").iterdir())) == most  # nothing of what is refused is written
-            await stack.enter_async_context(store.uploads.incoming(Caller("another", stored_bytes=0)))
-
-    for stored_bytes, most in ((0, 1), (FILE_SIZE - 1, 1), (2 * FILE_SIZE, 2), (3 * FILE_SIZE - 1, 2)):
-        for _ in range(2):
-            asyncio.run(most_at_once(Caller(str(stored_bytes), stored_bytes=stored_bytes), most))
-    with pytest.raises(pytest.fail.Exception):
-        asyncio.run(most_at_once(Caller(), 100))
-    assert list((tmp_path / "tmp").iterdir()) == []
 
 
 def test_cancelled_fits_and_results_count_as_stored_bytes(store: Store) -> None:

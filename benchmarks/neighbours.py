@@ -1,0 +1,213 @@
+"""What one API key's worst requests cost the others: waits of another key, readiness, and memory of the web process.
+
+One key sends tables that take long to read, HEAD requests, exports and tables that it does not read, or uploads that it
+does not end. Meanwhile another key asks for values, the document of its fit and what is understood of a table of 400
+rows, one after the other. The exit code is 1 if a row is missed; other work on the machine makes rows miss.
+"""
+
+import argparse
+import random
+import socket
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import httpx
+
+from benchmarks.durability_series.harness import Harness
+from benchmarks.http_load import PeakMemory, Row
+from dsbrdf.data import synthetic_measurement, write_merl
+from dsbrdf.data.merl_validation import FILE_SIZE
+from dsbrdf_service.access.keys import add_key
+from dsbrdf_service.storage.database import Database
+from tests.support.processes import wait_until
+from tests.support.server import QUICK, Server
+
+CONNECTIONS = 240
+MAX_MEDIAN_MS = 50.0
+MAX_WAIT_S = 2.0
+MAX_MEMORY_MB = 250.0
+_NAMES = b"theta_in,phi_in,theta_out,phi_out,red,green,blue\n"
+_TABLE_BYTES = 8_000_000
+_WORST_TABLES = (
+    b"a," * (_TABLE_BYTES // 2),
+    (b"a," * 8000 + b"\n") * (_TABLE_BYTES // 16_001),
+    _NAMES + b"a,b,c,d,e,f,g\n" * (_TABLE_BYTES // 14),
+    _NAMES + b",,,,,,\n" * 700_000,
+    _NAMES + b"10,0,20,180,0.1,0.1,0.1\n" * (_TABLE_BYTES // 24),
+    b"theta_out / theta_in" + b",1" * 1990 + b"\n" + (b"1" + b",1" * 1990 + b"\n") * 2000,
+)
+_ROW = b"%d,0,%d,180,0.1,0.1,0.1\n"
+_SMALL_TABLE = _NAMES + b"".join(_ROW % (1 + i % 80, 1 + i // 5) for i in range(400))
+
+
+class Place(NamedTuple):
+    """A service with two keys, each of which has a measurement and a fit."""
+
+    server: Server
+    attacker: str
+    neighbour: str
+    measurement: str
+    fit: str
+
+
+def _headers(key: str, **more: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {key}", **more}
+
+
+def _repeatedly(place: Place, ask: Callable[[httpx.Client, int], object], threads: int, end: threading.Event) -> None:
+    """Ask again and again in some threads until the end."""
+
+    def run(number: int) -> None:
+        with httpx.Client(base_url=place.server.http.base_url, headers=_headers(place.attacker), timeout=120) as client:
+            while not end.is_set():
+                ask(client, number)
+                number += threads
+
+    for number in range(threads):
+        threading.Thread(target=run, args=(number,), daemon=True).start()
+
+
+@contextmanager
+def tables(place: Place) -> Iterator[None]:
+    """Send tables that take long to read, two at a time."""
+
+    def ask(client: httpx.Client, number: int) -> object:
+        body = _WORST_TABLES[number % len(_WORST_TABLES)]
+        return client.post("/v1/measurements", content=body, headers={"Content-Type": "text/csv"})
+
+    end = threading.Event()
+    _repeatedly(place, ask, 2, end)
+    yield
+    end.set()
+
+
+@contextmanager
+def heads(place: Place) -> Iterator[None]:
+    """Ask whether the measurement is stored, on 16 connections."""
+    end, url = threading.Event(), f"/v1/measurements/{place.measurement}/content"
+    _repeatedly(place, lambda client, _: client.head(url), 16, end)
+    yield
+    end.set()
+
+
+def _unread(place: Place, head: str, body: bytes = b"") -> Callable[[], socket.socket]:
+    lines = f"{head} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {place.attacker}\r\n"
+    length = f"Content-Length: {FILE_SIZE}\r\n" if body else ""
+    return partial(place.server.connection, f"{lines}{length}\r\n".encode() + body)
+
+
+@contextmanager
+def _open(connect: Callable[[], socket.socket]) -> Iterator[None]:
+    """Keep connections open that nobody reads."""
+    with ExitStack() as connections:
+        for _ in range(CONNECTIONS):
+            connections.enter_context(connect())
+        yield
+
+
+def exports(place: Place) -> AbstractContextManager[None]:
+    """Ask for MERL files of the fit, and do not read them."""
+    return _open(_unread(place, f"GET /v1/fits/{place.fit}/export?format=merl"))
+
+
+def unread(place: Place) -> AbstractContextManager[None]:
+    """Ask for tables of the measurement, and do not read them."""
+    return _open(_unread(place, f"GET /v1/measurements/{place.measurement}/table.npy"))
+
+
+def uploads(place: Place) -> AbstractContextManager[None]:
+    """Begin uploads, and do not end them."""
+    begin = (place.server.data_dir.parent / "plastic.binary").read_bytes()[:1_000_000]
+    return _open(_unread(place, "POST /v1/measurements", begin))
+
+
+ATTACKS: dict[str, Callable[[Place], AbstractContextManager[None]]] = {
+    "tables": tables,
+    "heads": heads,
+    "exports": exports,
+    "unread": unread,
+    "uploads": uploads,
+}
+
+
+def measure(place: Place, attack: str, seconds: float) -> list[Row]:
+    """Measure the waits of the neighbour during an attack."""
+    probes: dict[str, Callable[[httpx.Client], httpx.Response]] = {
+        "values": lambda client: client.get(f"/v1/fits/{place.fit}/brdf?theta_half_deg=1&theta_diff_deg=2"),
+        "document": lambda client: client.get(f"/v1/fits/{place.fit}"),
+        "table": lambda client: client.post("/v1/tables", content=_SMALL_TABLE, headers={"Content-Type": "text/csv"}),
+    }
+    waits: dict[str, list[float]] = {name: [] for name in probes}
+    refused, memory, base = 0, PeakMemory(place.server.process.pid), place.server.http.base_url
+    with ATTACKS[attack](place), httpx.Client(base_url=base, headers=_headers(place.neighbour), timeout=60) as client:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            for name, probe in probes.items():
+                begin = time.perf_counter()
+                probe(client).raise_for_status()
+                waits[name].append(time.perf_counter() - begin)
+            refused += client.get("/health/ready").status_code != 200
+            time.sleep(0.02)
+    peak = (memory.before + memory.growth()) / (1 << 20)
+    medians = {name: 1e3 * statistics.median(times) for name, times in waits.items()}
+    largest = {name: max(times) for name, times in waits.items()}
+    shown = ", ".join(f"{name} {medians[name]:.0f} ms / {largest[name]:.2f} s" for name in waits)
+    holds = max(medians.values()) <= MAX_MEDIAN_MS and max(largest.values()) <= MAX_WAIT_S and not refused
+    asked = (
+        f"{attack}: another key waits {MAX_MEDIAN_MS:.0f} ms in the median, {MAX_WAIT_S:.0f} s at most, always ready"
+    )
+    return [
+        Row(asked, f"{shown}; not ready {refused} times", holds),
+        Row(
+            f"{attack}: memory of the web process at most {MAX_MEMORY_MB:.0f} MB",
+            f"{peak:.0f} MB",
+            peak <= MAX_MEMORY_MB,
+        ),
+    ]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks neighbours", description=__doc__)
+    parser.add_argument("--only", nargs="+", choices=ATTACKS, metavar="ATTACK", help=f"some of: {', '.join(ATTACKS)}")
+    parser.add_argument("--seconds", type=float, default=15.0, help="time of each attack (default: 15)")
+    arguments = parser.parse_args(argv)
+    print("| asked | median / largest | |\n|---|---|---|", flush=True)
+    missed = False
+    with tempfile.TemporaryDirectory(prefix="dsbrdf-") as name:
+        folder, data = Path(name), Path(name) / "data"
+        file = folder / "plastic.binary"
+        write_merl(file, synthetic_measurement(noise=0.02, seed=1))
+        harness = Harness(folder, file, random.Random(0), own_interpreter=True)
+        with closing(Database(data, exclusive=False)) as database:
+            keys = [add_key(database, name, requests_per_second=1e6)[1] for name in ("attacker", "neighbour")]
+        with harness.server(require_keys="true", workers="1") as server:
+            server.start()
+            for key in keys:
+                answer = httpx.post(
+                    f"{server.http.base_url}/v1/fits",
+                    params=QUICK,
+                    content=file.read_bytes(),
+                    headers=_headers(key, **{"Content-Type": "application/octet-stream", "Prefer": "wait=300"}),
+                    timeout=300,
+                )
+                document = answer.raise_for_status().json()
+            place = Place(server, keys[0], keys[1], document["measurement"], document["id"])
+            for attack in arguments.only or ATTACKS:
+                for row in measure(place, attack, arguments.seconds):
+                    print(f"| {row.asked} | {row.measured} | {'ok' if row.holds else 'missed'} |", flush=True)
+                    missed |= not row.holds
+                wait_until(lambda: server.http.get("/health/ready").is_success, 60.0)
+    return int(missed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
