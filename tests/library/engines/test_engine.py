@@ -116,7 +116,7 @@ def test_failed_fit_is_a_fault_that_says_why(
     limits: FitLimits,
     fault: tuple[str, str, str],
 ) -> None:
-    (tmp_path / "other.binary").write_bytes(b"nothing of the kind")
+    (tmp_path / "other.binary").write_bytes(bytes(range(256)))
     path = plastic_file if name == "plastic" else tmp_path / f"{name}.binary"
     outcome, _ = run(stage, FitTask("one", path, options), limits)
     assert isinstance(outcome, Fault)
