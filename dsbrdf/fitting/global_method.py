@@ -18,7 +18,7 @@ from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
 from dsbrdf.data.weighting import DARK_VALUE_FRACTION, TINY, bin_weights
 from dsbrdf.errors import FitError
-from dsbrdf.fitting.least_squares import SMOOTHING, FitData, MixtureProblem, Solution, minimize
+from dsbrdf.fitting.least_squares import SMOOTHING, TOLERANCE, FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.lobe_search import SearchData, Wanted, search
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
@@ -37,6 +37,12 @@ KNOTS = {
 }
 """Knots of amplitudes, shapes and elongations [rad] for each variation; a single one is a constant."""
 SEARCH_KNOTS = KNOTS | {"full": (AMPLITUDE_KNOTS, np.radians([0.0, 55.0, 79.0, 89.0]), ELONGATION_KNOTS)}
+FINE_KNOTS = (
+    np.radians([0.0, 25.0, 50.0, 65.0, 72.0, 77.0, 81.0, 89.0]),
+    np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0]),
+    ELONGATION_KNOTS,
+)
+"""Knots [rad] of a small fixed number of lobes, whose every parameter has to follow more of a material."""
 MAX_ITERATIONS = 300
 COARSE_ITERATIONS = 10
 """Bound on the iterations with a few bins of phi_diff: more are undone when all bins follow."""
@@ -92,15 +98,16 @@ def fit_global(
     searched = tuple(
         _select(data, weight, *lines) for lines in ((SEARCH_ROWS, SEARCH_COLUMNS), (HELD_OUT_ROWS, HELD_OUT_COLUMNS))
     )
-    stages = itertools.count(1)
+    stages, wanted = itertools.count(1), Wanted(options.n_lobes, options.ring_lobes)
     mixture, steps = search(
         _search_data(*searched),
         coarse,
-        Wanted(options.n_lobes, options.ring_lobes),
+        wanted,
         lambda found: _search_data(*(_exact(part, found) for part in searched)),
         lambda: progress(0.5 * min(next(stages) / EXPECTED_SEARCH_STAGES, 1.0)),
     )
-    fine = _structure(weight, KNOTS[options.variation], options, options.knots)
+    knots = FINE_KNOTS if wanted.is_few and options.variation == "full" else KNOTS[options.variation]
+    fine = _structure(weight, knots, options, options.knots)
     mixture = change_knots(mixture, replace(fine, rings=mixture.structure.rings))
     on_stage("search")
     solution = _refine(
@@ -211,6 +218,8 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
 
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:
     """Least squares on a few bins of phi_diff, then on all, exact, with outliers weighted down if asked for."""
+    is_few = Wanted(options.n_lobes, options.ring_lobes).is_few
+    tolerance = TOLERANCE if is_few else REFINE_TOLERANCE  # Few lobes are fitted on at little cost.
     rounds = ROBUST_REFINE_ROUNDS if options.robust else REFINE_ROUNDS
     unknowns, weight, iterations = mixture.unknowns, data.weight, 0
     for number in range(rounds):
@@ -225,7 +234,7 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
             problem,
             unknowns,
             iterations=min(MAX_ITERATIONS, COARSE_ITERATIONS) if number == 0 else MAX_ITERATIONS - iterations,
-            tolerance=REFINE_TOLERANCE,
+            tolerance=tolerance,
             on_iteration=lambda i, done=done: progress(done + i / MAX_ITERATIONS / rounds),  # type: ignore[misc]
         )
         unknowns, iterations = solution.unknowns, iterations + solution.iterations

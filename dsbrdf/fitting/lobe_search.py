@@ -8,9 +8,12 @@
 3. **Exchange.** The lobe that would be missed least makes way for the candidate that explains most of what is left.
 4. **Elimination**, if the number of lobes is not fixed: the lobe that would be missed least is dropped and the others
    are fitted on, as long as the error on rows of theta_diff that no mixture was fitted to hardly rises.
+
+If the number is fixed and small, the first three steps are gone through from several starts and the best end is kept:
+few lobes hardly leave the place where they start.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -61,6 +64,12 @@ FIXED_KAPPA_ITERATIONS = 8
 FIT_ITERATIONS = 30
 EXCHANGES = 2
 EXCHANGE_ITERATIONS = 12
+MAX_RESTARTED_LOBES = 5
+"""Fixed number of lobes up to which a search has several starts; more lobes find their places from one."""
+SPARE_LOBES = 3
+"""Number of lobes that one of these starts has in the beginning, and drops."""
+HEAVY_TAIL_FACTOR = 0.3
+"""Factor on kappa of the best end, for a last start: from rounder lobes kappa seldom falls far enough."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +93,11 @@ class Wanted:
         """Leave out rings, unless asked for, where data have so few angles theta_half that any ring explains them."""
         few = data.theta_half.shape[-1] < MIN_COLUMNS_FOR_RINGS
         return replace(self, ring_lobes=0) if few and self.ring_lobes == "auto" else self
+
+    @property
+    def is_few(self) -> bool:
+        """Whether the number of lobes is fixed and so small that one start does not find the best."""
+        return self.n_lobes != "auto" and self.n_lobes <= MAX_RESTARTED_LOBES
 
     def max_lobes(self, data: FitData) -> int:
         """How many lobes are chosen at first: a few angles theta_half cannot tell many lobes apart."""
@@ -161,6 +175,10 @@ def search(
     """
     fitted, wanted = data.fitted, wanted.limited_to(data.fitted)
     dictionary = _Dictionary.at(fitted, empty.family)
+    if wanted.is_few:
+        trials = _Trials(data.held_out, on_stage)
+        trials.add(mixture := _best_of_starts(data, empty, dictionary, wanted, on_stage))
+        return mixture, trials.steps
     mixture = _fit(fitted, _choose(fitted, empty, dictionary, wanted))
     is_auto = wanted.n_lobes == "auto"
     if is_auto and _correlation(fitted, mixture) < NOISE_CORRELATION:
@@ -172,9 +190,7 @@ def search(
             return simple, trials.steps
     else:
         trials = _Trials(data.held_out, on_stage)
-        for _ in range(EXCHANGES):
-            on_stage()
-            mixture = _exchange(fitted, mixture, dictionary, wanted)
+        mixture = _exchange_some(fitted, mixture, dictionary, wanted, on_stage)
         trials.add(mixture)
     while is_auto and any(wanted.may_drop(mixture.structure.rings)):
         fewer = _minimize(fitted, _without_least(fitted, mixture, wanted), EXCHANGE_ITERATIONS)
@@ -211,6 +227,36 @@ def _simplest(
         if trials.add(mixture):
             return mixture
     return None
+
+
+def _best_of_starts(
+    data: SearchData, empty: Structure, dictionary: _Dictionary, wanted: Wanted, on_stage: Callable[[], None]
+) -> Mixture:
+    """Fit a fixed number of lobes from several starts, and return the best on all rows, held out or not."""
+    fitted = data.fitted
+    starts = _starts(fitted, empty, dictionary, wanted)
+    ends = [_exchange_some(fitted, start, dictionary, wanted, on_stage) for start in starts]
+
+    def error(one: Mixture) -> float:
+        return _error(fitted, one) + _error(data.held_out, one)
+
+    best = min(ends, key=error)
+    shift = np.where(best.structure.is_kappa(), np.log(HEAVY_TAIL_FACTOR), 0.0)
+    heavy = Mixture(best.structure, best.structure.limit(best.unknowns + shift))
+    return min((best, _fit(fitted, heavy)), key=error)
+
+
+def _starts(data: FitData, empty: Structure, dictionary: _Dictionary, wanted: Wanted) -> Iterator[Mixture]:
+    """Fit lobes as they are chosen, with no ring or one if rings are optional, and those left of some more."""
+    n_lobes = wanted.max_lobes(data)
+    yield (first := _fit(data, _choose(data, empty, dictionary, wanted)))
+    if wanted.ring_lobes == "auto":
+        others = (n_rings for n_rings in range(min(2, n_lobes)) if n_rings != first.structure.n_rings)
+        yield from (_fit(data, _choose(data, empty, dictionary, Wanted(n_lobes, n_rings))) for n_rings in others)
+    more = _fit(data, _choose(data, empty, dictionary, replace(wanted, n_lobes=n_lobes + SPARE_LOBES)))
+    while more.structure.n_lobes > n_lobes:
+        more = _minimize(data, _without_least(data, more, wanted), EXCHANGE_ITERATIONS)
+    yield _minimize(data, more, FIT_ITERATIONS)
 
 
 def _fit(data: FitData, start: Mixture) -> Mixture:
@@ -306,6 +352,16 @@ def _log_amplitudes(data: FitData, structure: Structure, heights: Array) -> Arra
     typical = np.maximum(typical, MIN_START_HEIGHT * typical.max() + TINY)
     logs = np.log(np.maximum(heights, MIN_START_HEIGHT * typical))
     return smooth_control_values(structure.bases(data.theta_diff)[0], logs.reshape(len(logs), -1))
+
+
+def _exchange_some(
+    data: FitData, mixture: Mixture, dictionary: _Dictionary, wanted: Wanted, on_stage: Callable[[], None]
+) -> Mixture:
+    """Exchange lobes one after the other."""
+    for _ in range(EXCHANGES):
+        on_stage()
+        mixture = _exchange(data, mixture, dictionary, wanted)
+    return mixture
 
 
 def _exchange(data: FitData, mixture: Mixture, dictionary: _Dictionary, wanted: Wanted) -> Mixture:
