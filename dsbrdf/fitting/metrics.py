@@ -12,7 +12,7 @@ theta_half is at least 1 degree, the three channels pooled and every node weighi
 Of scattered samples, whose directions are where somebody chose to measure:
 
     relative_rms_left_out = relative_rms at samples that no fit saw
-    relative_rms_expected = relative_rms over all directions that one table in ten exceeds
+    relative_rms_expected = relative_rms over all directions that one to two tables in ten exceed
 
 What people see, over all directions:
 

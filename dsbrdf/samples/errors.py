@@ -99,7 +99,7 @@ def left_out_errors(
 
 
 def expected_error(prediction: SamplePrediction, model: DSBRDF) -> float:
-    """Return the relative_rms over all directions that the error of one table in ten exceeds."""
+    """Return the relative_rms over all directions that the error of one to two tables in ten exceeds."""
     angles, weight, cosine = _nodes()
     layers = prediction.layers
     values = model.evaluate_unmasked(*angles) + layers.dark

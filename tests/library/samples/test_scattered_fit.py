@@ -170,7 +170,7 @@ def test_errors_at_samples_left_out_are_those_of_new_samples(truth: dsbrdf.DSBRD
     assert not any("depends on one sample" in text for text in result.report.warnings)
 
 
-def test_errors_expected_over_all_directions_are_those_of_new_samples_on_average() -> None:
+def test_errors_expected_over_all_directions_are_rarely_exceeded_by_those_of_new_samples() -> None:
     """Of a single table the true one can be a quarter or many times: a few bright directions decide."""
     ratios = []
     for known, count in ((mixture(1, 0), 60), (TRUTH, 100), (mixture(3, 4), 200)):
@@ -178,7 +178,8 @@ def test_errors_expected_over_all_directions_are_those_of_new_samples_on_average
         result = dsbrdf.fit(noisy(scattered_samples(known, count, seed=count)), n_lobes=2, ring_lobes=0)
         true = scattered_metrics(result.model, new, np.radians(80.0)).relative_rms
         ratios.append((true or np.nan) / (result.report.metrics.relative_rms_expected or np.nan))
-    assert 0.5 < np.exp(np.mean(np.log(ratios))) < 1.4, ratios
+    assert 0.2 < np.exp(np.mean(np.log(ratios))) < 1.0, ratios
+    assert max(ratios) < 1.5, ratios
 
 
 def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF) -> None:
