@@ -202,7 +202,8 @@ def test_outliers_of_a_robust_fit_do_not_count(truth: dsbrdf.DSBRDF) -> None:
     samples = noisy(scattered_samples(truth, 100))
     spoiled = scaled(samples, np.where(np.arange(100) % 20 == 3, 8.0, 1.0)[:, None])
     robust, plain = (
-        median_error(dsbrdf.fit(spoiled, n_lobes=2, ring_lobes=0, robust=robust).model, truth) for robust in (True, False)
+        median_error(dsbrdf.fit(spoiled, n_lobes=2, ring_lobes=0, robust=robust).model, truth)
+        for robust in (True, False)
     )
     assert robust < 0.05
     assert 1.3 * robust < plain
