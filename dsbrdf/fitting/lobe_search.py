@@ -186,7 +186,7 @@ def search(
         fitted, trials = data.fitted, _Trials(data.held_out, on_stage)
         mixture = _minimize(fitted, mixture, EXCHANGE_ITERATIONS)
         trials.add(mixture)
-        if (simple := _simplest(fitted, empty, dictionary, wanted, trials)) is not None:
+        if (simple := _simplest(fitted, empty, dictionary, wanted, exact, trials)) is not None:
             return simple, trials.steps
     else:
         trials = _Trials(data.held_out, on_stage)
@@ -207,10 +207,11 @@ class _Trials:
         self.steps: list[SearchStep] = []
         self._held_out, self._on_trial, self._limit = held_out, on_trial, np.inf
 
-    def add(self, mixture: Mixture) -> bool:
-        """Whether the mixture is good enough to be kept."""
+    def add(self, mixture: Mixture, held_out: FitData | None = None) -> bool:
+        """Whether the mixture is good enough to be kept, on the usual rows held out or its own."""
         self._on_trial()
-        error = _error(self._held_out, mixture) / self._held_out.signal
+        held_out = held_out or self._held_out
+        error = _error(held_out, mixture) / held_out.signal
         kept = error <= self._limit
         self.steps.append(SearchStep(mixture.structure.n_lobes, mixture.structure.n_rings, error, kept))
         self._limit = min(self._limit, (1.0 + TOLERATED_RISE) * error + NEGLIGIBLE_ERROR)
@@ -218,13 +219,23 @@ class _Trials:
 
 
 def _simplest(
-    data: FitData, empty: Structure, dictionary: _Dictionary, wanted: Wanted, trials: _Trials
+    data: FitData,
+    empty: Structure,
+    dictionary: _Dictionary,
+    wanted: Wanted,
+    exact: Callable[[Mixture], SearchData],
+    trials: _Trials,
 ) -> Mixture | None:
-    """Smallest mixture that is as good as the first trial, all of its lobes about the normal if rings are optional."""
+    """Smallest mixture that is as good as the first trial, all of its lobes about the normal if rings are optional.
+
+    Each is judged on data without the errors that the bins make of itself.
+    """
     n_rings, (first,) = 0 if wanted.ring_lobes == "auto" else wanted.ring_lobes, trials.steps
     for n_lobes in range(n_rings + 1, min(n_rings + MAX_SIMPLE_LOBES + 1, first.n_lobes)):
         mixture = _fit(data, _choose(data, empty, dictionary, Wanted(n_lobes, n_rings)))
-        if trials.add(mixture):
+        own = exact(mixture)
+        mixture = _minimize(own.fitted, mixture, EXCHANGE_ITERATIONS)
+        if trials.add(mixture, own.held_out):
             return mixture
     return None
 
