@@ -1,4 +1,4 @@
-"""The three parts of a reflectance: physical layers, their fit, and the decomposition into components."""
+"""Decompose a reflectance into components by fitting physical layers."""
 
 from dsbrdf.components.decomposition import Component, Decomposition, decompose
 from dsbrdf.components.description import Misfit, Surface

@@ -1,10 +1,10 @@
-"""Specular spike, specular lobe and diffuse part of a model, and the parameters of each.
+"""Divide a model into specular spike, specular lobe and diffuse part, and describe each by parameters.
 
-The lobes of an accurate model lean on each other and cannot be told apart into components. Physical layers can: some
-structures of them are fitted to the model's own values and weighed by their evidence
-(`dsbrdf.components.layer_fit`), so that any model has a decomposition. Each structure divides the model's values
-(`dsbrdf.components.shares`). A component is the mean over the structures, by weight: components sum to the model, none
-is negative, and no threshold decides. A component is there only if it has light.
+The lobes of an accurate model overlap, so no lobe is a component by itself. Physical layers are: several structures
+of layers are fitted to the model's own values and weighted by their evidence (`dsbrdf.components.layer_fit`), so that
+any model has a decomposition. Each structure divides the model's values (`dsbrdf.components.shares`). A component is
+the weighted mean over the structures: components sum to the model, and no component is negative. A component without
+light is left out.
 
 Afterwards layers are fitted to each component's own values (`dsbrdf.components.description`). They are its parameters.
 """
@@ -39,21 +39,23 @@ if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitResult
 
 _MIN_WEIGHT = 0.01  # A structure with less weight is dropped.
-_MIN_LIGHT = 2e-3
-"""Fraction of the light at an angle below which a component is not there."""
+_MIN_COMPONENT_LIGHT = 2e-3
+"""A component with a smaller fraction of the light at every angle is left out."""
 _MIN_LIGHT_OF_UNLIKELY_COMPONENT = 0.02
+"""An unlikely component with a smaller fraction of the light at every angle is left out."""
 _LIKELY_WEIGHT = 0.5
+"""A component is likely if the structures that have it weigh more together."""
 _MIN_REMARKED_LIGHT = 0.02
-"""Fraction of the light from which on sheen and retro-reflection are worth a sentence."""
+"""Sheen or retro-reflection with a larger fraction of the light gets a remark."""
 _MAX_CERTAIN_WIDTH = 0.2
-"""Width of the diffuse fraction's range beyond which the split is open."""
-_HEIRS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
-"""Places of the components that take the light of an absent one: the first that is there."""
+"""If the range of the diffuse fraction is wider, a remark says that the split is open."""
+_RECEIVERS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
+"""Indices in `LABELS`: the first component present in the model receives the light of an absent component."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Component(ReflectanceModel):
-    """One component: its part of the values of a model, and the surfaces that describe it.
+    """Evaluate one component of a model, and hold the surfaces that describe it.
 
     Attributes
     ----------
@@ -77,16 +79,16 @@ class Component(ReflectanceModel):
         return f"<Component: {self.label}, {self.light_share:.0%} of the light{width}>"
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
+        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
         return self.whole.split_unmasked(theta_half, theta_diff, phi_diff)[self._index]
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
+        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
         for parts in self.whole.split_grid(theta_half, theta_diff, phi_diff):
             yield parts[self._index]
 
     def directional_albedo(self, theta_out: ArrayLike) -> Array:
-        """Share of the light from each direction theta_out (...) [rad] that the component reflects, shape (..., 3)."""
+        """Return the fraction (..., 3) of light from directions theta_out (...) [rad] that the component reflects."""
         return directional_albedo(self.evaluate_unmasked, check_angle("theta_out", theta_out))
 
     @property
@@ -96,7 +98,7 @@ class Component(ReflectanceModel):
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
-        """Rough surfaces of a specular component, at most two, the brightest first; none if diffuse."""
+        """At most two rough surfaces of a specular component, the brightest first; empty for a diffuse component."""
         return self.description.surfaces
 
     @property
@@ -110,7 +112,7 @@ class Component(ReflectanceModel):
         return self.description.remarks(self.label)
 
     def height(self, theta_diff: ArrayLike) -> Array:
-        """Values of the component's own layers at theta_half = 0 and angles theta_diff (...) [rad], (..., 3) [1/sr]."""
+        """Return values (..., 3) [1/sr] of the component's layers at theta_half = 0 and theta_diff (...) [rad]."""
         theta_diff = check_angle("theta_diff", theta_diff)
         flat = theta_diff.ravel()
         values = self.layers.evaluate_unmasked(np.zeros(flat.size), flat, np.full(flat.size, np.pi / 2))
@@ -128,17 +130,17 @@ class Component(ReflectanceModel):
 
     @property
     def light_share(self) -> float:
-        """Share of all light, channels added, that the component reflects at normal incidence."""
+        """Fraction of the model's light, channels added, that the component reflects at normal incidence."""
         return float(self.albedo.sum() / self.whole.albedos.sum())
 
     @property
     def color(self) -> Array:
-        """The albedo over its largest channel, RGB, shape (3,)."""
+        """Albedo divided by its largest channel, RGB, shape (3,)."""
         return np.asarray(self.albedo / (self.albedo.max() or 1.0))
 
     @property
     def half_width(self) -> float | None:
-        """Angle theta_half at which slopes of its surfaces are half as frequent as at 0 [rad]; None without any."""
+        """Angle theta_half at which slopes of the surfaces are half as frequent as at 0 [rad], or None."""
         return self.description.half_width
 
     @property
@@ -148,7 +150,7 @@ class Component(ReflectanceModel):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decomposition:
-    """The components of a model that have light; their values sum to the model's.
+    """Hold the components of a model that have light; their values sum to the model's values.
 
     Iterating yields them from narrow to wide; ``decomposition[label]`` looks one up.
 
@@ -194,27 +196,27 @@ class Decomposition:
 
     @property
     def specular_spike(self) -> Component | None:
-        """The highlight narrower than 3 degrees; None if there is none."""
+        """The highlight narrower than 3 degrees, or None."""
         return self._find("specular_spike")
 
     @property
     def specular_lobe(self) -> Component | None:
-        """The highlight of 3 degrees and more; None if there is none."""
+        """The highlight of 3 degrees or more, or None."""
         return self._find("specular_lobe")
 
     @property
     def diffuse(self) -> Component | None:
-        """What is reflected into all directions; None if it has no light."""
+        """The light reflected into all directions, or None."""
         return self._find("diffuse")
 
     @property
     def structure(self) -> str:
-        """The most probable structure in words, such as "dielectric over diffuse"; "no light" if there is none."""
+        """The most probable structure in words, such as "dielectric over diffuse", or "no light"."""
         return self.structures[0].name if self.structures else "no light"
 
     @cached_property
     def layers(self) -> LayeredModel:
-        """The layers of all components, fitted once more together: a small model of the material for renderers."""
+        """A small model of the material for renderers: the layers of all components, fitted together."""
         return _renderer_layers(self)
 
     @cached_property
@@ -224,32 +226,32 @@ class Decomposition:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences about an open split, withheld parameters, and light that no component stands for."""
+        """Sentences about an open split, withheld parameters, sheen and retro-reflection."""
         own = (remark for component in self for remark in component.remarks)
         return (*self._open_split(), *own, *self._other_light())
 
     def receiver(self, label: str) -> str:
-        """Return the label of the component that has the light of a label's layers: its own or an heir's."""
-        return next(one for one in (label, *(LABELS[heir] for heir in _HEIRS[label])) if one in self.labels)
+        """Return the label of the component that receives the light of a label's layers."""
+        return next(one for one in (label, *(LABELS[heir] for heir in _RECEIVERS[label])) if one in self.labels)
 
     def split_at(self, rule: LightRule) -> Array:
-        """Values of all components (K, 3, n) at the nodes of a rule [1/sr]."""
+        """Return values (K, 3, n) of all components at the nodes of a rule [1/sr]."""
         return self._split(self.model.evaluate_unmasked(*rule.angles).T, rule.points)
 
     def own_values(self, reflected: Sequence[Array]) -> tuple[OwnValues, ...]:
-        """Values of each component for its layers, with the light (3, 3) of `LABELS` at the first two light rules."""
+        """Return each component's values for fitting layers, with the light (3, 3) of `LABELS` at two light rules."""
         grids = self._split(grid_values(self.model), layer_points())
         profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
         albedos = np.stack([self._received(light) for light in reflected], axis=1)
         return tuple(OwnValues(*own) for own in zip(grids, profiles, albedos, strict=True))
 
     def split_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values of all components (K, n, 3) for angles (n,) that are not checked [1/sr]."""
+        """Return values (K, n, 3) of all components at unchecked angles (n,) [1/sr]."""
         values = self.model.evaluate_unmasked(theta_half, theta_diff, phi_diff)
         return self._split(values.T, Points.at(theta_half, theta_diff, phi_diff)).transpose(0, 2, 1)
 
     def split_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield the values of all components (K, 3, D, P) at each theta_half (H,), as `DSBRDF.evaluate_grid`."""
+        """Yield values (K, 3, D, P) of all components at each theta_half (H,), as `DSBRDF.evaluate_grid`."""
         axes = theta_half, theta_diff, phi_diff
         for points, values in zip(grid_points(*axes), self.model.evaluate_grid(*axes), strict=True):
             yield self._split(values.reshape(3, -1), points).reshape(-1, *values.shape)
@@ -273,7 +275,7 @@ class Decomposition:
         low, high = self.diffuse_range
         is_doubtful = (
             self.diffuse is not None
-            and low < _MIN_LIGHT
+            and low < _MIN_COMPONENT_LIGHT
             and self.diffuse.light_share > _MIN_LIGHT_OF_UNLIKELY_COMPONENT
         )
         if high - low > _MAX_CERTAIN_WIDTH or is_doubtful:
@@ -308,12 +310,12 @@ def decompose(model: DSBRDF | FitResult) -> Decomposition:
     Parameters
     ----------
     model : DSBRDF or FitResult
-        Any model: of a fit, loaded, of the paper's method.
+        Any model: fitted, loaded, or fitted by the paper's method.
 
     Returns
     -------
     Decomposition
-        Components that sum to the model; kept for the last models asked for.
+        Components that sum to the model; results of the last 32 models are cached.
     """
     return _decompose(getattr(model, "model", model))
 
@@ -334,7 +336,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
     light = np.max([one.sum(axis=1) / max(float(one.sum()), 1e-300) for one in reflected], axis=0)
     shares = dict(zip(LABELS, light.tolist(), strict=True))
     labels = tuple(label for label in LABELS if _is_there(label, shares[label], structures))
-    # Light that no layer explains, such as a delta term alone, is that of the most probable structure.
+    # Light that no layer explains, such as a delta term alone, goes to the last layer of the most probable structure.
     labels = labels or (structures[0].labels[-1],)
     drawn = DrawnLayers.of(model, kept)
     split = Decomposition(model, structures, labels, tuple(map(drawn.ranges, labels)), (), drawn.light_range(LABELS[2]))
@@ -352,14 +354,14 @@ def _decompose(model: DSBRDF) -> Decomposition:
 
 
 def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) -> bool:
-    """Whether a component with a fraction of the light is there: a faint one must be probable too."""
+    """Tell whether a component has enough light; an unlikely component needs more."""
     probability = sum(structure.weight for structure in structures if label in structure.labels)
-    least = _MIN_LIGHT if probability > _LIKELY_WEIGHT else _MIN_LIGHT_OF_UNLIKELY_COMPONENT
+    least = _MIN_COMPONENT_LIGHT if probability > _LIKELY_WEIGHT else _MIN_LIGHT_OF_UNLIKELY_COMPONENT
     return probability > 0.0 and share > least
 
 
 def _reflected(model: DSBRDF, structures: tuple[WeightedLayers, ...], rule: LightRule) -> Array:
-    """Light of a rule that the layers of each of `LABELS` reflect, shape (3, 3)."""
+    """Return the light (3, 3) that the layers of each of `LABELS` reflect at the angle of a rule."""
     values = model.evaluate_unmasked(*rule.angles).T
     parts = np.sum([one.weight * one.split(values, rule.points) for one in structures], axis=0)
     return np.asarray(parts @ rule.weight)

@@ -1,9 +1,9 @@
-"""Parameters that describe a component: layers fitted to its own values.
+"""Describe a component by the parameters of layers fitted to its own values.
 
-The split asks which light is whose, and expects what materials are usually like. Parameters ask what one component is
-like: layers with weak priors, of any colour, are fitted to the component's own values. A highlight has up to two
-surfaces, a diffuse part a ground with or without sheen. The misfit is the distance of these layers from the component;
-a parameter that it makes meaningless is None.
+The decomposition uses strong priors on usual materials to assign light to components. Parameters are then estimated
+from a component's own values: layers with weak priors, of any colour, are fitted to them. A highlight has up to two
+surfaces, and a diffuse part has a ground with or without sheen. The misfit is the distance of these layers from the
+component; a parameter with too large a misfit is None.
 """
 
 from collections.abc import Sequence
@@ -28,22 +28,21 @@ from dsbrdf.components.ranges import Range, RgbRange, SurfaceSpread
 from dsbrdf.components.shares import light_rules
 from dsbrdf.components.structures import OWN_PRIORS, LayerStructure
 
-MAX_PEAK_MISFIT = 0.25
-MAX_COLOR_MISFIT = 0.15
-MAX_WIDTH_MISFIT = 0.3
-MAX_ALBEDO_MISFIT = 0.12
-"""Beyond these misfits the parameters of a component's surfaces are withheld."""
-_SURFACE_PRICE = 40.0  # Cost of a second surface, which must say more than the first alone.
-_MIN_ALPHA_RATIO = 1.3  # Surfaces whose roughness is more alike are one.
-_DEVIATIONS = 1.645  # So many standard deviations to either side hold 90 % of a Gaussian.
-_WIDEST_START = np.radians(35.0)
-_PEAK_DIFFS = np.radians([0.0, 15.0, 30.0, 45.0])
-_WIDTH_DIFF = np.radians(15.0)
-_WIDTH_HALVES = np.radians(np.geomspace(0.05, 70.0, 90))
+MAX_PEAK_MISFIT = 0.25  # Beyond this misfit, reflectance is withheld.
+MAX_COLOR_MISFIT = 0.15  # Beyond this misfit, reflectance is withheld.
+MAX_WIDTH_MISFIT = 0.3  # Beyond this misfit, roughness is withheld.
+MAX_ALBEDO_MISFIT = 0.12  # Beyond this misfit, reflectance is withheld.
+_SECOND_SURFACE_COST = 40.0  # A second surface is kept only if it lowers the cost by more.
+_MIN_ALPHA_RATIO = 1.3  # Two surfaces with a smaller ratio of roughness count as one surface.
+_RANGE_HALF_WIDTH_SIGMAS = 1.645  # This half width in standard deviations holds 90 % of a Gaussian.
+_MAX_START_HALF_WIDTH = np.radians(35.0)
+_PEAK_THETA_DIFF = np.radians([0.0, 15.0, 30.0, 45.0])
+_WIDTH_THETA_DIFF = np.radians(15.0)
+_WIDTH_THETA_HALF = np.radians(np.geomspace(0.05, 70.0, 90))
 PROFILE: tuple[Array, Array, Array] = (
-    np.concatenate([np.zeros(_PEAK_DIFFS.size), _WIDTH_HALVES]),
-    np.concatenate([_PEAK_DIFFS, np.full(_WIDTH_HALVES.size, _WIDTH_DIFF)]),
-    np.full(_PEAK_DIFFS.size + _WIDTH_HALVES.size, np.pi / 2),
+    np.concatenate([np.zeros(_PEAK_THETA_DIFF.size), _WIDTH_THETA_HALF]),
+    np.concatenate([_PEAK_THETA_DIFF, np.full(_WIDTH_THETA_HALF.size, _WIDTH_THETA_DIFF)]),
+    np.full(_PEAK_THETA_DIFF.size + _WIDTH_THETA_HALF.size, np.pi / 2),
 )
 """theta_half, theta_diff and phi_diff at which a highlight's peak and half width are compared [rad]."""
 _PROFILE_POINTS = Points.at(*PROFILE)
@@ -51,18 +50,18 @@ _PROFILE_POINTS = Points.at(*PROFILE)
 
 @dataclass(frozen=True)
 class Misfit:
-    """Distance of a component's own layers from its values.
+    """Measure the distance of a component's own layers from its values.
 
     Attributes
     ----------
     peak : float or None
-        Factor less 1 of the height at theta_half = 0, theta_diff from 0 to 45 degrees; None for a diffuse part.
+        Ratio of heights minus 1 at theta_half = 0, theta_diff from 0 to 45 degrees; None for a diffuse part.
     color : float
-        Largest difference of a channel, over the largest: of the peak, or of a diffuse part's albedo.
+        Largest difference of a channel of the peak (of the albedo if diffuse), relative to the largest channel.
     half_width : float or None
-        Factor less 1 of theta_half at half of the peak; None for a diffuse part.
+        Ratio minus 1 of the angles theta_half at half of the peak; None for a diffuse part.
     albedo : float
-        Largest difference of a channel at 0 and 45 degrees, over the largest of these albedos.
+        Largest difference of a channel's albedo at 0 and 45 degrees, relative to the largest albedo.
     """
 
     peak: float | None
@@ -73,7 +72,7 @@ class Misfit:
 
 @dataclass(frozen=True)
 class Surface:
-    """A rough surface of a component; a parameter that does not describe the component is None.
+    """Describe a rough surface of a component; a parameter with too large a misfit is None.
 
     Attributes
     ----------
@@ -84,7 +83,7 @@ class Surface:
     f90 : float or None
         Reflectance at grazing incidence.
     alpha_range, f0_range : tuple or None
-        Where they lie with 90 % probability.
+        Intervals with 90 % probability.
     """
 
     alpha: float | None
@@ -97,7 +96,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Description:
-    """A component's own layers, its surfaces from the brightest on, and the misfit of the layers."""
+    """Hold a component's own layers, its surfaces (the brightest first), and the misfit of the layers."""
 
     layers: LayeredModel
     surfaces: tuple[Surface, ...]
@@ -111,7 +110,7 @@ class Description:
         return _half_width([layer for layer in self.layers.layers if isinstance(layer, (SpecularLayer, RetroLayer))])
 
     def remarks(self, label: str) -> tuple[str, ...]:
-        """Sentences about parameters that are withheld."""
+        """Return sentences about withheld parameters."""
         misses, withheld = _misses(self.misfit), _withheld(self.misfit)
         names = [name for name, is_withheld in zip(("alpha", "F0"), withheld, strict=True) if is_withheld]
         if not self.surfaces or not names:
@@ -124,7 +123,7 @@ class Description:
 
 @dataclass(frozen=True, eq=False)
 class OwnValues:
-    """Values of one component.
+    """Hold the values of one component.
 
     Attributes
     ----------
@@ -144,12 +143,14 @@ class OwnValues:
 def describe(
     own: OwnValues, spread: SurfaceSpread, *, is_diffuse: bool, has_retro: bool = False, has_ground: bool = False
 ) -> Description:
-    """Fit layers to the values of a component; a highlight may have light of small reflectors or a ground in it."""
+    """Fit layers to the values of a component; a highlight may contain retro-reflection or a ground."""
     data = component_data(own.grid, has_peak=not is_diffuse)
     if data is None:
         return Description(LayeredModel(()), (), Misfit(None, 0.0, None, 0.0))
     structures = (
-        _DIFFUSE if is_diffuse else _highlights(peak_half_width(own.grid), has_retro=has_retro, has_ground=has_ground)
+        _DIFFUSE_STRUCTURES
+        if is_diffuse
+        else _highlights(peak_half_width(own.grid), has_retro=has_retro, has_ground=has_ground)
     )
     best = fit_structures(data, structures)[0]
     misfit = _misfit(own, best.model, is_diffuse=is_diffuse)
@@ -171,34 +172,37 @@ def renderer_layers(values: Array, descriptions: Sequence[Description]) -> Layer
     return refined(data, structure, np.concatenate([layer.unknowns for layer in layers])).model
 
 
-_SURFACE, _GROUND = OWN_PRIORS[SpecularLayer], OWN_PRIORS[DiffuseLayer]
-_DIFFUSE = (
-    LayerStructure("ground", (_GROUND,)),
-    LayerStructure("ground and sheen", (_GROUND, OWN_PRIORS[SheenLayer]), 2.0),
+_SURFACE_PRIOR = OWN_PRIORS[SpecularLayer]
+_GROUND_PRIOR = OWN_PRIORS[DiffuseLayer]
+_DIFFUSE_STRUCTURES = (
+    LayerStructure("ground", (_GROUND_PRIOR,)),
+    LayerStructure("ground and sheen", (_GROUND_PRIOR, OWN_PRIORS[SheenLayer]), 2.0),
 )
 
 
 def _highlights(half_width: float, *, has_retro: bool, has_ground: bool) -> tuple[LayerStructure, ...]:
-    """Return one and two surfaces that start about a half width [rad], and other light beside them if there is some."""
+    """Return structures of one and two surfaces that start near a half width [rad], with other light if present."""
     width = float(np.degrees(half_width))
-    widest = float(np.degrees(_WIDEST_START))
+    widest = float(np.degrees(_MAX_START_HALF_WIDTH))
     pairs = ((0.7 * width, min(3.0 * width, widest)), (width, min(6.0 * width, widest)))
     found = [
-        LayerStructure("surface", (_SURFACE,), 0.0, ((width,),)),
-        LayerStructure("two surfaces", (_SURFACE, _SURFACE), _SURFACE_PRICE, pairs),
+        LayerStructure("surface", (_SURFACE_PRIOR,), 0.0, ((width,),)),
+        LayerStructure("two surfaces", (_SURFACE_PRIOR, _SURFACE_PRIOR), _SECOND_SURFACE_COST, pairs),
     ]
     if has_ground:
-        layers = _SURFACE, _SURFACE, _GROUND
-        found.append(LayerStructure("two surfaces and ground", layers, 2.0 * _SURFACE_PRICE, pairs[:1]))
+        layers = _SURFACE_PRIOR, _SURFACE_PRIOR, _GROUND_PRIOR
+        found.append(LayerStructure("two surfaces and ground", layers, 2.0 * _SECOND_SURFACE_COST, pairs[:1]))
     if has_retro:
         retro = OWN_PRIORS[RetroLayer]
         found.append(LayerStructure("retro-reflection", (retro,)))
-        found.append(LayerStructure("retro-reflection and surface", (retro, _SURFACE), _SURFACE_PRICE, ((width,),)))
+        found.append(
+            LayerStructure("retro-reflection and surface", (retro, _SURFACE_PRIOR), _SECOND_SURFACE_COST, ((width,),))
+        )
     return tuple(found)
 
 
 def _are_distinct(model: LayeredModel) -> bool:
-    """Whether surfaces differ in roughness, or there is only one."""
+    """Tell whether all surfaces differ in roughness."""
     alphas = [layer.alpha for layer in model.layers if isinstance(layer, SpecularLayer)]
     return len(alphas) < 2 or max(alphas) > _MIN_ALPHA_RATIO * min(alphas)
 
@@ -211,8 +215,8 @@ def _misfit(own: OwnValues, model: LayeredModel, *, is_diffuse: bool) -> Misfit:
     if is_diffuse:
         return Misfit(None, _color_difference(own.albedo[0], albedo[0]), None, of_albedo)
     profile = model.layer_values(_PROFILE_POINTS).sum(axis=0)
-    ours, theirs = (values[:, : _PEAK_DIFFS.size].mean(axis=1) for values in (profile, own.profile))
-    widths = [_width_of_profile(values[:, _PEAK_DIFFS.size :].sum(axis=0)) for values in (profile, own.profile)]
+    ours, theirs = (values[:, : _PEAK_THETA_DIFF.size].mean(axis=1) for values in (profile, own.profile))
+    widths = [_width_of_profile(values[:, _PEAK_THETA_DIFF.size :].sum(axis=0)) for values in (profile, own.profile)]
     return Misfit(_factor(ours.sum(), theirs.sum()), _color_difference(ours, theirs), _factor(*widths), of_albedo)
 
 
@@ -226,12 +230,12 @@ def _color_difference(first: Array, second: Array) -> float:
 
 
 def _width_of_profile(values: Array) -> float:
-    """Return theta_half at which values at `_WIDTH_HALVES` have half their first height [rad]."""
+    """Return theta_half at which values at `_WIDTH_THETA_HALF` have half their first height [rad]."""
     below = np.flatnonzero(values < 0.5 * values[0])
     if not below.size:
-        return float(_WIDTH_HALVES[-1])
+        return float(_WIDTH_THETA_HALF[-1])
     last = int(below[0])
-    return float(np.interp(-0.5 * values[0], -values[last - 1 : last + 1], _WIDTH_HALVES[last - 1 : last + 1]))
+    return float(np.interp(-0.5 * values[0], -values[last - 1 : last + 1], _WIDTH_THETA_HALF[last - 1 : last + 1]))
 
 
 def _half_width(layers: Sequence[SpecularLayer | RetroLayer]) -> float | None:
@@ -257,14 +261,14 @@ def _slope_density(layer: SpecularLayer | RetroLayer, tangent: Array) -> Array:
 
 
 def _withheld(misfit: Misfit) -> tuple[bool, bool]:
-    """Return whether roughness and reflectance do not describe a component."""
+    """Return whether the misfit withholds roughness, and whether it withholds reflectance."""
     is_high = misfit.peak is not None and misfit.peak > MAX_PEAK_MISFIT
     is_wide = misfit.half_width is not None and misfit.half_width > MAX_WIDTH_MISFIT
     return is_wide, is_high or misfit.color > MAX_COLOR_MISFIT or misfit.albedo > MAX_ALBEDO_MISFIT
 
 
 def _misses(misfit: Misfit) -> list[str]:
-    """Return the misfits beyond the bounds in words."""
+    """Return the misfits beyond their thresholds in words."""
     factors = (("peak", misfit.peak, MAX_PEAK_MISFIT), ("half width", misfit.half_width, MAX_WIDTH_MISFIT))
     words = [
         f"its {name} by a factor of {1.0 + off:.2f}" for name, off, most in factors if off is not None and off > most
@@ -277,7 +281,7 @@ def _misses(misfit: Misfit) -> list[str]:
 
 
 def _surfaces(best: FittedStructure, misfit: Misfit, spread: SurfaceSpread) -> tuple[Surface, ...]:
-    """Return the surfaces of a fit, the brightest first, with what the misfit withholds, and their ranges.
+    """Return the surfaces of a fit with their ranges, the brightest first; the misfit may withhold parameters.
 
     A range has the spread over probable splits, the uncertainty of the fit and the misfit, as independent errors; the
     misfit counts as an error that 90 % of cases stay below.
@@ -285,7 +289,8 @@ def _surfaces(best: FittedStructure, misfit: Misfit, spread: SurfaceSpread) -> t
     variance = 2.0 * np.diag(np.linalg.inv(best.normal_equations))
     no_alpha, no_f0 = _withheld(misfit)
     of_width, of_light = (
-        float(np.log1p(off)) / _DEVIATIONS for off in (misfit.half_width or 0.0, max(misfit.albedo, misfit.color))
+        float(np.log1p(off)) / _RANGE_HALF_WIDTH_SIGMAS
+        for off in (misfit.half_width or 0.0, max(misfit.albedo, misfit.color))
     )
     found = []
     for layer, part in zip(best.model.layers, best.structure.slices, strict=True):
@@ -310,6 +315,6 @@ def _surfaces(best: FittedStructure, misfit: Misfit, spread: SurfaceSpread) -> t
 
 
 def _around(value: float, deviation: float) -> Range:
-    """Return the range about a positive value whose logarithm has a standard deviation."""
-    factor = float(np.exp(_DEVIATIONS * deviation))
+    """Return the 90 % range of a positive value from the standard deviation of its logarithm."""
+    factor = float(np.exp(_RANGE_HALF_WIDTH_SIGMAS * deviation))
     return value / factor, value * factor

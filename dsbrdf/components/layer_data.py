@@ -1,7 +1,7 @@
-"""Values of a model at two thousand pairs of directions, weighted for telling its layers apart or for describing one.
+"""Weigh a model's values at two thousand pairs of directions, to separate its layers or to describe a component.
 
-To tell layers apart, a pair counts by what a lit sphere shows of it, and errors are relative to f**1.4: the wide, faint
-range decides on the diffuse part. A part of the weight is plain, which keeps the heights of highlights.
+To separate layers, the weight of a pair is its visibility on a lit sphere, and errors are relative to f**1.4: the wide,
+faint range decides on the diffuse part. Plain errors have some weight too, to keep the heights of highlights.
 
 To describe one component, errors are relative to f. Those of a highlight's upper nine tenths count relative to its own
 values, and so do those of the light in four bands of theta_diff, which make up its albedo.
@@ -21,30 +21,31 @@ from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.weighting import center_share, interval_ends, seen_weight, trust
 from dsbrdf.model.reflectance import ReflectanceModel
 
-_ROWS = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
-_COLUMNS = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
-_AZIMUTHS = np.radians([20.0, 70.0])
+# Axes of the grid of pairs [rad].
+_THETA_DIFF = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
+_THETA_HALF = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
+_PHI_DIFF = np.radians([20.0, 70.0])
 LAYER_POWER = 1.4
-"""Errors of layers count relative to f to this power: the wide, faint range decides on the diffuse part."""
-PLAIN_SHARE = 0.3
-"""Weight of the plain error, which keeps the heights of highlights, in units of the other's."""
+"""Errors of layers count relative to f to this power."""
+PLAIN_ERROR_WEIGHT = 0.3
+"""Weight of plain errors, as a fraction of the weight of relative errors."""
 _OWN_POWER = 1.0  # Power of f for the errors of one component.
-_N_OWN_SAMPLES = 500.0  # A component's own values outweigh what is usual.
-_OWN_MODEL_ERROR = 0.08  # A second surface must explain more than this.
-_PEAK_SHARE = 1.5  # Weight of the error at a highlight's peak, in units of the whole.
-_RENDERED_PEAK_SHARE = 0.5  # The same for all components together.
-_PEAK_ANGLE = np.radians(50.0)  # Peaks at a larger theta_diff count less and less.
-_CENTER_ANGLE = np.radians(0.05)  # Angles theta_half below count alike.
-_BAND_WEIGHT = 6.0  # Weight of the relative errors of a component's light in bands, in units of the whole.
-_RENDERED_BAND_WEIGHT = 1.0  # The same for all components together.
-_BAND_ENDS = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # Bands of theta_diff.
-_DARK_BAND = 0.05  # A band's error counts relative to this fraction of the mean band's light or more.
+_N_OWN_SAMPLES = 500.0  # With so many independent samples, a component's values outweigh the prior.
+_OWN_MODEL_ERROR = 0.08  # A second surface must explain a larger relative error.
+_PEAK_ERROR_WEIGHT = 1.5  # Weight of errors at a highlight's peak, as a fraction of all other weight.
+_RENDERED_PEAK_ERROR_WEIGHT = 0.5  # Weight of peak errors if all components are fitted together.
+_FULL_WEIGHT_THETA_DIFF = np.radians(50.0)  # At a larger theta_diff, the weight of a peak falls.
+_MIN_LOG_SCALE_THETA_HALF = np.radians(0.05)  # Below this angle, the scale of theta_half is linear.
+_BAND_WEIGHT = 6.0  # Weight of the errors of the light in bands, as a fraction of all other weight.
+_RENDERED_BAND_WEIGHT = 1.0  # Weight of band errors if all components are fitted together.
+_BAND_EDGES = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # edges of the bands of theta_diff [rad]
+_MIN_BAND_LIGHT = 0.05  # Errors of a darker band are relative to this fraction of the mean band's light.
 _MAX_VALUE = 1e100  # Its square still fits in double precision.
-_MIN_COSINE = 1e-3  # Pairs with a smaller cosine to the normal are left out.
+_MIN_COSINE = 1e-3  # Pairs of directions with a smaller cosine to the normal are left out.
 
 
 class _Grid(NamedTuple):
-    """R x C x P pairs of directions, and the N of them that are above the horizon.
+    """Hold R x C x P pairs of directions, and the N pairs above the horizon.
 
     Attributes
     ----------
@@ -81,12 +82,12 @@ def material_data(values: Array) -> LayerData | None:
         return None
     grid, mean = _grid(), _on_grid(values)
     seen = _seen(mean, LAYER_POWER)
-    weight = seen / np.sum(seen * mean**2) + PLAIN_SHARE / np.sum(grid.plain * mean**2) * grid.plain
+    weight = seen / np.sum(seen * mean**2) + PLAIN_ERROR_WEIGHT / np.sum(grid.plain * mean**2) * grid.plain
     return LayerData.of(grid.points, values, weight[:, grid.above])
 
 
 def component_data(values: Array, *, has_peak: bool) -> LayerData | None:
-    """Weigh the values (3, N) of a component, a highlight or not; None if it has no light."""
+    """Weigh the values (3, N) of a component, with or without a highlight's peak; None if it has no light."""
     if not values.any():
         return None
     grid, mean = _grid(), _on_grid(values)
@@ -94,7 +95,7 @@ def component_data(values: Array, *, has_peak: bool) -> LayerData | None:
     weight = seen / np.sum(seen * mean**2)
     if has_peak:
         peak = _peak_weight(mean.mean(axis=0))
-        weight = weight + _PEAK_SHARE / np.sum(peak * mean**2) * peak
+        weight = weight + _PEAK_ERROR_WEIGHT / np.sum(peak * mean**2) * peak
     data = LayerData.of(grid.points, values, weight[:, grid.above])
     sums = _band_sums(values, data.root_weight, _BAND_WEIGHT)
     return replace(data, n_samples=_N_OWN_SAMPLES, model_error=_OWN_MODEL_ERROR, sums=sums)
@@ -107,19 +108,19 @@ def renderer_data(values: Array) -> LayerData | None:
     grid, mean = _grid(), _on_grid(values)
     weight = _seen(mean, LAYER_POWER)
     peak = _peak_weight(mean.mean(axis=0))
-    weight = weight / np.sum(weight * mean**2) + _RENDERED_PEAK_SHARE / np.sum(peak * mean**2) * peak
+    weight = weight / np.sum(weight * mean**2) + _RENDERED_PEAK_ERROR_WEIGHT / np.sum(peak * mean**2) * peak
     data = LayerData.of(grid.points, values, weight[:, grid.above])
     return replace(data, n_samples=_N_OWN_SAMPLES, sums=_band_sums(values, data.root_weight, _RENDERED_BAND_WEIGHT))
 
 
 def peak_half_width(values: Array) -> float:
     """Return theta_half at which values (3, N) have half their height at small angles theta_diff [rad]."""
-    row = _on_grid(values)[:, _ROWS < _PEAK_ANGLE].mean(axis=(0, 1, 3))
+    row = _on_grid(values)[:, _THETA_DIFF < _FULL_WEIGHT_THETA_DIFF].mean(axis=(0, 1, 3))
     below = np.flatnonzero(row < 0.5 * row[0])
     if not below.size:
-        return float(_COLUMNS[-1])
+        return float(_THETA_HALF[-1])
     last = int(below[0])
-    return float(np.interp(-0.5 * row[0], -row[last - 1 : last + 1], _COLUMNS[last - 1 : last + 1]))
+    return float(np.interp(-0.5 * row[0], -row[last - 1 : last + 1], _THETA_HALF[last - 1 : last + 1]))
 
 
 def _on_grid(values: Array) -> Array:
@@ -130,7 +131,7 @@ def _on_grid(values: Array) -> Array:
 
 
 def _seen(mean: Array, power: float) -> Array:
-    """Return weights by what a lit sphere shows, (3, R, C, P)."""
+    """Return weights (3, R, C, P) by visibility on a lit sphere."""
     lit = _grid().lit
     over_phi = np.sum(lit * mean, axis=3) / np.maximum(lit.sum(axis=2), 1e-300)
     typical = float(np.sum(lit * mean) / (3.0 * lit.sum()))
@@ -138,37 +139,37 @@ def _seen(mean: Array, power: float) -> Array:
 
 
 def _peak_weight(mean: Array) -> Array:
-    """Return weights (R, C, P) of relative errors, for theta_half on a logarithmic scale, in a highlight's peak."""
+    """Return weights (R, C, P) of relative errors in a highlight's peak, even on a logarithmic scale of theta_half."""
     top = mean.max(axis=1, keepdims=True)
     inside = np.clip((mean / np.maximum(top, 1e-300) - 0.1) / 0.3, 0.0, 1.0)
-    rows = np.minimum(np.cos(_ROWS) / np.cos(_PEAK_ANGLE), 1.0) ** 8
-    columns = np.gradient(np.log(_COLUMNS + _CENTER_ANGLE))
+    rows = np.minimum(np.cos(_THETA_DIFF) / np.cos(_FULL_WEIGHT_THETA_DIFF), 1.0) ** 8
+    columns = np.gradient(np.log(_THETA_HALF + _MIN_LOG_SCALE_THETA_HALF))
     weight = rows[:, np.newaxis, np.newaxis] * columns[:, np.newaxis] * inside / np.maximum(mean, 1e-100) ** 2
     return np.where(_grid().above, weight, 0.0)
 
 
 def _band_sums(values: Array, root_weight: Array, band_weight: float) -> Array:
-    """Return the weights (3, B, N) that make relative errors of the light in bands from weighted residuals."""
+    """Return the weights (3, B, N) that turn weighted residuals into relative errors of the light in bands."""
     grid = _grid()
     theta_diff = grid.angles[1]
-    bands = [(low <= theta_diff) & (theta_diff < high) for low, high in itertools.pairwise(_BAND_ENDS)]
+    bands = [(low <= theta_diff) & (theta_diff < high) for low, high in itertools.pairwise(_BAND_EDGES)]
     lit = grid.lit[grid.above] * np.array(bands)
     light = (lit @ values.T).mean(axis=1, keepdims=True)
-    scale = np.sqrt(3.0 * len(bands)) * np.maximum(light, _DARK_BAND * light.mean())
+    scale = np.sqrt(3.0 * len(bands)) * np.maximum(light, _MIN_BAND_LIGHT * light.mean())
     return np.asarray(np.sqrt(band_weight) * lit / scale / np.maximum(root_weight[:, np.newaxis], 1e-100))
 
 
 @cache
 def _grid() -> _Grid:
     theta_half, theta_diff, phi_diff = np.broadcast_arrays(
-        _COLUMNS[:, np.newaxis], _ROWS[:, np.newaxis, np.newaxis], _AZIMUTHS
+        _THETA_HALF[:, np.newaxis], _THETA_DIFF[:, np.newaxis, np.newaxis], _PHI_DIFF
     )
     level = np.cos(theta_diff) * np.cos(theta_half)
     swing = np.sin(theta_diff) * np.sin(theta_half) * np.cos(phi_diff)
     lowest = np.maximum(level - swing, 0.0)
-    trusted = trust(lowest, DEFAULT_HORIZON_CUTOFF) * np.diff(interval_ends(_ROWS))[:, np.newaxis, np.newaxis]
-    solid_angle = -np.diff(np.cos(interval_ends(_COLUMNS)))[:, np.newaxis] * (np.sin(2.0 * theta_diff) + 0.1)
-    center = center_share(_COLUMNS) * np.gradient(np.sqrt(_COLUMNS))
+    trusted = trust(lowest, DEFAULT_HORIZON_CUTOFF) * np.diff(interval_ends(_THETA_DIFF))[:, np.newaxis, np.newaxis]
+    solid_angle = -np.diff(np.cos(interval_ends(_THETA_HALF)))[:, np.newaxis] * (np.sin(2.0 * theta_diff) + 0.1)
+    center = center_share(_THETA_HALF) * np.gradient(np.sqrt(_THETA_HALF))
     above = lowest > _MIN_COSINE
     angles = theta_half[above], theta_diff[above], phi_diff[above]
     return _Grid(

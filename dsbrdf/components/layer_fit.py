@@ -1,12 +1,13 @@
-"""Layers by evidence: fit every structure of layers to values, and weigh them by how well each explains them.
+"""Fit every structure of layers to values, and weigh the structures by their evidence.
 
 The cost of a structure with unknowns x, whose prior whitens deviations to d, is
 
     E(x) = n log(C(x) + c**2) + sum_i nu_i log(1 + d_i**2 / nu_i),
 
 with C the weighted squared error as a fraction of the squared signal, n the number of independent samples, and c the
-error that no layers are below. Levenberg-Marquardt minimises the cost, first with a fixed noise of 20 %: with
-a free one the prior rules while C is large, and narrow highlights are lost. The evidence is Laplace's approximation,
+model error, the lowest error of any layers. Levenberg-Marquardt minimises the cost, first with a fixed noise of 20 %:
+with a free noise the prior dominates while C is large, and the fit loses narrow highlights. The evidence is Laplace's
+approximation,
 
     E + log det A - log det A_prior + price,
 
@@ -26,40 +27,40 @@ from dsbrdf.components.layers import LayeredModel, Linearized, SpecularLayer
 from dsbrdf.components.points import Points
 from dsbrdf.components.structures import STRUCTURES, LayerStructure
 
-TEMPERATURE = 4.0
-"""Evidence by which a structure's weight falls to 1 / e."""
+EVIDENCE_SCALE = 4.0
+"""An increase of the evidence by this amount lowers a structure's weight by the factor e."""
 N_SAMPLES = 50.0
-"""Independent samples that the values of a whole material count as."""
+"""The values of a whole material count as this many independent samples."""
 MODEL_ERROR = 0.02
-"""Error that no layers of a whole material are below, c of the module's equation."""
-_FIRST_NOISE = 0.2
-_MAX_FIRST_STEPS = 20  # Steps with the fixed noise.
-_TRIAL_STEPS = 5
+"""Relative error that even the best layers of a material have, c of the module's equation."""
+_FIXED_NOISE = 0.2
+_MAX_FIXED_NOISE_STEPS = 20
+_MAX_TRIAL_STEPS = 5
 _MAX_STEPS = 60
-_REFINING_STEPS = 20
+_MAX_REFINING_STEPS = 20
 _MAX_STALLED_STEPS = 2
-_COST_TOLERANCE = 0.02  # A step that lowers the cost by less has stalled.
-_HOPELESS_COST = 40.0  # A structure that is this far behind the best after its trial is given up.
-_MAX_MOVE = 1.2  # Largest change of an unknown in one step.
+_COST_TOLERANCE = 0.02  # A step that lowers the cost by less counts as stalled.
+_MAX_TRIAL_COST_LEAD = 40.0  # A structure whose cost exceeds the best by more after its trial is dropped.
+_MAX_UNKNOWN_CHANGE = 1.2  # A larger change of an unknown in one step is shortened.
 _FIRST_DAMPING = 1e-2
-_MAX_TRIES = 8
-_MIN_CHANNEL_START = 0.05  # A channel starts with this fraction of the brightest one or more.
+_MAX_DAMPING_TRIES = 8
+_MIN_CHANNEL_START = 0.05  # A channel starts with at least this fraction of the brightest channel.
 
 
 @dataclass(frozen=True, eq=False)
 class LayerData:
-    """RGB values at points and the weights of their errors; weights times squared values sum to 1.
+    """Hold RGB values at points and the weights of their errors; weights times squared values sum to 1.
 
     Attributes
     ----------
     points : Points
         N pairs of directions.
     root_weight, weighted : Array
-        Root of the weights, and the values times this root, (3, N).
+        Square root of the weights, and the values times this root, (3, N).
     n_samples : float
-        Independent samples that the values count as.
+        Number of independent samples that the values count as.
     model_error : float
-        Relative error that no layers are below.
+        Relative error that even the best layers have.
     sums : Array or None
         Weights of B sums over the weighted residuals, (3, B, N); their squares add to the error.
     """
@@ -73,7 +74,7 @@ class LayerData:
 
     @classmethod
     def of(cls, points: Points, values: Array, weight: Array) -> "LayerData":
-        """Put values (3, N), some of them positive, and their weights (3, N) together."""
+        """Combine values (3, N), some of them positive, with their weights (3, N)."""
         root = np.sqrt(weight / np.sum(weight * values**2))
         return cls(points, root, values * root)
 
@@ -86,11 +87,11 @@ class LayerData:
 
 @dataclass(frozen=True, eq=False)
 class FittedStructure:
-    """A structure with its most probable unknowns, and how uncertain these are."""
+    """Hold a structure with its most probable unknowns and their uncertainty."""
 
     structure: LayerStructure
     unknowns: Array  # (U,)
-    error: float  # root of C
+    error: float  # square root of C
     evidence: float
     normal_equations: Array  # A, (U, U)
 
@@ -100,20 +101,20 @@ class FittedStructure:
         return self.structure.model(self.unknowns)
 
     def draw(self, generator: np.random.Generator, count: int) -> list[LayeredModel]:
-        """Layers as probable as these, from the Gaussian of the normal equations, within the bounds.
+        """Draw layers from the Gaussian of the normal equations, within the bounds.
 
-        Each has a mirror image about these, so that a few tell the middle and the range.
+        Every draw has a mirror image about the fit, so that few draws give an unbiased mean.
         """
         values, vectors = np.linalg.eigh(self.normal_equations)
-        # The symmetric root: unlike eigenvectors, whose signs are a library's choice, it is the same on every machine.
-        root = (vectors * np.sqrt(0.5 * TEMPERATURE / np.maximum(values, 1e-9))) @ vectors.T
+        # The symmetric root is equal on every machine; the signs of eigenvectors depend on the library.
+        root = (vectors * np.sqrt(0.5 * EVIDENCE_SCALE / np.maximum(values, 1e-9))) @ vectors.T
         half = generator.standard_normal((-(-count // 2), values.size)) @ root
         drawn = self.unknowns + np.concatenate([half, -half])[:count]
         return [self.structure.model(unknowns) for unknowns in np.clip(drawn, *self.structure.bounds)]
 
 
 def fit_structures(data: LayerData, structures: Sequence[LayerStructure] = STRUCTURES) -> list[FittedStructure]:
-    """Fit structures to data, the best first; hopeless ones are given up after a few steps."""
+    """Fit structures to data and sort them, the best first; structures far behind are dropped after a trial."""
     trials: dict[str, _Descent] = {}
     for structure in structures:
         if structure.parent in trials:
@@ -122,7 +123,7 @@ def fit_structures(data: LayerData, structures: Sequence[LayerStructure] = STRUC
     found: list[FittedStructure] = []
     best = np.inf
     for descent in sorted(trials.values(), key=lambda trial: trial.prospect):
-        if descent.prospect > best + _HOPELESS_COST * data.n_samples / N_SAMPLES:
+        if descent.prospect > best + _MAX_TRIAL_COST_LEAD * data.n_samples / N_SAMPLES:
             break
         descent.run(_MAX_STEPS)
         best = min(best, descent.prospect)
@@ -131,41 +132,41 @@ def fit_structures(data: LayerData, structures: Sequence[LayerStructure] = STRUC
 
 
 def refined(data: LayerData, structure: LayerStructure, unknowns: Array) -> FittedStructure:
-    """Fit one structure from unknowns (U,) that are near the best ones."""
+    """Fit one structure from unknowns (U,) near the optimum."""
     descent = _Descent(data, structure, unknowns, is_first=False)
-    descent.run(_REFINING_STEPS)
+    descent.run(_MAX_REFINING_STEPS)
     return descent.fitted()
 
 
 def structure_weights(found: Sequence[FittedStructure]) -> Array:
-    """Weights of fitted structures, which sum to 1."""
+    """Return the weights of fitted structures; they sum to 1."""
     evidence = np.array([fitted.evidence for fitted in found])
-    weights = np.exp((evidence.min() - evidence) / TEMPERATURE)
+    weights = np.exp((evidence.min() - evidence) / EVIDENCE_SCALE)
     return np.asarray(weights / weights.sum())
 
 
 def _best_trial(data: LayerData, structure: LayerStructure) -> "_Descent":
     trials = [_Descent(data, structure, _start(data, structure, widths)) for widths in structure.starts]
     for trial in trials:
-        trial.run(_TRIAL_STEPS)
+        trial.run(_MAX_TRIAL_STEPS)
     return min(trials, key=lambda trial: trial.prospect)
 
 
 @dataclass(eq=False)
 class _Descent:
-    """Levenberg-Marquardt on the cost of one structure, which can be stopped and continued."""
+    """Minimise the cost of one structure by Levenberg-Marquardt; a descent can be stopped and continued."""
 
     data: LayerData
     structure: LayerStructure
     unknowns: Array
-    is_first: bool = True  # with the fixed noise
+    is_first: bool = True  # The first stage has the fixed noise.
     done: bool = False
     damping: float = _FIRST_DAMPING
     _steps: int = 0
     _stalled: int = 0
     _error: float = field(init=False)  # C
     _matrix: Array = field(init=False)  # half the Gauss-Newton matrix of C
-    _gradient: Array = field(init=False)  # half of C's
+    _gradient: Array = field(init=False)  # half the gradient of C
 
     def __post_init__(self) -> None:
         self.unknowns = np.clip(self.unknowns, *self.structure.bounds)
@@ -173,19 +174,19 @@ class _Descent:
 
     @property
     def prospect(self) -> float:
-        """Cost, and what the number of unknowns is about worth."""
+        """Estimate of the evidence: the cost and a penalty for each unknown."""
         cost = self._cost(self._error, is_first=False) + self._penalty(self.unknowns)
         return cost + self.structure.price + self.structure.mean.size
 
     @property
     def model(self) -> LayeredModel:
-        """The layers that are reached."""
+        """The layers of the current unknowns."""
         return self.structure.model(self.unknowns)
 
     def run(self, steps: int) -> None:
-        """Take at most so many steps."""
+        """Take at most a number of steps."""
         for _ in range(steps):
-            if self.is_first and (self._steps >= _MAX_FIRST_STEPS or self._error < _FIRST_NOISE**2):
+            if self.is_first and (self._steps >= _MAX_FIXED_NOISE_STEPS or self._error < _FIXED_NOISE**2):
                 self.is_first, self.damping = False, max(self.damping, 1e-3)
             if self.done:
                 return
@@ -193,14 +194,14 @@ class _Descent:
             self._step()
 
     def fitted(self) -> FittedStructure:
-        """What was reached."""
+        """Return the structure with the current unknowns."""
         matrix, _ = self._system(is_first=False)
         cost = self._cost(self._error, is_first=False) + self._penalty(self.unknowns) + self.structure.price
         evidence = cost + float(np.linalg.slogdet(matrix)[1]) - self.structure.log_determinant
         return FittedStructure(self.structure, self.unknowns, float(np.sqrt(self._error)), evidence, matrix)
 
     def _step(self) -> None:
-        """Lower the cost, or end the first stage or the descent."""
+        """Take one step that lowers the cost, or end the first stage or the descent."""
         here = self._cost(self._error, is_first=self.is_first) + self._penalty(self.unknowns)
         matrix, gradient = self._system(is_first=self.is_first)
         lower, upper = self.structure.bounds
@@ -210,11 +211,11 @@ class _Descent:
             self.done = True
             return
         reduced = matrix[np.ix_(free, free)]
-        for _ in range(_MAX_TRIES):
+        for _ in range(_MAX_DAMPING_TRIES):
             damped = reduced + self.damping * np.diag(np.diag(reduced))
             move = potrs(potrf(damped, lower=1)[0], gradient[free], lower=1)[0]
             tried = self.unknowns.copy()
-            tried[free] -= np.clip(move, -_MAX_MOVE, _MAX_MOVE)
+            tried[free] -= np.clip(move, -_MAX_UNKNOWN_CHANGE, _MAX_UNKNOWN_CHANGE)
             tried = np.clip(tried, lower, upper)
             layers = self._layers(tried)
             there = self._cost(self._squared_error(layers), is_first=self.is_first) + self._penalty(tried)
@@ -237,17 +238,17 @@ class _Descent:
         return self.data.squared_error(np.sum([layer.values for layer in layers], axis=0))
 
     def _cost(self, error: float, *, is_first: bool) -> float:
-        scaled = error / _FIRST_NOISE**2 if is_first else float(np.log(error + self.data.model_error**2))
+        scaled = error / _FIXED_NOISE**2 if is_first else float(np.log(error + self.data.model_error**2))
         return self.data.n_samples * scaled
 
     def _linearize(self, layers: list[Linearized]) -> None:
-        """Find C and its normal equations, which are those of each channel's own unknowns."""
+        """Compute C and its normal equations, channel by channel."""
         size = self.unknowns.size
         self._error, self._matrix, self._gradient = 0.0, np.zeros((size, size)), np.zeros(size)
         total = np.sum([layer.values for layer in layers], axis=0)
         for channel, places in enumerate(self.structure.of_channel):
             root = self.data.root_weight[channel]
-            columns = np.empty((places.size + 1, root.size))  # Derivatives, then the residual.
+            columns = np.empty((places.size + 1, root.size))  # The rows are the derivatives, then the residual.
             end = 0
             for layer in layers:
                 np.multiply(layer.own[channel], root, out=columns[end])
@@ -268,9 +269,9 @@ class _Descent:
             self._gradient[places] += products[:, -1]
 
     def _system(self, *, is_first: bool) -> tuple[Array, Array]:
-        """Half of the Hessian and of the gradient of the cost, about."""
+        """Return half of the approximate Hessian and half of the gradient of the cost."""
         structure = self.structure
-        scale = self.data.n_samples / (_FIRST_NOISE**2 if is_first else self._error + self.data.model_error**2)
+        scale = self.data.n_samples / (_FIXED_NOISE**2 if is_first else self._error + self.data.model_error**2)
         off = self.unknowns - structure.mean
         whitened = structure.root @ off
         prior = structure.root.T @ (structure.root / (1.0 + whitened**2 / structure.freedom)[:, np.newaxis])
@@ -282,9 +283,9 @@ class _Descent:
 
 
 def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]) -> Array:
-    """Unknowns with half widths [degrees] and otherwise of the prior, and the colours that fit the data best.
+    """Return start unknowns: given half widths [degrees], colours that fit the data best, otherwise the prior's mean.
 
-    A specular layer's light at normal and at grazing incidence are found apart, as shapes of their own.
+    The F0 and F90 of a specular layer are fitted as the coefficients of two separate shapes.
     """
     unknowns = structure.mean.copy()
     shapes, remaining = [], list(widths)

@@ -1,4 +1,4 @@
-"""Physical layers: surfaces that reflect and grounds that scatter light, each with a handful of parameters.
+"""Model physical layers: surfaces that reflect light and grounds that scatter light, with few parameters each.
 
 With u = 1 - cos(theta_diff), the cosines to the normal of both directions, and s(cos) how far the reflectance of glass
 has risen from normal (0) to grazing incidence (1) by Fresnel's equations, a **specular layer** is a rough surface of
@@ -9,7 +9,7 @@ microfacets (Cook and Torrance 1982), with s at theta_diff,
 
 D has the tails of Student's t over slopes, and g = kappa - 1 norms it: kappa = 2 is GGX (Walter et al. 2007), and a
 large kappa is Beckmann's distribution, both with their usual alpha. V is Smith's masking over 4 cos_in cos_out, as of
-GGX, between the height-correlated form (b = 0) and the separable one (b = 1). T is the share of light that passes a
+GGX, between the height-correlated form (b = 0) and the separable one (b = 1). T is the fraction of light that passes a
 clear coat both ways: t = 0 outside of one and 1 below. A **diffuse layer** is
 
     f = rho / pi exp(p . X),
@@ -39,28 +39,28 @@ Color: TypeAlias = tuple[float, float, float]
 
 
 class Linearized(NamedTuple):
-    """Values of a layer and their derivatives in its unknowns."""
+    """Hold the values of a layer and their derivatives in its unknowns."""
 
     values: Array  # (3, N) [1/sr]
-    own: Array  # of each channel in the logarithm of its colour, (3, N)
-    relative: Array  # of the logarithm of every channel in the last P unknowns, (P, N)
-    grazing: Array | None = None  # of every channel in log F90, the unknown after the colour, (N,)
+    own: Array  # derivative of each channel in the logarithm of its colour, (3, N) [1/sr]
+    relative: Array  # derivatives of every channel's logarithm in the last P unknowns, (P, N)
+    grazing: Array | None = None  # derivative of every channel in log F90, the unknown after the colour, (N,) [1/sr]
 
 
 @dataclass(frozen=True)
 class SpecularLayer:
-    """A rough surface; the module has the equation.
+    """Reflect light from a rough surface, by the module's equation.
 
     Attributes
     ----------
     f0 : tuple of float
         Reflectance of its facets at normal incidence, RGB.
     f90 : float
-        The same at grazing incidence.
+        Reflectance of its facets at grazing incidence.
     alpha, kappa : float
         Roughness, and exponent of the tails: 2 is GGX, less is a longer tail.
     rise : tuple of float
-        q1 and q2, how far the reflectance leaves that of glass.
+        q1 and q2, the deviation of the reflectance from glass.
     masking, under_coat : float
         b and t.
     """
@@ -75,14 +75,14 @@ class SpecularLayer:
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> SpecularLayer:
-        """Layer of unknowns (10,)."""
+        """Make a layer from unknowns (10,)."""
         red, green, blue, f90, alpha, kappa = np.exp(unknowns[[0, 1, 2, 3, 6, 7]]).tolist()
         q1, q2, masking, under_coat = unknowns[[4, 5, 8, 9]].tolist()
         return cls((red, green, blue), f90, alpha, kappa, (q1, q2), masking, under_coat)
 
     @property
     def reflectance(self) -> Array:
-        """F0 as it is seen, through a coat if there is one, RGB, shape (3,)."""
+        """F0 as seen through the coat, if any, RGB, shape (3,)."""
         return np.array(self.f0) * (1.0 - COAT_F0) ** (2.0 * self.under_coat)
 
     @property
@@ -98,7 +98,7 @@ class SpecularLayer:
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
-        """Values and derivatives at points."""
+        """Return values and their derivatives at points."""
         surface = _Surface(points, *np.exp(unknowns[6:8]))
         masking = unknowns[8]
         shape = np.exp(surface.log_shape(masking) + unknowns[4:6] @ points.rise + unknowns[9] * points.passed)
@@ -109,7 +109,7 @@ class SpecularLayer:
         return Linearized(own + grazing, own, relative, grazing)
 
     def values(self, points: Points) -> Array:
-        """Values (3, N) [1/sr]."""
+        """Return values (3, N) at points [1/sr]."""
         shape = np.exp(
             _Surface(points, self.alpha, self.kappa).log_shape(self.masking)
             + np.array(self.rise) @ points.rise
@@ -119,7 +119,7 @@ class SpecularLayer:
 
 
 class _Surface:
-    """Logarithm of D V at points, and its derivatives."""
+    """Evaluate the logarithm of D V at points, and its derivatives."""
 
     def __init__(self, points: Points, alpha: float, kappa: float) -> None:
         self._points, self._alpha, self._kappa = points, alpha, kappa
@@ -140,7 +140,7 @@ class _Surface:
         return np.asarray(tails + np.log(norm / self._together) + masking * self._by_masking)
 
     def derivatives(self, masking: float) -> tuple[Array, Array, Array]:
-        """Derivatives in log alpha, log kappa and the masking."""
+        """Return the derivatives in log alpha, log kappa and the masking."""
         points, pulled = self._points, self._kappa * self._slope / (1.0 + self._slope)
         by_in = self._square * (1.0 - points.cos_in**2) / self._seen_in
         by_out = self._square * (1.0 - points.cos_out**2) / self._seen_out
@@ -151,21 +151,21 @@ class _Surface:
 
 
 def tail_norm(kappa: float) -> tuple[float, float]:
-    """G and its derivative: kappa - 1, which norms D, positive where tails are too long for one."""
+    """Return the norm g = kappa - 1 of D and its derivative; g stays positive where D has no norm."""
     x = 8.0 * (kappa - 1.125)
     return float(0.125 + np.logaddexp(0.0, x) / 8.0), float(1.0 / (1.0 + np.exp(-x)))
 
 
 @dataclass(frozen=True)
 class DiffuseLayer:
-    """A ground that scatters light: albedo rho and exponents p of the module's equation."""
+    """Scatter light from a ground, with albedo rho and exponents p of the module's equation."""
 
     albedo: Color
     exponents: tuple[float, float, float, float, float, float]
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> DiffuseLayer:
-        """Layer of unknowns (9,)."""
+        """Make a layer from unknowns (9,)."""
         red, green, blue = np.exp(unknowns[:3]).tolist()
         first, second, third, fourth, fifth, sixth = unknowns[3:].tolist()
         return cls((red, green, blue), (first, second, third, fourth, fifth, sixth))
@@ -177,24 +177,24 @@ class DiffuseLayer:
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
-        """Values and derivatives at points."""
+        """Return values and their derivatives at points."""
         return _powers(points.ground, unknowns, 1.0 / np.pi)
 
     def values(self, points: Points) -> Array:
-        """Values (3, N) [1/sr]."""
+        """Return values (3, N) at points [1/sr]."""
         return _powers(points.ground, self.unknowns, 1.0 / np.pi).values
 
 
 @dataclass(frozen=True)
 class SheenLayer:
-    """Light of fibres at grazing angles: colour c and powers a and b of the module's equation."""
+    """Scatter light of fibres at grazing angles, with colour c and powers a and b of the module's equation."""
 
     color: Color
     powers: tuple[float, float]
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> SheenLayer:
-        """Layer of unknowns (5,)."""
+        """Make a layer from unknowns (5,)."""
         red, green, blue = np.exp(unknowns[:3]).tolist()
         first, second = unknowns[3:].tolist()
         return cls((red, green, blue), (first, second))
@@ -206,11 +206,11 @@ class SheenLayer:
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
-        """Values and derivatives at points."""
+        """Return values and their derivatives at points."""
         return _powers(points.fibres, unknowns, 1.0)
 
     def values(self, points: Points) -> Array:
-        """Values (3, N) [1/sr]."""
+        """Return values (3, N) at points [1/sr]."""
         return _powers(points.fibres, self.unknowns, 1.0).values
 
 
@@ -221,14 +221,14 @@ def _powers(features: Array, unknowns: Array, scale: float) -> Linearized:
 
 @dataclass(frozen=True)
 class RetroLayer:
-    """Light back to where it comes from: colour, and roughness about that direction."""
+    """Reflect light back towards its source, with a colour and a roughness about this direction."""
 
     color: Color
     alpha: float
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> RetroLayer:
-        """Layer of unknowns (4,)."""
+        """Make a layer from unknowns (4,)."""
         red, green, blue, alpha = np.exp(unknowns).tolist()
         return cls((red, green, blue), alpha)
 
@@ -249,7 +249,7 @@ class RetroLayer:
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
-        """Values and derivatives at points."""
+        """Return values and their derivatives at points."""
         turned = points._replace(
             squared_tangent=points.squared_retro, log_squared_secant=np.log1p(points.squared_retro)
         )
@@ -258,7 +258,7 @@ class RetroLayer:
         return Linearized(values, values, surface.derivatives(0.0)[0][np.newaxis])
 
     def values(self, points: Points) -> Array:
-        """Values (3, N) [1/sr]."""
+        """Return values (3, N) at points [1/sr]."""
         return self.linearize(points, self.unknowns).values
 
 
@@ -267,7 +267,7 @@ Layer: TypeAlias = SpecularLayer | DiffuseLayer | SheenLayer | RetroLayer
 
 @dataclass(frozen=True)
 class LayeredModel(RenderableModel):
-    """The sum of some layers: values, directional albedo, sampling and spheres from some 30 numbers."""
+    """Sum some layers: evaluate, sample and render a material with about 30 parameters."""
 
     layers: tuple[Layer, ...]
 
@@ -276,18 +276,18 @@ class LayeredModel(RenderableModel):
 
     @property
     def n_numbers(self) -> int:
-        """How many numbers the layers have."""
+        """Number of parameters of all layers."""
         return sum(layer.unknowns.size for layer in self.layers)
 
     def layer_values(self, points: Points) -> Array:
-        """Values of each layer, shape (layers, 3, N) [1/sr]."""
+        """Return the values (layers, 3, N) of each layer [1/sr]."""
         return np.array([layer.values(points) for layer in self.layers]).reshape(-1, 3, points.fresnel.size)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
+        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
         return self.layer_values(Points.at(theta_half, theta_diff, phi_diff)).sum(axis=0).T
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
+        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
         for points in grid_points(theta_half, theta_diff, phi_diff):
             yield self.layer_values(points).sum(axis=0).reshape(3, theta_diff.size, phi_diff.size)

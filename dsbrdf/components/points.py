@@ -1,4 +1,4 @@
-"""Pairs of directions as layers see them: what all layers of `dsbrdf.components.layers` need to know, found once."""
+"""Compute once the quantities at pairs of directions that all layers of `dsbrdf.components.layers` share."""
 
 from __future__ import annotations
 
@@ -10,16 +10,21 @@ import numpy as np
 from dsbrdf.arrays import Array
 
 COAT_F0 = 0.04
-"""Reflectance at normal incidence of the clear coat that light passes on its way to a layer below."""
-LEAST_COSINE = 0.02  # masking and transmittance have steep ends at the horizon, where nobody measures
-LARGEST_TANGENT = 1e4  # squared
-LEAST_RISE, LEAST_SINE = 1e-3, 3e-2  # of sheen: the logarithm of nothing has no value
+"""Reflectance at normal incidence of the clear coat above a layer."""
+MIN_COSINE = 0.02
+"""Smaller cosines to the normal are clipped: nobody measures the steep ends of masking near the horizon."""
+MAX_TAN2 = 1e4
+"""Larger values of tan(theta_half)**2 are clipped."""
+MIN_RISE = 1e-3
+"""Smaller values of u are clipped for sheen, which uses the logarithm of u."""
+MIN_SINE = 3e-2
+"""Smaller values of sin(theta_half) are clipped for sheen, which uses the logarithm of sin(theta_half)."""
 
 
 class Points(NamedTuple):
-    """What the layers need to know of N pairs of directions: arrays (N,), or stacks of them (..., N)."""
+    """Hold the quantities that layers use at N pairs of directions: arrays (N,) or stacks (..., N)."""
 
-    squared_tangent: Array  # of theta_half
+    squared_tangent: Array  # tan(theta_half)**2
     log_squared_secant: Array
     cos_in: Array
     cos_out: Array
@@ -32,14 +37,14 @@ class Points(NamedTuple):
 
     @classmethod
     def at(cls, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Points:
-        """Points of angles (N,) [rad]."""
+        """Compute the points of angles (N,) [rad]."""
         cos_half, sin_half, cos_diff = np.cos(theta_half), np.sin(theta_half), np.cos(theta_diff)
         level, swing = cos_diff * cos_half, np.sin(theta_diff) * sin_half * np.cos(phi_diff)
-        cos_in, cos_out = np.maximum(level - swing, LEAST_COSINE), np.maximum(level + swing, LEAST_COSINE)
-        squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, LARGEST_TANGENT)
+        cos_in, cos_out = np.maximum(level - swing, MIN_COSINE), np.maximum(level + swing, MIN_COSINE)
+        squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, MAX_TAN2)
         rise = 1.0 - np.maximum(cos_diff, 0.0)
         to_in, to_out, fresnel = map(fresnel_rise, (cos_in, cos_out, 1.0 - rise))
-        # sin(theta_in) sin(theta_out) cos(phi_in - phi_out), over the larger cosine where it is positive
+        # This is sin(theta_in) sin(theta_out) cos(phi_in - phi_out), the term of Oren and Nayar before its division.
         along = 2.0 * cos_diff**2 - 1.0 - cos_in * cos_out
         passed = np.log((1.0 - to_in) * (1.0 - to_out))
         ground = (
@@ -59,22 +64,22 @@ class Points(NamedTuple):
             passed=passed + 2.0 * np.log(1.0 - COAT_F0),
             rise=np.stack([rise, rise**2]),
             ground=np.stack(ground),
-            fibres=np.log(np.stack([np.maximum(rise, LEAST_RISE), np.maximum(sin_half, LEAST_SINE)])),
+            fibres=np.log(np.stack([np.maximum(rise, MIN_RISE), np.maximum(sin_half, MIN_SINE)])),
             squared_retro=np.maximum(4.0 * np.sin(theta_diff) ** 2 - (cos_in - cos_out) ** 2, 0.0)
             / (cos_in + cos_out) ** 2,
         )
 
 
 def grid_points(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Points]:
-    """Points at each angle theta_half (H,), for all theta_diff (D,) and phi_diff (P,) in that order."""
+    """Yield the points at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) in this order."""
     diff, phi = (angle.ravel() for angle in np.meshgrid(theta_diff, phi_diff, indexing="ij"))
     for angle in theta_half:
         yield Points.at(np.full(diff.size, angle), diff, phi)
 
 
 def fresnel_rise(cosine: Array) -> Array:
-    """How far the reflectance of glass (index 1.5) has risen from normal (0) to grazing incidence (1), shape (...)."""
-    refracted = np.sqrt(1.25 + cosine**2)  # cosine in the glass, times its index
+    """Return the rise (...) of the reflectance of glass (index 1.5) from normal (0) to grazing incidence (1)."""
+    refracted = np.sqrt(1.25 + cosine**2)  # This is the cosine in the glass times its index.
     across = (refracted - cosine) / (refracted + cosine)
     ratio = (cosine * (refracted + cosine) - 1.0) / (cosine * (refracted - cosine) + 1.0)
     return np.asarray(np.maximum(0.5 * across**2 * (1.0 + ratio**2) - COAT_F0, 0.0) / (1.0 - COAT_F0))

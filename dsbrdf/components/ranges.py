@@ -1,4 +1,4 @@
-"""How uncertain the components are: the spread of their figures over probable layers.
+"""Estimate the uncertainty of the components by the spread of their figures over probable layers.
 
 Layers are drawn from every structure that explains the values, by its weight, and within a structure from the normal
 equations of its fit.
@@ -17,8 +17,8 @@ from dsbrdf.components.shares import LABELS, NORMAL, WeightedLayers
 from dsbrdf.model.reflectance import ReflectanceModel
 
 PROBABILITY = 0.9
-"""With which a figure lies in its range."""
-_N_DRAWS = 24  # From each structure.
+"""A figure lies in its range with this probability."""
+_N_DRAWS_PER_STRUCTURE = 24
 
 Range: TypeAlias = tuple[float, float]
 RgbRange: TypeAlias = tuple[Range, Range, Range]
@@ -26,7 +26,7 @@ RgbRange: TypeAlias = tuple[Range, Range, Range]
 
 @dataclass(frozen=True)
 class ComponentRanges:
-    """Ranges (low, high) of a component's figures.
+    """Hold the ranges (low, high) of a component's figures.
 
     Attributes
     ----------
@@ -42,14 +42,14 @@ class ComponentRanges:
 
 
 class SurfaceSpread(NamedTuple):
-    """Standard deviations of the logarithms of a component's roughness and of its F0 (3,) over probable layers."""
+    """Hold the standard deviations of the logarithms of a component's roughness and F0 (3,)."""
 
     alpha: float
     f0: Array
 
 
 class DrawnLayers(NamedTuple):
-    """Probable layers of a model, their weights (D,), and the albedos (D, 3, 3) of `LABELS` by channel."""
+    """Hold D draws of a model's layers, their weights (D,), and the albedos (D, 3, 3) of `LABELS` by channel."""
 
     layers: Sequence[WeightedLayers]
     weight: Array
@@ -63,7 +63,7 @@ class DrawnLayers(NamedTuple):
         drawn = [
             WeightedLayers(one.structure.name, float(weight), layers, one.structure.is_diffuse)
             for one, weight in zip(found, structure_weights(found), strict=True)
-            for layers in (one.model, *one.draw(generator, _N_DRAWS))
+            for layers in (one.model, *one.draw(generator, _N_DRAWS_PER_STRUCTURE))
         ]
         albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])
         return cls(drawn, np.array([one.weight for one in drawn]), albedos)
@@ -83,7 +83,7 @@ class DrawnLayers(NamedTuple):
         return _range(share, self.weight)
 
     def surface_spread(self, label: str) -> SurfaceSpread:
-        """Return the spread of the brightest surface's roughness, and that of F0 of all surfaces together."""
+        """Return the spread of the brightest surface's roughness and of all surfaces' summed F0."""
         own = [
             [layer for layer, found in zip(one.model.layers, one.labels, strict=True) if found == label]
             for one in self.layers
@@ -110,7 +110,7 @@ def _channels(values: Array, weight: Array) -> RgbRange:
 
 
 def _range(values: Array, weight: Array) -> Range:
-    """Return the middle range of values (n,) with weights (n,) that has the stated probability."""
+    """Return the central range of weighted values (n,) that holds `PROBABILITY` of the weight."""
     order = np.argsort(values)
     cumulative = np.cumsum(weight[order])
     middle = (cumulative - 0.5 * weight[order]) / cumulative[-1]

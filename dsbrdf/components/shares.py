@@ -1,4 +1,4 @@
-"""Fractions of a model's values that belong to the layers of a structure, by the formula of the decomposition."""
+"""Divide a model's values among the layers of a structure, by the formula of the decomposition."""
 
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -12,26 +12,26 @@ from dsbrdf.components.points import Points
 from dsbrdf.model.albedo import half_vector_rule
 
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
-"""Components, from narrow to wide."""
+"""Labels of the components, from narrow to wide."""
 SPIKE_HALF_WIDTH = float(np.radians(3.0))
-"""Border between the specular spike and the specular lobe [rad of theta_half]."""
+"""A highlight with a smaller half width is a spike, otherwise a lobe [rad of theta_half]."""
 HALO = float(np.tan(np.radians(30.0))) ** 2
-"""tan(theta_half)**2 up to which most of what the layers miss is the highlight's."""
-_TRANSITION = 3
-"""Power of a part's fraction of the layers with which it takes the light that the layers lack."""
-_MIN_TOTAL = 1e-300
-_MAX_RATIO = 1e100
+"""Within this tan(theta_half)**2, most light that the layers lack belongs to the highlight."""
+_LACKING_LIGHT_POWER = 3
+"""Parts divide the light that the layers lack by this power of their fractions of the layers."""
+_MIN_LAYER_LIGHT = 1e-300  # Less light of the layers is replaced, to avoid a division by zero [1/sr].
+_MAX_VALUE_RATIO = 1e100  # Larger ratios of model to layers are clipped; the square still fits in double precision.
 
 
 class LightRule(NamedTuple):
-    """Nodes (n,) and weights of the directional albedo at one angle.
+    """Hold the nodes (n,) and weights of a quadrature of the directional albedo at one angle.
 
     Attributes
     ----------
     angles : tuple of Array
         theta_half, theta_diff and phi_diff (n,) [rad].
     points : Points
-        The same nodes for layers.
+        The nodes in the form that layers evaluate.
     weight : Array
         Weights (n,) [sr].
     """
@@ -42,7 +42,7 @@ class LightRule(NamedTuple):
 
 
 def _normal_rule() -> LightRule:
-    """Return the rule at normal incidence, where theta_half is theta_diff and nothing depends on the azimuth."""
+    """Return the rule at normal incidence, where theta_half equals theta_diff and no value depends on the azimuth."""
     rule = half_vector_rule(0.0)
     angle, place = np.unique(rule.theta_half, return_inverse=True)
     weight = np.asarray(np.bincount(place, rule.weight), dtype=np.float64)
@@ -67,14 +67,14 @@ def light_rules() -> tuple[LightRule, LightRule, LightRule]:
 
 @dataclass(frozen=True, eq=False)
 class WeightedLayers:
-    """A structure of layers, fitted to a model.
+    """Divide the values of a model by a structure of layers fitted to it.
 
     Attributes
     ----------
     name : str
         The structure in words.
     weight : float
-        How probable it is.
+        Probability of the structure.
     model : LayeredModel
         Its layers.
     is_diffuse : tuple of bool
@@ -88,7 +88,7 @@ class WeightedLayers:
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """The component that each layer belongs to."""
+        """Label of the component that each layer belongs to."""
         return tuple(map(_label, self.model.layers, self.is_diffuse))
 
     def split(self, values: Array, points: Points) -> Array:
@@ -96,17 +96,17 @@ class WeightedLayers:
         layers = self.model.layer_values(points)
         place = np.array([LABELS.index(label) for label in self.labels])
         narrow, wide, diffuse = (layers[place == label].sum(axis=0) for label in range(3))
-        specular = narrow + wide + _MIN_TOTAL
+        specular = narrow + wide + _MIN_LAYER_LIGHT
         total = specular + diffuse
         beyond, missed = (points.squared_tangent / HALO) ** 2, _ratio(values, total) - 1.0
-        taken = (diffuse / total) ** _TRANSITION * np.where(missed > 0.0, beyond / (1.0 + beyond), 1.0)
-        # A ground alone explains all values, but no highlight: light far above it near the mirror direction is one.
+        taken = (diffuse / total) ** _LACKING_LIGHT_POWER * np.where(missed > 0.0, beyond / (1.0 + beyond), 1.0)
+        # A ground alone would take all values; near the mirror direction, light far above the ground is a highlight.
         most = 1.0 + missed * taken if (place < 2).any() else 2.0 + beyond
         ground = np.minimum(values, diffuse * most)
         rest = values - ground
         if not (place == 0).any():
             return np.stack([np.zeros_like(rest), rest, ground])
-        lobe = wide * (1.0 + (_ratio(rest, specular) - 1.0) * (wide / specular) ** _TRANSITION)
+        lobe = wide * (1.0 + (_ratio(rest, specular) - 1.0) * (wide / specular) ** _LACKING_LIGHT_POWER)
         lobe = np.minimum(rest, lobe)
         return np.stack([rest - lobe, lobe, ground])
 
@@ -116,20 +116,20 @@ class WeightedLayers:
         return {type(layer) for layer, found in layers if found == label}
 
     def light_of(self, kind: type[Layer]) -> float:
-        """Share of the light at normal incidence that layers of a kind reflect."""
+        """Return the fraction of the light at normal incidence that layers of a kind reflect."""
         own = [isinstance(layer, kind) for layer in self.model.layers]
         return float(self._light[own].sum() / self._light.sum())
 
     @cached_property
     def _light(self) -> Array:
-        """What each layer reflects at normal incidence, channels added, shape (layers,)."""
+        """Light that each layer reflects at normal incidence, channels added, shape (layers,)."""
         return np.asarray(np.sum(self.model.layer_values(NORMAL.points) @ NORMAL.weight, axis=1))
 
 
 def _ratio(values: Array, total: Array) -> Array:
-    """Divide values by the light of layers, bounded for layers without light."""
+    """Divide values by the light of layers; clip the ratio where layers have no light."""
     with np.errstate(over="ignore"):
-        return np.minimum(values / total, _MAX_RATIO)
+        return np.minimum(values / total, _MAX_VALUE_RATIO)
 
 
 def _label(layer: Layer, is_diffuse: bool) -> str:

@@ -1,11 +1,11 @@
-"""What materials are made of: a few structures of layers, each with what is known of its parameters beforehand.
+"""List the structures of layers that materials have, with a prior on the parameters of each layer.
 
-A prior is about the layer's unknowns (see `layers`). Colours have a mean of their channels' logarithms, with
-Student's t with 4 degrees of freedom, so that an odd material pays a bounded price, and differences between channels,
-which are Gaussian: a dielectric highlight is neutral. All other unknowns are independent with the same t.
+A prior is about the layer's unknowns (see `layers`). The mean of a colour's log channels has a Student's t prior with
+4 degrees of freedom, whose heavy tails admit unusual materials. Differences between the channels have a Gaussian prior:
+a dielectric highlight is neutral. All other unknowns are independent, with the same t prior.
 
-A structure of more freedom has a price, in the units of the cost (see `layer_fit`): a material is what the
-simplest structure says, unless its values speak against it.
+A structure with more freedom has a price, in the units of the cost (see `layer_fit`): the simplest structure wins
+unless the values of the material contradict it.
 """
 
 import itertools
@@ -20,12 +20,13 @@ from scipy.linalg import block_diag
 from dsbrdf.arrays import Array, Indices
 from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 
-_FREEDOM, _GAUSSIAN = 4.0, 1e9  # degrees of freedom of Student's t
-_HELD = 1e-3  # standard deviation of what is not free
-_CONTRASTS = np.array([[1.0, 1.0, 1.0], [3.0, -3.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[9.0], [18.0], [6.0]])
+_STUDENT_T_FREEDOM = 4.0
+_GAUSSIAN_FREEDOM = 1e9  # With so many degrees of freedom, Student's t is a Gaussian.
+_FIXED_DEVIATION = 1e-3  # An unknown with this standard deviation is practically fixed.
+_CHANNEL_CONTRASTS = np.array([[1.0, 1.0, 1.0], [3.0, -3.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[9.0], [18.0], [6.0]])
 """Mean of three channels, and two differences of unit length."""
-_RISES = np.array([[-0.6, 0.8], [0.8, 0.6]])
-"""Axes of a rise's exponents: glass is at 0, Schlick's law at about 1.5 of the first; all else is rare."""
+_RISE_AXES = np.array([[-0.6, 0.8], [0.8, 0.6]])
+"""Axes of the exponents q1 and q2: glass is at 0, Schlick's law at about 1.5 on the first axis."""
 
 Range: TypeAlias = tuple[float, float]
 """Mean and standard deviation."""
@@ -33,15 +34,15 @@ Range: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class LayerPrior:
-    """A layer and what its U unknowns probably are."""
+    """Hold the prior on the U unknowns of a layer."""
 
     kind: type[Layer]
     is_diffuse: bool
     mean: Array  # (U,)
-    root: Array  # whitens deviations from the mean, (U, U)
+    root: Array  # matrix that whitens deviations from the mean, (U, U)
     freedom: Array  # degrees of freedom of each whitened deviation, (U,)
-    lower: Array  # bounds, (U,)
-    upper: Array
+    lower: Array  # (U,)
+    upper: Array  # (U,)
 
 
 def _prior(
@@ -53,43 +54,46 @@ def _prior(
     *,
     is_diffuse: bool = True,
 ) -> LayerPrior:
-    """Prior of a log colour and its differences between channels, and of the other unknowns; bounds of all of them."""
+    """Make the prior of a log colour, its differences between channels, and the other unknowns."""
     means, deviations = np.array(others).T
     lower, upper = np.array([bounds[0]] * 3 + list(bounds[1:])).T
-    colors = _CONTRASTS / np.array([[color[1]], [tint], [tint]])
+    colors = _CHANNEL_CONTRASTS / np.array([[color[1]], [tint], [tint]])
     whiten = np.diag(1.0 / deviations)
     if kind is SpecularLayer:
-        whiten[1:3, 1:3] = whiten[1:3, 1:3] @ _RISES
+        whiten[1:3, 1:3] = whiten[1:3, 1:3] @ _RISE_AXES
     return LayerPrior(
         kind,
         is_diffuse,
         np.concatenate([np.full(3, color[0]), means]),
         block_diag(colors, whiten),
-        np.concatenate([[_FREEDOM, _GAUSSIAN, _GAUSSIAN], np.full(means.size, _FREEDOM)]),
+        np.concatenate(
+            [[_STUDENT_T_FREEDOM, _GAUSSIAN_FREEDOM, _GAUSSIAN_FREEDOM], np.full(means.size, _STUDENT_T_FREEDOM)]
+        ),
         lower,
         upper,
     )
 
 
-_WEAK = (-12.0, np.log(0.2))  # as bright as a dielectric can be: diamond has 0.17
-_STRONG = (-12.0, np.log(3.0))
-_RISE = ((0.0, 1.0), (0.0, 0.15))  # along `_RISES`
-_SPECULAR_BOUNDS = (  # of all but the colour
+_DIELECTRIC_LOG_F0_BOUNDS = (-12.0, np.log(0.2))  # Diamond, the brightest dielectric, has F0 = 0.17.
+_LOG_F0_BOUNDS = (-12.0, np.log(3.0))
+_RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # The axes are `_RISE_AXES`.
+# Bounds of F90, q1, q2, alpha, kappa, masking and under_coat.
+_SPECULAR_BOUNDS = (
     (-5.0, 0.7), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
     (-0.5, 1.5), (-0.5, 2.0),
 )  # fmt: skip
 
 
-def _specular(color: Range, tint: float, *, strength: Range = _STRONG, under_coat: bool = False) -> LayerPrior:
-    """A surface of any roughness up to 0.7: a rougher one and a matte ground cannot be told apart."""
+def _specular(color: Range, tint: float, *, strength: Range = _LOG_F0_BOUNDS, under_coat: bool = False) -> LayerPrior:
+    """Make the prior of a surface up to roughness 0.7; a rougher surface looks like a matte ground."""
     bounds = (strength, *_SPECULAR_BOUNDS)
     others = (
         (-0.1, 0.4),  # F90
-        *_RISE,
+        *_RISE_PRIOR,
         (np.log(0.12), 1.5),  # alpha
-        (np.log(2.0), 0.5),  # kappa, that of GGX
+        (np.log(2.0), 0.5),  # kappa; 2 is GGX.
         (0.5, 0.3),
-        (1.0, 0.3) if under_coat else (0.0, _HELD),
+        (1.0, 0.3) if under_coat else (0.0, _FIXED_DEVIATION),
     )
     return _prior(SpecularLayer, color, tint, others, bounds, is_diffuse=False)
 
@@ -99,10 +103,10 @@ def _diffuse(exponents: Sequence[Range]) -> LayerPrior:
     return _prior(DiffuseLayer, (np.log(0.15), 1.5), 1.0, exponents, bounds)
 
 
-_DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, strength=_WEAK)
-_COAT = _specular((np.log(0.045), 0.35), 0.03)  # or the peak of a metal with haze, which is as bright as metal
+_DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, strength=_DIELECTRIC_LOG_F0_BOUNDS)
+_COAT = _specular((np.log(0.045), 0.35), 0.03)  # The bounds include the peak of a metal with haze.
 _CLEAR_COAT = replace(_COAT, upper=np.where(np.arange(_COAT.upper.size) == 6, np.log(0.08), _COAT.upper))
-"""A coat that is smoother than what it covers."""
+"""A coat that is smoother than the layer below."""
 _METAL = _specular((np.log(0.6), 0.6), 1.0)
 _METAL_UNDER_COAT = _specular((np.log(0.6), 0.6), 1.0, under_coat=True)
 _HIGHLIGHT = _specular((np.log(0.5), 0.8), 0.7)
@@ -114,19 +118,25 @@ _RETRO = _prior(
     RetroLayer, (np.log(0.05), 1.5), 0.5, ((np.log(0.12), 0.5),), ((-12.0, 1.0), (np.log(0.02), np.log(0.4))),
     is_diffuse=False,
 )  # fmt: skip
-# The surfaces of fibres, which turn every way: a highlight as rough as they make it is part of what cloth scatters.
+# Fibres turn in all directions, so their surfaces make a rough highlight that counts as scattered light of cloth.
 _FIBRES = _prior(
     SpecularLayer,
     (np.log(0.045), 0.35),
     0.05,
-    ((-0.1, 0.4), *_RISE, (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _HELD)),
-    (_WEAK, *_SPECULAR_BOUNDS[:3], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)), *_SPECULAR_BOUNDS[5:]),
+    ((-0.1, 0.4), *_RISE_PRIOR, (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _FIXED_DEVIATION)),
+    (
+        _DIELECTRIC_LOG_F0_BOUNDS,
+        *_SPECULAR_BOUNDS[:3],
+        (np.log(0.5), 0.0),
+        (np.log(0.6), np.log(3.0)),
+        *_SPECULAR_BOUNDS[5:],
+    ),
 )
 
 
-_WIDEST_START_DEG = 35.0
+_MAX_START_HALF_WIDTH_DEG = 35.0
 _INTERREFLECTION_POWER = 2.4  # The light between facets grows with this power of alpha.
-_INTERREFLECTION_LEVEL = float(np.log(0.106) - _INTERREFLECTION_POWER * np.log(0.3))
+_INTERREFLECTION_LOG_SCALE = float(np.log(0.106) - _INTERREFLECTION_POWER * np.log(0.3))
 _INTERREFLECTION = replace(
     _prior(
         DiffuseLayer,
@@ -136,9 +146,9 @@ _INTERREFLECTION = replace(
         ((-14.0, np.log(2.0)), (-1.0, 2.0), (-1.0, 2.0), (-2.5, 4.0), (-1.0, 2.5), (-2.5, 2.5), (-1.0, 1.5)),
     ),
     is_diffuse=False,
-    freedom=np.array([_GAUSSIAN] * 3 + [_FREEDOM] * 6),
+    freedom=np.array([_GAUSSIAN_FREEDOM] * 3 + [_STUDENT_T_FREEDOM] * 6),
 )
-"""Light of a metal that leaves after several reflections (Kulla and Conty 2017): its colour is that of F0 squared."""
+"""Light that leaves a metal after several reflections (Kulla and Conty 2017); its colour is F0 squared."""
 
 
 OWN_PRIORS: dict[type[Layer], LayerPrior] = {
@@ -153,10 +163,10 @@ OWN_PRIORS: dict[type[Layer], LayerPrior] = {
             (np.log(0.12), 3.0),
             (np.log(2.0), 1.0),
             (0.5, 0.4),
-            (0.0, _HELD),
+            (0.0, _FIXED_DEVIATION),
         ),
         (
-            _STRONG,
+            _LOG_F0_BOUNDS,
             (np.log(0.02), 0.7),
             (-3.0, 3.0),
             (-3.0, 3.0),
@@ -171,29 +181,29 @@ OWN_PRIORS: dict[type[Layer], LayerPrior] = {
     SheenLayer: _SHEEN,
     RetroLayer: _RETRO,
 }
-"""Weak priors of the layers of one component, whose light is already known."""
+"""Weak priors of the layers of one component."""
 
 
 @dataclass(frozen=True, eq=False)
 class LayerStructure:
-    """Layers of a kind of material, with U unknowns.
+    """Describe the layers of a kind of material by U unknowns.
 
     Attributes
     ----------
     name : str
         The structure in words.
     layers : tuple of LayerPrior
-        Its layers.
+        Priors of its layers.
     price : float
-        Cost of its freedom.
+        Addition to the cost for the structure's freedom.
     starts : tuple of tuple of float
-        Half widths of the specular layers that a fit starts from [degrees].
+        Start values of the specular layers' half widths, one tuple for each start [degrees].
     interreflects : bool
         Whether the last layer is light between the facets of the first.
     parent : str or None
-        Structure fitted before, whose half widths are the start.
+        Name of a structure that is fitted before; its half widths are the start.
     start_factors : tuple of tuple
-        Number of the parent's specular layer, and factor of its half width, for each specular layer.
+        For each specular layer, the index of the parent's specular layer and the factor of its half width.
     """
 
     name: str
@@ -205,14 +215,14 @@ class LayerStructure:
     start_factors: tuple[tuple[int, float], ...] = ()
 
     def started_from(self, parent: LayeredModel) -> "LayerStructure":
-        """Return the structure with a start at the half widths of another one's layers."""
+        """Return the structure with a start at the half widths of its parent's layers."""
         widths = [float(np.degrees(one.half_width)) for one in parent.layers if isinstance(one, SpecularLayer)]
-        start = tuple(min(widths[number] * factor, _WIDEST_START_DEG) for number, factor in self.start_factors)
+        start = tuple(min(widths[number] * factor, _MAX_START_HALF_WIDTH_DEG) for number, factor in self.start_factors)
         return replace(self, starts=(start,))
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Where the unknowns of each layer stand."""
+        """Slice of the unknowns for each layer."""
         ends = np.cumsum([0, *(layer.mean.size for layer in self.layers)]).tolist()
         return tuple(slice(start, stop) for start, stop in itertools.pairwise(ends))
 
@@ -221,7 +231,7 @@ class LayerStructure:
         """Mean of the prior (U,)."""
         mean = np.concatenate([layer.mean for layer in self.layers])
         if self.interreflects:
-            mean[self.slices[-1]][:3] = 2.0 * mean[:3] + _INTERREFLECTION_POWER * mean[6] + _INTERREFLECTION_LEVEL
+            mean[self.slices[-1]][:3] = 2.0 * mean[:3] + _INTERREFLECTION_POWER * mean[6] + _INTERREFLECTION_LOG_SCALE
         return mean
 
     @cached_property
@@ -248,18 +258,18 @@ class LayerStructure:
 
     @cached_property
     def of_channel(self) -> tuple[Indices, Indices, Indices]:
-        """The unknowns that matter to each channel: of each layer its own colour's, then all but colours."""
+        """Indices of the unknowns of each channel: for each layer the channel's colour, then all other parameters."""
         places = [np.arange(part.start, part.stop) for part in self.slices]
         red, green, blue = (np.concatenate([np.r_[p[channel], p[3:]] for p in places]) for channel in range(3))
         return red, green, blue
 
     @cached_property
     def log_determinant(self) -> float:
-        """Of the prior's normal equations at its mean."""
+        """Log determinant of the prior's normal equations at its mean."""
         return 2.0 * float(np.linalg.slogdet(self.root)[1])
 
     def model(self, unknowns: Array) -> LayeredModel:
-        """Layers of unknowns (U,)."""
+        """Make the layers from unknowns (U,)."""
         return LayeredModel(
             tuple(
                 layer.kind.from_unknowns(unknowns[part]) for layer, part in zip(self.layers, self.slices, strict=True)
@@ -267,7 +277,7 @@ class LayerStructure:
         )
 
     def no_narrower(self, half_width: float) -> "LayerStructure":
-        """Return the structure with a bound on the half widths of GGX's highlights [rad]."""
+        """Return the structure with a lower bound on the half widths of its GGX highlights [rad]."""
         least = np.log(np.tan(half_width) / np.sqrt(np.sqrt(2.0) - 1.0))
         layers = tuple(
             replace(
@@ -285,37 +295,42 @@ class LayerStructure:
         return tuple(layer.is_diffuse for layer in self.layers)
 
 
-_ONE = ((0.3,), (1.5,), (6.0,), (18.0,))
-_TWO = ((0.15, 12.0), (1.0, 6.0), (1.0, 16.0), (4.0, 16.0))
+_ONE_SURFACE_STARTS_DEG = ((0.3,), (1.5,), (6.0,), (18.0,))
+_TWO_SURFACE_STARTS_DEG = ((0.15, 12.0), (1.0, 6.0), (1.0, 16.0), (4.0, 16.0))
 
-_SAME_WIDTH = ((0, 1.0),)
-_SAME_WIDTHS = ((0, 1.0), (1, 1.0))
+# Every specular layer starts at the half width of the parent's layer with the same index.
+_PARENT_WIDTH = ((0, 1.0),)
+_PARENT_WIDTHS = ((0, 1.0), (1, 1.0))
 
 STRUCTURES = (
     LayerStructure("diffuse", (_GROUND,)),
     LayerStructure("diffuse with sheen", (_GROUND, _SHEEN), 2.0),
     LayerStructure("diffuse with retro-reflection", (_RETRO, _GROUND), 6.0),
     LayerStructure("fibres", (_FIBRES, _YARN), 5.0),
-    LayerStructure("dielectric over diffuse", (_DIELECTRIC, _GROUND), 0.0, _ONE),
-    LayerStructure("metal", (_METAL,), 0.0, _ONE),
-    LayerStructure("dielectric", (_DIELECTRIC,), 0.0, _ONE, parent="metal", start_factors=_SAME_WIDTH),
+    LayerStructure("dielectric over diffuse", (_DIELECTRIC, _GROUND), 0.0, _ONE_SURFACE_STARTS_DEG),
+    LayerStructure("metal", (_METAL,), 0.0, _ONE_SURFACE_STARTS_DEG),
+    LayerStructure(
+        "dielectric", (_DIELECTRIC,), 0.0, _ONE_SURFACE_STARTS_DEG, parent="metal", start_factors=_PARENT_WIDTH
+    ),
     LayerStructure(
         "highlight over diffuse",
         (_HIGHLIGHT, _GROUND),
         6.0,
-        _ONE,
+        _ONE_SURFACE_STARTS_DEG,
         parent="dielectric over diffuse",
-        start_factors=_SAME_WIDTH,
+        start_factors=_PARENT_WIDTH,
     ),
-    LayerStructure("coat over highlight over diffuse", (_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND), 8.0, _TWO),
-    LayerStructure("coat over metal", (_COAT, _METAL_UNDER_COAT), 2.0, _TWO),
+    LayerStructure(
+        "coat over highlight over diffuse", (_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND), 8.0, _TWO_SURFACE_STARTS_DEG
+    ),
+    LayerStructure("coat over metal", (_COAT, _METAL_UNDER_COAT), 2.0, _TWO_SURFACE_STARTS_DEG),
     LayerStructure(
         "two highlights over diffuse",
         (_COAT, _DIELECTRIC, _GROUND),
         2.0,
-        _TWO,
+        _TWO_SURFACE_STARTS_DEG,
         parent="coat over highlight over diffuse",
-        start_factors=_SAME_WIDTHS,
+        start_factors=_PARENT_WIDTHS,
     ),
 )
 """Usual structures; a parent stands before the structure that starts from it."""
@@ -326,14 +341,14 @@ RARE_STRUCTURES = (
         (_DIELECTRIC, _GROUND, _SHEEN),
         4.0,
         parent="dielectric over diffuse",
-        start_factors=_SAME_WIDTH,
+        start_factors=_PARENT_WIDTH,
     ),
     LayerStructure(
         "dielectric over diffuse with retro-reflection",
         (_DIELECTRIC, _RETRO, _GROUND),
         6.0,
         parent="dielectric over diffuse",
-        start_factors=_SAME_WIDTH,
+        start_factors=_PARENT_WIDTH,
     ),
     LayerStructure(
         "metal with interreflection",
@@ -341,7 +356,7 @@ RARE_STRUCTURES = (
         2.0,
         interreflects=True,
         parent="metal",
-        start_factors=_SAME_WIDTH,
+        start_factors=_PARENT_WIDTH,
     ),
     LayerStructure(
         "metal of two roughnesses",
@@ -357,4 +372,4 @@ RARE_STRUCTURES = (
         start_factors=((0, 1.0), (1, 0.7), (1, 2.0)),
     ),
 )
-"""Structures with more kinds of light than those above, which most of them start from."""
+"""Structures with more kinds of light; most of them start from a usual structure."""

@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import LAYER_POWER, PLAIN_SHARE
+from dsbrdf.components.layer_data import LAYER_POWER, PLAIN_ERROR_WEIGHT
 from dsbrdf.components.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.components.points import Points
@@ -65,7 +65,7 @@ def layer_samples(samples: ScatteredSamples) -> LayerData:
     """Samples, weighted so that layers are fitted to errors relative to f**1.4, and to a share of plain ones."""
     level, square = samples.values.mean(axis=1), np.sum(samples.values**2, axis=1)
     seen = samples.weight / (level + dark_level(samples)) ** LAYER_POWER
-    weight = seen / np.sum(seen * square) + PLAIN_SHARE * samples.weight / np.sum(samples.weight * square)
+    weight = seen / np.sum(seen * square) + PLAIN_ERROR_WEIGHT * samples.weight / np.sum(samples.weight * square)
     points = Points.at(*half_difference(samples.omega_in, samples.omega_out))
     return LayerData.of(points, samples.values.T, np.broadcast_to(weight, (3, weight.size)))
 

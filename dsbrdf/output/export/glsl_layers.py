@@ -18,7 +18,7 @@ import numpy as np
 
 from dsbrdf.components.decomposition import Component, Decomposition
 from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, tail_norm
-from dsbrdf.components.points import COAT_F0, LARGEST_TANGENT, LEAST_COSINE, LEAST_RISE, LEAST_SINE
+from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
 from dsbrdf.components.shares import HALO, LABELS, WeightedLayers
 from dsbrdf.output.export.single_precision import filled, literal
 
@@ -38,7 +38,7 @@ def layer_functions(layers: Sequence[Layer]) -> str:
     if kinds & {SpecularLayer, RetroLayer}:
         text += _SURFACE
     text += "".join(function for kind, function in _FUNCTIONS.items() if kind in kinds)
-    limits = {"COSINE": LEAST_COSINE, "TANGENT": LARGEST_TANGENT, "RISE": LEAST_RISE, "SINE2": LEAST_SINE**2}
+    limits = {"COSINE": MIN_COSINE, "TANGENT": MAX_TAN2, "RISE": MIN_RISE, "SINE2": MIN_SINE**2}
     limits |= {"COAT": COAT_F0, "CLEAR": -2.0 * float(np.log(1.0 - COAT_F0))}
     return filled(text, {word: literal(value) for word, value in limits.items()})
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy
 
-from dsbrdf.components.points import COAT_F0, LARGEST_TANGENT, LEAST_COSINE, LEAST_RISE, LEAST_SINE
+from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
 from dsbrdf.components.shares import HALO
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.model.lobes import GRAZING_COSINE
@@ -104,8 +104,8 @@ def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, alpha: Any, kappa: An
 
 def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, parameters: dict[str, Any], names: Any) -> Any:
     """Return the logarithm of the sum of the layers with these names (..., 3)."""
-    cos_in, cos_out = (xp.clip(omega[..., 2], LEAST_COSINE, 1.0) for omega in pair)
-    u, sin2, tan2 = 2.0 * xp.sin(theta_diff / 2.0) ** 2, xp.sin(theta_diff) ** 2, xp.clip(tan2, None, LARGEST_TANGENT)
+    cos_in, cos_out = (xp.clip(omega[..., 2], MIN_COSINE, 1.0) for omega in pair)
+    u, sin2, tan2 = 2.0 * xp.sin(theta_diff / 2.0) ** 2, xp.sin(theta_diff) ** 2, xp.clip(tan2, None, MAX_TAN2)
     to_in, to_out, fresnel = (_rise(xp, cosine) for cosine in (cos_in, cos_out, 1.0 - u))
     passed, sin2_half, rise = xp.log((1.0 - to_in) * (1.0 - to_out)), tan2 / (1.0 + tan2), fresnel[..., None]
     total = 0.0 * rise - 1e4  # the logarithm of no light
@@ -119,7 +119,7 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
             back2 = xp.clip(4.0 * sin2 - (cos_in - cos_out) ** 2, 0.0, None) / (cos_in + cos_out) ** 2
             color, form = xp.log(p["color"]), _facets(xp, cos_in, cos_out, back2, p["alpha"], 0.0 * u + 2.0, 0.0)
         elif "powers" in p:  # sheen of fibres
-            log_u, log_sin2 = xp.log(xp.clip(u, LEAST_RISE, None)), xp.log(xp.clip(sin2_half, LEAST_SINE**2, None))
+            log_u, log_sin2 = xp.log(xp.clip(u, MIN_RISE, None)), xp.log(xp.clip(sin2_half, MIN_SINE**2, None))
             color, form = xp.log(p["color"]), p["powers"][0] * log_u + p["powers"][1] / 2.0 * log_sin2
         else:
             along, limb = 1.0 - 2.0 * sin2 - cos_in * cos_out, xp.log(2.0 / (cos_in + cos_out))
@@ -132,7 +132,7 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
 
 def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: bool) -> list[Any]:
     """Divide the model's values among spike, lobe and diffuse part, by the logarithms of the layers of each."""
-    q2, (narrow, wide, diffuse) = (xp.clip(tan2, None, LARGEST_TANGENT)[..., None] / HALO) ** 2, layers
+    q2, (narrow, wide, diffuse) = (xp.clip(tan2, None, MAX_TAN2)[..., None] / HALO) ** 2, layers
     if not has_highlight:  # What is much brighter near the mirror direction than the ground is a highlight.
         ground = xp.minimum(whole, xp.exp(diffuse) * (2.0 + q2))
         return [0.0 * whole, whole - ground, ground]

@@ -20,7 +20,7 @@ from dsbrdf.version import __version__
 
 _CONSTANTS = (
     *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO"),
-    *("LEAST_COSINE", "LARGEST_TANGENT", "LEAST_RISE", "LEAST_SINE"),
+    *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE"),
 )
 _LOBES = {"hemi_epd": code._hemi_epd, "student": code._student}
 _KNOTS = ("theta_diff", "shape_theta_diff", "elongation_theta_diff")
