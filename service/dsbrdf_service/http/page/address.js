@@ -1,6 +1,6 @@
 // What a view shows stands in its address, after #: each field that is not as the view has it at first. It is kept so.
 
-const fields = () => /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("main :is(input, select)[name]")]).filter((field) => !field.closest(".options"));
+const fields = () => /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("main :is(input, select)[name]")]).filter((field) => !field.closest(".options, dialog"));
 
 /** Sets the fields as the address says. */
 export function readAddress() {

@@ -16,15 +16,21 @@ export class Problem extends Error {
   }
 }
 
-/**
- * Asks the service, with the key if there is one; asks for a key where one is needed, waits where it is told to.
- * @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @returns {Promise<Response>}
- */
-export async function request(path, options = {}) {
+let pending = 0; // requests, which a bar at the top of the page shows
+
+/** Asks the service, with the key if there is one; asks for a key where one is needed, waits where it is told to.
+ * @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @param {typeof fetch} [send] @returns {Promise<Response>} */
+export function request(path, options = {}, send = fetch) {
+  document.body.classList.toggle("busy", Boolean(pending += 1));
+  return answerTo(path, options, send).finally(() => document.body.classList.toggle("busy", Boolean(pending -= 1)));
+}
+
+/** @param {string} path @param {RequestInit & {headers?: Record<string, string>}} options @param {typeof fetch} send @returns {Promise<Response>} */
+async function answerTo(path, options, send) {
   for (let tries = 1; ; tries += 1) {
     const key = sessionStorage.getItem(STORED);
     const headers = { ...options.headers, ...(key && { Authorization: `Bearer ${encodeURI(key)}` }) };
-    const answer = await fetch(new URL(path, root), { ...options, headers, credentials: "omit" }).catch(() => {
+    const answer = await send(new URL(path, root), { ...options, headers, credentials: "omit" }).catch(() => {
       throw new Problem(options.signal?.aborted ? "The upload was cancelled." : UNREACHABLE);
     });
     if (answer.ok) return answer;
@@ -83,22 +89,18 @@ async function signedIn(refused) {
   find(document, "#sign-out").hidden = !sessionStorage.getItem(STORED);
 }
 
-/**
- * The element of a selector, which must be there.
+/** The element of a selector, which must be there.
  * @template {Element} [T=HTMLElement]
- * @param {ParentNode} parent @param {string} selector @param {abstract new () => T} [kind] @returns {T}
- */
+ * @param {ParentNode} parent @param {string} selector @param {abstract new () => T} [kind] @returns {T} */
 export function find(parent, selector, kind) {
   const found = parent.querySelector(selector);
   if (!(found instanceof (kind ?? HTMLElement))) throw new Error(`There is no ${selector} here.`);
   return /** @type {T} */ (found);
 }
 
-/**
- * A new element with properties, or attributes where it has no such property.
+/** A new element with properties, or attributes where it has no such property.
  * @template {keyof HTMLElementTagNameMap} K
- * @param {K} name @param {Record<string, unknown>} [given] @param {(Node | string)[]} content @returns {HTMLElementTagNameMap[K]}
- */
+ * @param {K} name @param {Record<string, unknown>} [given] @param {(Node | string)[]} content @returns {HTMLElementTagNameMap[K]} */
 export function make(name, given = {}, ...content) {
   const made = document.createElement(name);
   for (const [key, value] of Object.entries(given)) {
@@ -180,6 +182,16 @@ export async function remove(path, question, then = () => location.assign(root))
   then();
 }
 
+/** A function that says how far something is, in per cent, and how long it will take. @param {string} lead @returns {(done: number) => string} */
+export function progressOf(lead) {
+  let [first, begun] = [NaN, 0];
+  return (done) => {
+    if (Number.isNaN(first)) [first, begun] = [done, performance.now()];
+    const left = Math.ceil(((performance.now() - begun) * (1 - done)) / (done - first) / 1000);
+    return `${lead}: ${Math.floor(100 * done)} %${done > first + 0.02 && done < 1 ? `, about ${left} s left` : ""}`;
+  };
+}
+
 /** @param {Fit} fit @param {() => unknown} [then] */
 export const removeFit = (fit, then) => remove(`v1/fits/${fit.id}?only=delete`, `Delete this fit of ${nameOf(fit)}? Its measurement stays.`, then);
 
@@ -201,8 +213,9 @@ export const nameOf = (fit) => fit.name ?? `${fit.measurement.slice(0, 12)}…`;
 const STATES = /** @type {Record<string, string>} */ ({ accepted: "waiting", running: "fitting", failed: "failed", cancelled: "cancelled", succeeded: "fitted" });
 /** How a fit is, in a word or two. @param {Fit} fit */
 export function stateOf({ status, progress, likeness, metrics }) {
-  const error = metrics?.relative_rms_left_out; // of a table of samples
-  return likeness ?? (error ? `${(100 * error).toPrecision(2)} % off` : `${STATES[status]}${status === "running" ? `, ${Math.round(100 * progress)} %` : ""}`);
+  const error = 100 * (metrics?.relative_rms_left_out ?? 0); // of a table of samples
+  const text = likeness ?? (error ? `error ${error < 10 ? error.toPrecision(2) : Math.round(error)} %` : `${STATES[status]}${status === "running" ? `, ${Math.floor(100 * progress)} %` : ""}`);
+  return text.replace(/ (?=dB|%)/g, "\u00a0");
 }
 /** @param {{size: number}} file */
 export const sizeOf = ({ size }) => (size < 1e6 ? `${(size / 1e3).toPrecision(3)} kB` : `${(size / 1e6).toPrecision(3)} MB`);
@@ -232,6 +245,9 @@ export async function open() {
   }
 }
 
+addEventListener("click", ({ target }) => { // a menu closes when something else is pressed
+  for (const menu of document.querySelectorAll("details.menu[open]")) if (!menu.contains(/** @type {Node} */ (target))) menu.removeAttribute("open");
+});
 addEventListener("unhandledrejection", (event) => {
   const lost = String(event.reason).includes("dynamically imported module"); // a part of the page could not be fetched
   if (lost || event.reason instanceof Problem) event.preventDefault();

@@ -1,7 +1,11 @@
 // Two fits side by side, under one light.
 import { dateOf, fill, find, json, nameOf, Problem, setTitle, template } from "./app.js";
+import { showComponents } from "./components.js";
 import { place, showSide, showSpheres, storedOf, subjectOf } from "./said.js";
+import { colourOf, SCALE } from "./shader.js";
 import { running } from "./sphere.js";
+
+const COLOURS = Array.from({ length: 256 }, (_, level) => colourOf(level / 255).map((value) => 255 * value));
 
 /** @param {HTMLElement} main */
 export async function show(main) {
@@ -22,15 +26,17 @@ export async function show(main) {
     showSide(find(made, ".side"), fit);
     return place(made);
   });
+  showComponents(find(main, ".both"), fits);
   const subjects = fits.map((fit, i) => subjectOf(fit, stored[i]));
   await showSpheres(main, figures, subjects);
   find(main, "#between").hidden = running.length < 2;
   if (running.length === 2) compare(running);
 }
 
-/** Difference of what two spheres show, four times, and its peak signal-to-noise ratio over their pixels. @param {import("./sphere.js").Sphere[]} spheres */
+/** Difference of what two spheres show, and its peak signal-to-noise ratio over their pixels. @param {import("./sphere.js").Sphere[]} spheres */
 function compare([first, second]) {
   const canvas = find(document, "#between canvas", HTMLCanvasElement);
+  find(document, "#between .scale i").style.background = SCALE;
   const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { willReadFrequently: true }));
   first.onpaint = second.onpaint = () => {
     const size = first.canvas.width;
@@ -39,13 +45,15 @@ function compare([first, second]) {
     context.drawImage(first.canvas, 0, 0);
     context.globalCompositeOperation = "difference";
     context.drawImage(second.canvas, 0, 0);
-    const { data } = context.getImageData(0, 0, size, size);
+    context.globalCompositeOperation = "source-over";
+    const picture = context.getImageData(0, 0, size, size);
+    const { data } = picture;
     const seen = data.filter((_, i) => i % 4 < 3 && data[i - (i % 4) + 3] === 255);
     const sum = seen.reduce((total, value) => total + value * value, 0);
     const text = sum ? `${(10 * Math.log10((255 * 255 * seen.length) / sum)).toFixed(1)} dB` : "no difference";
-    find(document, "#likeness").textContent = `As shown above: ${text} (peak signal-to-noise ratio).`;
-    context.globalCompositeOperation = "lighter";
-    for (const _ of [1, 2]) context.drawImage(canvas, 0, 0);
+    find(document, "#likeness").textContent = `As the two spheres are shown above: ${text}${sum ? " peak signal-to-noise ratio" : ""}.`;
+    for (let i = 0; i < data.length; i += 4) data.set(COLOURS[Math.max(data[i], data[i + 1], data[i + 2])], i);
+    context.putImageData(picture, 0, 0);
   };
   first.onpaint();
 }

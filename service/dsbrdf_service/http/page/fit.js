@@ -1,6 +1,8 @@
 // The page of one fit: its progress, why it failed, or the result.
-import { act, dateOf, fill, find, follow, json, nameOf, removeFit, request, say, setTitle, share, showPicture, template, whenOpened, whenSeen, words } from "./app.js";
-import { place, showDownloads, showSide, showSpheres, storedOf, subjectOf } from "./said.js";
+import { act, dateOf, fill, find, follow, json, make, nameOf, progressOf, removeFit, request, root, say, setTitle, share, showPicture, template, whenOpened, whenSeen } from "./app.js";
+import { showComponents } from "./components.js";
+import { showDownloads } from "./downloads.js";
+import { place, showSide, showSpheres, storedOf, subjectOf } from "./said.js";
 
 const FAULTS = {
   input: "The measurement or the options do not allow a fit.",
@@ -29,16 +31,16 @@ export async function show(main, id) {
 function showResult(main, fit, stored) {
   const name = nameOf(fit);
   setTitle(name);
-  const alone = stored ? "The measurement is a table of samples: the plots below show them." : "The measurement is not stored any more: the fit is shown alone.";
-  const about = `${fit.components.map(({ label }) => words(label)).join(", ") || "no light"} · ${dateOf(fit.created)}. ${stored?.valid_nodes ? "" : alone}`;
-  fill(main, { name, about }, { compare: `.#with=${fit.id}`, measurement: `measurements/${fit.measurement}` });
+  fill(main, { name, about: `Fitted ${dateOf(fit.created)}. ${stored ? "" : "Its measurement was deleted: the fit is shown alone."}` }, { measurement: `measurements/${fit.measurement}` });
   showSide(find(main, ".side"), fit);
+  showComponents(find(main, ".side"), [fit]);
   find(main, "a[data-link=measurement]").hidden = find(main, "#figures").hidden = !stored;
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   for (const image of find(main, "#figures").querySelectorAll("img")) whenOpened(image, () => showPicture(image, `v1/fits/${fit.id}/figures/${image.id}.svg?dark=${dark}`));
   if (!stored?.valid_nodes) find(main, "#lobes").closest("figure")?.remove(); // they are those of a grid
   act(main, "share", share);
   act(main, "delete", () => removeFit(fit));
+  act(main, "compare", () => compareWith(fit));
   act(main, "rename", async () => {
     const wanted = prompt("The fit's new name", find(main, "h1").textContent ?? "")?.trim();
     if (!wanted) return;
@@ -47,6 +49,18 @@ function showResult(main, fit, stored) {
     setTitle(wanted);
     say("The fit is renamed.");
   });
+}
+
+/** Asks with which other fit one is to be compared, and goes there. @param {Fit} fit */
+async function compareWith(fit) {
+  /** @type {Fit[]} */
+  const others = (await json("v1/fits?limit=200&status=succeeded")).items.filter((/** @type {Fit} */ { id }) => id !== fit.id);
+  if (!others.length) return say("There is no other fit yet. Fit a second material, then compare the two.");
+  const [dialog, choice] = [find(document, "#compare-with", HTMLDialogElement), find(document, "#other-fit", HTMLSelectElement)];
+  fill(dialog, { name: nameOf(fit) });
+  choice.replaceChildren(...others.map((other) => make("option", { value: other.id }, `${nameOf(other)}, ${dateOf(other.created)}`)));
+  dialog.onclose = () => dialog.returnValue === "compare" && location.assign(new URL(`compare?fit=${fit.id}&fit=${choice.value}`, root));
+  dialog.showModal();
 }
 
 /** Follows a fit to its end, or says how it ended. @param {HTMLElement} main @param {Fit} fit */
@@ -58,6 +72,7 @@ async function watch(main, fit) {
   const [bar, fault] = [find(main, "progress", HTMLProgressElement), find(main, ".fault")];
   act(main, "cancel", () => request(`${path}?only=cancel`, { method: "DELETE" }));
   act(main, "delete", () => removeFit(fit));
+  const words = progressOf(STATES.running);
   for await (const { status, progress, error } of follow(fit)) {
     const unfinished = status === "accepted" || status === "running";
     bar.hidden = find(main, "[data-act=cancel]").hidden = !unfinished;
@@ -66,7 +81,7 @@ async function watch(main, fit) {
     fault.hidden = !error;
     fault.textContent = error?.message ?? "";
     const note = unfinished ? "The result appears here when the fit is done. You may leave: the fit goes on." : "";
-    fill(main, { state: STATES[status] ?? "", note: error ? FAULTS[error.origin] : note }, { measurement: `measurements/${fit.measurement}` });
+    fill(main, { state: status === "running" ? words(progress) : STATES[status] ?? "", note: error ? FAULTS[error.origin] : note }, { measurement: `measurements/${fit.measurement}` });
     if (status === "succeeded") await show(main, fit.id);
   }
 }

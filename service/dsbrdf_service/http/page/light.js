@@ -77,7 +77,10 @@ function listen(sphere) {
     else return;
     event.preventDefault();
   };
-  for (const box of sphere.boxes) box.onchange = () => sphere.draw();
+  for (const box of sphere.boxes) box.onchange = () => { // of two spheres, both show the same components
+    for (const same of running.flatMap((other) => other.boxes)) if (same.value === box.value) same.checked = box.checked;
+    for (const other of running) other.draw();
+  };
 }
 
 function control() {

@@ -13,6 +13,7 @@ export async function show(main) {
   fill(main, { heading: isNew ? "Fit your first material" : "Your materials" });
   find(main, "#fits").hidden = isNew;
   find(main, "#example").hidden = !isNew;
+  find(main, "#upload").classList.toggle("small", !isNew);
   const cards = fits.map((fit, place) => card(fit, place, fits.filter((other) => other.name === fit.name)));
   find(main, ".cards").append(...cards);
   const [, older] = /(\?[^>]*)>; rel="next"/.exec(answer.headers.get("Link") ?? "") ?? [];
@@ -90,19 +91,17 @@ function search(main, cards, name) {
   filter();
 }
 
-/** Lets two fits be ticked for comparison; the address may have ticked one. @param {HTMLElement} main @param {HTMLElement[]} cards */
+/** Lets two fits be ticked for comparison. @param {HTMLElement} main @param {HTMLElement[]} cards */
 function compare(main, cards) {
   const boxes = cards.map((item) => find(item, "input", HTMLInputElement));
   const button = find(main, "#compare-button", HTMLButtonElement);
   const ticked = () => boxes.filter((box) => box.checked);
   const change = () => {
     button.disabled = ticked().length !== 2;
+    button.textContent = ["Tick two to compare", "Tick one more to compare", "Compare the two"][ticked().length];
     for (const box of boxes) box.disabled = ticked().length === 2 && !box.checked;
   };
-  for (const box of boxes) {
-    box.checked = location.hash === `#with=${box.value}`;
-    box.onchange = change;
-  }
+  for (const box of boxes) box.onchange = change;
   change();
   button.onclick = () => location.assign(new URL(`compare?${new URLSearchParams(ticked().map((box) => ["fit", box.value]))}`, root));
 }

@@ -13,7 +13,7 @@ export async function show(main, sha256) {
   setTitle(name);
   const kind = onGrid ? `${known.valid_nodes.toLocaleString("en")} values on the grid of MERL` : "a table of samples";
   main.replaceChildren(template("measurement", { name, about: `${kind} · ${sizeOf(known)} · ${dateOf(known.created)}` }));
-  act(main, "download", () => download(path));
+  act(main, "download", () => download(`${path}/content`));
   act(main, "share", share);
   act(main, "delete", () => remove(path, `Delete the measurement ${name}? Its fits stay, but can no longer be compared with it.`));
   const options = find(main, ".options");
@@ -26,7 +26,7 @@ export async function show(main, sha256) {
   };
   const subject = { name, fit: null, measured: onGrid ? sha256 : null, samples: null, parts: [] };
   if (onGrid) return showSpheres(main, [place(main, path)], [subject]);
-  const file = new File([await (await request(path)).blob()], name);
+  const file = new File([await (await request(`${path}/content`)).blob()], name);
   const { showTable } = await import("./table.js");
   await showForm(options, true); // its samples are stored: no option of a table is left to choose
   return showTable(find(main, "#seen"), file, options, { understood: () => showPlots(main, [{ ...subject, samples: `${path}/samples.npy?` }]) });

@@ -1,19 +1,33 @@
-// The form of all options that the API has, with a sentence for each, as its document describes them.
-import { make, openapi, optionsOf, json, sentenceOf } from "./app.js";
+// The form of all options that the API has: a title in plain words, and the sentence of its document; the common ones first.
+import { make, openapi, optionsOf, json, sentenceOf, words } from "./app.js";
+
+// Titles; those of most use come first, the others are behind "More".
+/** @type {Record<string, string>} */
+const COMMON = { columns: "Which column is which", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Which samples count most", robust: "Give outliers less weight" };
+/** @type {Record<string, string>} */
+const OTHERS = {
+  cosine: "Values are multiplied by a cosine", phi: "How phi is counted", ring_lobes: "Lobes that are rings", horizon_cutoff_deg: "Samples near the horizon",
+  variation: "Change with theta_diff", lobe: "Family of the lobes", method: "Method", knots_deg: "Knots", mask: "Mask of the paper", em_iterations: "Iterations of the paper's method",
+};
+/** @type {Record<string, string>} */
+const VALUES = { true: "yes", false: "no", auto: "automatic", none: "not set" };
 
 /** Fills a box with the form: the options of a table of samples first, then those of the fit; a grid has no table. @param {HTMLElement} box @param {boolean} [onGrid] */
 export async function showForm(box, onGrid = false) {
   if (box.childElementCount) return;
   const document = await openapi();
   for (const isTable of onGrid ? [false] : [true, false]) {
-    box.append(make("h3", {}, isTable ? "How a table of samples is read" : "How it is fitted"));
-    for (const [name, schema] of Object.entries(isTable ? tableOptionsOf(document) : optionsOf(document))) {
-      const field = fieldOf(name, schema);
-      const sentence = make("span", { className: "note", id: `about-${name}` }, sentenceOf(schema.description));
+    box.append(make("h3", {}, isTable ? "A table of samples" : "The fit"));
+    const described = isTable ? tableOptionsOf(document) : optionsOf(document);
+    const rows = [...new Set([...Object.keys(COMMON), ...Object.keys(OTHERS), ...Object.keys(described)])].filter((name) => name in described).map((name) => {
+      const field = fieldOf(name, described[name]);
+      const sentence = make("span", { className: "note", id: `about-${name}` }, make("code", {}, name), ` ${sentenceOf(described[name].description)}`);
       Object.assign(field, { id: `option-${name}` }).setAttribute("aria-describedby", sentence.id);
       field.classList.toggle("of-table", isTable);
-      box.append(make("div", {}, make("label", { htmlFor: field.id }, make("code", {}, name)), field, sentence));
-    }
+      return make("div", { "data-common": name in COMMON }, make("label", { htmlFor: field.id }, COMMON[name] ?? OTHERS[name] ?? words(name)), field, sentence);
+    });
+    const [common, others] = [true, false].map((isCommon) => rows.filter(({ dataset }) => dataset.common === String(isCommon)));
+    box.append(...common, make("details", {}, make("summary", {}, isTable ? "More for tables" : "More for fits"), make("div", { className: "options" }, ...others)));
   }
 }
 
@@ -30,12 +44,12 @@ function tableOptionsOf(document) {
 function fieldOf(name, schema) {
   const usual = String(schema.default ?? "none");
   /** @type {string[][]} */
-  const words = (schema.anyOf ?? [schema]).map((/** @type {any} */ { enum: all, type, minimum, maximum }) => {
+  const choices = (schema.anyOf ?? [schema]).map((/** @type {any} */ { enum: all, type, minimum, maximum }) => {
     if (type === "integer" && maximum < 20) return Array.from({ length: maximum - minimum + 1 }, (_, i) => String(minimum + i));
     return all ?? { boolean: ["false", "true"], null: ["none"] }[/** @type {string} */ (type)];
   });
-  if (!words.every(Boolean)) return make("input", { name, value: usual, "data-usual": usual, autocomplete: "off" });
-  return make("select", { name, "data-usual": usual }, ...words.flat().map((word) => make("option", { selected: word === usual }, word)));
+  if (!choices.every(Boolean)) return make("input", { name, value: usual, "data-usual": usual, autocomplete: "off" });
+  return make("select", { name, "data-usual": usual }, ...choices.flat().map((word) => make("option", { value: word, selected: word === usual }, VALUES[word] ?? word)));
 }
 
 /** The options that were chosen, as text. @param {HTMLElement} box @param {string} [which] a selector @returns {[string, string][]} */

@@ -137,7 +137,8 @@ function squares(places) {
 
 /** Where a component is drawn in three channels, its dashes are shown once. @param {HTMLElement} panel @param {Curve[]} curves @param {string} along @param {number} [degrees] where values are told */
 function showLegend(panel, curves, along, degrees) {
-  const items = [...new Set(curves.map(({ label }) => label))].map((label) => {
+  const rank = (/** @type {Curve} */ { points, part }) => (points ? 0 : part ? 2 : 1);
+  const items = [...new Set([...curves].sort((a, b) => rank(a) - rank(b)).map(({ label }) => label))].map((label) => {
     const same = curves.filter((one) => one.label === label);
     const look = svg("path", { class: classOf(same[0].dash ? { ...same[0], colour: "ink" } : same[0]), d: same[0].points ? "M12 3h6v6h-6z" : "M1 6H29" });
     const values = same.map(({ x, y }) => {

@@ -1,13 +1,25 @@
 // WebGL 2 programs that light a sphere: by a GLSL function of the fit, by the table of the measurement, or by pictures of
 // what is seen in an environment.
-
 import { pause } from "./app.js";
+
+/** Colours of a difference, from none to that of black and white; between them it is the square root that grows evenly. */
+const DIFFERENCES = [[0, 0, 0], [0.35, 0.06, 0.43], [0.84, 0.25, 0.31], [0.98, 0.6, 0.1], [1, 0.92, 0.55]];
+/** Them as a gradient of CSS. */
+export const SCALE = `linear-gradient(90deg, ${DIFFERENCES.map((colour) => `rgb(${colour.map((value) => 255 * value).join(" ")})`).join(", ")})`;
+/** The colour that shows a difference of two pictures. @param {number} difference of the channel that differs most, from 0 to 1 */
+export function colourOf(difference) {
+  const place = Math.sqrt(difference) * (DIFFERENCES.length - 1);
+  const below = Math.min(Math.floor(place), DIFFERENCES.length - 2);
+  return DIFFERENCES[below].map((value, i) => value + (place - below) * (DIFFERENCES[below + 1][i] - value));
+}
 
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 const HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\n";
 // The view is along -z, x to the right and y up; the normal of a pixel is the z axis of the function's frame.
 const MAIN = `
+const float DIFFERENCES_END = ${DIFFERENCES.length - 1}.0;
+const vec3 DIFFERENCES[] = vec3[](${DIFFERENCES.map((colour) => `vec3(${colour.map((value) => value.toFixed(3))})`)});
 uniform float size, exposure, wipe, zoom;
 uniform int count, show;
 uniform bool surrounded;
@@ -26,6 +38,11 @@ vec3 measured(vec3 a, vec3 b) {
   vec3 angles = degrees(vec3(atan(across, along + 1e-12), atan(length(difference), sum), atan(radius, total.z)));
   vec3 node = vec3(angles.x, angles.y, sqrt(90.0 * angles.z)) + 0.5;
   return exp(textureLod(table, node / vec3(180.0, 90.0, 90.0), 0.0).rgb) - 1e-6;
+}
+vec3 scaled(vec3 difference) {
+  float place = sqrt(max(max(difference.r, difference.g), difference.b)) * DIFFERENCES_END;
+  int below = int(min(place, DIFFERENCES_END - 1.0));
+  return mix(DIFFERENCES[below], DIFFERENCES[below + 1], place - float(below));
 }
 vec3 seen(vec2 at, bool real) {
   vec3 normal = vec3(at, sqrt(1.0 - dot(at, at))), radiance = vec3(0.0);
@@ -50,7 +67,7 @@ void main() {
   vec3 one = vec3(0.0);
   // One call, in a loop: what it calls is long, and would be compiled for each.
   for (int side = 0; side < (show == 3 ? 2 : 1); ++side) one = abs(one - seen(at, real != (side == 1)));
-  if (show == 3) one *= 4.0;
+  if (show == 3) one = scaled(one);
   else if (show == 2 && abs(on_screen.x - wipe) < 2.0 / size) one = vec3(1.0);
   colour = vec4(one, 1.0);
 }`;
@@ -66,11 +83,9 @@ function compile(gl, kind, source) {
   return shader;
 }
 
-/**
- * A program from the functions of a material, and the call of the one that has its values for the directions a and b.
+/** A program from the functions of a material, and the call of the one that has its values for the directions a and b.
  * A long table of constants takes more time than all else: it becomes a uniform where there is room for it.
- * @param {WebGL2RenderingContext} gl @param {string} given @param {string} call @returns {Promise<Program>}
- */
+ * @param {WebGL2RenderingContext} gl @param {string} given @param {string} call @returns {Promise<Program>} */
 export async function programOf(gl, given, call) {
   const [constants = "", declared, name, count, numbers] = TABLE.exec(given) ?? [];
   const isUniform = Number(count) < gl.getParameter(gl.MAX_FRAGMENT_UNIFORM_VECTORS) - OTHERS;
@@ -92,10 +107,8 @@ export async function programOf(gl, given, call) {
   return { program, at: (name) => gl.getUniformLocation(program, name) };
 }
 
-/**
- * Puts values into the texture of a unit: 0 holds a table of three dimensions, the others pictures.
- * @param {WebGL2RenderingContext} gl @param {number} unit @param {number[]} size @param {Uint16Array | Float32Array} values
- */
+/** Puts values into the texture of a unit: 0 holds a table of three dimensions, the others pictures.
+ * @param {WebGL2RenderingContext} gl @param {number} unit @param {number[]} size @param {Uint16Array | Float32Array} values */
 export function setTexture(gl, unit, [width, height, depth], values) {
   const target = unit === 0 ? gl.TEXTURE_3D : gl.TEXTURE_2D;
   const type = values instanceof Uint16Array ? gl.HALF_FLOAT : gl.FLOAT;

@@ -1,7 +1,7 @@
 // A lit sphere of a fit, of its measurement, or of both, which can be turned under one's own light. All spheres of a view
 // show what the form of controls says.
 import { askArray, find, make, request, words } from "./app.js";
-import { exposureOf, finished, programOf, setTexture } from "./shader.js";
+import { exposureOf, finished, programOf, SCALE, setTexture } from "./shader.js";
 
 const SHOWN = ["fit", "measured", "half", "difference"];
 export const LABELS = ["specular_spike", "specular_lobe", "diffuse"]; // in the order of the weights in GLSL
@@ -9,7 +9,9 @@ const SIDE = 256; // pixels of a picture under environment light
 const SAMPLED = 64; // pixels along a side of the pictures whose brightness gives the exposure
 const FIRST = 128; // pixels of the first picture, and of the smallest
 const QUICK = 50; // milliseconds that a picture may take while something is moved
-export const USUAL = "Drag to move the light. Keys: arrows move it, + and − change the exposure, [ and ] move the line between halves, R resets.";
+const LONG = 200; // milliseconds of a picture from which on it is said that one is drawn
+const KEYS = "Keys: arrows move the light, + and − change the exposure, [ and ] move the line between halves, R resets.";
+export const USUAL = `Drag to move the light.${matchMedia("(hover: hover)").matches ? " Point at the sphere to read values." : ""}`;
 // Key light from the upper left, fill light from the right, rim light from behind: as `lighting=three_lights`. The form's
 // `highlight` is where the reflection of the first one is seen.
 const LIGHTS = [[40, 125, 1], [80, -20, 0.5], [140, 70, 0.5]].map(([polar, azimuth, share]) => {
@@ -33,6 +35,9 @@ export function look() {
   return { show, lighting, ...numbers, highlight: Math.hypot(x, y) <= 1 ? [x, y] : [0, 0] };
 }
 
+/** Waits until what stands on the page is seen: a page without a graphics card stands still while it compiles or draws. */
+const seenByNow = () => new Promise((resolve) => { requestAnimationFrame(() => requestAnimationFrame(resolve)); });
+
 /** @param {number[]} highlight */
 export function lightAt([a, b]) {
   const c = Math.sqrt(Math.max(1 - a * a - b * b, 0));
@@ -50,6 +55,8 @@ export class Sphere {
     this.canvas = find(figure, "canvas", HTMLCanvasElement);
     this.gl = /** @type {WebGL2RenderingContext} */ (this.canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true }));
     this.hint = find(figure, ".hint");
+    this.hint.textContent = USUAL;
+    this.stage = find(figure, ".stage");
     /** What pictures need, by name. @type {Map<string, Promise<any>>} */
     this.loaded = new Map();
     this.cost = 0; // milliseconds of a picture of all pixels, once it is known
@@ -58,7 +65,9 @@ export class Sphere {
     this.turns = this.rest = 0;
     this.painted = Promise.resolve();
     this.onpaint = () => {};
-    this.canvas.setAttribute("aria-label", `Lit sphere of ${subject.name}. ${USUAL}`);
+    this.canvas.setAttribute("aria-label", `Lit sphere of ${subject.name}. ${USUAL} ${KEYS}`);
+    this.canvas.title = KEYS;
+    find(figure, ".scale i").style.background = SCALE;
     /** One for each component, where there are several. */
     this.boxes = subject.parts.length < 2 ? [] : subject.parts.map(({ label }) => make("input", { type: "checkbox", name: `${subject.fit?.slice(0, 6)}-${label}`, value: label, defaultChecked: true }));
     for (const box of this.boxes) box.setAttribute("form", "controls");
@@ -78,12 +87,18 @@ export class Sphere {
   /** Asks once for what a picture needs; again if that has failed. @param {string} name */
   load(name) {
     if (!this.loaded.has(name)) {
-      this.hint.textContent = name === "measured" ? "Loading the measurement, 9 MB…" : "Loading…";
-      const asked = this.fetch(name).finally(() => { this.hint.textContent = USUAL; });
+      this.work(name === "measured" ? "Loading the measurement, 9 MB…" : name.startsWith("environment") || name.startsWith("panorama") ? "Computing the light from all around…" : "Preparing the sphere…");
+      const asked = this.fetch(name);
       this.loaded.set(name, asked);
       asked.catch(() => this.loaded.delete(name));
     }
     return this.loaded.get(name);
+  }
+
+  /** Says what is worked at, on the sphere; nothing once it is done. @param {string} [text] */
+  work(text = "") {
+    this.stage.ariaBusy = String(Boolean(text));
+    find(this.stage, ".work").textContent = text;
   }
 
   // A program of the whole fit, "glsl", or one that weighs its components, "parts"; the table of the measurement,
@@ -92,6 +107,7 @@ export class Sphere {
   async fetch(name) {
     const { subject: { fit, measured, parts }, gl } = this;
     if (name === "measured") return setTexture(gl, 0, [180, 90, 90], await askArray(`v1/measurements/${measured}/table.npy`));
+    await seenByNow();
     if (!fit && name === "glsl") return programOf(gl, "", "vec3(0.0)");
     if (name === "glsl" || name === "parts") {
       const part = name === "parts" ? `&component=${parts[0].label}` : "";
@@ -112,33 +128,44 @@ export class Sphere {
     clearTimeout(this.rest);
     if (moving) this.rest = setTimeout(() => this.draw(), 250);
     const now = look();
-    const handle = find(this.figure, ".handle");
-    handle.hidden = !(this.hasBoth && now.show === "half");
-    handle.style.setProperty("--wipe", String(now.wipe));
+    if (this.cost > LONG && !moving) this.work("Drawing…");
+    for (const mark of this.stage.querySelectorAll("span")) mark.hidden = !(this.hasBoth && now.show === "half");
+    this.stage.style.setProperty("--wipe", String(now.wipe));
+    find(this.figure, ".scale").hidden = !(this.hasBoth && now.show === "difference");
     now.show = this.hasBoth ? now.show : this.subject.fit ? "fit" : "measured";
     const shown = this.boxes.filter((box) => box.checked).map((box) => box.value);
     const isWhole = shown.length === this.boxes.length;
-    const [program, seen] = await Promise.all([this.load(isWhole ? "glsl" : "parts"), this.lookAround(now, isWhole ? null : shown)]);
-    if (now.lighting !== "environment" && now.show !== "fit") await this.load("measured");
-    await Promise.all([this.painted, new Promise(requestAnimationFrame)]);
-    if (turn === this.turns) this.painted = this.paint(program, now, isWhole ? LABELS : shown, seen, moving); // otherwise something has changed, which draws
+    const isAround = now.lighting === "environment"; // what its pictures show needs no other program
+    try {
+      const [program, seen] = await Promise.all([this.load(isWhole || isAround ? "glsl" : "parts"), this.lookAround(now, isWhole ? null : shown)]);
+      if (!isAround && now.show !== "fit") await this.load("measured");
+      await Promise.all([this.painted, new Promise(requestAnimationFrame)]);
+      if (turn !== this.turns) return; // something has changed, which draws
+      this.painted = this.paint(program, now, isWhole ? LABELS : shown, seen, moving);
+      await this.painted;
+    } finally {
+      if (turn === this.turns) this.work();
+    }
   }
 
-  /**
-   * What is seen in an environment goes into textures: the components that are shown, or all, and the measurement; the
-   * exposure is that of the whole.
-   * @param {Look} now @param {string[] | null} parts
-   */
+  /** What is seen in an environment goes into textures: the components that are shown, or all, and the measurement; the
+   * exposure is that of the whole. Components add up: those that are hidden are taken away where their pictures
+   * are sooner there.
+   * @param {Look} now @param {string[] | null} parts */
   async lookAround({ lighting, show }, parts) {
     const isAround = lighting === "environment";
     const light = !isAround ? "three_lights" : panorama.file ? `panorama ${panorama.number}` : lighting;
     const whole = this.subject.fit ? "fit" : "measured";
-    const names = [whole, ...(isAround ? [show === "fit" ? whole : "measured", ...(parts ?? [whole])] : [])];
-    const key = `${light} ${names}`;
+    const hidden = this.boxes.map((box) => box.value).filter((label) => parts && !parts.includes(label));
+    const toLoad = (/** @type {string[]} */ labels) => labels.filter((label) => !this.loaded.has(`${light}/${label}`)).length;
+    const takesAway = parts !== null && toLoad(hidden) <= toLoad(parts);
+    const summed = parts === null ? [whole] : takesAway ? [whole, ...hidden] : parts;
+    const names = [whole, ...(isAround ? [show === "fit" ? whole : "measured", ...summed] : [])];
+    const key = `${light} ${takesAway} ${names}`;
     if (key === this.seen.key) return this.seen;
     /** @type {Float32Array[]} */
     const [all, measured, ...pictures] = await Promise.all(names.map((name) => this.load(`${light}/${name}`)));
-    return { key, exposure: exposureOf(all), pictures: isAround ? [all.map((_, i) => pictures.reduce((sum, picture) => sum + picture[i], 0)), measured] : [] };
+    return { key, exposure: exposureOf(all), pictures: isAround ? [all.map((_, i) => pictures.reduce((sum, picture, k) => sum + (takesAway && k ? -picture[i] : picture[i]), 0)), measured] : [] };
   }
   /** @param {Program} program @param {Look} now @param {string[]} shown @param {Sphere["seen"]} seen @param {boolean} moving */
   async paint({ program, at }, now, shown, seen, moving) {
@@ -152,6 +179,7 @@ export class Sphere {
       seen.pictures.forEach((picture, i) => setTexture(gl, i + 1, [SIDE, SIDE], picture));
       for (const other of running) if (other !== this) other.draw(); // the common exposure may be another now
     }
+    if (this.stage.ariaBusy === "true") await seenByNow();
     const begun = performance.now();
     gl.viewport(0, 0, size, size);
     gl.useProgram(program);

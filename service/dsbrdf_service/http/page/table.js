@@ -1,16 +1,18 @@
 // What the service understands of a table of samples, before it is fitted.
 import { fill, find, make, request, template } from "./app.js";
 import { chosen, showForm } from "./options.js";
-import { tableRow, warningsOf } from "./said.js";
+import { tableRow } from "./components.js";
+import { warningsOf } from "./said.js";
+
+const MEANINGS = ["theta_in", "phi_in", "theta_out", "phi_out", "theta_half", "theta_diff", "phi_diff", "value", "red", "green", "blue", "wavelength", "weight"];
+const HEAD = 65_536; // bytes at the beginning of a file in which its names of columns are looked for
 
 /** @param {number} value */
 const short = (value) => Number(value.toPrecision(4));
 
-/**
- * Shows a table in a box, again whenever an option of it changes, and lets it be fitted once it is understood.
+/** Shows a table in a box, again whenever an option of it changes, and lets it be fitted once it is understood.
  * @param {HTMLElement} box @param {File} file @param {HTMLElement} options the form
- * @param {{fit?: () => unknown, understood?: () => unknown}} calls
- */
+ * @param {{fit?: () => unknown, understood?: () => unknown}} calls */
 export async function showTable(box, file, options, { fit, understood }) {
   await showForm(options);
   box.replaceChildren(template("understood", { name: file.name }));
@@ -23,13 +25,16 @@ export async function showTable(box, file, options, { fit, understood }) {
     const query = new URLSearchParams(chosen(options, ".of-table"));
     try {
       const headers = { "Content-Type": "text/plain" };
-      describe(box, await (await request(`v1/tables?${query}`, { method: "POST", headers, body: file })).json());
+      /** @type {Table} */
+      const table = await (await request(`v1/tables?${query}`, { method: "POST", headers, body: file })).json();
+      showColumns(box, options, table.columns, "not read");
+      describe(box, table);
       button.disabled = false;
       understood?.();
     } catch (error) {
       fill(box, { about: "" });
       fault.textContent = /** @type {Error} */ (error).message;
-      /** @type {HTMLDetailsElement} */ (options.closest("details")).open = true;
+      showColumns(box, options, await namesIn(file), "as its name says");
     }
     fault.hidden = !button.disabled;
     find(box, ".understood").hidden = button.disabled;
@@ -38,14 +43,38 @@ export async function showTable(box, file, options, { fit, understood }) {
   await show();
 }
 
+/** The columns of a file whose table is not understood: the first line that has several names. @param {File} file @returns {Promise<Table["columns"]>} */
+async function namesIn(file) {
+  const lines = (await file.slice(0, HEAD).text()).split(/\r?\n/).map((line) => line.split(/[,;\t]/).map((cell) => cell.trim()));
+  const names = lines.find((cells) => cells.length > 1 && cells.every((cell) => cell && Number.isNaN(Number(cell)))) ?? [];
+  return names.map((name) => ({ name, read_as: null, unit: "" }));
+}
+
+/** Shows what each column is read as, which can be chosen. @param {HTMLElement} box @param {HTMLElement} options @param {Table["columns"]} columns @param {string} otherwise words for a column without a choice */
+function showColumns(box, options, columns, otherwise) {
+  const field = /** @type {HTMLInputElement | null} */ (options.querySelector("[name=columns]")); // a table that is stored has none
+  const given = Object.fromEntries((field?.value ?? "").split(",").map((pair) => pair.split("=").reverse()));
+  const rows = columns.map(({ name, read_as, unit }) => {
+    const meaning = read_as ?? given[name] ?? "";
+    if (!field) return tableRow([name, meaning || otherwise, unit || "–"]);
+    const words = [...new Set(["", ...MEANINGS, meaning])];
+    const choice = make("select", { ariaLabel: `Read ${name} as` }, ...words.map((word) => make("option", { value: word, selected: word === meaning }, word || otherwise)));
+    choice.onchange = () => {
+      const others = Object.entries(given).filter(([column, word]) => word && column !== name && word !== choice.value);
+      field.value = [...others, ...(choice.value ? [[name, choice.value]] : [])].map(([column, word]) => `${word}=${column}`).join(",");
+      field.dispatchEvent(new Event("change", { bubbles: true }));
+    };
+    return tableRow([name, choice, unit || "–"]);
+  });
+  find(box, ".columns").replaceChildren(...(rows.length ? [tableRow(["Column", "Read as", "Unit"], true), ...rows] : []));
+}
+
 /** @param {HTMLElement} box @param {Table} table */
 function describe(box, table) {
   const light = table.angles_of_incidence ? `The light comes at ${table.angles_of_incidence.join("°, ")}°.` : "";
   const plane = `${Math.round(100 * table.in_plane_of_incidence)} % of the samples lie in the plane of incidence.`;
   fill(box, { about: `${table.n_rows} rows, ${table.n_samples} samples. ${light} ${plane}` });
   find(box, ".warnings").replaceChildren(...warningsOf(table.warnings));
-  const columns = table.columns.map(({ name, read_as, unit }) => [name, read_as ?? "not read", unit || "none"]);
-  find(box, ".columns").replaceChildren(tableRow(["Column", "Read as", "Unit"], true), ...columns.map((cells) => tableRow(cells)));
   const ranges = Object.entries(table.ranges);
   const names = ranges.map(([name], i) => `${name.replace("phi_out - phi_in", "phi_out − phi_in")} in ${i < 3 ? "degrees" : "1/sr"}`);
   const ends = ["Smallest", "Largest"].map((word, i) => tableRow([word, ...ranges.map(([, range]) => short(range[i]))]));

@@ -15,7 +15,7 @@ interface Fit {
   id: string; name: string | null; status: string; progress: number; measurement: string; likeness: string | null;
   options: Record<string, unknown>; metrics: Record<string, number | null> | null; created: string;
   error: { origin: "input" | "compute" | "system"; message: string } | null;
-  warnings: string[]; components: Component[]; model: { amplitude: number[][][]; center: number[][][] };
+  warnings: string[]; measure_next?: { theta_in_deg: number; theta_out_deg: number; phi_deg: number }[]; components: Component[]; model: { amplitude: number[][][]; center: number[][][] };
 }
 
 interface Measurement { sha256: string; name: string | null; size: number; valid_nodes: number; created: string; fits: string[] }

@@ -1,5 +1,5 @@
 // Sends files: first the SHA-256 of a file, the file itself only if the service does not have it. A table is shown before.
-import { find, request, root, say, sizeOf } from "./app.js";
+import { find, progressOf, request, root, say, sizeOf } from "./app.js";
 import { chosen, fitStored } from "./options.js";
 
 const TABLE = /\.(csv|tsv|txt|astm|xlsx)$/i;
@@ -49,16 +49,34 @@ export async function sendAll(main, files, options) {
 /** @param {HTMLElement} main @param {File} file @param {HTMLElement} options the form @param {AbortSignal} signal @returns {Promise<Fit>} */
 async function submit(main, file, options, signal) {
   tell(main, `Reading ${file.name}`);
+  const bar = find(main, "progress", HTMLProgressElement);
+  bar.removeAttribute("value");
   const measurement = await sha256(file);
   const known = measurement && await fitStored(file.name.replace(/(?<=.)\.\w+$/, ""), measurement, chosen(options, "[name]:not(.of-table)")).catch((error) => {
     if (error.status !== 404) throw error;
   });
   if (known) return known;
-  tell(main, `Sending ${file.name}, ${sizeOf(file)}`);
+  const words = progressOf(`Sending ${file.name}, ${sizeOf(file)}`);
+  tell(main, words(0));
   const query = new URLSearchParams([["name", file.name.replace(/\.binary$/, "") || file.name], ...chosen(options)]);
   const headers = { "Content-Type": "application/octet-stream", Prefer: "respond-async" };
-  return (await request(`v1/fits?${query}`, { method: "POST", headers, body: file, signal })).json();
+  return (await request(`v1/fits?${query}`, { method: "POST", headers, body: file, signal }, uploading((done) => {
+    bar.value = done;
+    tell(main, done < 1 ? words(done) : `Checking ${file.name}`);
+  }))).json();
 }
+
+/** Sends as fetch does, which does not say how far an upload is. @param {(done: number) => void} onProgress @returns {typeof fetch} */
+const uploading = (onProgress) => (address, { method = "POST", headers, body, signal } = {}) => new Promise((resolve, reject) => {
+  const sent = new XMLHttpRequest();
+  sent.open(method, String(address));
+  for (const [name, value] of Object.entries(headers ?? {})) sent.setRequestHeader(name, value);
+  sent.upload.onprogress = ({ loaded, total }) => onProgress(loaded / total);
+  sent.onload = () => resolve(new Response(sent.responseText, { status: sent.status, headers: { "Retry-After": sent.getResponseHeader("Retry-After") ?? "1" } }));
+  sent.onerror = sent.onabort = reject;
+  signal?.addEventListener("abort", () => sent.abort());
+  sent.send(/** @type {File} */ (body));
+});
 
 /** @param {File} file */
 async function sha256(file) {

@@ -64,12 +64,10 @@ function halfAndDifference(first, second) {
   return { half: degrees(Math.hypot(x, y), z), diff: degrees(apart, Math.hypot(x, y, z)) };
 }
 
-/**
- * What a plot shows at a place of its slider [degrees]: over theta_half at one theta_diff, means over phi_diff; or over the
+/** What a plot shows at a place of its slider [degrees]: over theta_half at one theta_diff, means over phi_diff; or over the
  * viewer's angle in the plane of incidence, for one angle of the light.
  * @param {Subject} subject @param {Sample[] | null} samples those near the place are shown @param {"half" | "out"} along
- * @param {number} place @param {boolean} withParts @returns {Promise<Values>}
- */
+ * @param {number} place @param {boolean} withParts @returns {Promise<Values>} */
 export async function valuesAt({ fit, measured, parts }, samples, along, place, withParts) {
   const x = along === "half" ? NODES : IN_PLANE;
   const places = along === "half"

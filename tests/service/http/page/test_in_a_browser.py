@@ -87,16 +87,16 @@ def test_file_is_hashed_then_sent_once_and_may_be_cancelled(visit: Visit, plasti
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("#said")).to_contain_text("The upload was cancelled.")
     page.unroute_all()
-    page.get_by_text("Options").click()
     for _ in range(2):
-        page.get_by_label("n_lobes", exact=True).select_option("1")
-        page.get_by_label("method", exact=True).select_option("paper")
+        page.get_by_text("Options").click()
+        page.get_by_text("More for fits").click()
+        page.get_by_label("Number of lobes").select_option("1")
+        page.get_by_label("Method", exact=True).select_option("paper")
         page.locator("#file").set_input_files(plastic_file)
         page.wait_for_url("**/fits/*")
         expect(page.get_by_role("heading", name="plastic")).to_be_visible()
         expect(page.get_by_text("Result:")).to_contain_text("dB")
         page.get_by_role("link", name="Fits").click()
-        page.get_by_text("Options").click()
     expect(page.locator(".card")).to_have_count(1)
     sent = [kind.removeprefix("application/") for method, _, kind in visitor.requests if method == "POST"]
     assert sent == ["json", "octet-stream", "json", "octet-stream", "json"]
@@ -120,6 +120,8 @@ def test_fit_without_a_result_says_why_and_is_deleted(visit: Visit, site: Site, 
     page.get_by_role("button", name="Delete").click()
     page.wait_for_url(f"{site.address}/")
     expect(page.locator(".card-name")).to_have_text(["endless"])
+    expect(page.get_by_role("button", name="Delete endless")).to_be_hidden()
+    page.locator(".menu summary").click()
     page.get_by_role("button", name="Delete endless").click()
     expect(page.locator(".card")).to_have_count(0)
     assert own.read("/v1/fits").json()["items"] == []
@@ -180,7 +182,7 @@ def test_page_of_a_fit_has_a_verdict_a_name_figures_and_downloads(visit: Visit, 
     expect(page.get_by_text("Mean absolute logarithmic error")).to_be_hidden()
     page.get_by_text("Metrics", exact=True).click()
     expect(page.get_by_text("Mean absolute logarithmic error")).to_be_visible()
-    page.get_by_text("What the numbers mean").click()
+    page.get_by_text("Explain these numbers").click()
     expect(page.get_by_text("Reflectance of its facets at normal incidence.")).to_be_visible()
     page.locator("#figures summary").click()
     for picture in page.locator(".drawn img").all():
@@ -211,14 +213,16 @@ def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visi
     search.fill("")
     page.get_by_label("Sort by").select_option("likeness")
     expect(page.locator(".card-name").first).to_have_text("glossy")
-    button = page.get_by_role("button", name="Compare two")
-    expect(button).to_be_disabled()
+    expect(page.get_by_role("button", name="Tick two to compare")).to_be_disabled()
     page.get_by_label("compare glossy").check()
+    expect(page.get_by_role("button", name="Tick one more to compare")).to_be_disabled()
     page.get_by_label("compare rough").check()
-    button.click()
+    page.get_by_role("button", name="Compare the two").click()
     expect(page.get_by_role("heading", level=1)).to_contain_text(" and ")
     expect(page.locator(PAINTED)).to_have_count(2)
-    expect(page.locator("table.components")).to_have_count(2)
+    heads = page.locator("table.components tr").first.get_by_role("columnheader")
+    expect(heads.filter(has_text="diffuse")).to_have_text([re.compile("diffuse(glossy|rough)")] * 2)
+    expect(page.locator("table.surfaces tr")).not_to_have_count(1)
     painted = page.locator(SPHERE).nth(1)
     page.locator("#plots").scroll_into_view_if_needed()
     expect(page.locator("#profiles .plot .curve")).to_have_count(2)
@@ -234,6 +238,17 @@ def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visi
     before = painted.get_attribute("data-painted") or ""
     page.locator(SPHERE).first.click()
     expect(painted).not_to_have_attribute("data-painted", before)
+
+
+def test_fit_asks_with_what_it_is_compared(visit: Visit, site: Site) -> None:
+    page = visit(f"/fits/{site.fits['glossy']}", webgl=False).page
+    page.get_by_role("button", name="Compare with").click()
+    dialog = page.get_by_role("dialog", name="Compare glossy with")
+    expect(dialog.get_by_role("option")).to_contain_text(["rough"])
+    dialog.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Compare with").click()
+    dialog.get_by_role("button", name="Compare", exact=True).click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("glossy and rough")
 
 
 def test_list_takes_several_files_says_what_is_wrong_with_one_and_is_sorted(
@@ -252,7 +267,7 @@ def test_list_takes_several_files_says_what_is_wrong_with_one_and_is_sorted(
         (tmp_path / name).write_text("\n".join(lines))
     page.goto("/")
     page.get_by_text("Options").click()
-    page.get_by_label("n_lobes", exact=True).select_option("1")
+    page.locator("#option-n_lobes").select_option("1")
     page.locator("#file").set_input_files([tmp_path / name for name in contents])
     expect(page.locator("#said")).to_contain_text("bad.csv: The table lacks columns")
     expect(page.locator("#said")).to_contain_text("Sent: 2 of 3.")
@@ -272,6 +287,7 @@ def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic
     cards = page.locator(".card").count()
     visitor.context.set_offline(True)
     page.once("dialog", lambda dialog: dialog.accept())
+    page.locator(".card", has_text="glossy").locator(".menu summary").click()
     attempts: tuple[Callable[[], object], ...] = (
         page.get_by_role("button", name="Delete glossy").click,
         lambda: page.locator("#file").set_input_files(plastic_file),
