@@ -68,7 +68,16 @@ Shape "sphere" "float radius" 1
 _THREE = """\
 <!doctype html>
 <title>STEM</title>
-<style>body { margin: 0; background: black; } canvas { display: block; }</style>
+<style>
+body { margin: 0; background: black; color: white; font: 1rem sans-serif; }
+canvas { display: block; }
+p { margin: 3rem; }
+</style>
+<template id="offline">
+  <p>This page needs three.js, and its address cannot be reached. Go online and load the page again. To use it without a
+    network, download three.module.js and three.core.js of three.js, serve them in the folder of this page, and write
+    "./three.module.js" for the address in the import map.</p>
+</template>
 <script type="importmap">
 { "imports": { "three": "https://cdn.jsdelivr.net/npm/three@0.187.0/build/three.module.js" } }
 </script>
@@ -96,8 +105,10 @@ void main() {
 }
 </script>
 <script type="module">
-import * as THREE from "three";
-
+const THREE = await import("three").catch((error) => {
+  document.body.append(document.getElementById("offline").content);
+  throw error;
+});
 const text = (id) => document.getElementById(id).textContent;
 const light = new THREE.Vector3(0.4, 0.5, 0.7).normalize();
 const material = new THREE.ShaderMaterial({
@@ -163,12 +174,13 @@ bpy.ops.object.camera_add(location=(0.0, -4.0, 0.0), rotation=(1.5708, 0.0, 0.0)
 bpy.context.scene.camera = bpy.context.object
 """
 
-_TEMPLATES = {
+EXAMPLES = {
     "glsl": ("html", _THREE),
     "bsdf": ("xml", _MITSUBA.replace("VARIANT", "scalar_rgb")),
     "bsdf-spectral": ("pbrt", _PBRT),
     "materialx": ("py", _BLENDER),
 }
+"""Format -> suffix and template of its example."""
 
 
 def example(path: Path, file_format: str, content: bytes, name: str) -> tuple[Path, bytes]:
@@ -176,9 +188,9 @@ def example(path: Path, file_format: str, content: bytes, name: str) -> tuple[Pa
 
     Raises InvalidArgumentError if there is none for the format.
     """
-    if file_format not in _TEMPLATES:
-        raise InvalidArgumentError(f"there is an example for {one_of(list(_TEMPLATES))}, not for {file_format}")
-    suffix, text = _TEMPLATES[file_format]
+    if file_format not in EXAMPLES:
+        raise InvalidArgumentError(f"there is an example for {one_of(list(EXAMPLES))}, not for {file_format}")
+    suffix, text = EXAMPLES[file_format]
     beside = path.with_suffix(f".{suffix}")
     words = {"SELF": beside.name, "STEM": path.stem, "FILE": path.name}
     quoted = {word: escape(file) if suffix in ("html", "xml") else dumps(file)[1:-1] for word, file in words.items()}

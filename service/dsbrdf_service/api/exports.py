@@ -1,6 +1,7 @@
 """Exports of a fit: the model, a component or the layers as files for other programs."""
 
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
@@ -10,6 +11,8 @@ from starlette.responses import Response
 
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.output.export import FORMATS, LAYERS, PARTS, check_holds_component, check_shader_options, export_model
+from dsbrdf.output.export.examples import EXAMPLES, example
+from dsbrdf.output.export.glsl import NAME
 
 from ..compute.steps import export_step
 from ..http import openapi
@@ -37,6 +40,13 @@ class Export(Input):
         str | None, Field(description="Of the function in `glsl`; all other names in the file begin with it.")
     ] = None
     sampling: Annotated[bool, Field(description="Add functions to `glsl` that draw directions.")] = False
+    example: Annotated[
+        bool,
+        Field(
+            description="Instead of the file, an example that shows it on a sphere and is saved beside it: for "
+            f"{', '.join(f'`{name}`' for name in EXAMPLES)}."
+        ),
+    ] = False
 
 
 router = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=CHECKED_QUERY)
@@ -62,10 +72,12 @@ async def export_fit(
     if wanted.component not in (None, LAYERS):
         check_holds_component(wanted.format)
     name = "-".join(part for part in (row.name or row.id, wanted.component) if part)
-    headers = {"Content-Disposition": content_disposition(f"{name}.{FORMATS[wanted.format].suffix}")}
-    headers["Content-Type"] = FORMATS[wanted.format].media_type
+    file = f"{name}.{FORMATS[wanted.format].suffix}"
+    headers = {"Content-Disposition": content_disposition(file), "Content-Type": FORMATS[wanted.format].media_type}
     model = loaded.decomposition.layers if wanted.component == LAYERS else loaded.part(wanted.component)
     key, place = ("export", row.key, row.name, *wanted.model_dump().values()), FORMATS[wanted.format].time
+    if wanted.example and wanted.format != "glsl":  # only the page for GLSL holds the file itself
+        return _example(Path(file), wanted, b"")
     if place != "short":
         made = await context.computations.make_file(
             request,
@@ -81,4 +93,10 @@ async def export_fit(
         return OpenFileResponse(made, headers)
     report = loaded.report if wanted.component is None else None
     export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
-    return Response(await context.computations.run(request, key, export), 200, headers)
+    content = await context.computations.run(request, key, export)
+    return _example(Path(file), wanted, content) if wanted.example else Response(content, 200, headers)
+
+
+def _example(file: Path, wanted: Export, content: bytes) -> Response:
+    beside, text = example(file, wanted.format, content, wanted.name or NAME)
+    return Response(text, headers={"Content-Disposition": content_disposition(beside.name)}, media_type="text/plain")

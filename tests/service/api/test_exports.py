@@ -1,6 +1,7 @@
 """Exports hold the fitted model without loss."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
@@ -65,3 +66,14 @@ def test_export_without_room_for_its_file_is_a_problem(own_server: Callable[...,
     whole = server.http.get(path, params={"format": "merl"}, headers={"Range": "bytes=0-11"})
     assert (whole.status_code, len(whole.content)) == (200, FILE_SIZE)
     assert not list((server.data_dir / "tmp").iterdir())
+
+
+def test_example_shows_the_export_that_it_is_saved_beside(server: Server, fitted: str) -> None:
+    url = f"/v1/fits/{fitted}/export"
+    scene = server.http.get(url, params={"format": "bsdf", "example": True})
+    (name,) = re.findall('filename="(.*)\\.xml"', scene.headers["content-disposition"])
+    assert f'<string name="filename" value="{name}.bsdf"/>' in scene.text
+    page = server.http.get(url, params={"format": "glsl", "example": True}).text
+    assert server.http.get(url, params={"format": "glsl"}).text in page
+    answer = server.http.get(url, params={"format": "csv", "example": True})
+    assert "not for csv" in assert_problem(answer, 422, "invalid-argument")
