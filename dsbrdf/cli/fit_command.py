@@ -4,7 +4,7 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -48,7 +48,7 @@ class Work:
     Attributes
     ----------
     output
-        Save NAME.json in this folder.
+        Save NAME.json in this folder, not beside the file.
     force
         Fit again even if the folder has the fit already.
     jobs
@@ -113,7 +113,7 @@ def fit(
     csv
         Write the metrics of all files, with the parameters of their components, as one table.
     plot
-        Write a figure NAME.png of each fit into the folder, or here without one.
+        Write a figure NAME.png beside each fit.
     measure_next
         Write the directions at which further samples of a table would tell most, sorted by incidence, as a .csv
         table whose values are left to fill in.
@@ -125,6 +125,7 @@ def fit(
         with TemporaryDirectory() as folder:
             joined = Path(folder) / f"{together}.csv"
             joined.write_bytes(read_samples(files, table.options()).encode())
+            work = replace(work, output=work.output or files[0].parent)
             return fit(joined, work=work, csv=csv, plot=plot, measure_next=measure_next, json=json, flags=flags)
     paths = measurement_files(files)
     if measure_next is not None and len(paths) > 1:
@@ -137,7 +138,7 @@ def fit(
     if measure_next is not None and done[0].result is not None:
         write_atomically(measure_next, [plan_csv(done[0].result.report.measure_next)])
     if plot:
-        for line in _plot(done, table.options(), work.output or Path()):
+        for line in _plot(done, table.options()):
             if not json:
                 print(line)
     if json:
@@ -146,8 +147,6 @@ def fit(
         print_json(documents[0] if single else {"items": documents})
     elif len(done) > 1 and any(item.result is not None for item in done):
         print("", *summary_table(done), sep="\n")
-        if work.output is None:
-            print("the models were not saved here: -o DIR saves each as NAME.json")
     if any(item.lost for item in done):
         return 1
     return BAD_INPUT if any(item.error is not None for item in done) else 0
@@ -180,15 +179,15 @@ def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work
     return sorted(done, key=lambda item: places[item.file])
 
 
-def _plot(items: list[FileFit], table: TableOptions, folder: Path) -> Iterator[str]:
-    """Write a figure of each fit into a folder, and yield what to print."""
+def _plot(items: list[FileFit], table: TableOptions) -> Iterator[str]:
+    """Write a figure of each fit beside its model, and yield what to print."""
     from dsbrdf.output.figure_parts import encode_figure
     from dsbrdf.output.plots import plot
 
     for item in items:
-        if item.result is not None:
+        if item.result is not None and item.output is not None:
             figure = plot(item.result, read_measurement(item.file, table))
-            path = folder / f"{item.file.stem}.png"
+            path = item.output.with_suffix(".png")
             write_atomically(path, [encode_figure(figure)])
             yield f"figure: {path}"
 
@@ -208,10 +207,7 @@ def _text(item: FileFit, *, whole: bool) -> list[str]:
     if not whole:
         saved = "" if item.output is None else f" -> {item.output}{kept}"
         return [headline(item.file, item.result) + saved]
-    saved = f"saved: {item.output}{kept}"
-    if item.output is None:
-        saved = "the model was not saved here: -o DIR saves it as NAME.json"
-    return [*result_text(item.file, item.result), saved]
+    return [*result_text(item.file, item.result), f"saved: {item.output}{kept}"]
 
 
 def _document(item: FileFit) -> dict[str, Any]:

@@ -29,7 +29,7 @@ class FileFit:
     """The fit of one file, or why it failed."""
 
     file: Path
-    output: Path | None = None  # the model's file, if a folder was given
+    output: Path | None = None  # the model's file, if it was fitted
     result: FitResult | None = None  # None if it failed
     error: str | None = None  # one sentence that says why it failed
     lost: bool = False  # Its process died, or the disk could not be read: the measurement may be good.
@@ -60,10 +60,10 @@ def fit_files(
     """Yield the fit of each file when it is done; closing the iterator closes the engine, and ends its processes.
 
     A single file is fitted in this process where the engine is that of this machine. Every model is written completely
-    or not at all to ``NAME.json`` in the `folder`, if there is one. Tables are read with the options in `table`.
-    Without `force` a fit in the folder is kept if it is newer than its measurement and was made of the same samples
-    with the same options by the same version of the algorithm. `progress` is called, in other threads too, with the
-    number of finished files, fractions included.
+    or not at all to ``NAME.json`` in the `folder`, or beside its measurement without one, where a file that is no fit
+    is never replaced. Tables are read with the options in `table`. Without `force` an earlier fit is kept if it is
+    newer than its measurement and was made of the same samples with the same options by the same version of the
+    algorithm. `progress` is called, in other threads too, with the number of finished files, fractions included.
 
     Raises InvalidArgumentError if two files would be written to the same output, OSError if an output cannot be written
     or no worker of the cluster can be reached.
@@ -80,7 +80,9 @@ def fit_files(
     with closing(engine):
         outputs = _outputs(files, folder)
         for number, (file, output) in enumerate(zip(files, outputs, strict=True)):
-            found = _known_result(file, output, options, table, force=force)
+            found = _unreadable(file)
+            if found is None and not force:
+                found = _earlier_fit(file, output, options, table)
             task, on_progress = FitTask(file.stem, file, options, table), partial(tell, number)
             if found is None and is_single:
                 found = _file_fit(file, output, run_step(compute, task, on_progress))
@@ -98,15 +100,13 @@ def fit_files(
             yield found
 
 
-def _known_result(
-    file: Path, output: Path | None, options: FitOptions, table: TableOptions, *, force: bool
-) -> FileFit | None:
-    """Return the result of a file that need not be fitted: it cannot be opened, or an earlier fit can be kept."""
+def _unreadable(file: Path) -> FileFit | None:
+    """Return why a file cannot be opened, or None."""
     try:
         os.close(os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)))  # else a pipe without writer blocks
     except OSError as error:
         return FileFit(file, error=error.strerror or str(error), lost=not isinstance(error, WRONG_PATH_ERRORS))
-    return None if output is None or force else _earlier_fit(file, output, options, table)
+    return None
 
 
 def _wait_until_ready(engine: Engine) -> None:
@@ -120,30 +120,38 @@ def _wait_until_ready(engine: Engine) -> None:
         time.sleep(0.1)
 
 
-def _file_fit(file: Path, output: Path | None, outcome: Outcome) -> FileFit:
-    """Return the fit of a file, after writing it to its output, if there is one."""
+def _file_fit(file: Path, output: Path, outcome: Outcome) -> FileFit:
+    """Return the fit of a file, after writing it to its output, which replaces nothing but a fit beside the file."""
     if isinstance(outcome, Fault):
         lost = outcome.origin != "input"
         advice = "; run the command again, with fewer --jobs if memory was short" if lost else ""
         return FileFit(file, error=outcome.message.rstrip(".") + advice if lost else outcome.message, lost=lost)
-    if output is not None:
-        write_atomically(output, [outcome.text.encode()])
+    if output.parent == file.parent and output.exists() and not _is_fit(output):
+        return FileFit(file, error=f"{output} is there already and is no fit; save the fit elsewhere with -o DIR")
+    write_atomically(output, [outcome.text.encode()])
     return FileFit(file, output, result_from_json(outcome.text))
 
 
-def _outputs(files: Sequence[Path], folder: Path | None) -> Sequence[Path | None]:
-    if folder is None:
-        return [None] * len(files)
-    folder.mkdir(parents=True, exist_ok=True)
+def _outputs(files: Sequence[Path], folder: Path | None) -> list[Path]:
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
     taken: dict[Path, Path] = {}
     for file in files:
-        output = folder / f"{file.stem}.json"
+        output = (file.parent if folder is None else folder) / f"{file.stem}.json"
         if output in taken:
             raise InvalidArgumentError(
                 f"{taken[output]} and {file} would both be written to {output}; fit them into different folders"
             )
         taken[output] = file
     return list(taken)
+
+
+def _is_fit(file: Path) -> bool:
+    try:
+        result_from_json(file.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, ModelFormatError):
+        return False
+    return True
 
 
 def _earlier_fit(file: Path, output: Path, options: FitOptions, table: TableOptions) -> FileFit | None:

@@ -82,7 +82,9 @@ def stored_fit(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Path, tmp_path: Path) -> None:
-    command = ["fit", str(plastic_file), "--method", "paper", "--n-lobes", "1", "--em-iterations", "1"]
+    measured = tmp_path / "plastic.binary"
+    measured.symlink_to(plastic_file)
+    command = ["fit", str(measured), "--method", "paper", "--n-lobes", "1", "--em-iterations", "1"]
     captured = run(*command, "--json")
     answer = json.loads(captured.stdout)
     sentences = answer["warnings"]
@@ -95,12 +97,10 @@ def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Pa
     assert (answer["status"], answer["metrics"]) == ("succeeded", answer["report"]["metrics"])
     shown = [f"warning: {sentence}" for sentence in sentences]
     file = tmp_path / "plastic.json"
-    fit = [*command, "-o", str(tmp_path)]
-    unsaved = "the model was not saved here: -o DIR saves it as NAME.json\n"
     for words, last in (
-        (command, unsaved),
-        (fit, f"saved: {file}\n"),
-        (fit, "plastic.json (kept)\n"),
+        ([*command, "--force"], f"saved: {file}\n"),
+        (command, f"saved: {file} (kept)\n"),
+        ([*command, "-o", str(tmp_path / "out")], f"saved: {tmp_path / 'out' / 'plastic.json'}\n"),
         (["show", str(file)], "\n"),
     ):
         captured = run(*words)
@@ -108,6 +108,18 @@ def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Pa
         assert captured.stdout.endswith(last)
         assert captured.stdout.splitlines()[1 : len(shown) + 1] == shown
         assert captured.stdout.count("warning: ") == len(shown)
+
+
+def test_fit_replaces_nothing_beside_its_measurement_but_a_fit(plastic_file: Path, tmp_path: Path) -> None:
+    measured, other = tmp_path / "tile.binary", tmp_path / "tile.json"
+    measured.symlink_to(plastic_file)
+    other.write_text('{"made": "in March"}')
+    captured = run("fit", measured, *QUICK, code=2)
+    assert (
+        captured.stderr
+        == f"dsbrdf: {measured}: {other} is there already and is no fit; save the fit elsewhere with -o DIR\n"
+    )
+    assert other.read_text() == '{"made": "in March"}'
 
 
 def test_one_bad_file_does_not_stop_the_others(plastic_file: Path, tmp_path: Path) -> None:
@@ -216,7 +228,7 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     command = ["fit", "good.binary", "none.binary", "bad.binary"]
     captured = run(*command, "--csv", table, code=2)
     assert captured.stderr.splitlines() == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
-    first, second, _, head, *rows, failed, nothing = captured.stdout.splitlines()
+    first, second, _, head, *rows, failed = captured.stdout.splitlines()
     assert first.startswith("good: ")
     assert "close (" in first
     assert second.startswith("bad: ")
@@ -225,7 +237,6 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     assert [row.split()[-1] for row in rows] == ["bad", "good"]
     assert rows[0].split()[0] == "0.9"
     assert failed == "1 file could not be fitted"
-    assert nothing == "the models were not saved here: -o DIR saves each as NAME.json"
 
     written = list(csv.DictReader(table.read_text().splitlines()))
     parts = decompose(two_lobe_fit)
@@ -262,7 +273,7 @@ def test_fit_on_a_server_is_the_fit_here(
     assert "the environment variable DSBRDF_KEY" in sentence("fit", plastic_file, *address)
     monkeypatch.setenv("DSBRDF_KEY", guarded.alice["Authorization"].removeprefix("Bearer "))
     there = document("fit", plastic_file, "--json", "-o", tmp_path, *address, *QUICK)
-    assert there["model"] == document("fit", plastic_file, "--json", *QUICK)["model"]
+    assert there["model"] == document("fit", plastic_file, "--json", "-o", tmp_path / "here", *QUICK)["model"]
     assert json.loads((tmp_path / "plastic.json").read_text())["model"] == there["model"]
     no_measurement = tmp_path / "cut.binary"
     no_measurement.write_bytes(plastic_file.read_bytes()[:1000])

@@ -111,7 +111,7 @@ def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch: 
 def test_progress_is_gone_when_the_last_result_is_printed(plastic_file: Path, tmp_path: Path) -> None:
     (tmp_path / "again.binary").hardlink_to(plastic_file)
     leader, terminal = pty.openpty()
-    command = [sys.executable, "-m", "dsbrdf.cli.main", "fit", str(plastic_file), "again.binary", "--jobs", "1", *QUICK]
+    command = [sys.executable, "-m", "dsbrdf.cli.main", "fit", str(plastic_file), "again.binary", "-o", "out", *QUICK]
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
     with subprocess.Popen(command, stdout=terminal, stderr=terminal, cwd=tmp_path, env=environment):
         os.close(terminal)
