@@ -42,6 +42,7 @@ _KINDS = {
     b"\x93NUMPY": "a .npy array",
     b"\x89HDF": "an HDF5 file",
     b"tensor_file\0": "an RGL .bsdf file, which dsbrdf convert turns into a MERL file",
+    b"%PDF": "a PDF document",
     b"{": "JSON, or another text",
     b"<": "HTML or XML",
 }

@@ -29,6 +29,7 @@ _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 SHAPE = (len(CHANNELS), *GRID_SHAPE)
 _PIECE_BYTES = 1 << 20
 _AXES = ("theta_half", "theta_diff", "phi_diff")
+_MAX_LIKELY_SIZE = 100_000  # A larger number in a header is part of something else than dimensions.
 _NOT_FINITE = "NaN or infinite; every value must be finite."
 _UNIT = "Stored values are the BRDF in 1/sr times 1500 / (1, 1.15, 1.66)."
 _TOO_LARGE = f"1e8/sr, which no reflectance has. {_UNIT}"
@@ -50,12 +51,22 @@ def check_header(header: bytes | bytearray | memoryview) -> None:
         raise MeasurementFormatError(f"The dimensions {GRID_SHAPE} in the header {fault}.")
     if sorted(found) == sorted(GRID_SHAPE):
         raise MeasurementFormatError(f"The dimensions in the header are swapped: {found}; {right}.")
+    if not all(abs(size) < _MAX_LIKELY_SIZE for size in found):
+        raise MeasurementFormatError(_other_kind(start))
     wrong = [
         f"{axis} is {size} and not {expected}"
         for axis, size, expected in zip(_AXES, found, GRID_SHAPE, strict=True)
         if size != expected
     ]
     raise MeasurementFormatError(f"The dimensions in the header are {found}: {', '.join(wrong)}; {right}.")
+
+
+def _other_kind(start: bytes) -> str:
+    """Return a sentence about data that begin with a text, or with nothing that is known."""
+    text = start.decode("utf-8", "ignore")
+    if len(text) > HEADER_SIZE - 4 and all(letter.isprintable() or letter.isspace() for letter in text):
+        return f"The data is a text that begins with {text.split(chr(10))[0]!r}, and no MERL measurement."
+    return f"The data is no MERL measurement, which begins with the dimensions {GRID_SHAPE}."
 
 
 def check_length(n_bytes: int) -> None:

@@ -123,6 +123,8 @@ class Client:
             As the library does, with the same sentence.
         ServiceError
             If the service failed, or the fit was cancelled.
+        ConnectionError
+            If no service answers at the address.
         """
         return self.result(
             self.wait(self.submit(measurement, options, table=table, name=name), progress=progress)["id"]
@@ -207,13 +209,21 @@ class Client:
         """
         given = {name: value for name, value in (params or {}).items() if value is not None}
         left = self._timeout
-        while (answer := self._http.request(method, url, params=given, **request)).status_code >= 400:
+        while (answer := self._answer(method, url, params=given, **request)).status_code >= 400:
             pause = answer.headers.get("retry-after", "")
             if answer.status_code not in (429, 503) or not pause.isdecimal() or int(pause) > left:
                 raise _error(answer)
             left -= int(pause)
             time.sleep(int(pause))
         return answer
+
+    def _answer(self, method: str, url: str, **request: Any) -> httpx.Response:
+        try:
+            return self._http.request(method, url, **request)
+        except httpx.ConnectError as error:
+            address = str(self._http.base_url).rstrip("/")
+            advice = "is a service running there? dsbrdf serve starts one"
+            raise ConnectionError(f"nothing answers at {address}: {advice} ({error})") from error
 
 
 def _error(answer: httpx.Response) -> Exception:

@@ -43,9 +43,6 @@ class ClientEngine:
             return FitDocument(self._client.document(fit["id"]), fit["metrics"])
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
-        except httpx.ConnectError as error:
-            advice = "is a service running there? dsbrdf serve starts one"
-            raise ConnectionError(f"nothing answers at {self._url}: {advice} ({error})") from error
         except (ServiceError, httpx.TransportError) as error:
             if isinstance(error, ServiceError) and error.problem.get("status") == 401:
                 advice = "the environment variable DSBRDF_KEY gives the key"

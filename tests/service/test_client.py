@@ -200,3 +200,11 @@ def test_request_is_not_repeated_beyond_reason(slept: list[float], answer: tuple
         upload(12.0, (404, None), (429, "6"), answer)
     assert error.value.problem["status"] == answer[0]
     assert slept == [6.0]
+
+
+def test_client_without_a_service_says_where_nothing_answers() -> None:
+    with (
+        Client("http://127.0.0.1:9") as client,
+        pytest.raises(ConnectionError, match="nothing answers at"),
+    ):
+        client.get("0" * 32)

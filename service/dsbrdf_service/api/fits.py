@@ -135,6 +135,10 @@ router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
 
 _MAX_JSON_BYTES = 1 << 16
 _NO_RESULT = to_json({"warnings": [], "measure_next": []} | dict.fromkeys(RESULT_MEMBERS[2:]))
+_FILE_AS_JSON = (
+    "The body is a file, but its Content-Type is application/json; send a MERL or RGL file as application/octet-stream "
+    "and a table as text/csv."
+)
 _Wait = Annotated[
     float,
     Query(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."),
@@ -193,8 +197,7 @@ async def submit_fit(
     else:
         if request.query_params.keys() - {"name"}:
             raise InvalidArgumentError("With a JSON body, the options are its member 'options', not query parameters.")
-        async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
-            document = parse_document(FitRequest, body)
+        document = await _requested(request, context)
         sha256, options = document.measurement, canonical(from_wire(document.options))
     row, new = await context.queue.submit(caller, sha256, options, name)
     if not row.ended:
@@ -204,6 +207,16 @@ async def submit_fit(
     if not row.ended:
         status, headers["Retry-After"] = 202, "1"
     return Response(await _document(context, row), status, headers, JSON)
+
+
+async def _requested(request: Request, context: Context) -> FitRequest:
+    """Return the JSON document of a request; a file that is sent as JSON, as some clients do by default, is named."""
+    if int(request.headers.get("content-length", 0)) > _MAX_JSON_BYTES:  # the server has checked that it is a number
+        raise ProblemError("too-large", _FILE_AS_JSON)
+    async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
+        if body[:1].strip() not in (b"", b"{", b"[", b'"'):
+            raise InvalidArgumentError(_FILE_AS_JSON)
+        return parse_document(FitRequest, body)
 
 
 @router.get("", response_model=FitList, responses={200: openapi.headers("Link"), **openapi.problems()})

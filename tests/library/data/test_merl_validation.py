@@ -132,6 +132,9 @@ FAULTS: dict[str, tuple[Make, str]] = {
     "another unit": (lambda data: scaled(data, 1e-30), "0 have a value of at least 1e-08/sr"),
     "JSON": (lambda _: json.dumps({"measurement": [1.0] * 1000}).encode(), "The data is JSON"),
     "PNG": (lambda _: b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(1000), "The data is a PNG image"),
+    "PDF": (lambda _: b"%PDF-1.7\n%\xe2\xe3\xcf\xd3\n" + bytes(1000), "The data is a PDF document"),
+    "a text": (lambda _: b"# dsbrdf\n\nCompact models", "The data is a text that begins with '# dsbrdf', and no MERL"),
+    "anything": (lambda _: b"\x07\x01\x02\x7f" * 10, "which begins with the dimensions (90, 90, 180)"),
     "npy": (lambda data: npy(floats(data)), "The data is a .npy array"),
     "zip": (zipped, "The data is a ZIP archive"),
 }

@@ -124,6 +124,15 @@ def test_content_types_are_checked(server: Server, fitted: str) -> None:
             assert [kind for kind in taken if kind not in detail or kind not in answer.headers["accept-post"]] == []
 
 
+def test_file_with_the_type_that_a_client_gives_it_is_told_the_right_one(server: Server, data: bytes) -> None:
+    curl = server.http.post("/v1/fits", content=data, headers={"Content-Type": "application/x-www-form-urlencoded"})
+    detail = assert_problem(curl, 415, "unsupported-media-type")
+    assert "add --header 'Content-Type: application/octet-stream'" in detail
+    for content, status, kind in ((data, 413, "too-large"), (data[:1000], 422, "invalid-argument")):
+        answer = server.http.post("/v1/fits", content=content, headers={"Content-Type": "application/json"})
+        assert "The body is a file, but its Content-Type is application/json" in assert_problem(answer, status, kind)
+
+
 def test_query_options_for_a_stored_measurement_are_refused(server: Server, stored: str) -> None:
     answer = server.http.post("/v1/fits?n_lobes=2", json={"measurement": stored})
     assert "'options'" in assert_problem(answer, 422, "invalid-argument")
