@@ -78,21 +78,21 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
         return
     if floor > _MAX_RELATIVE_ASYMMETRY:
         yield (
-            f"The samples deviate by {floor:.1%} from their mean over phi_diff, -phi_diff and 180 degrees - phi_diff, "
-            "where a reciprocal isotropic material has one value: the measurement is noisy, or the material sparkles "
-            "or is anisotropic, and no model of this kind can be more accurate."
+            f"At phi_diff, -phi_diff and 180 degrees - phi_diff the samples differ by {floor:.1%}, but a reciprocal "
+            "isotropic material has equal values there. The measurement is noisy, or the material sparkles or is "
+            "anisotropic; no model of this kind can be more accurate."
         )
     # Two samples make a folded mean, so that independent noise gives relative_rms = sqrt(2) symmetric_floor.
     misfit = np.sqrt(max(error**2 - 2.0 * floor**2, 0.0))
     if misfit > _MAX_RELATIVE_MISFIT:
         yield (
-            f"The error of the fit is {error:.1%}, where the best reciprocal isotropic model would have {floor:.1%}: "
-            "the lobes do not follow the measurement, so compare images of both before you use the model."
+            f"The error of the fit is {error:.1%}, but the best reciprocal isotropic model would have {floor:.1%}: "
+            "the lobes do not follow the measurement. Compare pictures of both before you use the model."
         )
     if albedo_error > _MAX_ALBEDO_ERROR:
         yield (
-            f"The directional albedo of the model differs from the measurement's by {albedo_error:.1%}, the mean over "
-            "some angles and channels: rendered images will be too bright or too dark."
+            f"The model reflects {albedo_error:.1%} more or less light than the measurement, on average over angles "
+            "and channels: rendered pictures will be too bright or too dark."
         )
 
 
@@ -114,28 +114,27 @@ def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str,
         return
     if len(samples.values) < few:
         yield (
-            f"{len(samples.values)} samples are few: the model is that of layers ({structure}) that were fitted to the "
-            "samples and corrected near them; more samples would tell more."
+            f"There are only {len(samples.values)} samples. The model consists of physical layers ({structure}), "
+            "corrected near the samples. Measure more directions for a more accurate model."
         )
     first, second = samples.omega_in, samples.omega_out
     if np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).max() < _MIN_OUT_OF_PLANE_SINE:
         yield (
-            "All samples lie in one plane of incidence: out of it the model has highlights as those of most materials; "
-            "of a few they are several times as bright there, as only samples out of the plane tell."
+            "All samples lie in one plane of incidence. Outside of this plane the brightness of highlights is a guess "
+            "from other materials and can be wrong several times over: measure directions there as well."
         )
     if here > _MAX_SAMPLE_MISFIT:
         yield (
-            f"The model misses the samples by {here:.0%} of their size: look for values that are no measurements, for "
-            "wrong units of the angles, and for a mirror direction on the wrong side."
+            f"The model misses the samples by {here:.0%} of their size. Check the table for values that are no "
+            "measurements, for a wrong unit of the angles, and for a mirror direction on the wrong side."
         )
     if left_out >= max(_REPORTED_ERROR_RATIO * here, _MIN_REPORTED_ERROR):
         yield (
-            f"At samples left out of a fit relative_rms is {left_out:.3g}, at those of the fit {here:.3g}: between the "
-            "samples the error is more like the larger one."
+            f"The error (relative_rms) is {here:.3g} at the samples of the fit, but {left_out:.3g} at samples held out "
+            "of a fit: expect the larger error between the samples."
         )
     if expected > MAX_EXPECTED_ERROR:
         yield (
-            f"Over all directions the error is probably below {expected:.0%}: where there are no samples, the model "
-            "is what layers that explain the samples are like there; measure_next has the directions that would tell "
-            "most."
+            f"Over all directions the error is probably below {expected:.0%}: the model is a guess where there are no "
+            "samples. measure_next lists the directions whose measurement would help most."
         )

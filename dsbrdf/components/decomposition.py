@@ -281,8 +281,8 @@ class Decomposition:
         if high - low > _MAX_CERTAIN_WIDTH or is_doubtful:
             names = ", ".join(f"{structure.name} {structure.weight:.0%}" for structure in self.structures[:3])
             yield (
-                f"The split into specular and diffuse light is open: the diffuse part has {low:.0%} to {high:.0%} of "
-                f"the light. Probable structures: {names}."
+                f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to "
+                f"{high:.0%}. Probable structures: {names}."
             )
 
     def _other_light(self) -> Iterator[str]:

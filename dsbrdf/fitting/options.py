@@ -43,35 +43,37 @@ class FitOptions:
 
     n_lobes: Annotated[int, Bounds(1, MAX_LOBES)] | Literal["auto"] = option(
         "auto",
-        'Number of all lobes, 1 to 10; "auto" drops them while the error on samples held out hardly rises; with the '
-        'method "paper" it is the smallest of 1 to 5 that Williams\' test does not find worse than 5.',
+        'Number of all lobes, 1 to 10. "auto" takes as many as lower the error on held-out samples; with the method '
+        '"paper" it takes the smallest number from 1 to 5 that Williams\' test does not find worse than 5.',
     )
     method: Literal["global", "paper"] = option(
-        "global", '"global" fits all rows of theta_diff at once; "paper" is Algorithm 1 of Nishino 2009 slice by slice.'
+        "global",
+        '"global" fits all theta_diff at once; "paper" is Algorithm 1 of Nishino 2009, which fits one theta_diff after '
+        "another.",
     )
     ring_lobes: Annotated[int, Bounds(0, MAX_RING_LOBES)] | Literal["auto"] = option(
         "auto",
-        'How many of the lobes have a center of their own, 0 to 9, fewer than all; "auto" takes what explains '
+        'Number of lobes whose center is not 0, from 0 to 9 and below n_lobes; "auto" takes the number that explains '
         'most. The method "paper" has none.',
     )
     lobe: Family = option(
-        "hemi_epd", 'Family of the lobes, see `dsbrdf.model.lobes`; the method "paper" has the hemi-EPD only.'
+        "hemi_epd", 'Family of the lobes, which glossary and model describe; the method "paper" has "hemi_epd" only.'
     )
     knots_deg: Annotated[tuple[int, ...], Bounds(0, THETA_DIFF.size - 1)] | None = option(
         None,
-        'Angles theta_diff at which the amplitudes of the method "global" have their knots, whole degrees, '
-        'increasing; None takes 7 that lie closer towards grazing angles, or 3 with the variation "parametric".',
+        'Angles theta_diff at which the method "global" stores the amplitudes: increasing whole degrees. None takes 7 '
+        'angles that lie closer towards grazing, or 3 with the variation "parametric".',
     )
     variation: Literal["full", "parametric"] = option(
         "full",
-        'How lobes change with theta_diff. "full" has splines with several knots, with the method "paper" values '
-        'at every slice; "parametric" has 5 coefficients of each channel\'s amplitude and one shape for all '
-        "theta_diff: a third of the numbers for about a third more error.",
+        'How lobes change with theta_diff: "full" stores them at several knots, with the method "paper" at every '
+        'slice; "parametric" stores 5 coefficients of the amplitude for each channel, and one shape for all '
+        "theta_diff. It has a third of the numbers and about a third more error.",
     )
     horizon_cutoff_deg: Annotated[float, Bounds(0, 90, above=True)] | None = option(
         80.0,
-        "Samples with a direction further than this from the normal [degrees] are left out of the metrics and of "
-        'the method "paper"; "global" trusts them less, down to nothing at the horizon. None takes all.',
+        "Largest angle of a direction to the normal [degrees]. Samples beyond it are left out of the metrics and of "
+        'the method "paper"; the method "global" gives them less weight, down to none at the horizon. None takes all.',
     )
     mask: Annotated[float, Bounds(0, 10)] | None = option(
         None,
@@ -80,13 +82,13 @@ class FitOptions:
     )
     weighting: Weighting | None = option(
         None,
-        'Weights of the samples, see `dsbrdf.data.weighting`; None is the method\'s own: "balanced" for '
-        '"global", "plain" for "paper", which has no "balanced".',
+        'Weights of the samples, compared in "Which weighting, how many lobes" of the documentation. None takes '
+        '"balanced" for the method "global", and "plain" for "paper", which has no "balanced".',
     )
     robust: bool = option(
-        False, "Down-weight outliers: among the samples over phi_diff, and in the residuals over theta_half."
+        False, "Give outliers less weight, among the samples over phi_diff and in the residuals over theta_half."
     )
-    em_iterations: Annotated[int, Bounds(1, 10_000)] = option(100, "Bound on the iterations of Algorithm 1.")
+    em_iterations: Annotated[int, Bounds(1, 10_000)] = option(100, "Largest number of iterations of Algorithm 1.")
 
     def __post_init__(self) -> None:
         for name, (kind, bounds, words) in _declared().items():

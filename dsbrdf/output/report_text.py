@@ -30,7 +30,7 @@ SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
 _WIDTH = 60  # Characters in a line of text.
 # Likeness of the lit spheres of a measurement and its fit, from so many decibels on.
 _VERDICTS = (
-    (45.0, "hardly to be told apart"),
+    (45.0, "hard to tell apart"),
     (38.0, "very close"),
     (32.0, "close"),
     (26.0, "visibly different"),
@@ -49,7 +49,7 @@ def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
 def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a table with a line for each component: share of the light with its range, half width, albedo."""
     if not components:
-        return ["The model has no light, and so no components."]
+        return ["The model reflects no light, so it has no components."]
     lines = [f"{'component':<14}{'light':>5}{'90 % range':>11}{'width':>8}{'albedo r, g, b':>21}"]
     for component in components:
         (low, high), width = component["ranges"]["light_share"], component["half_width_deg"]

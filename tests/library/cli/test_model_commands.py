@@ -101,7 +101,7 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:
     black = tmp_path / "black.json"
     dsbrdf.save(load(model_file).select((), with_delta=False), black)
-    assert printed("decompose", black).strip() == "The model has no light, and so no components."
+    assert printed("decompose", black).strip() == "The model reflects no light, so it has no components."
 
 
 def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path) -> None:

@@ -150,7 +150,9 @@ def test_fifty_samples_or_one_plane_are_a_material(truth: dsbrdf.DSBRDF) -> None
     few = dsbrdf.fit(scattered_samples(truth, 50), n_lobes=2, ring_lobes=0)
     assert median_error(few.model, truth) < 0.1
     assert few.model.albedo(np.radians([0.0, 30.0, 60.0, 75.0, 85.0])).max() <= 1.0
-    assert any("50 samples are few: the model is that of layers" in text for text in few.report.warnings)
+    assert any(
+        "There are only 50 samples. The model consists of physical layers" in text for text in few.report.warnings
+    )
     assert not any("in one plane" in text for text in few.report.warnings)
     result = dsbrdf.fit(in_plane(truth), n_lobes=3)
     assert median_error(result.model, truth) < 0.05
