@@ -26,7 +26,6 @@ from itertools import pairwise
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.geometry import incident_cosines
 from dsbrdf.data.grid import CENTER_CUTOFF, CHANNELS, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_samples
@@ -47,7 +46,6 @@ MIN_ALBEDO = 1e-9
 """Albedo below which a channel is zero but for rounding."""
 SPHERE_PIXELS = 64
 COLUMN_GROUPS = 9
-_FOLD = np.minimum(np.arange(PHI_DIFF.size), PHI_DIFF.size - np.arange(PHI_DIFF.size))
 
 
 @dataclass(frozen=True)
@@ -132,9 +130,13 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
         rows = slice(0, 1 + int(np.flatnonzero(np.any(masks, axis=(0, 1, 3))).max(initial=-1)))
         grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF[rows], PHI_DIFF[:QUARTER])
         for i, used, values in zip(columns.tolist(), masks, grid, strict=True):
-            cosine, _ = incident_cosines(THETA_HALF[i], THETA_DIFF[rows, None], PHI_DIFF)
+            # The cosine of omega_in to the normal alone: `incident_cosines` finds that of omega_out as well.
+            swing = (np.sin(THETA_HALF[i]) * np.sin(THETA_DIFF[rows, None])) * np.cos(PHI_DIFF)
+            cosine = np.subtract(np.cos(THETA_HALF[i]) * np.cos(THETA_DIFF[rows, None]), swing, out=swing)
+            # Beyond 90 degrees, phi_diff has the values of 180 degrees - phi_diff.
+            folded = np.concatenate([values, values[:, :, -2:0:-1]], axis=2)
             for channel, scale in enumerate(measurement.scale.tolist()):
-                samples, fit = measurement.stored[channel, i, rows] * scale, values[channel].take(_FOLD, axis=1)
+                samples, fit = measurement.stored[channel, i, rows] * scale, folded[channel]
                 sums[:, channel, rows] += _column_sums(samples, fit, used[channel, rows], cosine)
     if not sums[0].any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
@@ -143,15 +145,22 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
 
 def _column_sums(samples: Array, fit: Array, used: Mask, cosine: Array) -> Array:
     """The sums of one theta_half and channel for samples (R, 180), shape (6, R)."""
-    count = used.sum(axis=1)
-    samples, fit = samples * used, fit * used
-    mean = np.sum(samples, axis=1) / np.maximum(count, 1)
+    counted = used.astype(float)
+    count, fit = counted.sum(axis=1), fit * counted
+    samples = samples * counted
+    mean = np.sum(samples, axis=1) / np.maximum(count, 1.0)
+    deviation = samples - mean[:, None]
+    deviation *= counted
     # phi_diff and 180 - phi_diff, 0 its own partner, hold one value of a symmetric material; each is half a step off.
     one, partner = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
-    step = (samples[:, one] - samples[:, partner]) * (np.sqrt(0.5) * (used[:, one] & used[:, partner]))
-    parts = samples, samples - fit, (samples - mean[:, None]) * used, step
-    squares = [np.einsum("rp,rp->r", part, part) for part in parts]
-    ratio = (1.0 + samples * cosine) / (1.0 + fit * cosine)
+    step = samples[:, one] - samples[:, partner]
+    step *= np.sqrt(0.5) * counted[:, one] * counted[:, partner]
+    squares = [np.einsum("rp,rp->r", part, part) for part in (samples, samples - fit, deviation, step)]
+    ratio = samples * cosine
+    ratio += 1.0
+    fit *= cosine
+    fit += 1.0
+    ratio /= fit
     log_error = np.sum(np.abs(np.log(ratio, out=ratio), out=ratio), axis=1)
     return np.stack([*squares, log_error, count])
 
