@@ -1,4 +1,4 @@
-"""Results of a fit for people and other programs: stored models, text, figures, exported files."""
+"""Write results of a fit for people and programs: stored models, text, figures and exported files."""
 
 from dsbrdf.output.export import FORMATS, export_model
 from dsbrdf.output.figure_parts import encode_figure

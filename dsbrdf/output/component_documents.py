@@ -1,4 +1,4 @@
-"""The components of a model as JSON content: in what commands print, in stored fits and in the HTTP service's answers.
+"""Write components as JSON content, for commands, stored fits and the HTTP service, and read them back.
 
 Angles are in degrees.
 """
@@ -16,11 +16,11 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.typed_json import typed
 
 LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
-"""theta_diff of the heights of components in JSON [degrees]."""
+"""Angles theta_diff of the heights in a component's document [degrees]."""
 
 
 def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
-    """Return the components of a model, from narrow to wide, as they are written to JSON."""
+    """Return the components of a model as JSON content, from narrow to wide."""
     return [component_document(component) for component in decompose(model)]
 
 

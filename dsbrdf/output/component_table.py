@@ -1,4 +1,4 @@
-"""The components of many materials as one table: a row for each surface, and for each part that has none."""
+"""Write the components of many materials as a table, with a row for each surface, or component without surface."""
 
 import csv
 import io
@@ -25,7 +25,7 @@ COLUMNS = (
 def component_rows(
     material: str, components: Sequence[Mapping[str, Any]], psnr: float | None
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a material, from its components in JSON's types and the likeness of its fit [dB]."""
+    """Yield the rows of a material, from its components' documents and the PSNR of its fit [dB]."""
     for part in components:
         own = {"material": material, "component": part["label"], "half_width_deg": part["half_width_deg"], "psnr": psnr}
         own |= _with_range("light_share", part["light_share"], part["ranges"]["light_share"])

@@ -1,4 +1,4 @@
-"""What all figures have in common: sizes, colours, rows of panels, legends, ticks, and files of them."""
+"""Define the common parts of all figures: sizes, colours, rows of panels, legends, ticks and image files."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ IMAGE_FORMATS = ("png", "svg", "pdf")
 
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
 LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "#a0522d", "#4263eb", "#868e96")
-PAIR_WIDTH, ROW = 5.5, 3.4
-"""Width of two panels and height of a row [inches]."""
-_TITLE = 0.4  # [inches]
-_MOST = 6  # ticks of a logarithmic axis
+PAIR_WIDTH_IN = 5.5
+"""Width of two panels side by side."""
+ROW_HEIGHT_IN = 3.4
+"""Height of a row of panels."""
+_TITLE_HEIGHT_IN = 0.4
+_MAX_LOG_TICKS = 6  # With more ticks on a logarithmic axis, some are left out.
 _TENTHS, _HALVES, _DIGITS = (np.arange(1.0, 10.0, step) for step in (0.1, 0.5, 1.0))
-_MANTISSAS = (_TENTHS, _HALVES, _DIGITS, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,))
+_TICK_MANTISSAS = (_TENTHS, _HALVES, _DIGITS, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,))
 
 
 def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
@@ -43,24 +45,24 @@ def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150
 
 
 def empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) -> Figure:
-    """Return a figure with a title only, of the width of some pairs of panels; margins are fitted unless fixed."""
+    """Return a figure with a title and the width of some pairs of panels; margins are fitted unless fixed."""
     require("plot", "matplotlib", purpose="figures")
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
-    figure = Figure(figsize=(PAIR_WIDTH * pairs, height), layout=layout)
-    figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # notebooks without pyplot
-    figure.suptitle(title, parse_math=False)  # a name with dollars is no formula
+    figure = Figure(figsize=(PAIR_WIDTH_IN * pairs, height), layout=layout)
+    figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # Notebooks show the figure without pyplot.
+    figure.suptitle(title, parse_math=False)  # Dollars in a name are not a formula.
     return figure
 
 
 def figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
     """Return a figure with a title, and below it rows of given heights [inches] for panels with fixed margins."""
-    figure = empty_figure("", pairs, height=_TITLE + sum(heights), fixed=True)
-    parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE, *heights])
+    figure = empty_figure("", pairs, height=_TITLE_HEIGHT_IN + sum(heights), fixed=True)
+    parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE_HEIGHT_IN, *heights])
     head, *rows = parts[:, 0]
-    head.suptitle(title, y=0.5, va="center", parse_math=False)  # a name with dollars is no formula
+    head.suptitle(title, y=0.5, va="center", parse_math=False)  # Dollars in a name are not a formula.
     return figure, rows
 
 
@@ -73,7 +75,7 @@ def draw_legend(
 
 
 def set_ticks(ax: Axes) -> None:
-    """Set a few round ticks for limits that are final; angles up to 90 degrees have them every 15 or 30 degrees."""
+    """Set a few round ticks within final limits; angles up to 90 degrees have ticks every 15 or 30 degrees."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = ax.get_xlim()
@@ -92,11 +94,11 @@ def set_ticks(ax: Axes) -> None:
 
 
 def log_ticks(low: float, high: float) -> Array:
-    """Return at most six round numbers between two, as many as there can be, for a logarithmic axis."""
+    """Return as many round ticks of a logarithmic axis as possible, but at most six."""
     decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
-    for mantissas in _MANTISSAS:
+    for mantissas in _TICK_MANTISSAS:
         ticks = np.round([mantissa * 10.0**decade for decade in decades for mantissa in mantissas], 12)
         ticks = ticks[(ticks >= low) & (ticks <= high)]
-        if ticks.size <= _MOST:
+        if ticks.size <= _MAX_LOG_TICKS:
             return ticks
-    return ticks[:: -(-ticks.size // _MOST)]
+    return ticks[:: -(-ticks.size // _MAX_LOG_TICKS)]

@@ -1,4 +1,4 @@
-"""Figures of a fit, in the style of Nishino 2009, Figure 1.
+"""Draw figures of a fit in the style of Nishino 2009, Figure 1.
 
 Every function returns a new `matplotlib.figure.Figure`. Neither pyplot nor other global state is used, so figures may
 be made in any thread. Matplotlib is the extra ``plot``.
@@ -23,8 +23,8 @@ from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.output.figure_parts import (
     CHANNEL_COLOURS,
     LOBE_COLOURS,
-    PAIR_WIDTH,
-    ROW,
+    PAIR_WIDTH_IN,
+    ROW_HEIGHT_IN,
     draw_legend,
     empty_figure,
     figure_of_rows,
@@ -44,32 +44,39 @@ if TYPE_CHECKING:
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.model.reflectance import ReflectanceModel
 
-    _Part = tuple[ReflectanceModel, str, str, str]  # colour, style and label of a curve; without one it is thin
+    _Part = tuple[ReflectanceModel, str, str, str]  # model, colour, style and label; without label, the curve is thin
 
 DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
-"""The slices that are drawn by default [rad]."""
+"""Slices of theta_diff drawn by default [rad]."""
 COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
-CURVE_ANGLES = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])  # dense at the peak
-PHI_SHARES = (np.arange(24) + 0.5) / 24  # of the way from phi_diff = 90 degrees to the last one that counts
-_ABOVE, _BELOW, _LEFT, _RIGHT, _LEGEND_LINE = 0.6, 0.6, 0.7, 0.15, 0.18  # margins, in inches
-_SPHERES = 2.5  # height [inches]
-_LARGEST_PERCENT = 100.0  # larger residuals have the colour of this one
-_RESIDUAL_TICKS = (0, 5, 20, 45, 90)  # of theta_half [degrees]
-_PEAK, _FAR = 1.3, np.radians(60.0)  # a curve that is so many times as high at the normal as at its lowest has a peak
+CURVE_THETA_HALF = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])
+"""Angles theta_half of curves, dense at the peak [rad]."""
+PHI_DIFF_FRACTIONS = (np.arange(24) + 0.5) / 24
+"""Nodes of means over phi_diff, as fractions of the way from 90 degrees to the last phi_diff that counts."""
+_TOP_MARGIN_IN = 0.6
+_BOTTOM_MARGIN_IN = 0.6
+_LEFT_MARGIN_IN = 0.7
+_RIGHT_MARGIN_IN = 0.15
+_LEGEND_LINE_HEIGHT_IN = 0.18
+_SPHERES_HEIGHT_IN = 2.5
+_MAX_COLOURED_RESIDUAL_PERCENT = 100.0  # Larger residuals have the same colour.
+_RESIDUAL_TICKS_DEG = (0, 5, 20, 45, 90)  # ticks on the axis of theta_half
+_MIN_PEAK_RATIO = 1.3  # A curve with a smaller ratio of its highest to its lowest value has no peak.
+_MAX_PEAK_THETA_HALF = np.radians(60.0)  # The lowest value is sought up to this angle.
 
 
 def profiles_figure(profiles: Profiles, model: Reflectance, *, curves: str = "fit") -> Figure:
-    """Row (a) of `overview_figure` alone; the curves are called a fit, or otherwise."""
+    """Draw row (a) of `overview_figure` alone; `curves` names the model in the legend."""
     rows = _nearest_rows(DEFAULT_THETA_DIFF)
-    figure, (row,) = figure_of_rows(profiles.name, len(rows), [ROW])
+    figure, (row,) = figure_of_rows(profiles.name, len(rows), [ROW_HEIGHT_IN])
     _profiles_row(row, profiles, model, rows, curves)
     return figure
 
 
 def lobes_figure(profiles: Profiles, model: DSBRDF, *, model_lobes: bool = False) -> Figure:
-    """Row (b) of `overview_figure` alone, in red."""
+    """Draw row (b) of `overview_figure` alone, in the red channel."""
     rows, title = _nearest_rows(DEFAULT_THETA_DIFF), f"{profiles.name}: {_parts_name(model_lobes)}, red channel"
-    figure, (row,) = figure_of_rows(title, len(rows), [ROW])
+    figure, (row,) = figure_of_rows(title, len(rows), [ROW_HEIGHT_IN])
     _parts_row(row, profiles, model, rows, 0, model_lobes)
     return figure
 
@@ -83,7 +90,7 @@ def overview_figure(
     model_lobes: bool = False,
     spheres: SphereComparison | None = None,
 ) -> Figure:
-    """Both rows of Nishino 2009, Figure 1, and lit spheres.
+    """Draw both rows of Nishino 2009, Figure 1, and lit spheres.
 
     Parameters
     ----------
@@ -94,11 +101,11 @@ def overview_figure(
     theta_diff : sequence of float, optional
         The slices [rad]; each is drawn at the nearest row of the measurement.
     channel : {"red", "green", "blue"}, optional
-        Of row (b), which shows the components with their own layers, and their sum.
+        The channel of row (b), which shows the components with their own layers, and their sum.
     model_lobes : bool, optional
         Whether row (b) shows the lobes of the model instead.
     spheres : SphereComparison, optional
-        What to draw in a third row.
+        Spheres to draw in a third row.
 
     Raises
     ------
@@ -110,7 +117,7 @@ def overview_figure(
     if channel not in CHANNELS:
         raise InvalidArgumentError(f"channel must be {one_of(CHANNELS)}, not {channel!r}")
     rows = _nearest_rows(theta_diff)
-    heights = [ROW, ROW] if spheres is None else [ROW, ROW, _SPHERES]
+    heights = [ROW_HEIGHT_IN, ROW_HEIGHT_IN] if spheres is None else [ROW_HEIGHT_IN, ROW_HEIGHT_IN, _SPHERES_HEIGHT_IN]
     figure, (above, below, *rest) = figure_of_rows(profiles.name, len(rows), heights)
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle(f"(b) {_parts_name(model_lobes)}, {channel} channel", fontsize=10)
@@ -124,11 +131,11 @@ def overview_figure(
 
 
 def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
-    """Relative difference of fit and measurement, means over phi_diff, for each channel, theta_half and theta_diff.
+    """Draw the relative difference of fit and measurement for each channel, averaged over phi_diff.
 
-    Where there is no measurement, the figure is grey. The axis of theta_half is that of the grid, dense at the peak.
+    The axes are theta_half, on the grid's scale that is dense at the peak, and theta_diff. Nodes without data are grey.
     """
-    figure = empty_figure(profiles.name, 2, height=ROW)
+    figure = empty_figure(profiles.name, 2, height=ROW_HEIGHT_IN)
     fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
     measured = np.moveaxis(profiles.mean, 0, -1)
     used = (np.moveaxis(profiles.weight, 0, -1) > 0) & (measured > 0)
@@ -138,13 +145,13 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
         image = ax.imshow(
             values,
             cmap="RdBu_r",
-            clim=(-_LARGEST_PERCENT, _LARGEST_PERCENT),
+            clim=(-_MAX_COLOURED_RESIDUAL_PERCENT, _MAX_COLOURED_RESIDUAL_PERCENT),
             origin="lower",
             aspect="auto",
             interpolation="nearest",
         )
         ax.set(facecolor="0.85", yticks=range(0, 91, 15), xlabel=r"$\theta_\mathrm{half}$ [degrees]")
-        ax.set_xticks(np.interp(np.radians(_RESIDUAL_TICKS), THETA_HALF, range(90)), map(str, _RESIDUAL_TICKS))
+        ax.set_xticks(np.interp(np.radians(_RESIDUAL_TICKS_DEG), THETA_HALF, range(90)), map(str, _RESIDUAL_TICKS_DEG))
         ax.set_title(channel, fontsize=9)
         ax.tick_params(labelsize=8)
     axes[0].set_ylabel(r"$\theta_\mathrm{diff}$ [degrees]")
@@ -176,7 +183,7 @@ def _parts_name(model_lobes: bool) -> str:
 def _parts_row(
     figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int, model_lobes: bool
 ) -> None:
-    """Draw parts of a model in one channel, in two panels for each slice, with a legend of those that are seen."""
+    """Draw parts of a model in one channel, in two panels for each slice, with a legend of the visible parts."""
     parts = _lobe_parts(model, channel) if model_lobes else _component_parts(model)
     pairs = _panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
@@ -186,15 +193,17 @@ def _parts_row(
         curves = [slice_means(source, row, profiles.horizon_cutoff)[:, channel] for source, *_ in parts]
         seen = [curve.max() > pair[0].get_ylim()[0] for curve in curves]
         for ax in pair:
-            _draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # seen also where a component covers it
-            _draw_points(ax, *points, str(ax.xaxis.label.get_color()), "o", "measured")  # also on a dark background
+            _draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # The wide line stays visible below a component.
+            _draw_points(
+                ax, *points, str(ax.xaxis.label.get_color()), "o", "measured"
+            )  # The axis label's colour is visible on dark backgrounds.
             for (_, colour, style, label), curve in compress(zip(parts, curves, strict=True), seen):
                 _draw_curve(ax, curve, colour, style=style, label=label)
     _finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))
 
 
 def _component_parts(model: DSBRDF) -> list[_Part]:
-    """Components of a model, and below each, dashed, its own layers."""
+    """Return the components of a model, each followed by its own layers as a dashed curve."""
     parts: list[_Part] = []
     for component in decompose(model):
         colour, name = COMPONENT_COLOURS[component.label], component.label.replace("_", " ")
@@ -205,7 +214,7 @@ def _component_parts(model: DSBRDF) -> list[_Part]:
 
 
 def _lobe_parts(model: DSBRDF, channel: int) -> list[_Part]:
-    """The lobes of a model, rings and cusps dashed, with their width at theta_diff = 0, and the delta term."""
+    """Return the lobes of a model with their width at theta_diff = 0, rings and cusps dashed, and the delta term."""
     at = lobes_in_channel(model, 0.0, channel)
     widths, centers = np.degrees(at["half_width"]), np.degrees(at["center"])
     parts: list[_Part] = []
@@ -228,12 +237,16 @@ def _panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
 
 
 def _finish_row(figure: FigureBase, named: Sequence[Axes], *, slices: int, columns: int) -> None:
-    """Draw the legend of some panels at the bottom of their row, and set the margins, the same in all rows."""
+    """Draw a legend at the bottom of a row, and set the margins of the row's panels."""
     draw_legend(figure, named, columns, "lower center")
-    below = _BELOW + _LEGEND_LINE * -(-len(figure.legends[0].get_texts()) // columns)
-    width = PAIR_WIDTH * slices
+    below = _BOTTOM_MARGIN_IN + _LEGEND_LINE_HEIGHT_IN * -(-len(figure.legends[0].get_texts()) // columns)
+    width = PAIR_WIDTH_IN * slices
     figure.subplots_adjust(
-        left=_LEFT / width, right=1.0 - _RIGHT / width, bottom=below / ROW, top=1.0 - _ABOVE / ROW, wspace=0.36
+        left=_LEFT_MARGIN_IN / width,
+        right=1.0 - _RIGHT_MARGIN_IN / width,
+        bottom=below / ROW_HEIGHT_IN,
+        top=1.0 - _TOP_MARGIN_IN / ROW_HEIGHT_IN,
+        wspace=0.36,
     )
 
 
@@ -247,36 +260,38 @@ def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
         ax.set_axis_off()
 
 
-def slice_means(model: Reflectance, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_ANGLES) -> Array:
-    """Return a model's means (n, 3) [1/sr] over the phi_diff that count in profiles, at angles theta_half (n,) [rad].
+def slice_means(
+    model: Reflectance, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_THETA_HALF
+) -> Array:
+    """Return a model's means (n, 3) [1/sr] over the phi_diff of profiles, at angles theta_half (n,) [rad].
 
-    `row` is the index of theta_diff on the measurement's grid, `horizon_cutoff` that of the profiles [rad]; where no
-    phi_diff is within it of the normal, the values are those at 90 degrees. Both
-    cosines to the normal are ``level -/+ swing cos(phi_diff)``: the directions that count lie between some phi_diff and
-    90 degrees, and their mirror images.
+    `row` is the index of theta_diff on the measurement's grid. Profiles leave out directions beyond `horizon_cutoff`
+    [rad] from the normal; if all are beyond, the values are taken at phi_diff = 90 degrees. The cosines to the normal
+    are ``level -/+ swing cos(phi_diff)``, so the other directions lie between some phi_diff and 90 degrees, and at
+    the mirror images.
     """
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     level, swing = np.cos(theta_half) * np.cos(THETA_DIFF[row]), np.sin(theta_half) * np.sin(THETA_DIFF[row])
     first = np.arccos(np.clip((level - np.cos(cutoff)) / np.maximum(swing, 1e-12), 0.0, 1.0))
-    phi_diff = np.pi / 2 - (np.pi / 2 - first)[:, None] * PHI_SHARES
+    phi_diff = np.pi / 2 - (np.pi / 2 - first)[:, None] * PHI_DIFF_FRACTIONS
     return model.evaluate(theta_half[:, None], THETA_DIFF[row], phi_diff).mean(axis=1)
 
 
 def _measured(profiles: Profiles, row: int, channel: int) -> tuple[Array, Array]:
-    """Return theta_half [rad] and mean over phi_diff [1/sr] of the nodes with positive data."""
+    """Return theta_half [rad] and the mean over phi_diff [1/sr] at nodes with positive data."""
     mean = profiles.mean[channel, row]
     used = (profiles.weight[channel, row] > 0) & (mean > 0)
     return THETA_HALF[used], mean[used]
 
 
 def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array) -> None:
-    """Set the axes of a slice: all angles on a logarithmic scale, four half widths of the peak on a linear one."""
+    """Set the axes of a slice: all angles on a logarithmic scale, and four half widths on a linear scale."""
     top = float(max(fitted.max(), measured.max(initial=0.0), 1e-6))
     bottom = float(measured.min(initial=top))
     all_angles, peak = pair
     all_angles.set(yscale="log", xlim=(-90, 90), ylim=(0.4 * bottom, 2.0 * top), ylabel="BRDF [1/sr]")
     all_angles.set_title(rf"$\theta_\mathrm{{diff}}$ = {np.degrees(THETA_DIFF[row]):.0f}°", fontsize=9)
-    half_width = _peak_half_width(fitted.reshape(CURVE_ANGLES.size, -1).sum(axis=1))
+    half_width = _peak_half_width(fitted.reshape(CURVE_THETA_HALF.size, -1).sum(axis=1))
     extent = 90.0 if half_width is None else min(4.0 * float(np.degrees(half_width)), 90.0)
     peak.set(xlim=(-extent, extent), ylim=(0.0, 1.08 * top))
     peak.set_title("the same, linear axis" if half_width is None else "the peak, linear axis", fontsize=9)
@@ -284,30 +299,30 @@ def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Arra
         ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
         set_ticks(ax)
     if extent == 90.0:
-        peak.set_xticks(range(-90, 91, 45))  # it is narrow
+        peak.set_xticks(range(-90, 91, 45))  # The panel is too narrow for more ticks.
 
 
 def _peak_half_width(values: Array) -> float | None:
-    """Return where a curve over `CURVE_ANGLES` has come down half of the way from the normal to its lowest [rad].
+    """Return the angle where a curve over `CURVE_THETA_HALF` is halfway between highest and lowest value [rad].
 
-    None where it is hardly higher at the normal than elsewhere: what changes towards the horizon only is no peak.
+    Return None for a nearly constant curve; a rise near the horizon is not a peak.
     """
-    lowest = int(np.argmin(values[CURVE_ANGLES <= _FAR]))
+    lowest = int(np.argmin(values[CURVE_THETA_HALF <= _MAX_PEAK_THETA_HALF]))
     high, low = float(values[: lowest + 1].max()), float(values[lowest])
-    if high < _PEAK * low or high <= 0.0:
+    if high < _MIN_PEAK_RATIO * low or high <= 0.0:
         return None
-    return float(CURVE_ANGLES[np.flatnonzero(values[: lowest + 1] >= 0.5 * (high + low))[-1]])
+    return float(CURVE_THETA_HALF[np.flatnonzero(values[: lowest + 1] >= 0.5 * (high + low))[-1]])
 
 
 def _draw_curve(
     ax: Axes, values: Array, colour: str, *, label: str, style: str = "-", width: float | None = None
 ) -> None:
     width = width or (1.2 if label else 0.8)
-    ax.plot(*_mirrored(CURVE_ANGLES, values), style, color=colour, linewidth=width, label=label)
+    ax.plot(*_mirrored(CURVE_THETA_HALF, values), style, color=colour, linewidth=width, label=label)
 
 
 def _draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker: str, label: str) -> None:
-    """Draw hollow markers, leaving out those that would overlap."""
+    """Draw hollow markers, and leave out markers that would overlap."""
     spacing = np.radians(ax.get_xlim()[1] / 36.0)
     kept: list[int] = []
     for node, angle in enumerate(theta_half):

@@ -1,4 +1,4 @@
-"""How notebooks show objects of the library: a lit sphere beside a few lines."""
+"""Show objects of the library in notebooks, as a lit sphere beside a few lines."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from dsbrdf.output.sphere_panels import cut_out, encode_png
 from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 
-_THUMBNAIL = 96  # pixels
+_THUMBNAIL_SIZE_PX = 96
 
 
 def html(shown: Measurement | DSBRDF | Component | LayeredModel | FitResult | FitReport) -> str:
-    """Return what a notebook shows of an object: a lit sphere beside a few lines, or the lines of a report."""
+    """Return an object as HTML: a lit sphere beside a few lines, or the lines of a report."""
     if isinstance(shown, FitReport):
         return _report_html(shown)
     if isinstance(shown, FitResult):
@@ -36,14 +36,14 @@ def html(shown: Measurement | DSBRDF | Component | LayeredModel | FitResult | Fi
 
 
 def _measurement_html(measurement: Measurement) -> str:
-    """Return a lit sphere of a measurement beside its name and the share of nodes with a value."""
+    """Return a lit sphere of a measurement beside its name and the fraction of nodes with a value."""
     share = np.count_nonzero(measurement.valid) / measurement.valid.size
     rows = {"measurement": measurement.name, "nodes with a value": f"{share:.1%}", "sha256": measurement.sha256[:12]}
     return _card(measurement, _table(rows))
 
 
 def _component_html(component: Component) -> str:
-    """Return a lit sphere of a component beside its light, albedo and half width, and the structure it is from."""
+    """Return a lit sphere of a component beside its light, albedo, half width and structure."""
     rows = {component.label.replace("_", " "): _component_phrase(component), "structure": component.structure}
     return _card(component, _table(rows))
 
@@ -82,10 +82,12 @@ def _component_phrase(component: Component) -> str:
 
 
 def _card(source: DSBRDF | LayeredModel | Component | Measurement, *parts: str) -> str:
-    """Return a sphere, with nothing drawn around it, and parts to its right."""
-    sphere, mask = render_sphere(source, size=_THUMBNAIL), sphere_normals(_THUMBNAIL)[1]
+    """Return a sphere on a transparent background, with parts to its right."""
+    sphere, mask = render_sphere(source, size=_THUMBNAIL_SIZE_PX), sphere_normals(_THUMBNAIL_SIZE_PX)[1]
     shown = encode_png(cut_out(displayed(sphere, exposure(sphere, mask))))
-    image = f'<img alt="lit sphere" width="{_THUMBNAIL}" src="data:image/png;base64,{b64encode(shown).decode()}">'
+    image = (
+        f'<img alt="lit sphere" width="{_THUMBNAIL_SIZE_PX}" src="data:image/png;base64,{b64encode(shown).decode()}">'
+    )
     beside = "".join(f"<div>{part}</div>" for part in (image, *parts))
     return f'<div style="display: flex; flex-wrap: wrap; gap: 1em; align-items: flex-start">{beside}</div>'
 

@@ -1,4 +1,4 @@
-"""Figures of how the parameters of a model run over theta_diff."""
+"""Draw the parameters of a model over theta_diff."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dsbrdf.components.decomposition import decompose
-from dsbrdf.output.figure_parts import CHANNEL_COLOURS, LOBE_COLOURS, ROW, draw_legend, empty_figure, set_ticks
+from dsbrdf.output.figure_parts import (
+    CHANNEL_COLOURS,
+    LOBE_COLOURS,
+    ROW_HEIGHT_IN,
+    draw_legend,
+    empty_figure,
+    set_ticks,
+)
 from dsbrdf.output.report_text import lobes_in_channel
 
 if TYPE_CHECKING:
@@ -19,32 +26,32 @@ if TYPE_CHECKING:
     from dsbrdf.components.decomposition import Component
     from dsbrdf.model.dsbrdf import DSBRDF
 
-_ANGLES = np.radians(np.linspace(0.0, 85.0, 200))
-_STYLES = ("-", "--", "-.", ":")
+_CURVE_THETA_DIFF = np.radians(np.linspace(0.0, 85.0, 200))
+_LINE_STYLES = ("-", "--", "-.", ":")
 
 
 def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = False) -> Figure:
-    """Height of the components in red, green and blue over theta_diff, and their directional albedo.
+    """Draw the RGB height of a model's components over theta_diff, and their directional albedo.
 
-    With `model_lobes`, instead the mean height, half width, kappa and elongation of the model's lobes, and the green
-    channel's shape where each channel has its own. The title is such as the name of the material.
+    With `model_lobes`, draw the mean height, half width, kappa and elongation of the model's lobes instead, with the
+    green channel's shape if each channel has its own.
     """
     return _lobes_figure(model, title) if model_lobes else components_figure(decompose(model), title)
 
 
 def components_figure(components: Iterable[Component], title: str) -> Figure:
-    """Height of some components in red, green and blue over theta_diff, and their directional albedo."""
-    figure = empty_figure(title, 2, height=ROW)
+    """Draw the RGB height of some components over theta_diff, and their directional albedo."""
+    figure = empty_figure(title, 2, height=ROW_HEIGHT_IN)
     heights, albedos = figure.subplots(1, 2)
-    degrees, seen = np.degrees(_ANGLES), np.linspace(0.0, 80.0, 17)
+    degrees, seen = np.degrees(_CURVE_THETA_DIFF), np.linspace(0.0, 80.0, 17)
     for number, part in enumerate(components):
-        style = _STYLES[number % len(_STYLES)]
+        style = _LINE_STYLES[number % len(_LINE_STYLES)]
         reflected = part.directional_albedo(np.radians(seen))
-        for ax, angles, values in ((heights, degrees, part.height(_ANGLES)), (albedos, seen, reflected)):
+        for ax, angles, values in ((heights, degrees, part.height(_CURVE_THETA_DIFF)), (albedos, seen, reflected)):
             for channel_colour, curve in zip(CHANNEL_COLOURS, values.T, strict=True):
                 ax.plot(angles, curve, style, color=channel_colour, linewidth=1.2)
         low, high = np.transpose(part.ranges.albedo)
-        places = 1.0 + 3.0 * number + np.arange(3)  # beside each other, at the left edge
+        places = 1.0 + 3.0 * number + np.arange(3)  # The three markers stand side by side at the left edge.
         albedos.vlines(places, low, high, colors=CHANNEL_COLOURS, linestyles=style, linewidth=2.5, alpha=0.5)
         heights.plot([], [], style, color="0.3", linewidth=1.2, label=part.label.replace("_", " "))
     heights.set(yscale="log", title="height at theta_half = 0 [1/sr]", xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
@@ -61,13 +68,13 @@ def components_figure(components: Iterable[Component], title: str) -> Figure:
 
 
 def _lobes_figure(model: DSBRDF, title: str) -> Figure:
-    figure = empty_figure(title, 2, height=1.7 * ROW)
+    figure = empty_figure(title, 2, height=1.7 * ROW_HEIGHT_IN)
     heights, widths, kappas, elongations = figure.subplots(2, 2).flat
-    degrees = np.degrees(_ANGLES)
-    amplitude = model.parameters_at(_ANGLES)["amplitude"].mean(axis=-2)
-    at = lobes_in_channel(model, _ANGLES, 1)
+    degrees = np.degrees(_CURVE_THETA_DIFF)
+    amplitude = model.parameters_at(_CURVE_THETA_DIFF)["amplitude"].mean(axis=-2)
+    at = lobes_in_channel(model, _CURVE_THETA_DIFF, 1)
     for lobe, is_ring in enumerate(model.is_ring):
-        style, colour = _STYLES[lobe % len(_STYLES)], LOBE_COLOURS[lobe % len(LOBE_COLOURS)]
+        style, colour = _LINE_STYLES[lobe % len(_LINE_STYLES)], LOBE_COLOURS[lobe % len(LOBE_COLOURS)]
         label = f"{'ring lobe' if is_ring else 'lobe'} {lobe}"
         shapes = (amplitude, np.degrees(at["half_width"]), at["kappa"], at["elongation"])
         for ax, values in zip((heights, widths, kappas, elongations), shapes, strict=True):
@@ -87,6 +94,6 @@ def _lobes_figure(model: DSBRDF, title: str) -> Figure:
 
 
 def _include(ax: Axes, low: float, high: float) -> None:
-    """Widen the axis to usual values, so that small differences look small."""
+    """Widen an axis to usual values, so that small differences look small."""
     bottom, top = ax.get_ylim()
     ax.set_ylim(min(low, bottom), max(high, top))

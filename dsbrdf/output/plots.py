@@ -1,4 +1,4 @@
-"""Figures of whatever the library has: one function for measurements, samples, models, components and fits."""
+"""Draw any object of the library: measurements, samples, models, components and fits."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def plot(
     Raises
     ------
     InvalidArgumentError
-        If `shown` is nothing of these, or a measurement or component is given together with data.
+        If `shown` is none of these, or a measurement or component is given together with data.
     """
     options = shown.report.options if isinstance(shown, FitResult) else FitOptions()
     model = shown.model if isinstance(shown, FitResult) else shown
@@ -57,7 +57,7 @@ def plot(
 def plot_fit(
     model: DSBRDF, measured: Measurement | ScatteredSamples, options: FitOptions, *, model_lobes: bool = False
 ) -> Figure:
-    """Draw profiles, the fit with these options and its components, or lobes; or samples, the fit and the residual."""
+    """Draw a fit against its data: profiles with components or lobes, or samples with the residual."""
     if isinstance(measured, ScatteredSamples):
         return samples_figure(measured, model)
     data = profiles(measured, horizon_cutoff=options.horizon_cutoff, robust=options.robust)

@@ -1,4 +1,4 @@
-"""The result of a fit as text and as JSON: metrics, components with their layers, and the model's lobes.
+"""Write the result of a fit as text and as JSON: metrics, components with their layers, and the model's lobes.
 
 The JSON has the same form as in the HTTP service. Angles are in degrees, because this is for display and for HTTP; the
 rest of the library uses radians.
@@ -26,10 +26,10 @@ from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.serialize import to_json
 
 SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
-"""theta_diff of the parameters that are printed, some of `LOBE_THETA_DIFF` [degrees]."""
-_WIDTH = 60  # Characters in a line of text.
-# Likeness of the lit spheres of a measurement and its fit, from so many decibels on.
-_VERDICTS = (
+"""Angles theta_diff of printed parameters, a subset of `LOBE_THETA_DIFF` [degrees]."""
+_TEXT_WIDTH = 60  # characters
+# A fit has the first verdict whose PSNR of lit spheres [dB] it reaches.
+_VERDICTS_BY_PSNR = (
     (45.0, "hard to tell apart"),
     (38.0, "very close"),
     (32.0, "close"),
@@ -38,16 +38,16 @@ _VERDICTS = (
 
 
 def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
-    """Return the metrics that have a value, in equal columns on lines of at most so many characters."""
+    """Return the metrics that have a value, in equal columns on lines of at most `width` characters."""
     known = {name: value for name, value in asdict(metrics).items() if value is not None}
     wide = max(map(len, known), default=0)
-    cells = [f"{name:<{wide}} {value:<11.4g}" for name, value in known.items()]  # with two blanks between columns
+    cells = [f"{name:<{wide}} {value:<11.4g}" for name, value in known.items()]  # Two spaces separate columns.
     each = max((width + 2) // (wide + 12), 1)
     return ["".join(cells[start : start + each]).rstrip() for start in range(0, len(cells), each)]
 
 
 def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a table with a line for each component: share of the light with its range, half width, albedo."""
+    """Return a table with a line for each component: light with its range, half width and albedo."""
     if not components:
         return ["The model reflects no light, so it has no components."]
     lines = [f"{'component':<14}{'light':>5}{'90 % range':>11}{'width':>8}{'albedo r, g, b':>21}"]
@@ -60,19 +60,19 @@ def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def component_surfaces_table(components: Sequence[Mapping[str, Any]], *, remarks: bool = True) -> list[str]:
-    """Return a block of surfaces, and of remarks if asked for, for each component; then heights."""
+    """Return a block of surfaces and optional remarks for each component, then the heights."""
     lines: list[str] = []
     for component in components:
         lines.append(f"{component['label']} ({component['structure']})")
         for number, surface in enumerate(component["surfaces"], 1):
             lines += _surface_lines(number, surface)
         for remark in component["remarks"] if remarks else ():
-            lines += wrap(remark, _WIDTH, initial_indent="  ", subsequent_indent="  ")
+            lines += wrap(remark, _TEXT_WIDTH, initial_indent="  ", subsequent_indent="  ")
     return lines + _heights_table(components)
 
 
 def _surface_lines(number: int, surface: Mapping[str, Any]) -> list[str]:
-    """Return the parameters of one surface that describe its component, with their ranges."""
+    """Return the parameters of one surface with their ranges, except withheld parameters."""
     rows = []
     if surface["alpha"] is not None:
         rows += [("alpha", _with_range(surface["alpha"], surface["alpha_range"]))]
@@ -86,7 +86,7 @@ def _surface_lines(number: int, surface: Mapping[str, Any]) -> list[str]:
 
 
 def _with_range(value: float, spread: Sequence[float]) -> str:
-    """Return a value, and the range in which it lies with 90 % probability."""
+    """Return a value with its 90 % range as text."""
     return f"{value:<9.3g}({spread[0]:.3g} to {spread[1]:.3g})"
 
 
@@ -124,7 +124,7 @@ def parameters_table(model: DSBRDF, *, channel: str = "red") -> list[str]:
 
 
 def lobes_in_channel(model: DSBRDF, theta_diff: ArrayLike, channel: int) -> dict[str, Array]:
-    """Return parameters and half widths of the lobes at angles (...) [rad] in one channel, each of shape (..., K)."""
+    """Return parameters and half widths (..., K) of the lobes in one channel at theta_diff (...) [rad]."""
     found, shape = model.parameters_at(theta_diff), channel if model.kappa.shape[0] == 3 else 0
     at = {name: found[name][..., shape, :] for name in ("kappa", "gamma", "center")}
     at |= {"amplitude": found["amplitude"][..., channel, :], "elongation": found["elongation"]}
@@ -147,9 +147,9 @@ def lobes_phrase(model: DSBRDF) -> str:
 
 
 def search_table(report: FitReport) -> list[str]:
-    """Return a table of the numbers of lobes that the fit tried, from the largest down; empty without a search.
+    """Return a table of the numbers of lobes that the fit tried, the largest first; empty without a search.
 
-    The error is the weighted squared error on samples that no lobe was fitted to, over their squared signal.
+    The error is the weighted squared error on validation samples, as a fraction of their squared signal.
     """
     lines = [f"{'lobes tried':<14}{'rings':>10}{'error held out':>18}"] if report.search else []
     for step in report.search:
@@ -159,7 +159,7 @@ def search_table(report: FitReport) -> list[str]:
 
 
 def selection_table(report: FitReport) -> list[str]:
-    """Return a table of the numbers of lobes that Williams' test compared; empty if the number was not chosen so."""
+    """Return a table of the numbers of lobes that Williams' test compared; empty without the test."""
     lines = [f"{'lobes':<6}{'E_p':>9}{'squared error':>15}{'t':>9}{'critical':>10}"] if report.selection else []
     for step in report.selection:
         t, critical = ("" if value is None else f"{value:.3f}" for value in (step.t, step.critical_value))
@@ -183,7 +183,7 @@ def bands_table(report: FitReport) -> list[str]:
 
 
 def samples_tables(report: FitReport) -> list[str]:
-    """Return tables of the errors at samples left out, and of the directions to measure next; empty without samples."""
+    """Return tables of validation errors and of the directions to measure next; empty without samples."""
     lines = [f"{'samples left out':<32}{'samples':>9}{'relative_rms':>14}"] if report.left_out else []
     lines += [f"{row.where:<32}{row.n_samples:>9}{row.relative_rms:>14.4f}" for row in report.left_out]
     if report.measure_next:
@@ -194,18 +194,18 @@ def samples_tables(report: FitReport) -> list[str]:
 
 
 def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red", remarks: bool = True) -> list[str]:
-    """Return the components of a model and their surfaces; if asked for, remarks and the lobes in one channel."""
+    """Return the components of a model and their surfaces, optionally with remarks and the lobes in one channel."""
     components = component_documents(model)
     lines = [*components_table(components), "", *component_surfaces_table(components, remarks=remarks)]
     return [*lines, "", *parameters_table(model, channel=channel)] if lobes else lines
 
 
 def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: str = "red") -> list[str]:
-    """Return the report of one fit: verdict, warnings, metrics, components, lobes tried, errors; lobes if asked for."""
+    """Return the report of one fit: verdict, warnings, metrics, components, lobes and errors."""
     sentences = dict.fromkeys((*result.report.warnings, *decompose(result.model).remarks))
     warnings = [f"warning: {sentence}" for sentence in sentences]
     lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
-    lines += model_text(result.model, lobes=lobes, channel=channel, remarks=False)  # They are among the warnings.
+    lines += model_text(result.model, lobes=lobes, channel=channel, remarks=False)  # The warnings include the remarks.
     for table in (
         samples_tables(result.report),
         search_table(result.report),
@@ -217,7 +217,7 @@ def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: 
 
 
 def headline(file: Path, result: FitResult) -> str:
-    """Return one line with the file, how close the fit is, the number of lobes and the time."""
+    """Return one line with the file, the verdict on the fit, the number of lobes and the time."""
     metrics, seconds = result.report.metrics, sum(result.report.timings.values())
     close = "fitted" if metrics.relative_rms is None else f"relative_rms {metrics.relative_rms:.3g}"
     if metrics.psnr is not None:
@@ -228,13 +228,13 @@ def headline(file: Path, result: FitResult) -> str:
 
 
 def likeness(psnr: float) -> str:
-    """Return in words how alike the lit spheres of a measurement and its fit are, with this PSNR [dB]."""
-    words = next((words for least, words in _VERDICTS if psnr >= least), "strongly different")
+    """Return a verdict in words on the PSNR [dB] of lit spheres of a measurement and its fit."""
+    words = next((words for least, words in _VERDICTS_BY_PSNR if psnr >= least), "strongly different")
     return f"{words} ({psnr:.1f} dB)"
 
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
-    """Return the stored form of a model and its report, after metrics, warnings and components."""
+    """Return metrics, warnings and components, then the stored form of a model and its report."""
     about = {
         "metrics": None if report is None else asdict(report.metrics),
         "warnings": [] if report is None else list(report.warnings),
@@ -245,9 +245,9 @@ def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
 
 
 def parameters_csv(model: DSBRDF) -> str:
-    """Return a table of names and of one row for each lobe, channel and theta_diff, in steps of 5 degrees.
+    """Return a table as CSV with a row for each lobe, channel and theta_diff, in steps of 5 degrees.
 
-    The amplitude is in 1/sr, the half width is counted from the center.
+    The amplitude is in 1/sr; the half width is counted from the center.
     """
     names = ("amplitude", "kappa", "gamma", "center_deg", "elongation", "half_width_deg")
     lines = [",".join(("lobe", "channel", "theta_diff_deg", *names))]
@@ -265,9 +265,9 @@ def parameters_csv(model: DSBRDF) -> str:
 
 
 def layers_csv(layers: LayeredModel) -> str:
-    """Return a table of names with one row for each number of each layer; see `dsbrdf.components.layers`.
+    """Return a table as CSV with a row for each number of each layer; see `dsbrdf.components.layers`.
 
-    Of colours there is one for each channel, such as ``f0_red``; of other lists one for each place, from ``rise_1`` on.
+    A colour has a row for each channel, such as ``f0_red``; another list has a row for each place, such as ``rise_1``.
     """
     lines = ["layer,kind,parameter,value"]
     for number, layer in enumerate(layers.layers):

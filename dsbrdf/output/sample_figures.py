@@ -1,4 +1,4 @@
-"""Figures of scattered samples against a fit: near slices of theta_diff, in planes of incidence, and the residual."""
+"""Draw scattered samples against a fit: near slices of theta_diff, in planes of incidence, and the residual."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.output.figure_parts import CHANNEL_COLOURS, ROW, draw_legend, figure_of_rows
+from dsbrdf.output.figure_parts import CHANNEL_COLOURS, ROW_HEIGHT_IN, draw_legend, figure_of_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,26 +20,28 @@ if TYPE_CHECKING:
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-NEAR = 3.0
-"""Samples so near to a slice or a plane are drawn in it [degrees]."""
-_MOST = 3000  # samples; of more, so many taken at random
-_PLACES = np.arange(0.0, 86.0, 5.0)  # of slices [degrees]
-_APART = 15.0  # of two slices, at least
-_CURVE = np.linspace(0.0, 89.0, 357)
-_AROUND = np.radians(np.arange(0.0, 181.0, 15.0))
-_LARGEST_PERCENT = 100.0  # of the axis of residuals; larger ones are drawn at its edge
+MAX_DRAWN_DISTANCE_DEG = 3.0
+"""Samples farther from a slice or a plane are not drawn in it."""
+_MAX_DRAWN_SAMPLES = 3000  # If there are more samples, a random subset is drawn.
+_SLICE_CANDIDATES_DEG = np.arange(0.0, 86.0, 5.0)  # angles theta_diff
+_MIN_SLICE_DISTANCE_DEG = 15.0  # Two slices of theta_diff are never closer.
+_CURVE_ANGLES_DEG = np.linspace(0.0, 89.0, 357)
+_CURVE_PHI_DIFF = np.radians(np.arange(0.0, 181.0, 15.0))
+_MAX_RESIDUAL_AXIS_PERCENT = 100.0  # Larger residuals are drawn at the edge of the axis.
 
 
 def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
     """Draw samples and fit near two slices of theta_diff and in two planes of incidence, and the residual of all.
 
-    The slices and planes are those with the most samples. Samples are squares; of a slice, the line is the fit's mean
-    over phi_diff, and the band what it is at any phi_diff; of a plane, the line is the fit for light at the mean
+    The slices and planes with the most samples are drawn. Samples are squares. In a slice, the line is the fit's mean
+    over phi_diff, and the band is its range over phi_diff; in a plane, the line is the fit for light at the mean
     theta_in of the samples.
     """
-    figure, (slices, planes, below) = figure_of_rows(samples.name, 2, [ROW] * 3)
-    slices.suptitle(f"(a) samples (squares) within {NEAR:g}° of theta_diff, and fit (lines)", fontsize=10)
-    planes.suptitle(f"(b) samples within {NEAR:g}° of the plane of incidence, and fit", fontsize=10)
+    figure, (slices, planes, below) = figure_of_rows(samples.name, 2, [ROW_HEIGHT_IN] * 3)
+    slices.suptitle(
+        f"(a) samples (squares) within {MAX_DRAWN_DISTANCE_DEG:g}° of theta_diff, and fit (lines)", fontsize=10
+    )
+    planes.suptitle(f"(b) samples within {MAX_DRAWN_DISTANCE_DEG:g}° of the plane of incidence, and fit", fontsize=10)
     below.suptitle("(c) difference of fit and samples", fontsize=10)
     shown = _thinned(samples)
     angles = _angles(shown)
@@ -50,15 +52,15 @@ def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
 
 
 def samples_residual_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
-    """Row (c) of `samples_figure` alone: the relative difference of fit and samples over theta_half and theta_diff."""
-    figure, (row,) = figure_of_rows(samples.name, 2, [ROW])
+    """Draw row (c) of `samples_figure` alone: relative differences over theta_half and theta_diff."""
+    figure, (row,) = figure_of_rows(samples.name, 2, [ROW_HEIGHT_IN])
     shown = _thinned(samples)
     _residual_row(row, shown, model, _angles(shown))
     return figure
 
 
 def _thinned(samples: ScatteredSamples) -> ScatteredSamples:
-    return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < _MOST)
+    return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < _MAX_DRAWN_SAMPLES)
 
 
 def _angles(samples: ScatteredSamples) -> Array:
@@ -67,11 +69,17 @@ def _angles(samples: ScatteredSamples) -> Array:
 
 
 def _densest(values: Array) -> list[float]:
-    """Return two places that have the most values near them, in order; one or none if there are no more."""
-    counts = np.array([np.count_nonzero(np.abs(values - place) <= NEAR) for place in _PLACES])
+    """Return at most two of the candidate angles, in order, with the most values near them."""
+    counts = np.array(
+        [np.count_nonzero(np.abs(values - place) <= MAX_DRAWN_DISTANCE_DEG) for place in _SLICE_CANDIDATES_DEG]
+    )
     first = int(np.argmax(counts))
-    second = int(np.argmax(np.where(np.abs(_PLACES - _PLACES[first]) >= _APART, counts, 0)))
-    return sorted(float(_PLACES[one]) for one in {first, second} if counts[one])
+    second = int(
+        np.argmax(
+            np.where(np.abs(_SLICE_CANDIDATES_DEG - _SLICE_CANDIDATES_DEG[first]) >= _MIN_SLICE_DISTANCE_DEG, counts, 0)
+        )
+    )
+    return sorted(float(_SLICE_CANDIDATES_DEG[one]) for one in {first, second} if counts[one])
 
 
 def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles: Array) -> None:
@@ -79,12 +87,12 @@ def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles
     places = _densest(theta_diff)
 
     def draw(ax: Axes, place: float) -> None:
-        values = model.evaluate(np.radians(_CURVE)[:, np.newaxis], np.radians(place), _AROUND)
-        around = np.ma.masked_equal(values, 0.0)  # below the horizon
-        near = np.abs(theta_diff - place) <= NEAR
-        _draw(ax, theta_half[near], samples.values[near], _CURVE, around.mean(axis=1))
+        values = model.evaluate(np.radians(_CURVE_ANGLES_DEG)[:, np.newaxis], np.radians(place), _CURVE_PHI_DIFF)
+        around = np.ma.masked_equal(values, 0.0)  # Values below the horizon are 0.
+        near = np.abs(theta_diff - place) <= MAX_DRAWN_DISTANCE_DEG
+        _draw(ax, theta_half[near], samples.values[near], _CURVE_ANGLES_DEG, around.mean(axis=1))
         for colour, low, high in zip(CHANNEL_COLOURS, around.min(axis=1).T, around.max(axis=1).T, strict=True):
-            ax.fill_between(_CURVE, low, high, color=colour, alpha=0.15, linewidth=0)
+            ax.fill_between(_CURVE_ANGLES_DEG, low, high, color=colour, alpha=0.15, linewidth=0)
         ax.set(xlim=(0.0, 90.0), xlabel=r"$\theta_\mathrm{half}$ [degrees]")
         ax.set_title(rf"$\theta_\mathrm{{diff}}$ = {place:.0f}°: {_count(near)}", fontsize=9)
 
@@ -94,16 +102,16 @@ def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles
 def _plane_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF) -> None:
     first, second = samples.omega_in, samples.omega_out
     theta_in = np.degrees(np.arccos(np.clip(first[:, 2], -1.0, 1.0)))
-    normal = np.cross(first, (0.0, 0.0, 1.0))  # of the plane of incidence; none for light along the normal
+    normal = np.cross(first, (0.0, 0.0, 1.0))  # normal of the plane of incidence; 0 for light along z
     aside = np.sum(normal * second, axis=1) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
-    in_plane = np.abs(np.degrees(np.arcsin(np.clip(aside, -1.0, 1.0)))) <= NEAR
-    sign = np.where(np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0)  # negative on the light's side
+    in_plane = np.abs(np.degrees(np.arcsin(np.clip(aside, -1.0, 1.0)))) <= MAX_DRAWN_DISTANCE_DEG
+    sign = np.where(np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0)  # The light's side is negative.
     theta_out = sign * np.degrees(np.arccos(np.clip(second[:, 2], -1.0, 1.0)))
 
     def draw(ax: Axes, place: float) -> None:
-        near = in_plane & (np.abs(theta_in - place) <= NEAR)
+        near = in_plane & (np.abs(theta_in - place) <= MAX_DRAWN_DISTANCE_DEG)
         mean = float(theta_in[near].mean())
-        signed = np.concatenate([-_CURVE[:0:-1], _CURVE])
+        signed = np.concatenate([-_CURVE_ANGLES_DEG[:0:-1], _CURVE_ANGLES_DEG])
         into = np.broadcast_to(spherical(np.radians(mean), np.pi), (signed.size, 3))
         _draw(
             ax,
@@ -123,7 +131,7 @@ def _residual_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, ang
     fitted = model.evaluate_directions(samples.omega_in, samples.omega_out)
     lit = samples.values > 0.0
     percent = 100.0 * (fitted / np.where(lit, samples.values, 1.0) - 1.0)
-    end = float(np.clip(np.quantile(np.abs(percent[lit]), 0.98), 5.0, _LARGEST_PERCENT))
+    end = float(np.clip(np.quantile(np.abs(percent[lit]), 0.98), 5.0, _MAX_RESIDUAL_AXIS_PERCENT))
     names = (r"$\theta_\mathrm{half}$ [degrees]", r"$\theta_\mathrm{diff}$ [degrees]")
     axes = row.subplots(1, 2, sharey=True)
     for ax, name, at in zip(axes, names, angles, strict=True):
@@ -159,7 +167,7 @@ def _draw_row(row: FigureBase, places: list[float], draw: Callable[[Axes, float]
 
 
 def _draw(ax: Axes, degrees: Array, values: Array, at: Array, fitted: Array) -> None:
-    """Draw samples and curves of the fit in three channels, on a logarithmic axis that all samples are on."""
+    """Draw samples and curves of the fit in three channels, on a logarithmic axis that holds all samples."""
     for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, values.T, fitted.T, strict=True):
         kept = points > 0.0
         ax.plot(degrees[kept], points[kept], "s", color=colour, mfc="none", ms=3.4, mew=0.6, label=f"{channel}, sample")

@@ -1,4 +1,4 @@
-"""Models and reports <-> versioned JSON, without loss.
+"""Convert models and reports to versioned JSON and back, without loss.
 
 A file contains the name ``dsbrdf``, a version, the arrays of a `DSBRDF` and, if there is one, the report of its fit.
 Every number has enough digits to restore the same bits. Everything that is read is checked:
@@ -28,12 +28,13 @@ from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
 from dsbrdf.output.component_documents import component_document, description_in, ranges_in
 from dsbrdf.output.typed_json import check_keys, typed
 
-FORMAT, LAYERS_FORMAT = "dsbrdf", "dsbrdf-layers"
+FORMAT = "dsbrdf"
+LAYERS_FORMAT = "dsbrdf-layers"
 VERSION = 2
 ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in TEXTS)
 """Attributes of a model that are arrays."""
 
-_MAX_FILE_SIZE = 64 << 20  # [bytes]; a model with its report takes well under 1 MB
+_MAX_FILE_BYTES = 64 << 20  # A larger file is refused; a model with its report takes less than 1 MB.
 
 
 def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
@@ -44,7 +45,7 @@ def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     model : DSBRDF or FitResult
-        What to write.
+        The model or fit to write.
     path : path-like
         The file to write.
 
@@ -102,9 +103,9 @@ def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | N
     """Read the model and the report, if any, in a ``.json`` file; errors are those of `load`."""
     _check_suffix(path)
     with Path(path).open("rb") as file:
-        content = file.read(_MAX_FILE_SIZE + 1)
-    if len(content) > _MAX_FILE_SIZE:
-        raise ModelFormatError(f"The file is longer than the {_MAX_FILE_SIZE} bytes that a model may have.")
+        content = file.read(_MAX_FILE_BYTES + 1)
+    if len(content) > _MAX_FILE_BYTES:
+        raise ModelFormatError(f"The file is longer than the {_MAX_FILE_BYTES} bytes that a model may have.")
     try:
         text = content.decode()
     except UnicodeDecodeError:
@@ -148,7 +149,7 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
 
 
 def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
-    """Return a model with its components and the report, if any, which `to_json` was given.
+    """Return the model with its components, and the report, if any, of a JSON text from `to_json`.
 
     Raises ModelFormatError as `from_json`, and if the text has no components or they do not belong together.
     """
@@ -194,7 +195,7 @@ def _dump(content: object) -> str:
 
 
 def _document(text: str) -> dict[str, Any]:
-    """Return the document of a JSON text, which is that of a model."""
+    """Return the document of a model in a JSON text."""
     try:
         document = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""The map of a space of materials: their lit spheres, each at its place."""
+"""Draw the map of a space of materials, with a lit sphere at each material's place."""
 
 from __future__ import annotations
 
@@ -16,25 +16,27 @@ if TYPE_CHECKING:
 
     from dsbrdf.rendering.space import MaterialSpace
 
-_HEIGHT_IN = 8.0
-_SIZE = 64  # pixels
-_ZOOM = 0.38
+_FIGURE_HEIGHT_IN = 8.0
+_SPHERE_SIZE_PX = 64
+_SPHERE_ZOOM = 0.38
 
 
 def space_figure(found: MaterialSpace, models: Mapping[str, Source]) -> Figure:
     """Draw each material's sphere under three lights, with its own exposure, at its place."""
     from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 
-    figure = empty_figure("materials by likeness of their lit spheres, glossy ones to the right", 2, height=_HEIGHT_IN)
+    figure = empty_figure(
+        "materials by likeness of their lit spheres, glossy ones to the right", 2, height=_FIGURE_HEIGHT_IN
+    )
     ax = figure.subplots()
-    ax.plot(*found.places.T, ".", color="0.8", markersize=1.0)  # for the limits
+    ax.plot(*found.places.T, ".", color="0.8", markersize=1.0)  # The points set the limits of the axes.
     ax.margins(0.06)
     ax.set(aspect="equal", adjustable="datalim", xticks=[], yticks=[])
-    mask = sphere_normals(_SIZE)[1]
+    mask = sphere_normals(_SPHERE_SIZE_PX)[1]
     for name, place in zip(found.names, found.places, strict=True):
-        sphere = render_sphere(models[name], size=_SIZE)
+        sphere = render_sphere(models[name], size=_SPHERE_SIZE_PX)
         picture = cut_out(displayed(sphere, exposure(sphere, mask)))
-        ax.add_artist(AnnotationBbox(OffsetImage(picture, zoom=_ZOOM), place, frameon=False))
+        ax.add_artist(AnnotationBbox(OffsetImage(picture, zoom=_SPHERE_ZOOM), place, frameon=False))
         ax.annotate(
             name, place, (0, -14), textcoords="offset points", ha="center", va="top", fontsize=4.5, parse_math=False
         )

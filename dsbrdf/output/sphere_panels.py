@@ -1,7 +1,7 @@
-"""Lit spheres side by side: a measurement, its fit, the difference and the components.
+"""Draw lit spheres side by side: a measurement, its fit, the difference and the components.
 
-All have one exposure, that of the measurement: its sphere's 99th percentile becomes 1. Radiance is multiplied by it,
-clipped to [0, 1] and shown with the sRGB curve.
+All spheres have the exposure of the measurement, whose sphere has its 99th percentile at 1. Radiance is multiplied by
+the exposure, clipped to [0, 1] and shown with the sRGB curve.
 """
 
 import struct
@@ -23,13 +23,14 @@ from dsbrdf.rendering.sphere import render_sphere, sphere_likeness, sphere_norma
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 DIFFERENCE_GAIN = 4.0
-"""Differences are shown so many times as large."""
+"""Differences are multiplied by this gain."""
 
-_SEEN = 0.1  # as a screen shows it: a component that is darker everywhere is not seen beside the others
-_LIGHTS = {"three_lights": "under three lights", "environment": "in the environment"}
-_NAME_HEIGHT, _ROOM_FOR_NAMES = 20, 128  # pixels: of names, and of panels that have them
-_THUMBNAIL = 112  # pixels along a side
-_EDGE = 1.5  # pixels from the edge of a sphere to where its colour is known
+_MIN_VISIBLE_VALUE = 0.1  # The panel of a component with only smaller displayed values is left out.
+_LIGHTING_PHRASES = {"three_lights": "under three lights", "environment": "in the environment"}
+_NAME_HEIGHT_PX = 20
+_MIN_NAMED_PANEL_PX = 128  # Smaller panels have no names.
+_THUMBNAIL_SIZE_PX = 112
+_EDGE_WIDTH_PX = 1.5  # Pixels closer to the edge of a sphere take the colour of a pixel farther inside.
 
 
 Panels: TypeAlias = dict[str, Array]
@@ -37,23 +38,25 @@ Panels: TypeAlias = dict[str, Array]
 
 @dataclass(frozen=True, eq=False)
 class SphereComparison:
-    """Lit spheres of a measurement and its fit, or of any two materials.
+    """Hold lit spheres of a measurement and its fit, or of any two materials.
 
-    `panels` has by title what a screen shows: measured, fit, difference, each component of the fit if asked for. PSNR
+    `panels` has pictures by title: measured, fit, difference, and optionally each component of the fit. PSNR
     and SSIM are those of `dsbrdf.rendering.sphere.sphere_likeness`; `light` says in words what lights the spheres.
     """
 
     panels: dict[str, Array]  # (size, size, 3) each
-    exposure: float  # what radiance was multiplied by
+    exposure: float  # factor of radiance
     psnr: float
     ssim: float
     light: str
 
     @property
     def seen(self) -> dict[str, Array]:
-        """The panels without the components that are too dark to be seen."""
+        """The panels without components that are too dark to be visible."""
         whole = list(self.panels)[:3]
-        return {title: panel for title, panel in self.panels.items() if title in whole or panel.max() > _SEEN}
+        return {
+            title: panel for title, panel in self.panels.items() if title in whole or panel.max() > _MIN_VISIBLE_VALUE
+        }
 
 
 def compare_spheres(
@@ -79,36 +82,36 @@ def compare_spheres(
     for component in decompose(fit) if with_components and isinstance(fit, DSBRDF) else ():
         part = render_sphere(component, lighting=lighting, size=size)
         panels[component.label.replace("_", " ")] = displayed(part, factor)
-    light = _LIGHTS[lighting] if isinstance(lighting, str) else "in a panorama"
+    light = _LIGHTING_PHRASES[lighting] if isinstance(lighting, str) else "in a panorama"
     return SphereComparison(panels, factor, *sphere_likeness(reference, fitted), light)
 
 
 def side_by_side(panels: Mapping[str, Array]) -> Array:
-    """One picture of panels of one size side by side, with their names if there is room and Matplotlib is installed."""
+    """Join panels of one size side by side, with names if Matplotlib is installed and panels are large."""
     picture = np.concatenate(list(panels.values()), axis=1)
-    is_named = len(picture) >= _ROOM_FOR_NAMES and find_spec("matplotlib") is not None
+    is_named = len(picture) >= _MIN_NAMED_PANEL_PX and find_spec("matplotlib") is not None
     return np.concatenate([_names(panels, picture.shape[1]), picture]) if is_named else picture
 
 
 def one_below_another(rows: Sequence[Mapping[str, Array]]) -> Array:
-    """One picture of rows of panels, black where a row has fewer panels than the longest."""
+    """Join rows of panels into one picture, and fill short rows with black."""
     pictures = [side_by_side(row) for row in rows if row]
     width = max(picture.shape[1] for picture in pictures)
     return np.concatenate([np.pad(one, ((0, 0), (0, width - one.shape[1]), (0, 0))) for one in pictures])
 
 
 def component_panels(model: DSBRDF, name: str, lighting: str | EnvironmentMap, size: int, factor: float) -> Panels:
-    """Draw a model's components with one exposure, each titled with the name of the model and its own."""
+    """Draw a model's components with one exposure, each titled with the names of the model and the component."""
     spheres = {part.label: render_sphere(part, lighting=lighting, size=size) for part in decompose(model)}
     return {f"{name}: {label.replace('_', ' ')}": displayed(one, factor) for label, one in spheres.items()}
 
 
 def _names(panels: Mapping[str, Array], width: int) -> Array:
-    """The names of panels as white text on black, each above its own."""
+    """Draw the names of panels as white text on black, each above its panel."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    canvas = FigureCanvasAgg(Figure(figsize=(width / 100.0, _NAME_HEIGHT / 100.0), dpi=100.0, facecolor="black"))
+    canvas = FigureCanvasAgg(Figure(figsize=(width / 100.0, _NAME_HEIGHT_PX / 100.0), dpi=100.0, facecolor="black"))
     for number, name in enumerate(panels):
         place = (number + 0.5) / len(panels)
         canvas.figure.text(place, 0.5, name, color="white", fontsize=8, ha="center", va="center", parse_math=False)
@@ -117,35 +120,37 @@ def _names(panels: Mapping[str, Array], width: int) -> Array:
 
 
 def cut_out(picture: Array) -> Array:
-    """Return a picture (size, size, 3) of a sphere as (size, size, 4), with nothing around it and a smooth edge.
+    """Return a picture (size, size, 3) of a sphere as (size, size, 4), transparent outside, with a smooth edge.
 
-    The last channel is the share of each pixel that the sphere covers; at the edge, pixels have the colour of the next
-    one within.
+    The last channel is the fraction of each pixel that the sphere covers; pixels at the edge have the colour of the
+    nearest inner pixel.
     """
     size = len(picture)
     rows, columns = np.indices((size, size)) + 0.5 - size / 2.0
     radius = np.hypot(rows, columns)
-    inward = np.minimum(1.0, (size / 2.0 - _EDGE) / np.maximum(radius, 1.0))
+    inward = np.minimum(1.0, (size / 2.0 - _EDGE_WIDTH_PX) / np.maximum(radius, 1.0))
     nearest = ((part * inward + size / 2.0).astype(int) for part in (rows, columns))
     covered = np.clip(size / 2.0 - radius + 0.5, 0.0, 1.0)
     return np.concatenate([picture[tuple(nearest)], covered[..., np.newaxis]], axis=-1)
 
 
 def thumbnail(model: DSBRDF, measured: Measurement | ScatteredSamples) -> bytes:
-    """Return the PNG of a small sphere under three lights: the fit; of a grid, its left half is the measurement."""
-    image = render_sphere(model, size=_THUMBNAIL)
-    factor = exposure(image, sphere_normals(_THUMBNAIL)[1])
+    """Return a PNG of the fit's sphere under three lights; a gridded measurement takes the left half."""
+    image = render_sphere(model, size=_THUMBNAIL_SIZE_PX)
+    factor = exposure(image, sphere_normals(_THUMBNAIL_SIZE_PX)[1])
     if isinstance(measured, Measurement):
-        half = _THUMBNAIL // 2
-        image[:, :half] = render_sphere(measured, size=_THUMBNAIL)[:, :half]
+        half = _THUMBNAIL_SIZE_PX // 2
+        image[:, :half] = render_sphere(measured, size=_THUMBNAIL_SIZE_PX)[:, :half]
     return encode_png(displayed(image, factor))
 
 
 def encode_png(image: Array) -> bytes:
-    """Return the bytes of a PNG file of values from 0 to 1 as a screen shows them, RGB (height, width, 3) or RGBA."""
+    """Return the bytes of a PNG file with displayed values from 0 to 1, RGB (height, width, 3) or RGBA."""
     levels = np.rint(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
     height, width, channels = levels.shape
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), levels.reshape(height, -1)], axis=1)  # 0: no filter
+    rows = np.concatenate(
+        [np.zeros((height, 1), np.uint8), levels.reshape(height, -1)], axis=1
+    )  # The first byte 0 of a row means no filter.
     head = struct.pack(">IIBBBBB", width, height, 8, {3: 2, 4: 6}[channels], 0, 0, 0)
     chunks = ((b"IHDR", head), (b"sRGB", b"\0"), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
     parts = (

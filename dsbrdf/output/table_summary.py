@@ -1,4 +1,4 @@
-"""What is understood of a table of samples, before it is fitted."""
+"""Summarise how a table of samples was understood, before its fit."""
 
 from typing import Any
 
@@ -11,10 +11,10 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.units import sample_doubts
 
 ANGLE_NAMES = ("theta_in", "theta_out", "phi_out - phi_in")
-"""The angles of a sample; those of phi are their difference, 0 to 360 degrees."""
-_SHOWN = 5  # first samples
-_FEW = 12  # angles of incidence that are listed
-_IN_PLANE = 0.5  # degrees from the plane of incidence
+"""Angles of a sample; the azimuths appear as their difference, 0 to 360 degrees."""
+_N_SHOWN_SAMPLES = 5
+_MAX_LISTED_ANGLES = 12  # If there are more angles of incidence, none is listed.
+_MAX_IN_PLANE_DISTANCE_DEG = 0.5  # A sample within this angle lies in the plane of incidence.
 
 
 def summary_of_table(found: ReadTable) -> dict[str, Any]:
@@ -35,15 +35,15 @@ def summary_of_table(found: ReadTable) -> dict[str, Any]:
             name: [float(column.min()), float(column.max())]
             for name, column in zip((*ANGLE_NAMES, *CHANNELS), rows.T, strict=True)
         },
-        "angles_of_incidence": incidence.tolist() if incidence.size <= _FEW else None,
-        "in_plane_of_incidence": float(np.mean(aside <= np.sin(np.radians(_IN_PLANE)))),
+        "angles_of_incidence": incidence.tolist() if incidence.size <= _MAX_LISTED_ANGLES else None,
+        "in_plane_of_incidence": float(np.mean(aside <= np.sin(np.radians(_MAX_IN_PLANE_DISTANCE_DEG)))),
         "warnings": [*samples.notes, *sample_doubts(samples).sentences],
-        "first": rows[:_SHOWN].tolist(),
+        "first": rows[:_N_SHOWN_SAMPLES].tolist(),
     }
 
 
 def _angles(samples: ScatteredSamples) -> Array:
-    """Return the `ANGLE_NAMES`, shape (n, 3) [degrees]."""
+    """Return the angles of `ANGLE_NAMES`, shape (n, 3) [degrees]."""
     first, second = samples.omega_in, samples.omega_out
     phi_in, phi_out = (np.arctan2(side[:, 1], side[:, 0]) for side in (first, second))
     theta_in, theta_out = (np.arccos(np.clip(side[:, 2], -1.0, 1.0)) for side in (first, second))

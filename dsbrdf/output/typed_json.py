@@ -1,4 +1,4 @@
-"""JSON values -> dataclasses, by the annotations of their fields; a ModelFormatError names what is wrong and where."""
+"""Convert JSON values to dataclasses by their annotations; a ModelFormatError names the fault and its place."""
 
 import sys
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from dsbrdf.errors import ModelFormatError
 
 
 def typed(kind: Any, value: Any, place: str) -> Any:
-    """Return a JSON value as what the annotation ``kind`` says: a mapping as a dataclass, a list as a tuple."""
+    """Return a JSON value in the type of an annotation: a mapping as a dataclass, a list as a tuple."""
     origin, arguments = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = _hints(kind)
@@ -32,7 +32,7 @@ def typed(kind: Any, value: Any, place: str) -> Any:
 
 
 def _fits(kind: Any, value: Any) -> bool:
-    """Whether a JSON value can be of a kind, what it contains apart."""
+    """Tell whether a JSON value can have a type, without regard to its content."""
     origin = get_origin(kind)
     if is_dataclass(kind) and isinstance(kind, type):
         return isinstance(value, Mapping) and set(value) == set(_hints(kind))
@@ -42,7 +42,7 @@ def _fits(kind: Any, value: Any) -> bool:
         return isinstance(value, list)
     if origin is dict:
         return isinstance(value, dict)
-    if kind is float:  # JSON does not tell 1 from 1.0, and an exponent that is too large reads as infinity
+    if kind is float:  # JSON does not distinguish 1 from 1.0, and too large an exponent is read as infinity.
         return type(value) in (int, float) and abs(value) <= sys.float_info.max
     return type(value) is kind
 
@@ -51,7 +51,7 @@ _hints = cache(get_type_hints)
 
 
 def check_keys(what: str, content: Any, wanted: tuple[str, ...]) -> None:
-    """Raise ModelFormatError unless a JSON value is a mapping of just these names."""
+    """Raise ModelFormatError unless a JSON value is a mapping with exactly the wanted keys."""
     if not isinstance(content, Mapping):
         raise ModelFormatError(f"The stored {what} must be a mapping of names to values.")
     missing = [key for key in wanted if key not in content]

@@ -1,4 +1,4 @@
-"""Models and components for other programs: a table of the formats, and one file for each that is not our own."""
+"""Export models and components to other programs: a table of formats, and one module for each foreign format."""
 
 import os
 from collections.abc import Callable
@@ -24,13 +24,13 @@ from dsbrdf.output.report_text import layers_csv, parameters_csv
 from dsbrdf.output.serialize import layers_to_json, to_json
 
 LAYERS = "layers"
-"""Name of the layers of all components together, a small model."""
+"""Name of the part that has the layers of all components, a small model."""
 PARTS = (*LABELS, LAYERS)
 """Names of parts of a model."""
 
 
 class Extras(NamedTuple):
-    """What some formats take beside the model."""
+    """Hold optional input of some formats beside the model."""
 
     report: FitReport | None = None
     name: str | None = None
@@ -40,14 +40,14 @@ class Extras(NamedTuple):
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """One kind of file."""
+    """Describe a file format and its encoder."""
 
-    purpose: str  # in a few words, for command line, HTTP reference and page
-    suffix: str  # of the file's name, without the dot
-    media_type: str  # for HTTP
-    encode: Callable[[Any, Extras], bytes | str]  # content for a model, layers or a component
-    holds_parameters: bool = False  # of lobes or layers, not values, which a component has too
-    time: Literal["short", "medium", "long"] = "short"  # at most some 50 ms, about a second, or longer
+    purpose: str  # a phrase for command line, HTTP reference and page
+    suffix: str  # suffix of the file's name, without the dot
+    media_type: str  # MIME type for HTTP
+    encode: Callable[[Any, Extras], bytes | str]  # returns the content of a file for a model, layers or a component
+    holds_parameters: bool = False  # A component has values but no parameters.
+    time: Literal["short", "medium", "long"] = "short"  # Short is about 50 ms, medium about 1 s.
 
 
 _BRDF_EXPLORER = """\
@@ -82,7 +82,8 @@ def _components(model: DSBRDF | LayeredModel, extras: Extras) -> bytes:
     return table_csv(component_rows(extras.title, component_documents(model), psnr))
 
 
-_BINARY, _TEXT = "application/octet-stream", "text/plain; charset=utf-8"
+_BINARY_TYPE = "application/octet-stream"
+_TEXT_TYPE = "text/plain; charset=utf-8"
 FORMATS = {
     "json": ExportFormat(
         "the model and its report, without loss", "json", "application/json", _json, holds_parameters=True
@@ -90,11 +91,11 @@ FORMATS = {
     "merl": ExportFormat(
         "a table of values in the MERL format, 35 MB",
         "binary",
-        _BINARY,
+        _BINARY_TYPE,
         lambda source, _: encode_merl(source.tabulate()),
         time="medium",
     ),
-    "glsl": ExportFormat("a function for shaders", "glsl", _TEXT, _glsl),
+    "glsl": ExportFormat("a function for shaders", "glsl", _TEXT_TYPE, _glsl),
     "python": ExportFormat(
         "a differentiable function for NumPy, PyTorch and JAX",
         "py",
@@ -104,7 +105,7 @@ FORMATS = {
     "brdf": ExportFormat(
         "for Disney's BRDF Explorer",
         "brdf",
-        _TEXT,
+        _TEXT_TYPE,
         lambda source, _: _BRDF_EXPLORER.format(function=glsl_function(source)),
     ),
     "csv": ExportFormat(
@@ -121,11 +122,11 @@ FORMATS = {
         _components,
         holds_parameters=True,
     ),
-    "bsdf": ExportFormat("for Mitsuba 3", "bsdf", _BINARY, lambda source, _: rgl_bsdf(source), time="medium"),
+    "bsdf": ExportFormat("for Mitsuba 3", "bsdf", _BINARY_TYPE, lambda source, _: rgl_bsdf(source), time="medium"),
     "bsdf-spectral": ExportFormat(
         "for spectral variants of Mitsuba 3, and pbrt-v4",
         "bsdf",
-        _BINARY,
+        _BINARY_TYPE,
         lambda source, _: rgl_bsdf(source, spectral=True),
         time="medium",
     ),
@@ -138,7 +139,7 @@ FORMATS = {
         time="long",
     ),
 }
-"""Name -> format; a new one has a row here, and a file of its own."""
+"""Formats by name; a new format needs a row in this table and its own module."""
 
 
 def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component | LayeredModel:
@@ -160,10 +161,10 @@ def export_model(
     sampling: bool = False,
     title: str = NAME,
 ) -> bytes:
-    """Return the content of a file with a model, layers or a component, `file_format` being one of `FORMATS`.
+    """Return the content of a file with a model, layers or a component; `file_format` is one of `FORMATS`.
 
-    Only ``json`` stores the report, and only ``glsl`` takes `name` and `sampling`, those of `glsl_function`. The title
-    is the material's: names in ``materialx`` begin with it.
+    Only ``json`` stores the report; only ``glsl`` takes `name` and `sampling`, as `glsl_function`. The title names the
+    material: names in ``materialx`` begin with it.
     Raises InvalidArgumentError if the format is unknown, cannot hold a component or does not take an option, the values
     are too large for it, or the name is none, and MeasurementFormatError if a value cannot be stored in a table.
     """
@@ -177,7 +178,7 @@ def export_model(
 
 
 def check_shader_options(file_format: str, name: str | None, *, sampling: bool) -> None:
-    """Raise InvalidArgumentError if one is given and the format does not take them."""
+    """Raise InvalidArgumentError if an option is set and the format takes no options of shaders."""
     if (name is not None or sampling) and file_format != "glsl":
         raise InvalidArgumentError(f"name and sampling are options of the format glsl, not of {file_format}")
 
@@ -211,7 +212,7 @@ def export(
     file_format : str, optional
         One of `dsbrdf.output.export.FORMATS`; ``bsdf-spectral`` has no suffix of its own and must be named.
     name : str, optional
-        Of the function in GLSL, ``dsbrdf`` if it is not given; all other names in the file begin with it.
+        Name of the function in GLSL, by default ``dsbrdf``; all other names in the file begin with it.
     sampling : bool, optional
         Add functions to GLSL that draw directions and return their density.
 
@@ -231,7 +232,7 @@ def export(
 
 
 def format_of(path: str | os.PathLike[str]) -> str:
-    """Return the name of the format that a file's suffix tells; an InvalidArgumentError lists the suffixes."""
+    """Return the format of a file's suffix; an InvalidArgumentError lists the suffixes."""
     suffix = Path(path).suffix.lower().removeprefix(".")
     names = [name for name, kind in FORMATS.items() if kind.suffix == suffix]
     if not names:

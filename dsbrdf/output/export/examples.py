@@ -1,6 +1,6 @@
-"""What one opens next, beside an exported file: a scene, a page or a script that shows the material on a sphere.
+"""Write an example beside an exported file: a scene, a page or a script that shows the material on a sphere.
 
-``FILE`` in a template is the exported file, ``SELF`` the example. Sphere and lights are about the same in all.
+``FILE`` in a template is the exported file, and ``SELF`` is the example. All examples have a similar sphere and lights.
 """
 
 from html import escape
@@ -47,7 +47,7 @@ _MITSUBA = """\
 
 _PBRT = """\
 # pbrt SELF
-Scale -1 1 1  # to a right-handed system
+Scale -1 1 1  # This makes the system right-handed.
 LookAt 0 0 4  0 0 0  0 1 0
 Camera "perspective" "float fov" 32
 Film "rgb" "integer xresolution" 256 "integer yresolution" 256 "string filename" "STEM.exr"
@@ -92,7 +92,7 @@ void main() {
 </script>
 <script id="fragment" type="x-shader">
 in vec3 seenNormal, seenPlace;
-uniform vec3 light;  // towards a distant light, as the camera sees it
+uniform vec3 light;  // direction to a distant light, in the camera's frame
 out vec4 color;
 
 SHADER
@@ -129,7 +129,7 @@ const draw = () => {
   renderer.render(scene, camera);
 };
 addEventListener("resize", draw);
-addEventListener("pointermove", (event) => {  // the light follows the pointer
+addEventListener("pointermove", (event) => {  // The light follows the pointer.
   const [x, y] = [2 * event.clientX / innerWidth - 1, 1 - 2 * event.clientY / innerHeight];
   light.set(2 * x, 2 * y, 1).normalize();
   draw();
@@ -145,7 +145,7 @@ from xml.etree import ElementTree
 
 import bpy
 
-SOCKETS = {  # inputs of OpenPBR -> those of Blender's Principled BSDF, which is built like it
+SOCKETS = {  # inputs of OpenPBR and of Blender's Principled BSDF
     "base_color": "Base Color",
     "base_metalness": "Metallic",
     "specular_color": "Specular Tint",
@@ -184,9 +184,9 @@ EXAMPLES = {
 
 
 def example(path: Path, file_format: str, content: bytes, name: str) -> tuple[Path, bytes]:
-    """Return where an example is written that shows an exported file, and its text; `name` is that of its function.
+    """Return the path and the text of an example that shows an exported file; `name` names its function.
 
-    Raises InvalidArgumentError if there is none for the format.
+    Raises InvalidArgumentError if the format has no example.
     """
     if file_format not in EXAMPLES:
         raise InvalidArgumentError(f"there is an example for {one_of(list(EXAMPLES))}, not for {file_format}")

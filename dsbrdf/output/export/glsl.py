@@ -1,11 +1,11 @@
-"""A model as a GLSL function, for a fragment shader: OpenGL ES 3.0 (WebGL 2), OpenGL 3.3 and later.
+"""Write a model as a GLSL function for fragment shaders: OpenGL ES 3.0 (WebGL 2), OpenGL 3.3 and later.
 
 In the templates, ``dsbrdf`` stands for the name of the function.
 
 The parameters are cubic polynomials in theta_diff, a ``vec4`` each, in constant arrays of some kilobytes. One loop
-looks all of them up, and one takes the lobes in turn: some compilers copy a constant array wherever it is indexed, and
-functions wherever they are called. What single precision would lose is kept: tangents come from the sum and the
-difference of the directions, the polynomials are in Bernstein's form, in which nothing cancels, and ``log1p``,
+looks up all parameters, and a second loop sums the lobes: some compilers copy a constant array wherever it is indexed,
+and functions wherever they are called. The formulas avoid cancellation in single precision: tangents come from the
+sum and the difference of the directions, and the polynomials are in Bernstein's form. The functions ``log1p``,
 ``expm1``, ``tan`` and ``atan``, for which a shader's own functions are too coarse, are spelled out; the last two are
 the rational reductions and polynomials of Cephes.
 
@@ -30,9 +30,9 @@ from dsbrdf.output.export.single_precision import bernstein_pieces, constant, co
 from dsbrdf.version import __version__
 
 NAME = "dsbrdf"
-"""Name of the function where no other is given."""
-_NAME = r"(?!gl_)[A-Za-z](_?[A-Za-z0-9]){0,63}"
-_WORDS = (
+"""Default name of the function."""
+_NAME_PATTERN = r"(?!gl_)[A-Za-z](_?[A-Za-z0-9]){0,63}"
+_RESERVED_WORDS = (
     " active asm attribute buffer case cast centroid class coherent common const continue default discard do double "
     "else enum extern external false filter fixed flat float for goto half highp if in inline inout input int "
     "interface invariant layout long lowp main mediump namespace noinline noperspective out output packed partition "
@@ -54,7 +54,8 @@ def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *
         component also has ``vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown)``: all components of its
         model, times the weights ``shown`` of specular spike, specular lobe and diffuse.
     name : str, optional
-        Takes the place of ``dsbrdf``. Every name in the source begins with it, so that a program can hold several.
+        Name of the function, by default ``dsbrdf``. Every name in the source begins with it, so that a program can
+        hold several models.
     sampling : bool, optional
         Add ``vec3 dsbrdf_sample(vec3 omega_out, vec3 random)`` and ``float dsbrdf_pdf(vec3 omega_in, vec3 omega_out)``,
         see `dsbrdf.model.sampling`.
@@ -70,7 +71,7 @@ def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *
     InvalidArgumentError
         If a parameter is too large for single precision, or the name cannot be that of a function.
     """
-    if not re.fullmatch(_NAME, name) or f" {name} " in _WORDS:
+    if not re.fullmatch(_NAME_PATTERN, name) or f" {name} " in _RESERVED_WORDS:
         raise InvalidArgumentError(
             "the name of a GLSL function must begin with a letter, have at most 64 letters and digits with single "
             f"underscores between them, and be no word of GLSL, unlike {name!r}"
@@ -92,12 +93,12 @@ def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *
 
 
 def _model_function(model: DSBRDF) -> str:
-    """Return ``vec3 dsbrdf_model(dsbrdf_Angles angles)``, and what it needs beyond `_ANGLES`."""
+    """Return ``vec3 dsbrdf_model(dsbrdf_Angles angles)``, and the functions that it needs beyond `_ANGLES`."""
     exp, height = ("exp", "exp") if model.interpolation == "spline" else ("", "dsbrdf_expm1")
     lobes, shapes = model.n_lobes, model.kappa.shape[0]
     rows, count = _parameter_rows(model, "dsbrdf")
     centers, delta = 4 * lobes + 2 * shapes * lobes, "result += vec3({0}[{1}], {0}[{2}], {0}[{3}]);"
-    text = _LOBE.replace("FALL", _FALLS[model.lobe]) + _MODEL
+    text = _LOBE.replace("FALL", _LOBE_BODIES[model.lobe]) + _MODEL
     words = {
         "CENTER": f"rows[{centers} + shape]" if model.center.any() else "0.0",
         "DELTA": delta.format("rows", *range(count - 3, count)) if model.delta.any() else "",
@@ -149,12 +150,12 @@ _FRAME = """\
 """
 
 _HEADER_OF_COMPONENT = """\
-// This is a component, the LABEL: its share of the values of the whole material.
+// This is a component of the material, the LABEL.
 //
 //   vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown)
 //
-// returns all components, times their weights: shown.x of the specular spike, shown.y of the specular lobe, shown.z of
-// the diffuse part. A component that the material does not have is 0. With vec3(1.0) it is the whole material.
+// returns the weighted sum of all components; the weights are shown.x for the specular spike, shown.y for the specular
+// lobe and shown.z for the diffuse part. An absent component is 0. With vec3(1.0), the sum is the whole material.
 //
 """
 
@@ -205,7 +206,7 @@ float dsbrdf_tan(float x) {
 )
 
 _ANGLE = """\
-// Angle of the point (x, y), both zero or positive and not both zero.
+// Return the angle of the point (x, y); x and y are not negative and not both 0.
 float dsbrdf_angle(float y, float x) {
   float low = min(x, y), high = max(x, y);
   bool far = low > 0.4142135624 * high;
@@ -222,8 +223,8 @@ struct dsbrdf_Angles {
   float theta_diff;
   float squared;   // tan(theta_half)^2
   float cos2_phi;  // cos(phi_diff)^2
-  float log_cos;   // logarithm of the cosine that stretches lobes
-  bool center;     // so near the normal that the delta term counts
+  float log_cos;   // log of the cosine that, to the power of the elongation, stretches lobes
+  bool center;     // whether theta_half is small enough for the delta term
 };
 
 dsbrdf_Angles dsbrdf_angles(vec3 omega_in, vec3 omega_out) {
@@ -232,7 +233,7 @@ dsbrdf_Angles dsbrdf_angles(vec3 omega_in, vec3 omega_out) {
   float sum2 = max(dot(total, total), 1e-30), difference2 = dot(difference, difference);
   angles.theta_diff = dsbrdf_angle(sqrt(difference2), sqrt(sum2));
 
-  // The half vector in the plane, and the difference along and across its heading.
+  // Project the half vector into the plane, and split the difference along and across the projection.
   float radius = length(total.xy);
   vec2 heading = radius > 0.0 ? total.xy / radius : vec2(1.0, 0.0);
   angles.squared = min((radius * radius) / max(total.z * total.z, 1e-30), 1e30);
@@ -247,7 +248,7 @@ dsbrdf_Angles dsbrdf_angles(vec3 omega_in, vec3 omega_out) {
   return angles;
 }
 
-// tan(theta')^2: stretched by an elongation.
+// Return tan(theta')^2, stretched by an elongation.
 float dsbrdf_stretched(dsbrdf_Angles angles, float elongation) {
   float ratio = exp(elongation * angles.log_cos);
   return angles.squared * (angles.cos2_phi / ratio + (1.0 - angles.cos2_phi) * ratio);
@@ -269,7 +270,7 @@ void dsbrdf_table_rows(float theta_diff, out float rows[COUNT]) {
 """
 
 _LOBE = """\
-// A lobe of height 1, of tan(theta')^2; a center above 0 is a ring, below 0 a cusp.
+// Return a lobe of height 1 at tan(theta')^2; a center above 0 is a ring, below 0 a cusp.
 float dsbrdf_lobe(float squared, float kappa, float gamma, float center) {
   float top_tangent = 0.0;
   if (center != 0.0) {
@@ -284,13 +285,13 @@ FALL}
 
 """
 
-# family -> statements that return a lobe of height 1
-_FALLS = {
+# Statements that return a lobe of height 1, by lobe family.
+_LOBE_BODIES = {
     "hemi_epd": """\
   float log_cos_top = -0.5 * dsbrdf_log1p(top_squared);
   float log_cos = -0.5 * dsbrdf_log1p(squared);
   float top = kappa * exp(gamma * log_cos_top);
-  // expm1(top * ratio) / expm1(top), without overflow.
+  // This is expm1(top * ratio) / expm1(top) without overflow.
   float log_ratio = gamma * (log_cos - log_cos_top);
   return exp(top * dsbrdf_expm1(log_ratio)) * dsbrdf_expm1(-top * exp(log_ratio)) / dsbrdf_expm1(-top);
 """,

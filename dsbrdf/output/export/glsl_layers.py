@@ -1,15 +1,15 @@
-"""Physical layers in GLSL: a layered model as a readable function, and what share of a model is a component's.
+"""Write physical layers in GLSL: a layered model as a readable function, and the division of a model into components.
 
-The functions of the layers return logarithms: far from the highlight values are too small for single precision, but
-their shares are not. A component's function evaluates the model and the layers of each structure once and divides the
-model as `dsbrdf.components.shares` does, with the formula turned so that hardly a difference of nearly equal numbers is
-left: with s the diffuse fraction of the layers, their sum g, and a = q / (1 + q) where f > g, else 1,
+The functions of the layers return logarithms: far from the highlight, values are too small for single precision, but
+their ratios are not. A component's function evaluates the model and the layers of each structure once. It divides the
+model as `dsbrdf.components.shares` does, with the formula rearranged against cancellation: with s the diffuse
+fraction of the layers, their sum g, and a = q / (1 + q) where f > g, else 1,
 
     diffuse = min(f, g s (1 - a s**3) + f a s**4),
     specular = max(0, (1 - s) (f + (f - g) a (s + s**2 + s**3)) + (f - g) (1 - a) s),
     spike = max(0, n (specular (1 + v) (1 + v**2) - l (1 + v + v**2))),
 
-where the layers of the lobe are l, a fraction v of the specular ones, and n = 1 - v.
+where l is the light of the lobe's layers, v its fraction of the specular layers' light, and n = 1 - v.
 """
 
 from collections.abc import Sequence
@@ -22,11 +22,11 @@ from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MI
 from dsbrdf.components.shares import HALO, LABELS, WeightedLayers
 from dsbrdf.output.export.single_precision import filled, literal
 
-_NOTHING = "vec3(-1e30)"  # logarithm of a layer that is not there
+_NO_LIGHT = "vec3(-1e30)"  # logarithm of an absent layer
 
 
 def layered_function(model: LayeredModel) -> str:
-    """Return ``vec3 dsbrdf(vec3 omega_in, vec3 omega_out)``, and what it needs."""
+    """Return ``vec3 dsbrdf(vec3 omega_in, vec3 omega_out)``, and the functions that it needs."""
     terms = "\n    + ".join(f"exp({_call(layer)})" for layer in model.layers) or "vec3(0.0)"
     return _HEADER + layer_functions(model.layers) + _LAYERED.replace("TERMS", terms)
 
@@ -47,26 +47,26 @@ def shares_function(component: Component) -> str:
     """Return ``dsbrdf_shown``, which needs ``dsbrdf_model``."""
     whole = component.whole
     if len(whole.labels) < 2:
-        return _ALONE.replace("SHOWN", "xyz"[LABELS.index(component.label)])
+        return _ONLY_COMPONENT.replace("SHOWN", "xyz"[LABELS.index(component.label)])
     layers = [layer for structure in whole.structures for layer in structure.model.layers]
     parts = "\n    + ".join(map(_divided, whole.structures))
     heirs = ", ".join(f"shown.{'xyz'[place]}" for place in _receivers(whole))
     words: dict[str, str | int] = {"PARTS": parts, "RECEIVERS": heirs, "HALO": literal(HALO)}
-    return layer_functions(layers) + filled(_SHARES, words)
+    return layer_functions(layers) + filled(_DIVISION_OF_MODEL, words)
 
 
 def _receivers(whole: Decomposition) -> list[int]:
-    """Place in `LABELS` of the component that has what the layers of each label reflect."""
+    """Return for each of `LABELS` the index of the component that receives the light of its layers."""
     return [LABELS.index(whole.receiver(label)) for label in LABELS]
 
 
 def _divided(structure: WeightedLayers) -> str:
-    """Return what a structure says of the parts of a model, times its weight, as an expression."""
-    logs = [_NOTHING] * len(LABELS)
+    """Return an expression for the parts of a model by one structure, times its weight."""
+    logs = [_NO_LIGHT] * len(LABELS)
     for layer, label in zip(structure.model.layers, structure.labels, strict=True):
         place = LABELS.index(label)
-        logs[place] = _call(layer) if logs[place] == _NOTHING else f"dsbrdf_both({logs[place]},\n      {_call(layer)})"
-    if logs[0] == logs[1] == _NOTHING:
+        logs[place] = _call(layer) if logs[place] == _NO_LIGHT else f"dsbrdf_both({logs[place]},\n      {_call(layer)})"
+    if logs[0] == logs[1] == _NO_LIGHT:
         parts = f"dsbrdf_ground(p.tangent2, whole, {logs[2]})"
     else:
         parts = ",\n      ".join(("dsbrdf_divided(p.tangent2, whole", *logs)) + ")"
@@ -98,7 +98,7 @@ def _list(values: Sequence[float]) -> str:
 
 
 def _short(value: float) -> str:
-    """Return a number with six digits, which are enough to read it and for single precision."""
+    """Return a number with six digits, enough for single precision."""
     return literal(float(f"{value:.6g}"))
 
 
@@ -112,9 +112,9 @@ precision highp float;
 
 _PAIR = """\
 struct dsbrdf_Pair {
-  vec2 cosines; vec3 risen;           // to the normal; the rise of glass's reflectance there and at theta_diff, 0 to 1
-  float swing2, rise;                 // of theta_diff: squared sine, 1 - cosine
-  float sine2, tangent2, passed;      // of theta_half, squared; logarithm of the light that passes a surface both ways
+  vec2 cosines; vec3 risen;           // cosines to the normal; rise of glass's reflectance there and at theta_diff
+  float swing2, rise;                 // squared sine of theta_diff; 1 - cos(theta_diff)
+  float sine2, tangent2, passed;      // squared sine, tangent of theta_half; log of the light that passes a surface
 };
 
 dsbrdf_Pair dsbrdf_pair(vec3 omega_in, vec3 omega_out) {
@@ -137,7 +137,7 @@ dsbrdf_Pair dsbrdf_pair(vec3 omega_in, vec3 omega_out) {
 """
 
 _SURFACE = """\
-// Logarithm of D V, rough facets and their masking; facets: alpha, kappa (2 is GGX), what norms D, form of masking.
+// Return log(D V), facets and their masking; facets holds alpha, kappa (2 is GGX), the norm of D, form of masking.
 float dsbrdf_surface(dsbrdf_Pair p, float tangent2, vec4 facets) {
   float alpha2 = facets.x * facets.x, slope = tangent2 / (facets.z * alpha2);
   vec2 seen = sqrt(alpha2 + (1.0 - alpha2) * p.cosines * p.cosines), apart = p.cosines + seen;
@@ -150,7 +150,7 @@ float dsbrdf_surface(dsbrdf_Pair p, float tangent2, vec4 facets) {
 
 _FUNCTIONS: dict[type[Layer], str] = {
     SpecularLayer: """\
-// bend: how far reflectance leaves that of glass (two numbers), and 1 for what is seen through a clear coat.
+// bend holds two exponents for reflectance unlike glass, and 1 for a surface below a clear coat.
 vec3 dsbrdf_specular(dsbrdf_Pair p, vec3 f0, float f90, vec4 facets, vec3 bend) {
   float bent = dot(bend, vec3(p.rise, p.rise * p.rise, p.passed - CLEAR));
   return log(mix(f0, vec3(f90), p.risen.z)) + (dsbrdf_surface(p, p.tangent2, facets) + bent);
@@ -158,7 +158,7 @@ vec3 dsbrdf_specular(dsbrdf_Pair p, vec3 f0, float f90, vec4 facets, vec3 bend) 
 
 """,
     RetroLayer: """\
-// Light back to where it comes from: theta_half is that of omega_in turned by 180 degrees.
+// Light returns to its source: theta_half is computed with omega_in turned by 180 degrees.
 vec3 dsbrdf_retro(dsbrdf_Pair p, vec3 color, vec4 facets) {
   float height = p.cosines.x + p.cosines.y, step = p.cosines.x - p.cosines.y;
   float tangent2 = max(4.0 * p.swing2 - step * step, 0.0) / (height * height);
@@ -167,7 +167,7 @@ vec3 dsbrdf_retro(dsbrdf_Pair p, vec3 color, vec4 facets) {
 
 """,
     DiffuseLayer: """\
-// Exponents of light that passes the surface, retro-reflection, rise; limb, theta_half, Oren and Nayar.
+// first holds the exponents of passed light, retro-reflection and rise; second: limb, theta_half, Oren and Nayar.
 vec3 dsbrdf_diffuse(dsbrdf_Pair p, vec3 albedo, vec3 first, vec3 second) {
   float limb = log(2.0 / (p.cosines.x + p.cosines.y)), along = 1.0 - 2.0 * p.swing2 - p.cosines.x * p.cosines.y;
   if (along > 0.0) along /= max(p.cosines.x, p.cosines.y);
@@ -177,7 +177,7 @@ vec3 dsbrdf_diffuse(dsbrdf_Pair p, vec3 albedo, vec3 first, vec3 second) {
 
 """,
     SheenLayer: """\
-// Light of fibres at grazing angles: powers of 1 - cos(theta_diff) and of sin(theta_half).
+// Fibres scatter light at grazing angles, with powers of 1 - cos(theta_diff) and of sin(theta_half).
 vec3 dsbrdf_sheen(dsbrdf_Pair p, vec3 color, vec2 powers) {
   return log(color) + dot(powers, log(vec2(max(p.rise, RISE), sqrt(max(p.sine2, SINE2)))));
 }
@@ -193,7 +193,7 @@ vec3 dsbrdf(vec3 omega_in, vec3 omega_out) {
 }
 """
 
-_ALONE = """\
+_ONLY_COMPONENT = """\
 vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown) {
   if (omega_in.z < 0.0 || omega_out.z < 0.0) return vec3(0.0);
   return shown.SHOWN * dsbrdf_model(dsbrdf_angles(omega_in, omega_out));
@@ -201,14 +201,14 @@ vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown) {
 
 """
 
-_SHARES = """\
-// Logarithm of the sum of two numbers, of which the logarithms are given.
+_DIVISION_OF_MODEL = """\
+// Return log(exp(first) + exp(second)) without overflow.
 vec3 dsbrdf_both(vec3 first, vec3 second) {
   vec3 top = max(first, second);
   return top + log(exp(first - top) + exp(second - top));
 }
 
-// Specular spike, specular lobe and diffuse part of the model, from the logarithms of the layers of each.
+// Divide the model into specular spike, specular lobe and diffuse part, by the logarithms of their layers.
 mat3 dsbrdf_divided(float tangent2, vec3 whole, vec3 narrow, vec3 wide, vec3 diffuse) {
   vec3 specular = dsbrdf_both(narrow, wide), odds = exp(clamp(specular - diffuse, -60.0, 60.0));
   vec3 s = 1.0 / (1.0 + odds), ground = exp(diffuse), missed = whole - exp(specular) - ground;
@@ -221,7 +221,7 @@ mat3 dsbrdf_divided(float tangent2, vec3 whole, vec3 narrow, vec3 wide, vec3 dif
   return mat3(spike, rest - spike, min(whole, ground * (1.0 - taken) + whole * taken * s));
 }
 
-// The same where the layers have a ground alone: what is much brighter near the mirror direction is a highlight.
+// Divide the model if the layers are only a ground: much brighter light near the mirror direction is a highlight.
 mat3 dsbrdf_ground(float tangent2, vec3 whole, vec3 diffuse) {
   float q = tangent2 / HALO;
   vec3 ground = min(whole, exp(diffuse) * (2.0 + q * q));

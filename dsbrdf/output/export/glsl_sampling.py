@@ -1,4 +1,4 @@
-"""Sampling in GLSL: directions that are drawn, and their density; formulas and names are `dsbrdf.model.sampling`'s."""
+"""Write sampling functions in GLSL, with the formulas and names of `dsbrdf.model.sampling`."""
 
 import numpy as np
 
@@ -10,13 +10,13 @@ HEADER_OF_SAMPLING = """\
 //   float dsbrdf_pdf(vec3 omega_in, vec3 omega_out)
 //
 // draw a direction omega_in with three independent numbers from 0 to 1, and return its density in 1/sr: the weight of
-// a sample is dsbrdf(omega_in, omega_out) * omega_in.z / dsbrdf_pdf(omega_in, omega_out). The density of a direction
-// below the horizon, which some samples at grazing angles are, is 0: such a sample is black.
+// a sample is dsbrdf(omega_in, omega_out) * omega_in.z / dsbrdf_pdf(omega_in, omega_out). Some samples at grazing
+// angles are below the horizon; their density is 0, and the samples are black.
 //
 """
 
 _SAMPLING = """
-// The first part of the mixture for a direction.
+// Return the index of the first part of the mixture for a direction.
 int dsbrdf_mixture(vec3 omega_out) {
   return PARTS * clamp(int(dsbrdf_angle(length(omega_out.xy), omega_out.z) / dsbrdf_STEP + 0.5), 0, LAST);
 }
@@ -30,10 +30,10 @@ vec3 dsbrdf_sample(vec3 omega_out, vec3 random) {
   int first = dsbrdf_mixture(omega_out);
   vec2 heading = dsbrdf_heading(omega_out);
   vec2 turn = vec2(cos(6.2831853 * random.z), sin(6.2831853 * random.z));
-  turn /= length(turn);  // cosine and sine may be as coarse as 1e-3
+  turn /= length(turn);  // A shader's cosine and sine may have errors of 1e-3.
   for (int i = 0; i < PARTS; ++i) {
     vec3 part = dsbrdf_MIXTURE[first + i];
-    if (random.x < part.z) {  // omega_out mirrored at a normal that it sees
+    if (random.x < part.z) {  // Mirror omega_out at a normal visible from it.
       vec2 seen = vec2(part.x * length(omega_out.xy), omega_out.z);
       seen /= length(seen);
       float z = (1.0 - random.y) * (1.0 + seen.y) - seen.y, radius = sqrt(max(1.0 - z * z, 0.0));

@@ -1,9 +1,9 @@
-"""A model as a MaterialX file: the OpenPBR surface that looks most like it.
+"""Write a model as a MaterialX file with the OpenPBR surface that looks most like it.
 
 A lit sphere of the surface and one of the model are compared as a screen shows them, under both lightings of
 `dsbrdf.render_sphere`. Least squares of the difference finds the inputs; it starts from the layers of the model.
 OpenPBR has about a dozen numbers, so some difference is left. The file states it, as PSNR of the whole sphere, of its
-highlights (the brightest tenth), of what is seen at more than 60 degrees, and of the rest.
+highlights (the brightest tenth), of pixels viewed at more than 60 degrees, and of the rest.
 """
 
 import re
@@ -35,27 +35,29 @@ _DOCUMENT = """\
   </surfacematerial>
 </materialx>
 """
-_FIT_SIZES = {"three_lights": 32, "environment": 10}  # pixels along a side of the spheres that are fitted
-_STATED_SIZE = 128  # of those whose PSNR is stated
-_BRIGHTEST = 1e100
-_STEPS = [1e-4]  # of derivatives, relative
-_PAYS, _MOST_STEPS = 1e-3, 16  # of a step: what it lowers the squared error by, or the fit ends: 0.004 dB
-# The numbers of a fit: base and specular colour, then these; in the place of an index is its reflectance, F0.
-_NAMES = ("base_metalness", "specular_ior", "specular_roughness", "coat_weight", "coat_roughness", "coat_ior")
-_LEAST_ROUGHNESS = 0.03
-_BOUNDS = (
-    np.array([0.0] * 7 + [0.002, _LEAST_ROUGHNESS, 0.0, _LEAST_ROUGHNESS, 0.01]),
-    np.array([1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]),  # indices up to 2.5 and 1.9
+_FITTED_SPHERE_SIZES_PX = {"three_lights": 32, "environment": 10}  # sizes of the fitted spheres
+_STATED_SPHERE_SIZE_PX = 128  # The stated PSNR compares spheres of this size.
+_MAX_RADIANCE = 1e100  # A model whose lit sphere is brighter is refused.
+_DERIVATIVE_STEPS = [1e-4]  # relative steps of finite differences
+_COST_TOLERANCE = 1e-3  # The fit ends if a step lowers the squared error by a smaller fraction (0.004 dB).
+_MAX_FIT_STEPS = 16
+# A fit has as unknowns base and specular colour, then these inputs; an index is represented by its reflectance F0.
+_FITTED_INPUTS = ("base_metalness", "specular_ior", "specular_roughness", "coat_weight", "coat_roughness", "coat_ior")
+_MIN_ROUGHNESS = 0.03
+_INPUT_BOUNDS = (
+    np.array([0.0] * 7 + [0.002, _MIN_ROUGHNESS, 0.0, _MIN_ROUGHNESS, 0.01]),
+    np.array([1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]),  # F0 of indices up to 2.5 and 1.9
 )
-_NO_COAT = (0.05, 0.1, 0.053)  # weight, roughness and reflectance where a fit may still find one
-_INSIDE = 0.02  # of the bounds: where a fit can begin to move
-_PULL = 0.003  # towards the start, of what the pictures say nothing about
-_AWAY_FROM_THE_HIGHLIGHT = np.radians([[40.0, 50.0, 60.0], [10.0, 20.0, 5.0], [90.0, 90.0, 90.0]])
-_BRIGHT, _GRAZING = 0.9, np.cos(np.radians(60.0))  # quantile of a sphere's pixels, and cosine to the view
+_ABSENT_COAT_START = (0.05, 0.1, 0.053)  # weight, roughness and F0 from which a fit can add a coat
+_MIN_BOUND_DISTANCE = 0.02  # A start is moved away from the bounds by this fraction of their distance.
+_START_WEIGHT = 0.003  # This weight of the start values determines inputs that do not change the pictures.
+_DIFFUSE_ANGLES = np.radians([[40.0, 50.0, 60.0], [10.0, 20.0, 5.0], [90.0, 90.0, 90.0]])
+_HIGHLIGHT_QUANTILE = 0.9  # Pixels above this quantile of a sphere's light are its highlights.
+_MAX_GRAZING_COSINE = np.cos(np.radians(60.0))  # Pixels with a smaller cosine to the view are grazing.
 
 
 class FoundSurface(NamedTuple):
-    """A surface, and the PSNR [dB] of its lit spheres: by lighting, and by region for both lightings together."""
+    """Hold a surface, and the PSNR [dB] of its lit spheres by lighting and by region."""
 
     surface: OpenPBR
     by_lighting: dict[str, float]
@@ -68,8 +70,8 @@ def materialx_document(model: DSBRDF | LayeredModel, title: str) -> str:
     The material is named after a title, so that a program can hold several. Raises InvalidArgumentError if the values
     are too large for a picture.
     """
-    for lighting, size in _FIT_SIZES.items():
-        if not render_sphere(model.evaluate, lighting=lighting, size=size).max() < _BRIGHTEST:
+    for lighting, size in _FITTED_SPHERE_SIZES_PX.items():
+        if not render_sphere(model.evaluate, lighting=lighting, size=size).max() < _MAX_RADIANCE:
             raise InvalidArgumentError("the values of the model are too large for a picture")
     layers = model if isinstance(model, LayeredModel) else decompose(model).layers
     found = fit_openpbr(model.evaluate, layers)
@@ -89,22 +91,28 @@ def materialx_document(model: DSBRDF | LayeredModel, title: str) -> str:
 
 def _input(name: str, value: float | Color) -> str:
     numbers, kind = (value, "color3") if isinstance(value, tuple) else ((value,), "float")
-    # Without an exponent, which not every reader takes; what is too small to be seen is 0.
+    # Not every reader accepts exponents; numbers too small to be visible become 0.
     text = ", ".join(np.format_float_positional(round(number, 9), 7, fractional=False, trim="-") for number in numbers)
     return f'    <input name="{name}" type="{kind}" value="{text}" />'
 
 
 def fit_openpbr(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
-    """Find the OpenPBR surface that looks most like a material, which has about these layers."""
-    targets = [_target(evaluate, lighting, size) for lighting, size in _FIT_SIZES.items()]
+    """Find the OpenPBR surface that looks most like a material, starting from its layers."""
+    targets = [_target(evaluate, lighting, size) for lighting, size in _FITTED_SPHERE_SIZES_PX.items()]
 
     def difference(numbers: Array, start: Array) -> Array:
         surface = _surface(numbers)
-        return np.concatenate([target(surface.evaluate) for target in targets] + [_PULL * (numbers - start)])
+        return np.concatenate([target(surface.evaluate) for target in targets] + [_START_WEIGHT * (numbers - start)])
 
     ends = [
         least_squares(
-            difference, start, bounds=_BOUNDS, diff_step=_STEPS, ftol=_PAYS, max_nfev=_MOST_STEPS, args=(start,)
+            difference,
+            start,
+            bounds=_INPUT_BOUNDS,
+            diff_step=_DERIVATIVE_STEPS,
+            ftol=_COST_TOLERANCE,
+            max_nfev=_MAX_FIT_STEPS,
+            args=(start,),
         )
         for start in _starts(layers)
     ]
@@ -113,11 +121,11 @@ def fit_openpbr(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
 
 
 def _starts(layers: LayeredModel) -> list[Array]:
-    """Return the numbers of a metal and of a dielectric with these layers; the sharpest of two highlights is a coat."""
+    """Return start values of a metal and of a dielectric with these layers; the sharper of two highlights is a coat."""
     specular = sorted((one for one in layers.layers if isinstance(one, SpecularLayer)), key=lambda one: one.alpha)
     ground = LayeredModel(tuple(one for one in layers.layers if not isinstance(one, SpecularLayer)))
-    color = np.median(ground.evaluate(*_AWAY_FROM_THE_HIGHLIGHT), axis=0) * np.pi
-    coat = _NO_COAT
+    color = np.median(ground.evaluate(*_DIFFUSE_ANGLES), axis=0) * np.pi
+    coat = _ABSENT_COAT_START
     if len(specular) > 1:
         coat = (0.9, _roughness(specular[0]), float(np.mean(specular[0].f0)))
     base = specular[-1] if specular else SpecularLayer((0.01,) * 3, 0.5, 0.5, 2.0, (0.0, 0.0), 0.0, 0.0)
@@ -127,20 +135,20 @@ def _starts(layers: LayeredModel) -> list[Array]:
         (*np.maximum(color, f0), 0.9, 0.9, 0.9, 0.9, 0.04, roughness, *coat),
         (*color, *tint, 0.05, f0.max(), roughness, *coat),
     )
-    lower, upper = _BOUNDS
-    margin = _INSIDE * (upper - lower)
+    lower, upper = _INPUT_BOUNDS
+    margin = _MIN_BOUND_DISTANCE * (upper - lower)
     return [np.clip(start, lower + margin, upper - margin) for start in starts]
 
 
 def _roughness(layer: SpecularLayer) -> float:
-    """Roughness of the GGX highlight that is as wide at half height."""
+    """Return the roughness of the GGX highlight with the same half width."""
     return float(np.sqrt(np.tan(layer.half_width) / np.sqrt(np.sqrt(2.0) - 1.0)))
 
 
 def _target(evaluate: Evaluate, lighting: str, size: int) -> Callable[[Evaluate], Array]:
-    """Return what compares a surface with a picture: differences of the pixels of a sphere.
+    """Return a function that compares a surface with a material by the pixels of a lit sphere.
 
-    Their mean square counts as much as that of any other picture.
+    All pictures have the same weight, whatever their size.
     """
     picture, mask = render_sphere(evaluate, lighting=lighting, size=size), sphere_normals(size)[1]
     factor = exposure(picture, mask)
@@ -155,7 +163,7 @@ def _target(evaluate: Evaluate, lighting: str, size: int) -> Callable[[Evaluate]
 
 def _surface(numbers: Array) -> OpenPBR:
     red, green, blue, *rest = numbers.tolist()
-    named = dict(zip(_NAMES, rest[3:], strict=True))
+    named = dict(zip(_FITTED_INPUTS, rest[3:], strict=True))
     for name in ("specular_ior", "coat_ior"):
         root = np.sqrt(named[name])
         named[name] = float((1.0 + root) / (1.0 - root))
@@ -163,23 +171,23 @@ def _surface(numbers: Array) -> OpenPBR:
 
 
 def _likeness(evaluate: Evaluate, surface: OpenPBR) -> tuple[dict[str, float], dict[str, float]]:
-    """PSNR [dB] of lit spheres by lighting, then by region."""
-    normals, mask = sphere_normals(_STATED_SIZE)
-    grazing = normals[:, 2] < _GRAZING
+    """Return the PSNR [dB] of lit spheres by lighting, then by region."""
+    normals, mask = sphere_normals(_STATED_SPHERE_SIZE_PX)
+    grazing = normals[:, 2] < _MAX_GRAZING_COSINE
     errors, regions, by_lighting = [], [], {}
     for lighting in LIGHTINGS:
         wanted, seen = (
-            render_sphere(one, lighting=lighting, size=_STATED_SIZE) for one in (evaluate, surface.evaluate)
+            render_sphere(one, lighting=lighting, size=_STATED_SPHERE_SIZE_PX) for one in (evaluate, surface.evaluate)
         )
         by_lighting[lighting] = sphere_likeness(wanted, seen)[0]
         factor = exposure(wanted, mask)
         errors.append(np.mean((displayed(wanted, factor) - displayed(seen, factor))[mask] ** 2, axis=-1))
         light = wanted[mask].sum(axis=-1)
-        bright = ~grazing & (light > np.quantile(light, _BRIGHT))
+        bright = ~grazing & (light > np.quantile(light, _HIGHLIGHT_QUANTILE))
         regions.append([bright, ~grazing & ~bright, grazing])
     error, places = np.concatenate(errors), np.concatenate(regions, axis=1)
     names = ("highlight", "rest", "grazing")
-    floor = 1e-12  # of a squared error, of equal pictures
+    floor = 1e-12  # minimum squared error, for equal pictures
     return by_lighting, {
         name: float(-10.0 * np.log10(max(float(np.mean(error[place])), floor)))
         for name, place in zip(names, places, strict=True)

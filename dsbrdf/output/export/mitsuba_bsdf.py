@@ -1,4 +1,4 @@
-"""A model as a BSDF of Mitsuba 3, with the model's own sampling.
+"""Use a model as a BSDF of Mitsuba 3, with the model's own sampling.
 
     import mitsuba
     from dsbrdf.output.export.mitsuba_bsdf import register
@@ -31,10 +31,10 @@ from dsbrdf.rendering.environment import LUMINANCE
 
 
 def register() -> None:
-    """Make the BSDF ``dsbrdf`` known to the variant of Mitsuba that is set.
+    """Register the BSDF ``dsbrdf`` with the active variant of Mitsuba.
 
-    Its only property is ``filename``, of a model in JSON. Raises MissingExtraError if Mitsuba is not
-    installed, and InvalidArgumentError if no variant is set, or one with polarisation.
+    Its only property is ``filename``, the path of a model in JSON. Raises MissingExtraError if Mitsuba is not
+    installed, and InvalidArgumentError if no variant is set, or the variant has polarisation.
     """
     require("mitsuba", "mitsuba", purpose="the BSDF of a model")
     mitsuba = import_module("mitsuba")
@@ -46,7 +46,7 @@ def register() -> None:
 
 
 def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
-    """Return the name of the file that the properties give, and the model in it; an error names the file."""
+    """Return the name of the file in the properties, and the model in it; an error names the file."""
     name, wanted = properties.get("filename", None), "the .json file of a model"
     if not isinstance(name, str):
         raise InvalidArgumentError(f'the BSDF "dsbrdf" needs the property "filename", a text: {wanted}')
@@ -60,7 +60,7 @@ def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
 
 
 def _bsdf_class(mitsuba: Any) -> Any:
-    """Return the class of BSDF for the variant that is set."""
+    """Return the class of BSDF for the active variant."""
     dr = import_module("drjit")
 
     class DirectionalStatistics(mitsuba.BSDF):  # type: ignore[misc]

@@ -1,9 +1,9 @@
-"""A model in the arrays of Mitsuba 3: its values, its sampling, and its parameters with derivatives.
+"""Evaluate and sample a model in the arrays of Mitsuba 3, with differentiable parameters.
 
 Formulas and names are those of `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision, where
 Mitsuba's ``si.wi`` is the omega_out of the model and ``wo`` its omega_in: a path is followed from the camera. Numbers
-are floats of Python or arrays of drjit. What single precision would lose is kept: ``expm1`` and ``log1p``, which drjit
-does not have, are series near 0. Derivatives are finite everywhere, also those of a branch that is not taken, because
+are floats of Python or arrays of drjit. For single precision, ``expm1`` and ``log1p``, which drjit does not have, are
+series near 0. Derivatives are finite everywhere, also those of a branch that is not taken, because
 zero times infinity is not zero.
 """
 
@@ -23,12 +23,12 @@ from dsbrdf.output.export.single_precision import bernstein_bases, bernstein_pie
 Number = Any
 """A float or int of Python, or an array of drjit."""
 PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation")
-"""Parameters that can be changed, arrays of `DSBRDF`."""
-_LEAST = 1e-9  # of a parameter whose logarithm is taken
+"""Arrays of `DSBRDF` that can be changed."""
+_MIN_LOG_PARAMETER = 1e-9  # Smaller values of a parameter are clipped before the logarithm.
 
 
 class Table:
-    """Numbers of any shape that are looked up by their index in the flat array."""
+    """Look up numbers of any shape by their index in the flat array."""
 
     def __init__(self, values: Any) -> None:
         self._drjit, self._float = import_module("drjit"), import_module("mitsuba").Float
@@ -43,7 +43,7 @@ class Table:
 
 
 def _log1p(x: Number) -> Number:
-    """Logarithm of 1 + x, x zero or positive."""
+    """Return the logarithm of 1 + x for x >= 0."""
     dr = import_module("drjit")
     s = x / (2.0 + x)
     t = s * s
@@ -52,7 +52,7 @@ def _log1p(x: Number) -> Number:
 
 
 def _expm1(x: Number) -> Number:
-    """Exponential of x less 1."""
+    """Return exp(x) - 1."""
     dr = import_module("drjit")
     y = dr.clip(x, -0.3, 0.3)
     series = y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y * (1.0 / 720.0))))))
@@ -60,17 +60,16 @@ def _expm1(x: Number) -> Number:
 
 
 def _safe_root(x: Number) -> Number:
-    """Square root of x, zero or positive, with a derivative that is 0 at 0."""
+    """Return the square root of x >= 0, with derivative 0 at 0."""
     dr = import_module("drjit")
     positive = x > 0.0
     return dr.select(positive, dr.sqrt(dr.select(positive, x, 1.0)), 0.0)
 
 
 class MitsubaModel:
-    """A model in the arrays of the variant of Mitsuba that is set.
+    """Evaluate and sample a model in the arrays of the active variant of Mitsuba.
 
-    The tensors `parameters` are those of `PARAMETERS`, of the shapes that they have in `DSBRDF`; call `update` after a
-    change.
+    The tensors `parameters` have the names `PARAMETERS` and their shapes in `DSBRDF`; call `update` after a change.
     """
 
     def __init__(self, model: DSBRDF) -> None:
@@ -96,23 +95,23 @@ class MitsubaModel:
         self.update()
 
     def changed_model(self) -> DSBRDF:
-        """Return the model with the parameters as they are now."""
+        """Return the model with the current parameters."""
         arrays = {name: np.array(getattr(self._model, name)) for name in self.parameters}
         for name, tensor in self.parameters.items():
             changed = arrays[name][..., self._lobes_with[name]]
             arrays[name][..., self._lobes_with[name]] = np.array(tensor, dtype=np.float64).reshape(changed.shape)
         for name in self._bounds:
             arrays[name] = np.maximum(arrays[name], self._bounds[name])
-        return replace(self._model, **arrays)  # type: ignore[arg-type]  # the fields of these names are arrays
+        return replace(self._model, **arrays)  # type: ignore[arg-type]  # Fields with these names are arrays.
 
     @property
     def _bounds(self) -> dict[str, float]:
-        """The least values of parameters; a logarithm needs more than 0."""
-        least = _LEAST if self._model.interpolation == "spline" else 0.0
-        return {"amplitude": least, "kappa": _LEAST, "gamma": least}
+        """Return the minimum of each parameter; a logarithm needs more than 0."""
+        least = _MIN_LOG_PARAMETER if self._model.interpolation == "spline" else 0.0
+        return {"amplitude": least, "kappa": _MIN_LOG_PARAMETER, "gamma": least}
 
     def update(self) -> None:
-        """Take the parameters as they are now, with their derivatives; the densities of samples stay as they were."""
+        """Recompute the model from the current parameters; the densities of samples do not change."""
         if self._mitsuba.Float is float:
             self._coefficients = Table(bernstein_pieces(self.changed_model(), "Mitsuba")[1])
             return
@@ -120,7 +119,7 @@ class MitsubaModel:
         self._coefficients = Table(self._dr.concat([*rows, self._mitsuba.Float(np.ravel(self._delta))]))
 
     def _rows_of(self, name: str, basis: Array) -> Number:
-        """Bernstein coefficients of a parameter's rows, flat (row, piece, 4), from its control values."""
+        """Return the Bernstein coefficients of a parameter's rows, flat (row, piece, 4), from its control values."""
         dr, index = self._dr, self._mitsuba.UInt32
         shape = getattr(self._model, name).shape
         values = self._mitsuba.Float(0.0)
@@ -146,7 +145,7 @@ class MitsubaModel:
         return total
 
     def brdf(self, omega_in: Number, omega_out: Number) -> list[Number]:
-        """Values in red, green and blue [1/sr] of directions above the horizon."""
+        """Return RGB values [1/sr] for directions above the horizon."""
         theta_diff, tan_half, squared_half, cos2_phi, log_cos = self._angles(omega_in, omega_out)
         place = self._place(theta_diff)
         dr, model, k = self._dr, self._model, self._model.n_lobes
@@ -169,7 +168,7 @@ class MitsubaModel:
         return result
 
     def pdf(self, omega_in: Number, omega_out: Number) -> Number:
-        """Density per solid angle [1/sr] of omega_in, both directions being above the horizon."""
+        """Return the density per solid angle [1/sr] of omega_in, for directions above the horizon."""
         dr, width = self._dr, self._mixture_width
         total, row = omega_in + omega_out, self._row_of(omega_out)
         x, y = self._heading(omega_out)
@@ -187,7 +186,7 @@ class MitsubaModel:
         return result
 
     def sample(self, omega_out: Number, one: Number, two: Number) -> Number:
-        """Direction omega_in, perhaps below the horizon, from one and from two uniform numbers."""
+        """Draw omega_in, possibly below the horizon, with one and two uniform numbers."""
         dr, width = self._dr, self._mixture_width
         row = self._row_of(omega_out)
         chosen = self._mitsuba.UInt32(0)
@@ -210,14 +209,14 @@ class MitsubaModel:
         return dr.normalize(self._mitsuba.Vector3f(toward * x - aside * y, toward * y + aside * x, z + seen.y))
 
     def _angles(self, omega_in: Number, omega_out: Number) -> tuple[Number, ...]:
-        """theta_diff, tan(theta_half), its finite square, cos(phi_diff)**2, and the log(cosine) that stretches."""
+        """Return theta_diff, tan(theta_half), its finite square, cos(phi_diff)**2 and the stretching log(cosine)."""
         dr = self._dr
         total, difference = omega_in + omega_out, omega_in - omega_out
         sum2, difference2 = dr.maximum(dr.squared_norm(total), 1e-30), dr.squared_norm(difference)
         radius2 = total.x * total.x + total.y * total.y
         radius, height = _safe_root(radius2), dr.maximum(total.z, 1e-7)
         x, y = self._heading(total)
-        # The difference along and across the heading of the half vector.
+        # Split the difference along and across the azimuth of the half vector.
         along = ((x * difference.x + y * difference.y) * total.z - radius * difference.z) * dr.rsqrt(sum2)
         across = x * difference.y - y * difference.x
         length2 = along * along + across * across
@@ -231,7 +230,7 @@ class MitsubaModel:
         return theta_diff, radius / height, squared, cos2_phi, log_cos
 
     def _place(self, theta_diff: Number) -> tuple[Number, Number]:
-        """A piece of the polynomials, and where in it a point is, from 0 to 1."""
+        """Return the piece of the polynomials at theta_diff, and the position in it from 0 to 1."""
         dr = self._dr
         held = dr.clip(theta_diff, self._breaks[0], self._breaks[-1])
         piece = self._mitsuba.UInt32(0)
@@ -247,7 +246,7 @@ class MitsubaModel:
         return s * s * (s * first + 3.0 * t * second) + t * t * (3.0 * s * third + t * last)
 
     def _lobe(self, row: int, step: int, lobe: int, place: tuple[Number, Number], squared: Number) -> Number:
-        """Value of a lobe of height 1 whose kappa is in a row, with gamma and center a step and two steps after it."""
+        """Return a lobe of height 1; kappa is in `row`, gamma and center follow at distances of `step` rows."""
         dr, kappa, gamma = self._dr, self._row(row, place), self._row(row + step, place)
         if self._model.interpolation == "spline":
             kappa, gamma = dr.exp(kappa), dr.exp(gamma)
@@ -260,18 +259,18 @@ class MitsubaModel:
             return dr.exp(-kappa * (_log1p(gamma * squared) - _log1p(gamma * top_squared)))
         log_cos, log_cos_top = -0.5 * _log1p(squared), -0.5 * _log1p(top_squared)
         top, log_ratio = kappa * dr.exp(gamma * log_cos_top), gamma * (log_cos - log_cos_top)
-        # expm1(top * ratio) / expm1(top), without overflow.
+        # This is expm1(top * ratio) / expm1(top) without overflow.
         return dr.exp(top * _expm1(log_ratio)) * _expm1(-top * dr.exp(log_ratio)) / _expm1(-top)
 
     def _heading(self, omega: Number) -> tuple[Number, Number]:
-        """Cosine and sine of the azimuth, 1 and 0 along the normal."""
+        """Return cosine and sine of the azimuth; 1 and 0 along the normal."""
         radius2 = omega.x * omega.x + omega.y * omega.y
         some = radius2 > 1e-30
         inverse = self._dr.rsqrt(self._dr.select(some, radius2, 1.0))
         return self._dr.select(some, omega.x * inverse, 1.0), self._dr.select(some, omega.y * inverse, 0.0)
 
     def _row_of(self, omega_out: Number) -> Number:
-        """Index in `ANGLES` of the angle nearest to a direction."""
+        """Return the index in `ANGLES` of the angle nearest to a direction."""
         dr = self._dr
         theta = dr.atan2(_safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y), omega_out.z)
         nearest = dr.clip(dr.round(theta / float(ANGLES[1])), 0.0, float(ANGLES.size - 1))

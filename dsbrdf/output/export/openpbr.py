@@ -1,4 +1,4 @@
-"""The OpenPBR surface model, version 1.1, for opaque materials: a rough base under a clear coat.
+"""Evaluate the OpenPBR surface model 1.1 for opaque materials, a rough base under a clear coat.
 
     f = coat + (1 - coat's albedo) darkening (metalness metal + (1 - metalness) (specular + (1 - albedo) diffuse))
 
@@ -19,11 +19,11 @@ from dsbrdf.arrays import Array
 from dsbrdf.components.layers import Color
 from dsbrdf.data.geometry import incident_cosines
 
-_LEAST = 1e-6  # of a cosine and a roughness
+_MIN_COSINE_OR_ALPHA = 1e-6  # Smaller cosines and values of alpha are clipped.
 _F82_COSINE = 1.0 / 7.0
-# Directional albedo of GGX: polynomials in the cosine x and alpha y, by rows 1, x, y, xy, xx, yy, xxy, xyy, xxyy; the
-# shares of F0 and F90 are the quotients of the first and the third, and of the second and the fourth column.
-_ALBEDO = np.array(
+# The directional albedo of GGX is F0 times column 1 over column 3 plus F90 times column 2 over column 4: polynomials
+# in the cosine x and alpha y, with rows 1, x, y, xy, xx, yy, xxy, xyy, xxyy.
+_ALBEDO_COEFFICIENTS = np.array(
     [
         [0.1003, 0.9345, 1.0, 1.0],
         [-0.6303, -2.323, -1.765, 0.2281],
@@ -40,7 +40,7 @@ _ALBEDO = np.array(
 
 @dataclass(frozen=True)
 class OpenPBR:
-    """Inputs of the surface, by the names that MaterialX gives them; 0 to 1, apart from indices (ior)."""
+    """Hold the surface's inputs by their names in MaterialX, from 0 to 1 except indices (ior)."""
 
     base_color: Color = (0.8, 0.8, 0.8)  # linear RGB of the diffuse part or of the metal
     base_metalness: float = 0.0
@@ -52,11 +52,13 @@ class OpenPBR:
     coat_ior: float = 1.6
 
     def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """BRDF values (n, 3) [1/sr] at angles (n,) [rad]; 0 where a direction is below the horizon."""
+        """Return BRDF values (n, 3) [1/sr] at angles (n,) [rad]; 0 below the horizon."""
         cos_in, cos_out = incident_cosines(theta_half, theta_diff, phi_diff)
         above = ((cos_in > 0.0) & (cos_out > 0.0))[:, None]
         half = np.cos(theta_half)[:, None]
-        others = (np.clip(cosine, _LEAST, 1.0)[:, None] for cosine in (np.cos(theta_diff), cos_in, cos_out))
+        others = (
+            np.clip(cosine, _MIN_COSINE_OR_ALPHA, 1.0)[:, None] for cosine in (np.cos(theta_diff), cos_in, cos_out)
+        )
         cosines = (half, *others)
         color, tint = np.array(self.base_color), np.array(self.specular_color)
         rough = _Facets.of(self._base_roughness**2, *cosines)
@@ -76,14 +78,14 @@ class OpenPBR:
 
     @property
     def _base_index(self) -> float:
-        """Relative index of refraction of the base, less than a coat's; not below 1."""
+        """Index of refraction of the base relative to the coat, at least 1."""
         inside = self.coat_ior / self.specular_ior
         index = self.coat_weight * inside + (1.0 - self.coat_weight) * self.specular_ior
         return max(index, 1.0 / index)
 
     @property
     def _darkening(self) -> Array:
-        """What of the base's light is left after reflections inside the coat."""
+        """Fraction of the base's light that remains after reflections inside the coat."""
         inner = 1.0 - (1.0 - _normal_reflectance(self.coat_ior)) / self.coat_ior**2
         dimmed = (1.0 - inner) / (1.0 - np.array(self.base_color) * inner)
         return np.asarray(self.coat_weight * dimmed + 1.0 - self.coat_weight)
@@ -91,7 +93,7 @@ class OpenPBR:
 
 @dataclass(frozen=True, eq=False)
 class _Facets:
-    """A rough boundary: cosine of theta_diff, value that Fresnel's term scales, shares of F0 and F90 in the albedo."""
+    """Hold a rough boundary: cosine of theta_diff, value without Fresnel term, factors of F0 and F90 in the albedo."""
 
     diff: Array
     value: Array
@@ -100,8 +102,8 @@ class _Facets:
 
     @classmethod
     def of(cls, alpha: float, half: Array, diff: Array, incident: Array, view: Array) -> "_Facets":
-        """Microfacets with the distribution GGX, for pairs of directions with these cosines, each (n, 1)."""
-        alpha = max(alpha, _LEAST)
+        """Make GGX microfacets for pairs of directions with given cosines, each (n, 1)."""
+        alpha = max(alpha, _MIN_COSINE_OR_ALPHA)
         square = alpha**2
         tangent2 = (1.0 - half**2) / square
         distribution = 1.0 / (np.pi * square * (tangent2 + half**2) ** 2)
@@ -109,19 +111,21 @@ class _Facets:
         to_view = np.sqrt(square + (1.0 - square) * view**2)
         value = 0.5 * distribution / (to_light * view + to_view * incident)
         of_alpha = np.array([1.0, alpha, square])
-        constant, linear, quadratic = (of_alpha @ _ALBEDO[rows] for rows in ([0, 2, 5], [1, 3, 7], [4, 6, 8]))
+        constant, linear, quadratic = (
+            of_alpha @ _ALBEDO_COEFFICIENTS[rows] for rows in ([0, 2, 5], [1, 3, 7], [4, 6, 8])
+        )
         first, second, below, under = ((constant + view * (linear + view * quadratic)).T)[..., None]
         return cls(diff, value, np.clip(first / below, 0.0, 1.0), np.clip(second / under, 0.0, 1.0))
 
     def dielectric(self, index: float, weight: float) -> tuple[Array, Array]:
-        """Values of a dielectric boundary (n, 1), and the share of light that passes it."""
+        """Return values (n, 1) of a dielectric boundary, and the fraction of light that passes it."""
         fresnel = _fresnel(self.diff, index)
         compensation = self._compensation(fresnel)
         albedo = (_normal_reflectance(index) * self.to_normal + self.to_grazing) * compensation
         return self.value * fresnel * compensation * weight, 1.0 - albedo * weight
 
     def metal(self, color: Array, tint: Array) -> Array:
-        """Values (n, 3) of a metal with a colour at normal incidence and a tint at 82 degrees."""
+        """Return values (n, 3) of a metal with a colour at normal incidence and a tint at 82 degrees."""
         at_82 = color + (1.0 - color) * (1.0 - _F82_COSINE) ** 5
         slope = at_82 * (1.0 - tint) / (_F82_COSINE * (1.0 - _F82_COSINE) ** 6)
         rest = 1.0 - self.diff
@@ -129,7 +133,7 @@ class _Facets:
         return self.value * fresnel * self._compensation(fresnel)
 
     def _compensation(self, fresnel: Array) -> Array:
-        """Light that is reflected more than once, as a factor."""
+        """Return the factor for light that is reflected more than once."""
         once = self.to_normal + self.to_grazing
         return 1.0 + fresnel * (1.0 - once) / once
 
@@ -139,7 +143,7 @@ def _normal_reflectance(index: float) -> float:
 
 
 def _fresnel(cosine: Array, index: float) -> Array:
-    """Fresnel's reflectance of unpolarised light at a dielectric."""
+    """Return Fresnel's reflectance of unpolarised light at a dielectric."""
     g = np.sqrt(np.maximum(index**2 + cosine**2 - 1.0, 0.0))
     parallel = ((g + cosine) * cosine - 1.0) / ((g - cosine) * cosine + 1.0)
     return 0.5 * ((g - cosine) / (g + cosine)) ** 2 * (1.0 + parallel**2)

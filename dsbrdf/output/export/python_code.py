@@ -1,7 +1,7 @@
-"""The functions of an exported Python file; `dsbrdf.output.export.python_file` copies their source.
+"""Define the functions of an exported Python file; `dsbrdf.output.export.python_file` copies their source.
 
-They use what NumPy, PyTorch and JAX have in common, which `xp` stands for. A derivative is finite wherever a value is:
-an argument of a root or below a fraction is held above 0. Parameters and formulas are those of `dsbrdf.model.dsbrdf`,
+The functions use the common interface `xp` of NumPy, PyTorch and JAX. A derivative is finite wherever a value is:
+arguments of roots and denominators are kept above 0. Parameters and formulas are those of `dsbrdf.model.dsbrdf`,
 `dsbrdf.components.layers` and `dsbrdf.components.shares`. The code is dense: a file has at most 150 lines.
 """
 
@@ -19,7 +19,7 @@ from dsbrdf.model.lobes import GRAZING_COSINE
 
 
 def _arrays(parameters: dict[str, Any], *directions: Any) -> tuple[Any, Any, Any, dict[str, Any]]:
-    """Return the array library of what comes in, then all of it as its arrays, numbers in the directions' precision."""
+    """Return the directions' array library, the directions, and the parameters as arrays in the same precision."""
     values, torch = (*directions, *parameters.values()), sys.modules.get("torch")
     spaces = [value.__array_namespace__() for value in values if hasattr(value, "__array_namespace__")]
     xp: Any = next((space for space in spaces if space.__name__ != "numpy"), numpy)
@@ -31,7 +31,7 @@ def _arrays(parameters: dict[str, Any], *directions: Any) -> tuple[Any, Any, Any
 
 
 def _angles(xp: Any, first: Any, second: Any) -> tuple[Any, Any, Any, Any]:
-    """Return where both directions are above the horizon, theta_diff, tan(theta_half)**2 and cos(phi_diff)**2."""
+    """Return a mask of pairs above the horizon, theta_diff, tan(theta_half)**2 and cos(phi_diff)**2."""
     total, difference = first + second, first - second
     sum2, difference2, radius2 = (xp.clip((v * v).sum(-1), 1e-30, None) for v in (total, difference, total[..., :2]))
     (x, y, z), (dx, dy, dz) = ([v[..., i] for i in range(3)] for v in (total, difference))
@@ -41,7 +41,7 @@ def _angles(xp: Any, first: Any, second: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def _spline(xp: Any, knots: list[float], values: Any, at: Any, degree: int) -> Any:
-    """Return B-splines (..., channel, lobe) of a degree at angles (...), of control values (channel, place, lobe)."""
+    """Return B-splines (..., channel, lobe) of control values (channel, place, lobe) at angles (...)."""
     if len(knots) == 1:
         return values[:, 0, :]
     at, ends = xp.clip(at, knots[0], knots[-1]), [knots[0]] * degree + knots + [knots[-1]] * degree
@@ -50,7 +50,7 @@ def _spline(xp: Any, knots: list[float], values: Any, at: Any, degree: int) -> A
     for n in range(1, degree + 1):
         rise = [(at - low) / (high - low or 1.0) for low, high in zip(ends, ends[n:], strict=False)]
         weights = [rise[i] * w + (1.0 - rise[i + 1]) * weights[i + 1] for i, w in enumerate(weights[:-1])]
-    base = values[:, 0, :] * (degree - 1) / 2.0  # Logarithms are large beside their differences.
+    base = values[:, 0, :] * (degree - 1) / 2.0  # Differences of logarithms lose fewer digits.
     return base + sum(w[..., None, None] * (values[:, i, :] - base) for i, w in enumerate(weights))
 
 
@@ -73,21 +73,21 @@ def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]
 
 
 def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
-    """Return a lobe of height 1 at a squared tangent from its center; the largest value is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Its exponential is no light.
+    """Return a lobe of height 1 at a squared tangent from its center; its maximum is at `top2`."""
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Smaller exponents give no light.
     fall = xp.clip(gamma / 2.0 * (xp.log1p(top2) - xp.log1p(square)), low, None)
     top = kappa * xp.exp(xp.clip(-gamma / 2.0 * xp.log1p(top2), low, None))
     return xp.exp(top * xp.expm1(fall)) * xp.expm1(-top * xp.exp(fall)) / xp.expm1(-top)
 
 
 def _student(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
-    """Return a lobe of height 1 at a squared tangent from its center; the largest value is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Its exponential is no light.
+    """Return a lobe of height 1 at a squared tangent from its center; its maximum is at `top2`."""
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Smaller exponents give no light.
     return xp.exp(xp.clip(kappa * (xp.log1p(gamma * top2) - xp.log1p(gamma * square)), low, None))
 
 
 def _rise(xp: Any, cosine: Any) -> Any:
-    """Return how far the reflectance of glass has risen from normal (0) to grazing incidence (1)."""
+    """Return the rise of the reflectance of glass from normal (0) to grazing incidence (1)."""
     bent = xp.sqrt(1.25 + cosine**2)
     square = ((cosine * (bent + cosine) - 1.0) / (cosine * (bent - cosine) + 1.0)) ** 2
     return xp.clip(0.5 * ((bent - cosine) / (bent + cosine)) ** 2 * (1.0 + square) - COAT_F0, 0.0, None) / (1 - COAT_F0)
@@ -108,17 +108,17 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
     u, sin2, tan2 = 2.0 * xp.sin(theta_diff / 2.0) ** 2, xp.sin(theta_diff) ** 2, xp.clip(tan2, None, MAX_TAN2)
     to_in, to_out, fresnel = (_rise(xp, cosine) for cosine in (cos_in, cos_out, 1.0 - u))
     passed, sin2_half, rise = xp.log((1.0 - to_in) * (1.0 - to_out)), tan2 / (1.0 + tan2), fresnel[..., None]
-    total = 0.0 * rise - 1e4  # the logarithm of no light
+    total = 0.0 * rise - 1e4  # The exponential of -1e4 is 0.
     for name in names:
         p = {key.rpartition(".")[2]: value for key, value in parameters.items() if key.rpartition(".")[0] == name}
-        if "f0" in p:  # a surface
+        if "f0" in p:  # specular layer
             bent = p["rise"][0] * u + p["rise"][1] * u**2 + p["under_coat"] * (passed + 2.0 * math.log1p(-COAT_F0))
             color = xp.log(p["f0"] * (1.0 - rise) + p["f90"] * rise)
             form = bent + _facets(xp, cos_in, cos_out, tan2, p["alpha"], p["kappa"], p["masking"])
-        elif "alpha" in p:  # light back to its source
+        elif "alpha" in p:  # retro layer
             back2 = xp.clip(4.0 * sin2 - (cos_in - cos_out) ** 2, 0.0, None) / (cos_in + cos_out) ** 2
             color, form = xp.log(p["color"]), _facets(xp, cos_in, cos_out, back2, p["alpha"], 0.0 * u + 2.0, 0.0)
-        elif "powers" in p:  # sheen of fibres
+        elif "powers" in p:  # sheen layer
             log_u, log_sin2 = xp.log(xp.clip(u, MIN_RISE, None)), xp.log(xp.clip(sin2_half, MIN_SINE**2, None))
             color, form = xp.log(p["color"]), p["powers"][0] * log_u + p["powers"][1] / 2.0 * log_sin2
         else:
@@ -133,7 +133,7 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
 def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: bool) -> list[Any]:
     """Divide the model's values among spike, lobe and diffuse part, by the logarithms of the layers of each."""
     q2, (narrow, wide, diffuse) = (xp.clip(tan2, None, MAX_TAN2)[..., None] / HALO) ** 2, layers
-    if not has_highlight:  # What is much brighter near the mirror direction than the ground is a highlight.
+    if not has_highlight:  # Much brighter light than the ground near the mirror direction is a highlight.
         ground = xp.minimum(whole, xp.exp(diffuse) * (2.0 + q2))
         return [0.0 * whole, whole - ground, ground]
     specular, ground = xp.logaddexp(narrow, wide), xp.exp(diffuse)
@@ -146,4 +146,8 @@ def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: b
     return [spike, rest - spike, xp.minimum(whole, ground * (1.0 - beyond * s**3) + whole * beyond * s**4)]
 
 
-IS_SPLINE, KNOTS, MAX_TANGENT, _lobe = True, [[0.0]], 1e12, _hemi_epd  # An exported file has its model's.
+# An exported file defines these names for its model.
+IS_SPLINE = True
+KNOTS = [[0.0]]
+MAX_TANGENT = 1e12
+_lobe = _hemi_epd

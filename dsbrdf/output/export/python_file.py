@@ -1,7 +1,6 @@
-"""A model, a component or layers as one Python file: a differentiable function of NumPy, PyTorch or JAX arrays.
+"""Write a model, a component or layers as a Python file with a differentiable function for NumPy, PyTorch and JAX.
 
-The code is that of `dsbrdf.output.export.python_code`, as far as the source needs it; reading the numbers restores
-every bit.
+The file copies the functions of `dsbrdf.output.export.python_code` that it needs; its numbers restore every bit.
 """
 
 import inspect
@@ -22,18 +21,18 @@ _CONSTANTS = (
     *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO"),
     *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE"),
 )
-_LOBES = {"hemi_epd": code._hemi_epd, "student": code._student}
+_LOBE_FUNCTIONS = {"hemi_epd": code._hemi_epd, "student": code._student}
 _KNOTS = ("theta_diff", "shape_theta_diff", "elongation_theta_diff")
-_OF_LAYERS = (code._rise, code._facets, code._layers)
+_LAYER_FUNCTIONS = (code._rise, code._facets, code._layers)
 _Numbers = dict[str, Any]
 _Functions = tuple[Callable[..., Any], ...]
 
 
 def python_file(source: DSBRDF | LayeredModel | Component) -> str:
-    """Return Python source with ``evaluate(omega_in, omega_out, parameters=PARAMETERS)``; it does not need dsbrdf."""
+    """Return Python source with ``evaluate(omega_in, omega_out, parameters=PARAMETERS)``, independent of dsbrdf."""
     if isinstance(source, LayeredModel):
         layers = _layer_parameters(source.layers, "")
-        return _file("its physical layers", layers, {"LAYERS": tuple(layers)}, _OF_LAYERS, _LAYERS)
+        return _file("its physical layers", layers, {"LAYERS": tuple(layers)}, _LAYER_FUNCTIONS, _LAYERS)
     if isinstance(source, DSBRDF):
         return _file("all of it", _model_parameters(source), _fixed(source), _of(source), _MODEL)
     whole, what = source.whole, f"its {source.label.replace('_', ' ')}"
@@ -48,26 +47,26 @@ def python_file(source: DSBRDF | LayeredModel | Component) -> str:
         structures.append(tuple(tuple(_with(label, layers, structure.labels)) for label in LABELS))
     shown = tuple(float(whole.receiver(label) == source.label) for label in LABELS)
     fixed = _fixed(whole.model) | {"SHOWN": shown, "STRUCTURES": tuple(structures)}
-    return _file(what, parameters, fixed, (*_of(whole.model), *_OF_LAYERS, code._divided), _COMPONENT)
+    return _file(what, parameters, fixed, (*_of(whole.model), *_LAYER_FUNCTIONS, code._divided), _COMPONENT)
 
 
 def _model_parameters(model: DSBRDF) -> dict[str, _Numbers]:
-    """Return the parameters of a model, by lines of the file."""
+    """Return the parameters of a model by name; each name gets a line of the file."""
     names = ("amplitude", "kappa", "gamma", "center", "elongation")
     parameters = {name: {name: getattr(model, name).tolist()} for name in names}
     return parameters | ({"delta": {"delta": model.delta[..., np.newaxis].tolist()}} if model.delta.any() else {})
 
 
 def _fixed(model: DSBRDF) -> _Numbers:
-    """Return what is no parameter of a model."""
+    """Return the constants of a model's functions."""
     knots = [getattr(model, name).tolist() for name in _KNOTS]
     limit = FAMILIES[model.lobe].largest_tangent
     return {"KNOTS": knots, "IS_SPLINE": model.interpolation == "spline", "MAX_TANGENT": limit}
 
 
 def _of(model: DSBRDF) -> _Functions:
-    """Return the functions of a model."""
-    return code._spline, _LOBES[model.lobe], code._model
+    """Return the functions that evaluate a model."""
+    return code._spline, _LOBE_FUNCTIONS[model.lobe], code._model
 
 
 def _layer_parameters(layers: tuple[Layer, ...], lead: str) -> dict[str, _Numbers]:
@@ -88,7 +87,7 @@ def _file(part: str, parameters: dict[str, _Numbers], fixed: _Numbers, functions
     """Return the whole file."""
     used: _Functions = (code._arrays, code._angles, *functions)
     body = "\n".join([*(inspect.getsource(one) for one in used), evaluate])
-    for name in _LOBES:
+    for name in _LOBE_FUNCTIONS:
         body = body.replace(f"_{name}(", "_lobe(")
     numbers = [" ".join(f'"{name}": {value!r},' for name, value in line.items()) for line in parameters.values()]
     lines = [_HEAD.format(version=__version__, part=part), "PARAMETERS: dict[str, Any] = {"]
@@ -102,9 +101,9 @@ def _file(part: str, parameters: dict[str, _Numbers], fixed: _Numbers, functions
 _HEAD = '''\
 """A measured BRDF, {part}, for NumPy, PyTorch and JAX. Written by dsbrdf {version}.
 
-`evaluate(omega_in, omega_out)` has values (..., 3) in 1/sr for linear red, green and blue, without cosine, 0 below the
-horizon. Directions (..., 3) broadcast: unit vectors away from the surface, in the frame whose z axis is the normal. An
-array may take a parameter's place, `evaluate(i, o, PARAMETERS | {{name: array}})`; all of it can be differentiated.
+`evaluate(omega_in, omega_out)` returns values (..., 3) in 1/sr for linear red, green and blue, without cosine, 0 below
+the horizon. Directions (..., 3) broadcast: unit vectors away from the surface, in the frame whose z axis is the normal.
+An array may replace a parameter, `evaluate(i, o, PARAMETERS | {{name: array}})`; the function is differentiable.
 """
 
 import itertools
@@ -133,7 +132,7 @@ def evaluate(omega_in: Any, omega_out: Any, parameters: dict[str, Any] = PARAMET
 
 _COMPONENT = '''\
 def evaluate(omega_in: Any, omega_out: Any, parameters: dict[str, Any] = PARAMETERS, shown: Any = SHOWN) -> Any:
-    """Return the component (..., 3) [1/sr]; `shown` weighs spike, lobe and diffuse part in the sum of all of them."""
+    """Return the component (..., 3) [1/sr]; `shown` holds the weights of spike, lobe and diffuse part."""
     xp, first, second, p = _arrays(parameters, omega_in, omega_out)
     above, theta_diff, tan2, cos2_phi = _angles(xp, first, second)
     whole, total = _model(xp, theta_diff, tan2, cos2_phi, p), 0.0

@@ -1,4 +1,4 @@
-"""A model, a component or a measurement as an RGL ``.bsdf`` file, for Mitsuba 3 (``measured``) and pbrt-v4.
+"""Write a model, a component or a measurement as an RGL ``.bsdf`` file for Mitsuba 3 (``measured``) and pbrt-v4.
 
 The file has, for each of N angles theta_i of the first direction (phi_i = 0: the material is isotropic), two warps of
 the unit square. The first, ``luminance``, maps uniform samples to where most light goes; the second, ``vndf``, maps
@@ -7,8 +7,9 @@ these to half vectors (u, v) with
     theta_half = pi/2 u**2,    azimuth from the first direction = (2 v - 1) pi,
 
 and ``rgb`` holds f cos(theta_out) 4 sigma / ndf at the nodes between the two (Dupuy and Jakob 2018, section 4). Here
-``vndf`` is the reflected luminance and twice as much from everywhere, so that no direction is far from a node, and
-``luminance`` puts the samples right; ``ndf``, the mean value at each theta_half, makes ``rgb`` smooth; sigma is 1/4.
+``vndf`` is the reflected luminance plus uniform densities of twice its mean, so that no direction is far from a node,
+and ``luminance`` corrects the density of samples; ``ndf``, the mean value at each theta_half, makes ``rgb``
+smooth; sigma is 1/4.
 
 Mitsuba's RGB variants read ``rgb``. Its spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm] instead,
 here the spectra that `dsbrdf.output.export.rgl` gives the same values; no program reads a file that has both.
@@ -24,11 +25,12 @@ from dsbrdf.data.rgl_material import RglMaterial
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.rendering.environment import LUMINANCE
 
-_THETA_I = np.radians(89.5) * (1.0 - (1.0 - np.linspace(0.0, 1.0, 40)) ** 1.5)  # closer together towards the horizon
-_N_SAMPLES = 64  # nodes along a side of rgb and luminance
+_THETA_I = np.radians(89.5) * (1.0 - (1.0 - np.linspace(0.0, 1.0, 40)) ** 1.5)  # Nodes are dense near the horizon.
+_N_TABLE_NODES = 64  # nodes along each axis of rgb and luminance
 _VNDF_SHAPE = 48, 128  # azimuth, theta_half
-_N_NDF = 512
-_LEAST = 2.0  # added to the density of half vectors, in its means: keeps nodes everywhere, and rings apart
+_N_NDF_NODES = 512
+_UNIFORM_DENSITY_WEIGHT = 2.0
+"""Weight of each uniform density that is added to the density of half vectors, in units of its mean."""
 
 
 def rgl_bsdf(
@@ -60,8 +62,8 @@ def rgl_bsdf(
 
 
 def _ndf(evaluate: Evaluate) -> Array:
-    """Typical value at each theta_half, evenly spaced in u, in two equal rows (2, `_N_NDF`)."""
-    theta_half = 0.5 * np.pi * np.linspace(0.0, 1.0, _N_NDF) ** 2
+    """Return the mean value at each theta_half, evenly spaced in u, as two equal rows (2, `_N_NDF_NODES`)."""
+    theta_half = 0.5 * np.pi * np.linspace(0.0, 1.0, _N_NDF_NODES) ** 2
     theta_diff = np.radians([5.0, 20.0, 40.0, 60.0])
     values = evaluate(*np.broadcast_arrays(theta_half[:, None], theta_diff, np.array(np.pi / 2))) @ LUMINANCE
     typical = np.exp(np.mean(np.log(values + 1e-4), axis=1))
@@ -69,27 +71,27 @@ def _ndf(evaluate: Evaluate) -> Array:
 
 
 def _slice(evaluate: Evaluate, ndf: Array, theta_i: float) -> tuple[Array, Array, Array]:
-    """Tables vndf, luminance (S, S) and rgb (3, S, S) of one angle."""
+    """Return the tables vndf, luminance (S, S) and rgb (3, S, S) for one angle theta_i."""
     v, u = (part.ravel() for part in np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in _VNDF_SHAPE), indexing="ij"))
     reflected, jacobian = _reflected(evaluate, theta_i, u, v)
     density = ((reflected @ LUMINANCE) * jacobian).reshape(_VNDF_SHAPE)
     mean = density.mean()
-    # In u the solid angle is proportional to u sin(theta_half): half vectors evenly over the hemisphere.
+    # In u, half vectors that are uniform on the hemisphere have a density proportional to u sin(theta_half).
     even = (u * np.sin(0.5 * np.pi * u * u)).reshape(_VNDF_SHAPE)
-    density = density + max(mean, 1e-12) * _LEAST * (1.0 + even / even.mean())
+    density = density + max(mean, 1e-12) * _UNIFORM_DENSITY_WEIGHT * (1.0 + even / even.mean())
     warp = Warp.of(density)
-    side = np.linspace(0.0, 1.0, _N_SAMPLES)
+    side = np.linspace(0.0, 1.0, _N_TABLE_NODES)
     rows, columns = (part.ravel() for part in np.meshgrid(side, side, indexing="ij"))
     u, v = warp.sample(columns, rows)
     reflected, jacobian = _reflected(evaluate, theta_i, u, v)
-    rgb = (reflected / bilinear(ndf, u, v)[:, None]).T.reshape(3, _N_SAMPLES, _N_SAMPLES)
+    rgb = (reflected / bilinear(ndf, u, v)[:, None]).T.reshape(3, _N_TABLE_NODES, _N_TABLE_NODES)
     left = (reflected @ LUMINANCE) * jacobian / bilinear(warp.density, u, v)
-    luminance = left.reshape(_N_SAMPLES, _N_SAMPLES)
+    luminance = left.reshape(_N_TABLE_NODES, _N_TABLE_NODES)
     return density, luminance + 1e-3 * max(float(luminance.mean()), 1e-12), rgb
 
 
 def _reflected(evaluate: Evaluate, theta_i: float, u: Array, v: Array) -> tuple[Array, Array]:
-    """``f cos(theta_out)`` (n, 3) of half vectors, and the solid angle of the second direction for a du dv (n,)."""
+    """Return ``f cos(theta_out)`` (n, 3) at half vectors, and the second direction's solid angle per du dv (n,)."""
     theta_half, azimuth = 0.5 * np.pi * u * u, (2.0 * v - 1.0) * np.pi
     sine = np.sin(theta_half)
     half, first = spherical(theta_half, azimuth), spherical(theta_i, 0.0)
@@ -102,7 +104,7 @@ def _reflected(evaluate: Evaluate, theta_i: float, u: Array, v: Array) -> tuple[
 
 
 WAVELENGTHS = np.arange(400.0, 701.0, 20.0)
-"""Nodes between which spectra are linear, and beyond which they are held [nm]."""
+"""Nodes of spectra, linear between nodes and constant beyond them [nm]."""
 _RED = [0.0574, 0.0537, 0.0299, 0.0047, 0, 0, 0, 0, 0, 0.1347, 0.7972, 1, 1, 1, 1, 1]
 _GREEN = [0, 0, 0, 0, 0.2587, 0.7471, 1, 1, 1, 0.7935, 0.2002, 0, 0, 0, 0, 0]
 SPECTRA = np.array([_RED, _GREEN, 1.0 - np.add(_RED, _GREEN)])

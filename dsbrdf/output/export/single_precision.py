@@ -1,6 +1,6 @@
-"""The parameters of a model as cubic polynomials for programs that compute in single precision, in Bernstein's form.
+"""Convert a model's parameters to cubic polynomials in Bernstein's form, for programs in single precision.
 
-In that form a polynomial is a mean of its four coefficients, with weights that are never negative: nothing cancels.
+In this form a polynomial is a mean of its four coefficients, with weights that are never negative: nothing cancels.
 """
 
 from collections.abc import Mapping
@@ -12,11 +12,11 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.splines import pieces_of
 
-_LARGEST = 3e38  # in single precision
+_MAX_SINGLE = 3e38  # A larger number overflows single precision.
 
 
 def literal(value: float) -> str:
-    """Return a number in single precision as shaders write it."""
+    """Return a number as a literal of GLSL in single precision."""
     text = str(np.float32(value)) if abs(value) > 1e-37 else "0.0"
     return text if "." in text or "e" in text else text + ".0"
 
@@ -48,15 +48,15 @@ def bernstein_pieces(model: DSBRDF, program: str) -> tuple[Array, Array]:
     breaks, terms = model.pieces
     rows = np.concatenate([terms, _delta_terms(model, breaks)], axis=1)
     largest = max(model.amplitude.max(initial=0.0), model.gamma.max(initial=0.0), np.abs(rows).max(initial=0.0))
-    if largest > _LARGEST:
+    if largest > _MAX_SINGLE:
         raise InvalidArgumentError(f"a parameter of the model is too large for {program}, which has single precision")
     return breaks, _bernstein(rows, np.diff(breaks))
 
 
 def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
-    """Return what each control value of a parameter adds to the Bernstein coefficients, (D, P, 4), by its name.
+    """Return the Bernstein coefficients (D, P, 4) of a unit control value, by the parameter's name.
 
-    The coefficients of a row of `bernstein_pieces` are its control values, on the row's scale, times these.
+    The coefficients of a row of `bernstein_pieces` are its control values, on the row's scale, times these bases.
     """
     breaks, _ = model.pieces
     knots = dict.fromkeys(("kappa", "gamma", "center"), model.shape_theta_diff)
@@ -70,14 +70,14 @@ def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
 
 
 def _bernstein(terms: Array, width: Array) -> Array:
-    """Bernstein coefficients (R, P, 4) over a whole piece of polynomials (4, R, P), the highest power first."""
+    """Return the Bernstein coefficients (R, P, 4) of polynomials (4, R, P), the highest power first."""
     cubic, square, slope, level = (term * width**power for term, power in zip(terms, (3, 2, 1, 0), strict=True))
     first, second = level + slope / 3.0, level + (2.0 * slope + square) / 3.0
     return np.stack([level, first, second, level + slope + square + cubic], axis=-1)
 
 
 def _delta_terms(model: DSBRDF, breaks: Array) -> Array:
-    """The delta term of the paper's model as polynomials, shape (4, 3, P)."""
+    """Return the delta term of the paper's model as polynomials (4, 3, P)."""
     at = np.stack([np.interp(breaks, model.theta_diff, row) for row in model.delta])
     slope = np.diff(at, axis=1) / np.diff(breaks)
     return np.stack([np.zeros_like(slope), np.zeros_like(slope), slope, at[:, :-1]])

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 import dsbrdf
 from dsbrdf import FitResult, ScatteredSamples
 from dsbrdf.data import half_difference, spherical
-from dsbrdf.output.sample_figures import NEAR, samples_figure, samples_residual_figure
+from dsbrdf.output.sample_figures import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
 
 pytestmark = pytest.mark.slow
 
@@ -37,7 +37,7 @@ def test_samples_near_slices_and_planes_are_drawn_with_the_fit(
     theta_half, theta_diff, _ = np.degrees(half_difference(samples.omega_in, samples.omega_out))
     for ax in slices:
         place = float(ax.get_title().partition(" = ")[2].partition("°")[0])
-        near = np.abs(theta_diff - place) <= NEAR
+        near = np.abs(theta_diff - place) <= MAX_DRAWN_DISTANCE_DEG
         assert near.sum() > 10
         np.testing.assert_allclose(
             np.asarray(ax.lines[0].get_xydata()), np.stack([theta_half, samples.values[:, 0]], 1)[near]
