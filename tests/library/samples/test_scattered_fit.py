@@ -279,6 +279,6 @@ def test_errors_that_matter_are_named(truth: dsbrdf.DSBRDF) -> None:
 
     assert not said(0.1, 0.15, 0.09)
     assert not said(0.001, 0.01, 0.01)
-    assert "left out of a fit relative_rms is 0.6, at those of the fit 0.1" in said(0.1, 0.6, 0.01)[0]
+    assert "is 0.1 at the samples of the fit, but 0.6 at samples held out" in said(0.1, 0.6, 0.01)[0]
     assert "Over all directions the error is probably below 20%" in said(0.1, 0.1, 0.2)[0]
     assert "The model misses the samples by 90% of their size" in said(0.9, 0.9, 0.01)[0]
