@@ -17,7 +17,7 @@ FOLDERS = (".ci", "benchmarks", "docker", "docs", "dsbrdf", "examples", "service
 SUFFIXES = {".py", ".js", ".css", ".ts", ".html", ".sh", ".conf", ".yaml", ".yml", ""}
 SKIPPED_FOLDERS = {"__pycache__", "_build", "generated", "stored", "cases"}
 NOT_YET_CLEAN = (
-    *(f"dsbrdf/{wing}/" for wing in ("fitting", "model", "rendering")),
+    *(f"dsbrdf/{wing}/" for wing in ("fitting",)),
     "service/dsbrdf_service/http/page/",
 )
 

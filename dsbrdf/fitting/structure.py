@@ -18,7 +18,7 @@ import numpy as np
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.grid import THETA_HALF
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
+from dsbrdf.model.lobe_families import FAMILIES, MAX_CENTER
 from dsbrdf.model.lobes import fall_to_half, reach_of_width, width_of_reach
 from dsbrdf.model.splines import n_control_values, spline_basis
 
@@ -27,7 +27,7 @@ LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
 KAPPA_BOUNDS = (1e-2, 10.0)
 REACH_BOUNDS = (4e-6, 70.0)
 """From a sixth of a degree, about the narrowest peak that the grid resolves, to flat."""
-OFFSET_BOUNDS = (-1.0, LARGEST_CENTER)
+OFFSET_BOUNDS = (-1.0, MAX_CENTER)
 """From a cusp to a ring at the horizon [rad]."""
 ELONGATION_BOUNDS = (-2.0, 10.0)
 MAX_CUSP_OFFSET = 0.25

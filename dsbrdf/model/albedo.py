@@ -1,15 +1,15 @@
-"""Directional albedo by quadrature over half vectors.
+"""Compute the directional albedo by quadrature over half vectors.
 
     rho(omega_out) = integral f(omega_in, omega_out) cos(theta_in) d omega_in,
     d omega_in = 4 cos(theta_diff) d omega_half.
 
-In half vectors even a specular spike is smooth on a scale that is known beforehand: its width in theta_half.
-The nodes in theta_half are graded towards 0 for it. In the azimuth the domain of integration ends where omega_in
-reaches the horizon, which is known in closed form.
+In half vectors even a specular spike is smooth on the scale of its width in theta_half, so the nodes in theta_half are
+graded towards 0. In the azimuth, the domain of integration ends at an angle in closed form, where omega_in reaches the
+horizon.
 
-The paper's model has a kink at each of its slices. The azimuth is cut where theta_diff passes such a knot, again in
-closed form, and theta_half where the first or the last azimuth does; between the cuts all is smooth. A spline is
-smooth enough without.
+The paper's model has a kink at each of its slices. The azimuth is cut in closed form where theta_diff passes a slice,
+and theta_half is cut where a slice enters or leaves the range of azimuths; the integrand is smooth between the cuts.
+A spline needs no cuts.
 """
 
 from typing import NamedTuple
@@ -19,19 +19,19 @@ import numpy as np
 from dsbrdf.arrays import Array, Evaluate, Indices
 from dsbrdf.data.grid import CENTER_CUTOFF
 
-_SMOOTH = np.zeros(0)
+_NO_KNOTS = np.zeros(0)
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-# Panel ends that resolve a spike a hundredth of a degree wide, and the edge of the delta term.
-_FINE = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
-_WIDTH = np.radians(4.0)  # of the other panels
-# Panel ends in the part of the circle where omega_in is above the horizon; theta_diff turns fastest near azimuth 0, and
-# an elongated lobe has its ridge a quarter turn from the plane of incidence.
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
+# These panel ends resolve a spike with a width of 0.01 degrees, and the edge of the delta term.
+_FINE_PANEL_ENDS = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
+_PANEL_WIDTH = np.radians(4.0)  # width of the other panels
+# Ends of panels, as fractions of the azimuths with omega_in above the horizon. Panels are short near azimuth 0, where
+# theta_diff changes fastest, and an elongated lobe has its ridge a quarter turn from the plane of incidence.
 _AZIMUTH_ENDS = np.array([0.0, 0.2, 0.5, 1.0])
 
 
-def directional_albedo(evaluate: Evaluate, theta_out: Array, knots: Array = _SMOOTH) -> Array:
-    """Directional albedo (..., 3) of a reciprocal isotropic BRDF at angles theta_out (...) to the normal [rad].
+def directional_albedo(evaluate: Evaluate, theta_out: Array, knots: Array = _NO_KNOTS) -> Array:
+    """Return the directional albedo (..., 3) of a reciprocal isotropic BRDF at angles theta_out (...) [rad].
 
     `evaluate` need not be smooth where theta_diff is one of the `knots` (D,) [rad]. The relative error is below 1e-5
     for lobes about the normal wider than a hundredth of a degree, and below 5e-4 for ring lobes wider than two.
@@ -42,27 +42,27 @@ def directional_albedo(evaluate: Evaluate, theta_out: Array, knots: Array = _SMO
 
 
 class HalfVectorRule(NamedTuple):
-    """Nodes for integrals over omega_in, each of shape (n,); angles in radians."""
+    """Hold nodes (n,) for integrals over omega_in, with angles in radians."""
 
     theta_half: Array
     theta_diff: Array
     phi_diff: Array
-    azimuth: Array  # of the half vector, from omega_out: half the circle stands for all of it
-    cos_in: Array  # zero or positive
-    weight: Array  # of the integral of f cos(theta_in) d omega_in [sr]
+    azimuth: Array  # azimuth from omega_out to the half vector, over half of the circle
+    cos_in: Array  # not negative
+    weight: Array  # weight in the integral of f cos(theta_in) d omega_in [sr]
 
 
-def half_vector_rule(theta_out: float, knots: Array = _SMOOTH) -> HalfVectorRule:
-    """Nodes in half vectors for integrals over the hemisphere of omega_in; knots as for `directional_albedo`."""
+def half_vector_rule(theta_out: float, knots: Array = _NO_KNOTS) -> HalfVectorRule:
+    """Return nodes for integrals over the hemisphere of omega_in; knots as for `directional_albedo`."""
     theta_half, weight = _half_angle_rule(theta_out, knots)
     row, phi, phi_weight = _azimuth_rule(theta_half, theta_out, knots)
     theta_half, weight = theta_half[row, None], weight[row, None]
     cos_diff = np.cos(theta_out) * np.cos(theta_half) + np.sin(theta_out) * np.sin(theta_half) * np.cos(phi)
     cos_in = np.maximum(2.0 * cos_diff * np.cos(theta_half) - np.cos(theta_out), 0.0)
-    # The azimuth runs over half the circle: the other half is its mirror image.
+    # The azimuth runs over half of the circle; the other half is its mirror image.
     measure = 2.0 * weight * phi_weight * np.sin(theta_half) * 4.0 * cos_diff * cos_in
     theta_diff = np.arccos(np.clip(cos_diff, 0.0, 1.0))
-    # cos_out = cos(theta_half) cos(theta_diff) + sin(theta_half) sin(theta_diff) cos(phi_diff)
+    # Solve cos_out = cos(theta_half) cos(theta_diff) + sin(theta_half) sin(theta_diff) cos(phi_diff) for phi_diff.
     swing = np.sin(theta_half) * np.sin(theta_diff)
     cos_phi = (np.cos(theta_out) - np.cos(theta_half) * cos_diff) / np.where(swing > 0.0, swing, np.inf)
     phi_diff = np.arccos(np.clip(cos_phi, -1.0, 1.0))
@@ -71,25 +71,25 @@ def half_vector_rule(theta_out: float, knots: Array = _SMOOTH) -> HalfVectorRule
 
 
 def _half_angle_rule(theta_out: float, knots: Array) -> tuple[Array, Array]:
-    """Composite Gauss-Legendre nodes and weights in theta_half.
+    """Return composite Gauss-Legendre nodes and weights in theta_half.
 
     The panels end where the azimuth range starts to shrink, where it is empty, and where a knot enters or leaves it.
     There it behaves like a square root, so the nodes of a panel are placed by s*s*(3 - 2 s), which flattens both ends.
     """
     shrinks, ends = 0.5 * (np.pi / 2 - theta_out), 0.5 * (np.pi / 2 + theta_out)
-    even = np.arange(_FINE[-1], ends, _WIDTH)
-    # A knot enters at theta_diff = |theta_half - theta_out|, opposite the normal it leaves at their sum.
+    even = np.arange(_FINE_PANEL_ENDS[-1], ends, _PANEL_WIDTH)
+    # A knot enters at theta_diff = |theta_half - theta_out|, and leaves at theta_diff = theta_half + theta_out.
     kinks = np.concatenate([np.abs(theta_out - knots), theta_out + knots])
-    breaks = np.unique(np.concatenate([[0.0], _FINE, even, kinks, [shrinks, ends]]))
+    breaks = np.unique(np.concatenate([[0.0], _FINE_PANEL_ENDS, even, kinks, [shrinks, ends]]))
     breaks = breaks[breaks <= ends]
-    s = 0.5 * (1.0 + _NODES)
+    s = 0.5 * (1.0 + _GAUSS_NODES)
     place, slope = s * s * (3.0 - 2.0 * s), 3.0 * s * (1.0 - s)
     length = np.diff(breaks)[:, None]
-    return (breaks[:-1, None] + length * place).ravel(), (length * slope * _WEIGHTS).ravel()
+    return (breaks[:-1, None] + length * place).ravel(), (length * slope * _GAUSS_WEIGHTS).ravel()
 
 
 def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[Indices, Array, Array]:
-    """Composite Gauss-Legendre rule in the azimuth of each theta_half, cut at the knots.
+    """Return a composite Gauss-Legendre rule in the azimuth of each theta_half, cut at the knots.
 
     Returns the index of the theta_half to which each panel belongs, and azimuths and weights, each (panels, nodes).
     """
@@ -102,11 +102,11 @@ def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[In
     length = np.diff(ends, axis=1)
     row, panel = np.nonzero(length > 1e-12)
     start, length = ends[row, panel, None], length[row, panel, None]
-    return row, start + 0.5 * length * (1.0 + _NODES), 0.5 * length * _WEIGHTS
+    return row, start + 0.5 * length * (1.0 + _GAUSS_NODES), 0.5 * length * _GAUSS_WEIGHTS
 
 
 def last_azimuth(theta_half: Array, theta_out: float) -> Array:
-    """Largest azimuth of the half vector from omega_out at which omega_in is above the horizon."""
+    """Return the largest azimuth of the half vector from omega_out with omega_in above the horizon."""
     down = np.cos(theta_out) * np.cos(2.0 * theta_half)
     across = np.sin(theta_out) * np.sin(2.0 * theta_half)
     ratio = np.where(across > np.abs(down), down / np.where(across > 0, across, 1.0), np.sign(down))

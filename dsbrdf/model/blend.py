@@ -1,4 +1,4 @@
-"""Materials between two others."""
+"""Blend two materials."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,19 +12,19 @@ from dsbrdf.model.reflectance import RenderableModel
 
 @dataclass(frozen=True)
 class Blend(RenderableModel):
-    """The geometric mean ``first**(1 - t) second**t`` of two models."""
+    """Evaluate the geometric mean ``first**(1 - t) second**t`` of two models."""
 
     first: RenderableModel
     second: RenderableModel
     t: float
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
+        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
         angles = theta_half, theta_diff, phi_diff
         return self._mean(self.first.evaluate_unmasked(*angles), self.second.evaluate_unmasked(*angles))
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
+        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
         axes = theta_half, theta_diff, phi_diff
         return map(self._mean, self.first.evaluate_grid(*axes), self.second.evaluate_grid(*axes))
 
@@ -38,7 +38,7 @@ class Blend(RenderableModel):
 
 
 def blend(a: RenderableModel, b: RenderableModel, t: float) -> Blend:
-    """Return a material between two.
+    """Return a material between two materials.
 
     Values are geometric means. Between a polished and a rough surface lies one highlight of medium width, where the
     arithmetic mean would show two. Values stay positive and reciprocal; the albedo is at most the arithmetic mean of
@@ -48,12 +48,12 @@ def blend(a: RenderableModel, b: RenderableModel, t: float) -> Blend:
     ----------
     a, b : DSBRDF, LayeredModel or Blend
     t : float
-        From 0, which is `a`, to 1, which is `b`.
+        Position of the blend, from 0 (`a`) to 1 (`b`).
 
     Raises
     ------
     InvalidArgumentError
-        If t is out of range or an end is no model.
+        If t is out of range, or `a` or `b` is not a model.
     """
     for end in (a, b):
         if not isinstance(end, RenderableModel):

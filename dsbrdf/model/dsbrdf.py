@@ -1,11 +1,11 @@
-"""The Directional Statistics BRDF model: mixtures of lobes whose parameters vary with theta_diff.
+"""Define the Directional Statistics BRDF model: mixtures of lobes whose parameters vary with theta_diff.
 
     f_c = sum_k amplitude_ck(theta_diff) s_k(theta'_k) + delta_c(theta_diff) [theta_half < 1 degree]
 
 with lobes s_k of height 1 (`dsbrdf.model.lobes`) whose shape is kappa_k, gamma_k and center_k, and theta'_k the angle
-theta_half stretched by elongation_k. The shapes belong to all channels, so that a lobe has a colour, its amplitude;
-or, in the paper's model, to each channel. The paper's lobe exp(kappa cos(theta_half)**gamma) - 1 is that of
-amplitude expm1(kappa) (Nishino 2009, eqs. 3 and 5); the delta term is the paper's too (section 6).
+theta_half stretched by elongation_k. All channels have the same shapes, so that the amplitude of a lobe is its
+colour; in the paper's model, each channel has its own shapes. The paper's lobe exp(kappa cos(theta_half)**gamma) - 1
+has the amplitude expm1(kappa) (Nishino 2009, eqs. 3 and 5); the delta term is from section 6 of the paper.
 
 Every term is non-negative, continuous where the delta term is 0, and does not change when the two directions change
 places.
@@ -25,21 +25,22 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.evaluation import Evaluator
-from dsbrdf.model.lobe_families import FAMILIES, LARGEST_CENTER
+from dsbrdf.model.lobe_families import FAMILIES, MAX_CENTER
 from dsbrdf.model.reflectance import RenderableModel, check_angle
 from dsbrdf.model.splines import n_control_values
 
 TEXTS = ("interpolation", "lobe")
-"""Attributes of a model that are texts; the others are arrays."""
+"""Attributes of a model that are texts; all other attributes are arrays."""
 INTERPOLATIONS = ("linear", "spline")
-"""How parameters run between knots, see `DSBRDF`."""
-_LARGEST = {"amplitude": 1e300, "kappa": 700.0, "gamma": 1e100, "delta": 1e300}
-_LARGEST_ELONGATION = 10.0
+"""Interpolations of parameters between knots, see `DSBRDF`."""
+# Beyond these values, the formula may overflow.
+_MAX_PARAMETERS = {"amplitude": 1e300, "kappa": 700.0, "gamma": 1e100, "delta": 1e300}
+_MAX_ELONGATION = 10.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DSBRDF(RenderableModel):
-    """A fitted model of an isotropic BRDF.
+    """Evaluate, sample and store a fitted model of an isotropic BRDF.
 
     Attributes
     ----------
@@ -131,7 +132,7 @@ class DSBRDF(RenderableModel):
                 raise InvalidArgumentError(f"every {name} must be finite")
 
     def _check_ranges(self) -> None:
-        """Raise InvalidArgumentError where the formula cannot work with a number."""
+        """Raise InvalidArgumentError if the formula is not defined for a parameter."""
         if not np.all(self.kappa > 0):
             raise InvalidArgumentError("every kappa must be positive")
         for name in ("amplitude", "gamma", "delta"):
@@ -140,15 +141,13 @@ class DSBRDF(RenderableModel):
                 raise InvalidArgumentError(f"every {name} must be positive for a spline, which is one of its logarithm")
             if lowest < 0:
                 raise InvalidArgumentError(f"every {name} must be zero or positive")
-        for name, largest in _LARGEST.items():
+        for name, largest in _MAX_PARAMETERS.items():
             if getattr(self, name).max(initial=0.0) > largest:
                 raise InvalidArgumentError(f"no {name} may exceed {largest:g}: values would leave the range of numbers")
-        if np.abs(self.center).max(initial=0.0) > LARGEST_CENTER:
-            raise InvalidArgumentError(
-                f"every center must lie between -{LARGEST_CENTER:g} and {LARGEST_CENTER:g} radians"
-            )
-        if np.abs(self.elongation).max(initial=0.0) > _LARGEST_ELONGATION:
-            raise InvalidArgumentError(f"every elongation must lie between -{_LARGEST_ELONGATION:g} and its opposite")
+        if np.abs(self.center).max(initial=0.0) > MAX_CENTER:
+            raise InvalidArgumentError(f"every center must lie between -{MAX_CENTER:g} and {MAX_CENTER:g} radians")
+        if np.abs(self.elongation).max(initial=0.0) > _MAX_ELONGATION:
+            raise InvalidArgumentError(f"every elongation must lie between -{_MAX_ELONGATION:g} and its opposite")
 
     @property
     def n_lobes(self) -> int:
@@ -157,14 +156,14 @@ class DSBRDF(RenderableModel):
 
     @property
     def n_numbers(self) -> int:
-        """How many numbers the model stores, knots apart; centers, elongations and deltas count where one is not 0."""
+        """Number of stored parameters without knots; centers, elongations and deltas count unless all are 0."""
         rings = int(np.count_nonzero(self.is_ring))
         stored = self.amplitude.size + self.kappa.size + self.gamma.size + rings * self.center[..., 0:1].size
         return int(stored + sum(array.size for array in (self.elongation, self.delta) if array.any()))
 
     @property
     def is_ring(self) -> Mask:
-        """Lobes whose center is not 0 everywhere, shape (K,)."""
+        """Mask of lobes whose center is not 0 everywhere, shape (K,)."""
         return np.asarray(np.any(self.center != 0.0, axis=(0, 1)))
 
     def __repr__(self) -> str:
@@ -178,7 +177,7 @@ class DSBRDF(RenderableModel):
         return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
     def __hash__(self) -> int:
-        # Adding 0 makes -0 the 0 that it equals.
+        # Adding 0 turns -0 into 0.
         return hash(tuple((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in self._state().values()))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -188,7 +187,7 @@ class DSBRDF(RenderableModel):
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
+        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
         values = self._evaluator.values(theta_half, theta_diff, phi_diff)
         if self._has_delta:
             inside = theta_half < CENTER_CUTOFF
@@ -196,13 +195,13 @@ class DSBRDF(RenderableModel):
         return values
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
+        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
         delta = self._delta_at(theta_diff).T[..., None]
         for angle, values in zip(theta_half, self._evaluator.grid(theta_half, theta_diff, phi_diff), strict=True):
             yield values + delta if angle < CENTER_CUTOFF else values
 
     def parameters_at(self, theta_diff: ArrayLike) -> dict[str, Array]:
-        """Interpolated parameters.
+        """Return interpolated parameters.
 
         Parameters
         ----------
@@ -223,7 +222,7 @@ class DSBRDF(RenderableModel):
 
     @property
     def pieces(self) -> tuple[Array, Array]:
-        """The parameters as P polynomials in theta_diff, without the delta term, for programs that evaluate a model.
+        """Return the parameters as P polynomials in theta_diff, without the delta term, for other programs.
 
         The breaks (P + 1,) are where the pieces begin, and where the last one ends [rad]; theta_diff is held within.
         The terms (4, R, P) are the coefficients of ``(theta_diff - break)**3`` to ``**0``; their R rows are those of
@@ -232,7 +231,7 @@ class DSBRDF(RenderableModel):
         return self._evaluator.pieces
 
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> DSBRDF:
-        """Return the part of the model made of some of its lobes, with or without the delta term."""
+        """Return the model with only some lobes, with or without the delta term."""
         names = ("amplitude", "kappa", "gamma", "center", "elongation")
         chosen = {name: getattr(self, name)[..., list(lobes)] for name in names}
         delta = self.delta if with_delta else np.zeros_like(self.delta)

@@ -1,10 +1,9 @@
-"""Values of a model: at one point in microseconds, at a million without large arrays.
+"""Evaluate a model, quickly at a single point and without large arrays at a million points.
 
-Between two knots every parameter is a cubic polynomial in theta_diff, whose coefficients are found once for a model. A
-few points look their coefficients up one by one, and all lobes of a kind are taken at once. Many points are sorted, a
-block at a time, by the piece between knots that they lie in; there each coefficient is a single number, and the lobes
-are taken one after the other, so that what is computed stays in the cache. Both ways carry out the same operations on
-every point.
+Between two knots every parameter is a cubic polynomial in theta_diff, whose coefficients are computed once for a model.
+A few points look up their coefficients one by one, and all lobes of a kind are evaluated together. Many points are
+sorted, block by block, by their piece between knots; in a piece each coefficient is a single number, and the lobes are
+evaluated in turn, so that intermediate arrays stay in the cache. Both ways do equal operations on every point.
 """
 
 import itertools
@@ -16,13 +15,13 @@ from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.model.lobes import lobe_values, log_cosine
 from dsbrdf.model.splines import pieces_of
 
-_MOST_LOOKED_UP = 512  # points that are quicker looked up than sorted
-_BLOCK = 65536  # points sorted at a time
-_LARGEST_TANGENT = 1e15  # of theta_half = pi/2
+_MAX_LOOKED_UP_POINTS = 512  # More points are sorted, because sorting is then quicker than lookup.
+_SORTED_POINTS = 65536  # Points are sorted in blocks of this size.
+_MAX_TANGENT = 1e15  # tan(theta_half) at pi/2 is clipped to this value.
 
 
 class Evaluator:
-    """The lobes of a model, made ready to be evaluated; safe to use from several threads.
+    """Evaluate the lobes of a model; safe to use from several threads.
 
     Each of three `groups` has knots (B,) and control values (D, R) on the scale that runs as a spline or a line.
     Rows are amplitude (channel, lobe), then kappa, gamma and center (shape, lobe), then elongation (lobe); amplitude,
@@ -35,7 +34,7 @@ class Evaluator:
         if breaks.size == 1:
             breaks = breaks[0] + np.array([0.0, 1.0])
         rows = np.concatenate([pieces_of(*group, breaks, spline=spline) for group in groups], axis=2)
-        self.pieces = breaks, np.ascontiguousarray(rows.transpose(0, 2, 1))  # see `dsbrdf.DSBRDF.pieces`
+        self.pieces = breaks, np.ascontiguousarray(rows.transpose(0, 2, 1))  # `dsbrdf.DSBRDF.pieces` describes them.
         self._breaks, self._terms = self.pieces
         self._n_lobes = n_lobes = is_ring.size
         self._n_shapes, self._family, self._spline, self._is_ring = n_shapes, family, spline, is_ring
@@ -60,20 +59,20 @@ class Evaluator:
         """Return the sum of the lobes, shape (n, 3), at angles (n,)."""
         if self._n_lobes == 0:
             return np.zeros((theta_half.size, 3))
-        tangent = np.minimum(np.tan(theta_half), _LARGEST_TANGENT)
+        tangent = np.minimum(np.tan(theta_half), _MAX_TANGENT)
         squared = np.square(tangent, out=tangent)
-        if theta_half.size <= _MOST_LOOKED_UP:
+        if theta_half.size <= _MAX_LOOKED_UP_POINTS:
             return self._sum(self._looked_up(theta_diff), squared, theta_diff, phi_diff)
         result = np.empty((theta_half.size, 3))
-        for start in range(0, theta_half.size, _BLOCK):
-            block = slice(start, start + _BLOCK)
+        for start in range(0, theta_half.size, _SORTED_POINTS):
+            block = slice(start, start + _SORTED_POINTS)
             self._fill(result[block], squared[block], theta_diff[block], phi_diff[block])
         return result
 
     def grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         """Yield the values (3, D, P) for each angle theta_half at all pairs of angles (D,) and (P,).
 
-        The parameters and the stretch are found once for all of them. Round lobes are the same for every phi_diff.
+        The parameters and the stretch are computed once for all angles. Round lobes do not depend on phi_diff.
         """
         shape = (3, theta_diff.size, phi_diff.size)
         phi_diff = phi_diff[:1] if self._round else phi_diff
@@ -81,7 +80,7 @@ class Evaluator:
         factors = _stretch(elongation.T[:, :, None], theta_diff[:, None], phi_diff)
         values = np.empty((theta_diff.size, self._n_shapes, self._n_lobes, phi_diff.size))
         for angle in theta_half.tolist():
-            squared = min(np.tan(angle), _LARGEST_TANGENT) ** 2
+            squared = min(np.tan(angle), _MAX_TANGENT) ** 2
             for lobe, factor in enumerate(factors):
                 at = squared * factor
                 for channel in range(self._n_shapes):
@@ -89,7 +88,7 @@ class Evaluator:
                     values[:, channel, lobe] = lobe_values(
                         at, kappa[:, channel, lobe, None], gamma[:, channel, lobe, None], ring, self._family
                     )
-            # By channel: the same shapes for all of them, or each one's own.
+            # Shapes are common to all channels, or separate for each channel.
             total = amplitude.reshape(theta_diff.size, self._n_shapes, 3 // self._n_shapes, self._n_lobes) @ values
             yield np.broadcast_to(total.reshape(theta_diff.size, 3, phi_diff.size).transpose(1, 0, 2), shape)
 
@@ -103,25 +102,25 @@ class Evaluator:
             start += count
             if count:
                 steps, angles = step[chosen], theta_diff[chosen]
-                if (angles == angles[0]).all():  # as under one distant light: parameters are found once
+                if (angles == angles[0]).all():  # Under one distant light, all angles are equal.
                     steps, angles = steps[:1], angles[:1]
                 rows = self._rows(self._terms[:, :, index : index + 1], steps)
                 result[chosen] = self._sum(rows, squared[chosen], angles, phi_diff[chosen])
 
     def _place(self, theta_diff: Array) -> tuple[Indices, Array]:
-        """Piece of each angle, and the step from where the piece begins."""
+        """Return the piece of each angle, and the distance from the start of the piece."""
         breaks = self._breaks
         held = np.minimum(np.maximum(theta_diff, breaks[0]), breaks[-1])
         piece = breaks[1:-1].searchsorted(held, side="right")
         return piece, held - breaks[piece]
 
     def _looked_up(self, theta_diff: Array) -> Array:
-        """Rows of parameters at each angle, the terms of each being looked up."""
+        """Return rows of parameters at each angle, with terms looked up for each angle."""
         piece, step = self._place(theta_diff)
         return self._rows(self._terms.take(piece, axis=2), step)
 
     def _rows(self, terms: Array, step: Array) -> Array:
-        """Parameters by the polynomials' terms (4, R, n or 1), where they run as logarithms turned into themselves."""
+        """Return parameters from the polynomials' terms (4, R, n or 1), with logarithms converted to values."""
         rows = terms[0] * step
         for term in terms[1:3]:
             rows += term
@@ -132,7 +131,7 @@ class Evaluator:
         return rows
 
     def _sum(self, rows: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Sum of the lobes, shape (n, 3)."""
+        """Return the sum of the lobes, shape (n, 3)."""
         amplitude, kappa, gamma, center, elongation = map(rows.__getitem__, self._parts)
         k, n_shapes = self._n_lobes, self._n_shapes
         if self._round:
@@ -141,7 +140,7 @@ class Evaluator:
             stretched = squared * _stretch(elongation, theta_diff, phi_diff)
         amplitude, total = amplitude.reshape(3, k, -1), np.zeros((3, squared.size))
         kappa, gamma, center = [part.reshape(n_shapes, k, -1) for part in (kappa, gamma, center)]
-        for lobes in self._runs if squared.size <= _MOST_LOOKED_UP else self._single_lobes:
+        for lobes in self._runs if squared.size <= _MAX_LOOKED_UP_POINTS else self._single_lobes:
             ring = center[:, lobes] if self._is_ring[lobes.start] else None
             values = lobe_values(stretched[lobes], kappa[:, lobes], gamma[:, lobes], ring, self._family)
             total += (amplitude[:, lobes] * values).sum(axis=1)
@@ -149,7 +148,7 @@ class Evaluator:
 
 
 def _stretch(elongation: Array, theta_diff: Array, phi_diff: Array) -> Array:
-    """Factor of the squared tangent of theta_half, see `dsbrdf.model.lobes`."""
+    """Return the factor of tan(theta_half)**2 by an elongation, see `dsbrdf.model.lobes`."""
     cos2 = np.square(np.cos(phi_diff))
     ratio = np.exp(elongation * log_cosine(theta_diff))
     return cos2 / ratio + (1.0 - cos2) * ratio

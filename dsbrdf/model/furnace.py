@@ -1,8 +1,7 @@
-"""White furnace and reciprocity: whether a model returns more light than it receives, and is the same both ways.
+"""Check that a model conserves energy in a white furnace, and that it is reciprocal.
 
-In a furnace whose walls are equally bright everywhere, a surface of albedo rho shows rho times that brightness, and
-one that conserves energy is never brighter than the walls. A reciprocal BRDF does not change when the two directions
-change places.
+In a furnace with uniformly bright walls, a surface of albedo rho shows rho times the brightness of the walls; if it
+conserves energy, it is never brighter than the walls. A reciprocal BRDF is equal for swapped directions.
 """
 
 from __future__ import annotations
@@ -16,22 +15,22 @@ from dsbrdf.data.geometry import random_directions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.sampling import ANGLES
 
-_ANGLES = ANGLES[:-1:2]  # 0 to 87 degrees; at the horizon itself nothing is seen
-_PAIRS = 4096
+_FURNACE_THETA_OUT = ANGLES[:-1:2]  # 0 to 87 degrees; a surface is invisible at the horizon.
+_N_SWAPPED_PAIRS = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class FurnaceReport:
-    """Energy and reciprocity of a model.
+    """Report the energy and the reciprocity of a model.
 
     Attributes
     ----------
     theta_out : ndarray, shape (n,)
         Angles to the normal [rad].
     albedo : ndarray, shape (n, 3)
-        Brightness in the furnace, as a share of the walls', in each channel.
+        Brightness in the furnace, relative to the walls, in each channel.
     reciprocity_error : float
-        Largest difference between values of swapped directions, as a share of the larger.
+        Largest difference between values of swapped directions, relative to the larger value.
     """
 
     theta_out: Array
@@ -40,12 +39,12 @@ class FurnaceReport:
 
     @property
     def largest_albedo(self) -> float:
-        """The largest albedo of all angles and channels; at most 1 where energy is conserved."""
+        """Largest albedo of all angles and channels; at most 1 if energy is conserved."""
         return float(self.albedo.max())
 
     @property
     def conserves_energy(self) -> bool:
-        """Whether no direction returns more than it receives."""
+        """Whether no direction returns more light than it receives."""
         return self.largest_albedo <= 1.0
 
     def __str__(self) -> str:
@@ -61,8 +60,8 @@ class FurnaceReport:
 def white_furnace(model: DSBRDF) -> FurnaceReport:
     """Check the energy and the reciprocity of a model."""
     rng = np.random.default_rng(0)
-    first, second = random_directions(rng, rng.random((2, _PAIRS)))
+    first, second = random_directions(rng, rng.random((2, _N_SWAPPED_PAIRS)))
     values, swapped = model.evaluate_directions(first, second), model.evaluate_directions(second, first)
     scale = np.maximum(np.maximum(values, swapped), np.finfo(float).tiny)
     error = float(np.max(np.abs(values - swapped) / scale))
-    return FurnaceReport(_ANGLES, model.albedo(_ANGLES), error)
+    return FurnaceReport(_FURNACE_THETA_OUT, model.albedo(_FURNACE_THETA_OUT), error)

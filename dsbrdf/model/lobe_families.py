@@ -1,6 +1,6 @@
-"""The families of lobes: how a lobe falls with its offset, the distance of theta' from its center.
+"""Define the families of lobes, functions of the offset: the distance of theta' from the center.
 
-A family is an entry of `FAMILIES`; `dsbrdf.model.lobes` has the formulas, and what they have in common.
+A family is an entry of `FAMILIES`; `dsbrdf.model.lobes` has the formulas and all code common to the families.
 """
 
 from collections.abc import Callable
@@ -13,36 +13,38 @@ from dsbrdf.arrays import Array
 
 Family = Literal["hemi_epd", "student"]
 """Names of the families."""
-LARGEST_CENTER = 1.57
-"""A center is so far from the normal at most [rad]: at pi/2, the horizon, rounding decides the tangent's sign."""
-_LOWEST_LOG = -200.0  # squares of exponentials below need subnormal numbers, which take a hundred times as long
-_LOWEST_SINGLE_LOG = -35.0  # the same in single precision
+MAX_CENTER = 1.57
+"""Maximum distance of a center from the normal [rad]; nearer to pi/2, rounding decides the tangent's sign."""
+_MIN_LOG = -200.0  # Squares of smaller exponentials are slow subnormal numbers.
+_MIN_SINGLE_LOG = -35.0  # This is the limit in single precision.
 
 Slopes = Callable[[], tuple[Array, Array, Array, Array]]
-"""Gives derivatives of lobes: in log kappa, log gamma, the squared tangent of the offset, and that at the top."""
+"""Returns derivatives in log kappa, log gamma, the offset's squared tangent, and this square at the maximum."""
 
 
 @dataclass(frozen=True)
 class LobeFamily:
-    """What defines a family; kappa and gamma are positive, angles in radians."""
+    """Define a family of lobes; kappa and gamma are positive, and angles are in radians."""
 
-    fall_to_half: Callable[[Array], Array]  # gamma times the reach at half the height, of kappa
+    fall_to_half: Callable[[Array], Array]  # gamma times the reach at half height, as a function of kappa
     slope_of_fall: Callable[[Array], Array]  # derivative of the logarithm of `fall_to_half` in log kappa
-    reach: Callable[[Array], Array]  # what gamma is multiplied by at an offset with a squared tangent
+    reach: Callable[[Array], Array]  # the factor of gamma at an offset with a squared tangent
     squared_tangent: Callable[[Array], Array]  # inverse of `reach`
-    slope_of_width: Callable[[Array, Array], Array]  # of the offset in log reach, of a reach and the tangent there
-    largest_tangent: float  # of an offset: beyond it a lobe is constant
-    # Lobes of height 1, and what gives their derivatives, of the squared tangent of the offset, kappa, gamma, and that
-    # square at the normal for lobes that are largest there though it is not 0.
+    slope_of_width: Callable[
+        [Array, Array], Array
+    ]  # derivative of the offset in log reach, from the reach and the tangent
+    largest_tangent: float  # A lobe is constant beyond this tangent of the offset.
+    # The curve returns lobes of height 1 and a function for their derivatives. Its arguments are the offset's squared
+    # tangent, kappa, gamma and, for lobes with their maximum at the normal but not at offset 0, this square there.
     curve: Callable[[Array, Array, Array, Array | None], tuple[Array, Slopes]]
 
 
 def _power(log_power: Array) -> Array:
-    return np.exp(np.maximum(log_power, _LOWEST_LOG if log_power.dtype == np.float64 else _LOWEST_SINGLE_LOG))
+    return np.exp(np.maximum(log_power, _MIN_LOG if log_power.dtype == np.float64 else _MIN_SINGLE_LOG))
 
 
 def _log1p(number: Array, plus_one: Array) -> Array:
-    """Logarithm of ``plus_one``, which is 1 + number but for its rounding; half as long as `numpy.log1p` takes."""
+    """Return log(1 + number) from both terms, in half of the time of `numpy.log1p`."""
     lost = number - (plus_one - 1.0)
     lost /= plus_one
     lost += np.log(plus_one)
@@ -109,7 +111,7 @@ FAMILIES = {
         fall_to_half=_hemi_epd_fall,
         slope_of_fall=_hemi_epd_slope,
         reach=lambda squared_tangent: 0.5 * np.log1p(squared_tangent),
-        squared_tangent=lambda reach: np.expm1(np.minimum(2.0 * reach, -_LOWEST_LOG)),
+        squared_tangent=lambda reach: np.expm1(np.minimum(2.0 * reach, -_MIN_LOG)),
         slope_of_width=lambda reach, tangent: reach / tangent,
         largest_tangent=1e12,
         curve=_hemi_epd_curve,
@@ -119,9 +121,9 @@ FAMILIES = {
         slope_of_fall=_student_slope,
         reach=lambda squared_tangent: squared_tangent,
         squared_tangent=lambda reach: reach,
-        slope_of_width=lambda _, tangent: 0.5 * tangent / (1.0 + tangent**2),  # the reach is the tangent's square
-        largest_tangent=float(np.tan(LARGEST_CENTER)),
+        slope_of_width=lambda _, tangent: 0.5 * tangent / (1.0 + tangent**2),  # The reach is tangent**2.
+        largest_tangent=float(np.tan(MAX_CENTER)),
         curve=_student_curve,
     ),
 }
-"""Known lobes, by name. A new one also needs a name in `Family` and its formula in the exports to GLSL and Mitsuba."""
+"""Families by name; a new family also needs a name in `Family`, and formulas in the GLSL and Mitsuba exports."""

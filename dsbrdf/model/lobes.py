@@ -1,4 +1,4 @@
-"""The lobe of the model in the form that fitting and evaluation share: height 1, with derivatives.
+"""Evaluate lobes of height 1 and their derivatives, for fits and for the model.
 
 A lobe of either family is a decreasing function of the distance of ``theta'`` from its center, divided by its largest
 value, so that its amplitude is its height in 1/sr:
@@ -34,51 +34,51 @@ from dsbrdf.arrays import Array
 from dsbrdf.model.lobe_families import FAMILIES
 
 GRAZING_COSINE = 0.08
-"""The cosine that stretches lobes at theta_diff = 90 degrees, that of 85.4 degrees."""
+"""Cosine that stretches lobes at theta_diff = 90 degrees, equal to cos(85.4 degrees)."""
 
 
 class LobeSlopes(NamedTuple):
-    """Derivatives of lobes of height 1."""
+    """Hold derivatives of lobes of height 1."""
 
     by_log_kappa: Array
     by_log_gamma: Array
-    by_center: Array  # per radian; 0 where no center was given
-    by_squared_tangent: Array  # in tan(theta')**2
+    by_center: Array  # per radian; 0 without a center
+    by_squared_tangent: Array  # derivative in tan(theta')**2
 
 
 def log_cosine(theta_diff: Array) -> Array:
-    """Logarithm of the cosine c that stretches lobes, from 0 at normal incidence to that of `GRAZING_COSINE`."""
+    """Return the logarithm of the cosine c that stretches lobes, from 0 at normal incidence."""
     fourth = GRAZING_COSINE**4
     return np.asarray(0.25 * np.log(fourth + (1.0 - fourth) * np.cos(theta_diff) ** 4))
 
 
 def half_width(kappa: Array, gamma: Array, family: str) -> Array:
-    """Angle from the center at which a lobe has half its height [rad]."""
+    """Return the angle from the center where a lobe has half its height [rad]."""
     return width_of_reach(fall_to_half(kappa, family) / gamma, family)
 
 
 def gamma_of_half_width(width: Array, kappa: Array, family: str) -> Array:
-    """Gamma of a lobe that has half its height at an angle from the center [rad]."""
+    """Return gamma of a lobe with a half width [rad] and kappa."""
     return fall_to_half(kappa, family) / reach_of_width(width, family)
 
 
 def fall_to_half(kappa: Array, family: str) -> Array:
-    """Gamma times the reach at which a lobe has half its height."""
+    """Return gamma times the reach where a lobe has half its height."""
     return FAMILIES[family].fall_to_half(kappa)
 
 
 def reach_of_width(width: Array, family: str) -> Array:
-    """What gamma is multiplied by at an angle from the center [rad]; each family has its own."""
+    """Return the reach, a family's factor of gamma, at an angle from the center [rad]."""
     return np.asarray(FAMILIES[family].reach(np.tan(width) ** 2))
 
 
 def width_of_reach(reach: Array, family: str) -> Array:
-    """Inverse of `reach_of_width` [rad]."""
+    """Return the angle from the center [rad] with a reach, the inverse of `reach_of_width`."""
     return np.asarray(np.arctan(np.sqrt(FAMILIES[family].squared_tangent(reach))))
 
 
 def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str) -> Array:
-    """Values of lobes of height 1, of one of `dsbrdf.model.lobe_families.FAMILIES`.
+    """Return values of lobes of height 1 in a family of `dsbrdf.model.lobe_families.FAMILIES`.
 
     The arguments are ``tan(theta')**2``, kappa and gamma, both positive, and the center [rad], None about the normal.
     """
@@ -88,7 +88,7 @@ def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Arra
 def lobe_curves(
     squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str
 ) -> tuple[Array, Callable[[], LobeSlopes]]:
-    """`lobe_values`, and what gives their derivatives from what was found on the way."""
+    """Return `lobe_values` with a function that returns their derivatives from intermediate results."""
     known = FAMILIES[family]
     if center is None:
         values, slopes = known.curve(squared_tangent, kappa, gamma, None)
@@ -108,7 +108,7 @@ def lobe_curves(
         by_log_kappa, by_log_gamma, by_square, by_top = slopes()
         by_offset = 2.0 * offset * by_square * (offset < known.largest_tangent)
         by_offset /= below * below
-        # At 0 the derivative in the square is infinite.
+        # At 0, the derivative in the square is infinite.
         least = np.sqrt(np.finfo(root.dtype).tiny)
         by_squared_tangent = by_offset * (0.5 + 0.5 * of_ring**2) / np.maximum(root, least)
         by_tangent = 2.0 * of_cusp * by_top - by_offset * (1.0 + squared_tangent * (tangent > 0.0))

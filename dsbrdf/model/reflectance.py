@@ -1,4 +1,4 @@
-"""What every isotropic, reciprocal model of reflectance offers, once it has values at half and difference angles."""
+"""Define the common interface of all isotropic, reciprocal models of reflectance."""
 
 from __future__ import annotations
 
@@ -16,22 +16,24 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
 
-_HORIZON = -1e-12  # a cosine above this is above the horizon, rounding forgiven
+_MIN_COSINE_ABOVE_HORIZON = (
+    -1e-12
+)  # A direction with a smaller cosine is below the horizon; the margin allows for rounding.
 
 
 class ReflectanceModel(ABC):
-    """RGB values of angles and of directions, made of the two methods that a model defines itself."""
+    """Evaluate RGB values at angles and directions by two methods that a model defines."""
 
     @abstractmethod
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values of the formula (n, 3) for angles (n,) that are not checked, below the horizon too [1/sr]."""
+        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
 
     @abstractmethod
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield the formula's values (3, D, P) at each angle theta_half (H,) for all theta_diff (D,), phi_diff (P,)."""
+        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
-        """RGB values (..., 3) [1/sr] at half and difference angles (...) that broadcast.
+        """Return RGB values (..., 3) [1/sr] at half and difference angles (...) that broadcast.
 
         Parameters
         ----------
@@ -50,19 +52,21 @@ class ReflectanceModel(ABC):
         phi_diff = np.asarray(phi_diff, dtype=float)
         if not np.isfinite(phi_diff).all():
             raise InvalidArgumentError("phi_diff must be finite")
-        if not theta_half.shape == theta_diff.shape == phi_diff.shape:  # what follows costs as much as a point
+        if (
+            not theta_half.shape == theta_diff.shape == phi_diff.shape
+        ):  # The broadcast costs as much as the evaluation of a point.
             checked = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
             theta_half, theta_diff, phi_diff = np.broadcast_arrays(*checked)
         flat = theta_half.ravel(), theta_diff.ravel(), phi_diff.ravel()
         values = self.evaluate_unmasked(*flat)
-        if (flat[0] + flat[1] > np.pi / 2).any():  # else both directions are above the horizon for every phi_diff
-            values[np.minimum(*incident_cosines(*flat)) < _HORIZON] = 0.0
+        if (flat[0] + flat[1] > np.pi / 2).any():  # Otherwise no direction is below the horizon.
+            values[np.minimum(*incident_cosines(*flat)) < _MIN_COSINE_ABOVE_HORIZON] = 0.0
         return values.reshape(*theta_half.shape, 3)
 
     def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
-        """RGB values (..., 3) [1/sr] for pairs of unit vectors (..., 3) that broadcast, the normal being (0, 0, 1).
+        """Return RGB values (..., 3) [1/sr] for pairs of unit vectors (..., 3) that broadcast, with normal (0, 0, 1).
 
-        They are 0 where one of the directions is below the horizon (z < 0). Raises InvalidArgumentError if one is not
+        Values are 0 where a direction is below the horizon (z < 0). Raises InvalidArgumentError if a direction is not
         a unit vector.
         """
         first = check_directions("omega_in", omega_in, below_horizon=True)
@@ -75,10 +79,10 @@ class ReflectanceModel(ABC):
         return values
 
     def tabulate(self) -> Array:
-        """Values at the nodes of the measurement grid, shape (3, 90, 90, 180) [1/sr].
+        """Return values at the nodes of the measurement grid, shape (3, 90, 90, 180) [1/sr].
 
-        Nodes below the horizon get the model's value too, so that programs that interpolate in the table meet
-        no marker there.
+        Nodes below the horizon get the model's value too, so that programs can interpolate in the table without
+        special values.
         """
         grid = np.empty((3, THETA_HALF.size, THETA_DIFF.size, PHI_DIFF.size))
         for row, values in enumerate(self.evaluate_grid(THETA_HALF, THETA_DIFF, PHI_DIFF[:QUARTER])):
@@ -88,7 +92,7 @@ class ReflectanceModel(ABC):
 
 
 class RenderableModel(ReflectanceModel):
-    """A whole material: its directional albedo, and directions drawn in proportion to what it reflects."""
+    """Add the directional albedo and importance sampling to a model of a whole material."""
 
     @property
     def kinks(self) -> Array:
@@ -96,7 +100,7 @@ class RenderableModel(ReflectanceModel):
         return np.zeros(0)
 
     def albedo(self, theta_out: ArrayLike) -> Array:
-        """Directional albedo: share of the light from each direction that is reflected, by quadrature.
+        """Return the directional albedo, the reflected fraction of light from each direction, by quadrature.
 
         Parameters
         ----------
@@ -138,7 +142,7 @@ class RenderableModel(ReflectanceModel):
         return Samples(omega_in.reshape(towards.shape), pdf.reshape(towards.shape[:-1]), weight.reshape(towards.shape))
 
     def pdf(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
-        """Density with which `sample` draws omega_in for omega_out.
+        """Return the density with which `sample` draws omega_in for omega_out.
 
         Parameters
         ----------
@@ -148,8 +152,8 @@ class RenderableModel(ReflectanceModel):
         Returns
         -------
         ndarray, shape (...)
-            Per solid angle [1/sr]; 0 where one of the directions is below the horizon. Its integral is the share of
-            the samples that are above the horizon.
+            Per solid angle [1/sr]; 0 where one of the directions is below the horizon. Its integral is the
+            fraction of samples above the horizon.
 
         Raises
         ------
@@ -162,14 +166,14 @@ class RenderableModel(ReflectanceModel):
 
     @cached_property
     def sampler(self) -> DirectionSampler:
-        """The mixture of densities that `sample` draws from, for programs that draw themselves."""
+        """Mixture of densities that `sample` draws from, for programs with their own sampling."""
         return direction_sampler(self.evaluate_unmasked)
 
 
 def check_angle(name: str, angle: ArrayLike) -> Array:
     """Return angles as an array, or raise `InvalidArgumentError` where one does not lie between 0 and pi/2."""
     angle = np.asarray(angle, dtype=float)
-    slack = 1e-6  # degrees converted to radians, and single precision, may round to just above pi/2
+    slack = 1e-6  # Conversions to radians and to single precision may round above pi/2.
     if not ((angle >= 0.0) & (angle <= np.pi / 2 + slack)).all():
         raise InvalidArgumentError(f"{name} must lie between 0 and 90 degrees (0 and pi/2 radians)")
     return np.minimum(angle, np.pi / 2)

@@ -1,4 +1,4 @@
-"""Directions drawn in proportion to what a model reflects, roughly, and the density that they have exactly.
+"""Draw directions roughly in proportion to the reflected light, and compute their exact density.
 
 A direction omega_in is omega_out mirrored at a normal that is drawn from those visible to omega_out of a rough surface,
 GGX with its own roughness along and across the plane of incidence (Walter et al. 2007; Heitz 2018). Or it is drawn in
@@ -11,13 +11,14 @@ omega_out, the density per solid angle of omega_in is
 where a and b are the roughnesses and o is omega_out: the density of visible normals over 4 h . omega_out, free of
 quotients that are undefined at the horizon.
 
-For each theta_out a mixture is put together from `_CANDIDATES` and the cosine, so that the variance of the weights,
+For each theta_out a mixture of `_CANDIDATE_ROUGHNESSES` and the cosine is built, so that the variance of the weights,
 
     integral (f cos(theta_in))**2 / pdf d omega_in,
 
-becomes small: the density that promises to lower it most is added, and the shares of all are improved by
-w_m <- w_m sqrt(integral (f cos)**2 p_m / pdf**2), whose fixed point is the least variance (the function is convex in
-the shares). No share of the cosine is below `LEAST_COSINE_SHARE`, which bounds the weights f cos(theta_in) / pdf.
+becomes small: the density with the steepest decrease is added, and all fractions are improved by
+w_m <- w_m sqrt(integral (f cos)**2 p_m / pdf**2), whose fixed point has the minimum variance (the function is convex in
+the fractions). The minimum fraction of the cosine, `MIN_COSINE_FRACTION`, bounds the weights
+f cos(theta_in) / pdf.
 
 The mixtures are tabulated at `ANGLES`; a direction takes the nearest one, in `sample` and in `pdf` alike, so that both
 agree to rounding.
@@ -34,15 +35,15 @@ from dsbrdf.model.albedo import half_vector_rule
 
 ANGLES = np.radians(np.arange(0.0, 90.5, 1.5))
 """Angles theta_out to the normal at which the mixture is tabulated [rad]."""
-LEAST_COSINE_SHARE = 0.1
-"""Share of the cosine at every angle, so that no weight exceeds ``pi f / LEAST_COSINE_SHARE``."""
+MIN_COSINE_FRACTION = 0.1
+"""Minimum fraction of the cosine in a mixture, so that no weight exceeds ``pi f / MIN_COSINE_FRACTION``."""
 MAX_MIXTURE_ANGLE = np.radians(89.5)
-"""Angle whose mixture serves beyond: at 90 degrees nothing is above the horizon."""
+"""Larger angles use the mixture of this angle [rad]: at 90 degrees, no node of the integral is above the horizon."""
 MIXTURE_PARTS = 6
-"""Parts of a mixture beside the cosine."""
+"""Number of parts of a mixture beside the cosine."""
 LOG_STRETCHES = np.array([-1.0, 0.0, 1.0])
-"""Logarithms of the ratio of the roughness along to the roughness across."""
-_CANDIDATES = np.stack(
+"""Logarithms of the ratio of the roughness along the plane of incidence to the roughness across."""
+_CANDIDATE_ROUGHNESSES = np.stack(
     [np.geomspace(1e-3, 1.0, 14)[:, None] * np.exp(sign * LOG_STRETCHES) for sign in (0.5, -0.5)], axis=-1
 ).reshape(-1, 2)
 START_FRACTION = 0.03
@@ -52,7 +53,7 @@ FRACTION_ITERATIONS = 20
 
 
 class Samples(NamedTuple):
-    """Directions drawn for `dsbrdf.DSBRDF.sample`; a few may be below the horizon (z < 0), with pdf and weight 0."""
+    """Hold directions drawn by `dsbrdf.DSBRDF.sample`; below the horizon (z < 0), pdf and weight are 0."""
 
     omega_in: Array  # unit vectors, (..., 3)
     pdf: Array  # density per solid angle [1/sr], (...)
@@ -61,11 +62,11 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DirectionSampler:
-    """The mixture of M densities beside the cosine at the N angles of `ANGLES`; made by `direction_sampler`."""
+    """Draw from mixtures of M densities and the cosine at the N angles of `ANGLES`; see `direction_sampler`."""
 
-    along: Array  # roughness of the visible normals, (N, M)
-    across: Array  # the same at right angles
-    cumulative: Array  # running sum of the shares, (N, M + 1), the cosine's last
+    along: Array  # roughness of visible normals along the plane of incidence, (N, M)
+    across: Array  # roughness of visible normals across the plane of incidence, (N, M)
+    cumulative: Array  # cumulative sum of the fractions, (N, M + 1); the cosine is last
 
     def sample(self, omega_out: Array, rng: np.random.Generator) -> Array:
         """Draw a direction omega_in for each omega_out, both of shape (n, 3)."""
@@ -83,7 +84,7 @@ class DirectionSampler:
         return omega_in
 
     def pdf(self, omega_in: Array, omega_out: Array) -> Array:
-        """Density per solid angle of omega_in for omega_out, both of shape (n, 3); 0 below the horizon."""
+        """Return the density per solid angle of omega_in for omega_out, both (n, 3); 0 below the horizon."""
         result = np.zeros(len(omega_in))
         above = np.flatnonzero((omega_in[:, 2] > 0.0) & (omega_out[:, 2] > 0.0))
         first, second = omega_in[above], omega_out[above]
@@ -102,30 +103,30 @@ def direction_sampler(evaluate: Evaluate) -> DirectionSampler:
     share = np.zeros((ANGLES.size, MIXTURE_PARTS + 1))
     for row, theta_out in enumerate(ANGLES):
         parts, found = _mixture(min(float(theta_out), MAX_MIXTURE_ANGLE), evaluate)
-        along[row, : len(parts)], across[row, : len(parts)] = _CANDIDATES[parts].T
+        along[row, : len(parts)], across[row, : len(parts)] = _CANDIDATE_ROUGHNESSES[parts].T
         share[row, : len(parts)], share[row, -1] = found[:-1], found[-1]
     cumulative = np.cumsum(share, axis=1)
     return DirectionSampler(along, across, cumulative / cumulative[:, -1:])
 
 
 def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
-    """Indices of the `_CANDIDATES` in the mixture at one angle, and their shares, the cosine's last."""
+    """Return the candidates of the mixture at one angle, and their fractions with the cosine last."""
     rule = half_vector_rule(theta_out)
     used = rule.cos_in > 0.0
     theta_half, azimuth, cos_in = rule.theta_half[used], rule.azimuth[used], rule.cos_in[used]
     half, omega_out = spherical(theta_half, azimuth), spherical([theta_out], 0.0)
     omega_in = 2.0 * (half @ omega_out[0])[:, None] * half - omega_out
-    densities = np.empty((len(_CANDIDATES) + 1, cos_in.size))
+    densities = np.empty((len(_CANDIDATE_ROUGHNESSES) + 1, cos_in.size))
     seen = _in_plane_of_incidence(omega_in, omega_out)
-    for density, (along, across) in zip(densities[:-1], _CANDIDATES, strict=True):
+    for density, (along, across) in zip(densities[:-1], _CANDIDATE_ROUGHNESSES, strict=True):
         density[:] = _mirrored_density(seen, along, across)
     densities[-1] = cos_in / np.pi
     reflected = evaluate(theta_half, rule.theta_diff[used], rule.phi_diff[used]).mean(axis=1) * cos_in
     squared = reflected**2 * rule.weight[used] / cos_in
-    parts, share = [len(_CANDIDATES)], np.ones(1)
+    parts, share = [len(_CANDIDATE_ROUGHNESSES)], np.ones(1)
     for _ in range(MIXTURE_PARTS):
         rest = (1.0 - START_FRACTION) * (share @ densities[parts])
-        # One density after the other stays in the cache of a processor, all of them at once do not.
+        # A single density fits in the processor's cache; all densities together do not.
         variance = np.array([squared @ (1.0 / (rest + START_FRACTION * density)) for density in densities])
         variance[parts] = np.inf
         parts.insert(0, int(np.argmin(variance)))
@@ -135,17 +136,17 @@ def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
 
 
 def _improved(share: Array, densities: Array, squared: Array) -> Array:
-    """Shares (M,) of densities (M, n) with less variance; squared is the integrand (n,), weighted by the rule."""
+    """Return fractions (M,) of densities (M, n) with less variance for the rule's weighted integrand (n,)."""
     for _ in range(FRACTION_ITERATIONS):
         share = share * np.sqrt(densities @ (squared / (share @ densities) ** 2))
         share = share / max(share.sum(), 1e-300)
-        share[:-1] *= min(1.0, (1.0 - LEAST_COSINE_SHARE) / max(share[:-1].sum(), 1e-300))
+        share[:-1] *= min(1.0, (1.0 - MIN_COSINE_FRACTION) / max(share[:-1].sum(), 1e-300))
         share[-1] = 1.0 - share[:-1].sum()
     return share
 
 
 def _in_plane_of_incidence(omega_in: Array, omega_out: Array) -> tuple[Array, ...]:
-    """T_x, T_y, T_z**2, L**2, o_z and o_x of the module's formula, each of shape (n,)."""
+    """Return T_x, T_y, T_z**2, L**2, o_z and o_x of the module's formula, each of shape (n,)."""
     total = omega_in + omega_out
     x, y = _heading(omega_out)
     toward, aside = total[:, 0] * x + total[:, 1] * y, total[:, 1] * x - total[:, 0] * y
@@ -154,7 +155,7 @@ def _in_plane_of_incidence(omega_in: Array, omega_out: Array) -> tuple[Array, ..
 
 
 def _mirrored_density(seen: tuple[Array, ...], along: Array, across: Array) -> Array:
-    """Density per solid angle of omega_in as omega_out mirrored at a visible normal, see the module."""
+    """Return the density per solid angle of omega_in, mirrored at a visible normal, by the module's formula."""
     toward, aside, squared_up, squared_length, height, radius = seen
     slopes = squared_up + (toward / along) ** 2 + (aside / across) ** 2
     visible = height + np.sqrt(height**2 + (along * radius) ** 2)
@@ -162,9 +163,9 @@ def _mirrored_density(seen: tuple[Array, ...], along: Array, across: Array) -> A
 
 
 def _visible_normals(omega_out: Array, along: Array, across: Array, uniform: Array) -> Array:
-    """Normals visible to directions (n, 3), from uniform numbers (2, n), by Dupuy and Benyoub (2023).
+    """Draw normals visible to directions (n, 3) from uniform numbers (2, n), by Dupuy and Benyoub (2023).
 
-    On the unit sphere that the stretched surface is, they are halfway to points spread evenly over a spherical cap.
+    On the unit sphere of the stretched surface, the normals are halfway to points spread evenly over a spherical cap.
     """
     x, y = _heading(omega_out)
     seen = np.stack([along * np.hypot(omega_out[:, 0], omega_out[:, 1]), omega_out[:, 2]])
@@ -177,13 +178,13 @@ def _visible_normals(omega_out: Array, along: Array, across: Array, uniform: Arr
 
 
 def _row(omega_out: Array) -> Indices:
-    """Index in `ANGLES` of the angle nearest to each direction."""
+    """Return the index in `ANGLES` of the angle nearest to each direction."""
     theta = np.arctan2(np.hypot(omega_out[:, 0], omega_out[:, 1]), omega_out[:, 2])
     return np.clip(np.rint(theta / ANGLES[1]), 0, ANGLES.size - 1).astype(np.intp)
 
 
 def _heading(omega: Array) -> tuple[Array, Array]:
-    """Cosine and sine of the azimuth, 1 and 0 along the normal."""
+    """Return cosine and sine of the azimuth; 1 and 0 along the normal."""
     radius = np.hypot(omega[:, 0], omega[:, 1])
     safe = np.where(radius > 0.0, radius, 1.0)
     return np.where(radius > 0.0, omega[:, 0] / safe, 1.0), omega[:, 1] / safe

@@ -1,7 +1,7 @@
-"""How the parameters of the model run over theta_diff.
+"""Interpolate the parameters of the model over theta_diff.
 
-A parameter is a clamped cubic B-spline of its control values: between knots it stays within the range of the control
-values around it, so that a positive one stays positive and nothing overshoots. Knots B make B + 2 control values; a
+A parameter is a clamped cubic B-spline of its control values: between knots it stays within the range of the nearest
+control values, so that a positive parameter stays positive and does not overshoot. Knots B make B + 2 control values; a
 single knot makes a constant. `linear` interpolation, the paper's, has its values at the knots.
 """
 
@@ -11,23 +11,23 @@ from dsbrdf.arrays import Array
 
 DEGREE = 3
 SECOND_DIFFERENCE_WEIGHT = 3e-2
-"""Weight of a squared second difference of control values beside a squared error."""
+"""Weight of a squared second difference of control values, relative to a squared error."""
 
 
 def n_control_values(n_knots: int) -> int:
-    """Number of control values of a spline with this many knots."""
+    """Return the number of control values of a spline from its number of knots."""
     return 1 if n_knots == 1 else n_knots + DEGREE - 1
 
 
 def knot_vector(knots: Array) -> Array:
-    """Knots with both ends repeated, as a clamped spline has them, shape (B + 6,)."""
+    """Return the knots (B + 6,) of a clamped spline, with both ends repeated."""
     return np.concatenate([np.repeat(knots[0], DEGREE), knots, np.repeat(knots[-1], DEGREE)])
 
 
 def spline_basis(knots: Array, theta_diff: Array) -> Array:
-    """Weights (R, D) of the control values in the spline's value at each theta_diff (R,), for knots (B,) [rad].
+    """Return the weights (R, D) of the control values at each theta_diff (R,), for knots (B,) [rad].
 
-    They are not negative, and each row adds up to 1; theta_diff is held at the first and the last knot.
+    Weights are not negative, and each row sums to 1; theta_diff is clipped to the first and the last knot.
     """
     if knots.size == 1:
         return np.ones((theta_diff.size, 1))
@@ -36,9 +36,9 @@ def spline_basis(knots: Array, theta_diff: Array) -> Array:
 
 
 def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Array:
-    """Coefficients (4, P - 1, R) of (theta_diff - break)**3 to **0 on pieces that begin at the breaks (P,).
+    """Return coefficients (4, P - 1, R) of (theta_diff - break)**3 to **0 on pieces that begin at the breaks (P,).
 
-    They are those of R splines with control values (D, R) on knots (B,), or of lines between values (B, R) at the
+    The curves are R splines with control values (D, R) on knots (B,), or lines between values (B, R) at the
     knots. All knots are among the breaks; the last break ends the last piece. Beyond its own knots a curve is constant.
     """
     starts = breaks[:-1]
@@ -54,7 +54,7 @@ def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Ar
         return np.stack([np.zeros_like(level), np.zeros_like(level), slope * inside, level])
     all_knots, terms, factor = knot_vector(knots), [_basis(knot_vector(knots), DEGREE, held) @ values], 1.0
     for order in range(1, DEGREE + 1):
-        # The derivative is a spline of one degree less, over the same knots without the outer two.
+        # The derivative is a spline of one degree less, without the first and the last knot.
         degree = DEGREE - order
         all_knots = all_knots[1:-1]
         spans = all_knots[degree + 1 :] - all_knots[: -degree - 1]
@@ -65,19 +65,19 @@ def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Ar
 
 
 def roughness(n_values: int) -> Array:
-    """Quadratic form of the squared second differences of control values, shape (D, D)."""
+    """Return the quadratic form (D, D) of the squared second differences of control values."""
     second = np.diff(np.eye(n_values), 2, axis=0) if n_values > 2 else np.zeros((0, n_values))
     return np.asarray(second.T @ second)
 
 
 def smooth_control_values(basis: Array, values: Array) -> Array:
-    """Control values (D, n) of smooth splines near values (R, n), the basis being that of their R rows."""
+    """Return control values (D, n) of smooth splines near values (R, n), with the basis (R, D) of their rows."""
     ridge = SECOND_DIFFERENCE_WEIGHT * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
     return np.asarray(np.linalg.solve(basis.T @ basis + ridge, basis.T @ values))
 
 
 def _basis(all_knots: Array, degree: int, at: Array) -> Array:
-    """Values of the B-splines at angles (R,) within the knots, shape (R, D), by the recursion of Cox and de Boor."""
+    """Return values (R, D) of the B-splines at angles (R,) within the knots, by the recursion of Cox and de Boor."""
     n_values = all_knots.size - degree - 1
     piece = np.clip(all_knots.searchsorted(at, side="right") - 1, degree, n_values - 1)
     local = np.ones((at.size, 1))

@@ -1,4 +1,4 @@
-"""Lit spheres, environments, and how far two images are apart."""
+"""Render lit spheres, read environments, and compare images."""
 
 from dsbrdf.rendering.environment import THREE_LIGHTS, EnvironmentMap, read_environment
 from dsbrdf.rendering.image_metrics import displayed, exposure, psnr, ssim

@@ -1,4 +1,4 @@
-"""What shines on a sphere: distant lights, a sky with a window above a ground, or a picture that the user gives.
+"""Define the light on a sphere: distant lights, a sky with a window above a ground, or a user's panorama.
 
 The view looks along -z; x is to the right and y up.
 """
@@ -19,79 +19,83 @@ from dsbrdf.errors import ImageFormatError
 from dsbrdf.extras import require
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""What red, green and blue in linear sRGB count."""
-MAX_RADIANCE = 1e10  # Differences of brighter pixels lose the light of the others.
-_WIDEST = 2048  # pixels of a picture; finer ones are averaged
-_BRIGHT = 16.0  # times the mean: brighter spots are taken for distant lights,
-_SMALL = np.radians(5.0) ** 2  # if they are not larger than this [sr]
-_MOST_LIGHTS = 8
+"""Weights of red, green and blue in the luminance of linear sRGB."""
+MAX_RADIANCE = 1e10  # A brighter pixel is refused, because sums would lose the light of other pixels.
+_MAX_PICTURE_WIDTH_PX = 2048  # Wider pictures are averaged.
+_MIN_LIGHT_RATIO = 16.0  # Small spots brighter than this multiple of the mean become distant lights.
+_MAX_LIGHT_SIZE_SR = np.radians(5.0) ** 2  # Larger spots stay in the picture.
+_MAX_LIGHTS = 8
 
 
 @dataclass(frozen=True)
 class Light:
-    """A distant light: unit vector towards it, and RGB irradiance of a surface that faces it."""
+    """Hold a distant light: unit vector towards it, and RGB irradiance of a surface that faces it."""
 
     direction: tuple[float, ...]
     irradiance: tuple[float, ...]
 
 
 def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
-    """White light at an angle from the view, in the direction of an azimuth from the right [degrees]."""
+    """Make a white light at an angle from the view and an azimuth from the right [degrees]."""
     return Light(tuple(spherical(*np.radians((from_view, azimuth))).tolist()), (irradiance,) * 3)
 
 
 THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
 """Key light from the upper left, fill light from the right, rim light from behind: theta_diff 20, 40 and 70 degrees."""
 SUN = _light(55.0, 132.0, 3.0 * np.pi)
-"""Of the environment: as narrow as the sun is, beside any lobe that can be measured, it is a distant light."""
+"""Sun of the environment, a distant light because the sun is narrower than any measurable lobe."""
 
 
 def _axes(towards: Array) -> Array:
-    """Unit vectors to the right, up and along a direction that is looked in, in rows."""
+    """Return unit vectors to the right of, up from and along a viewing direction, in rows."""
     towards = towards / np.sqrt(towards @ towards)
     across = np.cross(towards, (0.0, 1.0, 0.0))
     across /= np.linalg.norm(across)
     return np.array([across, np.cross(across, towards), towards])
 
 
-# Nothing here is narrower than the nodes of the integral are apart: widths and edges are in radians or slopes.
-_ZENITH, _HORIZON, _GROUND = np.array([0.25, 0.45, 0.9]), np.array([0.9, 0.95, 1.0]), np.array([0.22, 0.19, 0.16])
+# All widths and edges, in radians or slopes, are wider than the spacing of the integral's nodes.
+_ZENITH_COLOR = np.array([0.25, 0.45, 0.9])
+_HORIZON_COLOR = np.array([0.9, 0.95, 1.0])
+_GROUND_COLOR = np.array([0.22, 0.19, 0.16])
 _HORIZON_WIDTH = 0.02
-_WINDOW, _WINDOW_AXES = np.array([3.0, 3.0, 3.0]), _axes(np.array([0.87, 0.13, 0.5]))
-_WINDOW_HALF_SIZE, _WINDOW_EDGE = np.array([0.35, 0.5]), 0.02
+_WINDOW_COLOR = np.array([3.0, 3.0, 3.0])
+_WINDOW_AXES = _axes(np.array([0.87, 0.13, 0.5]))
+_WINDOW_HALF_SIZE = np.array([0.35, 0.5])
+_WINDOW_EDGE_WIDTH = 0.02
 
 
 def environment_radiance(direction: Array) -> Array:
-    """Linear RGB radiance (..., 3) of the environment without its sun: a sky above a ground, and a window.
+    """Return the linear RGB radiance (..., 3) of the environment's sky, ground and window, without its sun.
 
     The directions (..., 3) are unit vectors towards the light; y is up.
     """
     up = direction[..., 1]
-    sky = _HORIZON + (_ZENITH - _HORIZON) * np.clip(up, 0.0, 1.0)[..., np.newaxis] ** 0.6
+    sky = _HORIZON_COLOR + (_ZENITH_COLOR - _HORIZON_COLOR) * np.clip(up, 0.0, 1.0)[..., np.newaxis] ** 0.6
     above = _logistic(up / _HORIZON_WIDTH)
-    radiance = above * sky + (1.0 - above) * _GROUND
+    radiance = above * sky + (1.0 - above) * _GROUND_COLOR
     # The window is a rectangle on the plane at distance 1, at right angles to its direction.
     across, upward, along = np.moveaxis(direction @ _WINDOW_AXES.T, -1, 0)
     ahead = np.maximum(along, 1e-3)
     window = np.where(along > 0.0, 1.0, 0.0)[..., np.newaxis]
     for position, half in zip((across / ahead, upward / ahead), _WINDOW_HALF_SIZE, strict=True):
-        window = window * _logistic((half - np.abs(position)) / _WINDOW_EDGE)
-    return radiance + window * _WINDOW
+        window = window * _logistic((half - np.abs(position)) / _WINDOW_EDGE_WIDTH)
+    return radiance + window * _WINDOW_COLOR
 
 
 def _logistic(x: Array) -> Array:
-    """Soft step from 0 to 1, with an axis for the channels."""
+    """Return a smooth step from 0 to 1, with an axis for the channels."""
     return (0.5 + 0.5 * np.tanh(0.5 * x))[..., np.newaxis]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnvironmentMap:
-    """Light from all around, as a picture shows it; made by `from_pixels` or `read_environment`.
+    """Light a sphere by a panorama; made by `from_pixels` or `read_environment`.
 
     Attributes
     ----------
     pixels : ndarray, shape (height, width, 3)
-        Linear RGB radiance, without what the lights hold; see `from_pixels` for the directions.
+        Linear RGB radiance, without the distant lights; see `from_pixels` for the directions.
     lights : tuple of Light
         The brightest spots.
     """
@@ -106,7 +110,7 @@ class EnvironmentMap:
 
     @classmethod
     def from_pixels(cls, pixels: ArrayLike) -> EnvironmentMap:
-        """Return the environment that a panorama shows.
+        """Return the environment of a panorama.
 
         Parameters
         ----------
@@ -130,10 +134,10 @@ class EnvironmentMap:
             raise ImageFormatError(f"A picture of an environment has values from 0 to {MAX_RADIANCE:g}.")
         if not image.any():
             raise ImageFormatError("The picture of an environment is black.")
-        return cls(*_without_lights(averaged(image, _WIDEST)))
+        return cls(*_without_lights(averaged(image, _MAX_PICTURE_WIDTH_PX)))
 
     def radiance(self, direction: Array) -> Array:
-        """Radiance (..., 3) from unit vectors (..., 3), between the pixels' centres."""
+        """Return the radiance (..., 3) from unit vectors (..., 3), interpolated between pixel centres."""
         height, width, _ = self.pixels.shape
         up = np.arccos(np.clip(direction[..., 1], -1.0, 1.0))
         turn = np.arctan2(direction[..., 0], -direction[..., 2])
@@ -170,12 +174,12 @@ def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
         if file.read(4) != b"v/1\x01":
             raise ImageFormatError("A panorama must be an OpenEXR picture; save it as .exr.")
     require("exr", "OpenEXR", purpose="OpenEXR pictures")
-    import OpenEXR  # type: ignore[import-not-found]  # ships no types
+    import OpenEXR  # type: ignore[import-not-found]  # OpenEXR has no type annotations.
 
     try:
         with OpenEXR.File(str(path)) as picture:
             channels = {name: np.asarray(channel.pixels) for name, channel in picture.channels().items()}
-    except Exception:  # the library raises several kinds, ill-documented
+    except Exception:  # OpenEXR raises several undocumented exceptions.
         raise ImageFormatError("The OpenEXR picture is damaged or cut off.") from None
     pixels = channels.get("RGB", channels.get("RGBA"))
     if pixels is None:
@@ -184,7 +188,7 @@ def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
 
 
 def averaged(image: Array, width: int) -> Array:
-    """Return a picture with at most so many columns, of mean radiance over larger pixels."""
+    """Return a picture with at most `width` columns, by mean radiance over larger pixels."""
     if image.shape[1] <= width:
         return image
     for axis, count in ((0, width // 2), (1, width)):
@@ -199,12 +203,12 @@ def averaged(image: Array, width: int) -> Array:
 
 
 def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
-    """Cut small bright spots down to the level of what surrounds them at most; they become distant lights."""
+    """Turn small bright spots into distant lights, and lower their pixels to the level of their surroundings."""
     height, width, _ = image.shape
     up, turn = (np.arange(height) + 0.5) * np.pi / height, ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * np.pi
     area = (np.sin(up) * np.pi / height * 2.0 * np.pi / width)[:, np.newaxis] * np.ones(width)
     luminance = image @ LUMINANCE
-    level = _BRIGHT * float(np.average(luminance, weights=area))
+    level = _MIN_LIGHT_RATIO * float(np.average(luminance, weights=area))
     spots, count = label(luminance > level)
     if not count:
         return image, ()
@@ -212,9 +216,9 @@ def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
     numbers = np.arange(1, count + 1)
     sizes = np.bincount(spots.ravel(), area.ravel())[1:]
     power = np.bincount(spots.ravel(), (area * surplus * luminance).ravel())[1:]
-    small = numbers[sizes <= _SMALL]
+    small = numbers[sizes <= _MAX_LIGHT_SIZE_SR]
     image, lights = image.copy(), []
-    for number in small[np.argsort(power[small - 1])[::-1][:_MOST_LIGHTS]]:
+    for number in small[np.argsort(power[small - 1])[::-1][:_MAX_LIGHTS]]:
         row, column = np.nonzero(spots == number)
         taken = image[row, column] * surplus[row, column, np.newaxis]
         share = area[row, column, np.newaxis] * taken

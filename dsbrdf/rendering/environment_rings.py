@@ -1,4 +1,4 @@
-"""The integral over light from all around, for every pixel of a sphere.
+"""Integrate light from all directions, for every pixel of a sphere.
 
     radiance(normal) = integral f(omega_in, view) L(omega_in) cos(theta_in) d omega_in,
     d omega_in = 4 cos(theta_diff) d omega_half,
@@ -21,21 +21,20 @@ from dsbrdf.arrays import Array, Evaluate, Indices
 from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.model.albedo import last_azimuth
 
-_SPACING = np.radians(3.5)
-"""Distance of the nodes in half vectors; with what the environment's widths are, an image agrees with that of finer
-nodes to 57 dB."""
-_FEWEST_AZIMUTHS = 8
-_RINGS_AT_ONCE = 16  # keeps their maps in the processor's cache
+_NODE_SPACING = np.radians(3.5)
+"""Distance of the nodes in half vectors; an image of the environment agrees with an image of finer nodes to 57 dB."""
+_MIN_AZIMUTHS = 8
+_RINGS_PER_PASS = 16  # The maps of so many rings fit in the processor's cache.
 
 
 def map_shape(size: int) -> tuple[int, int]:
-    """Polar angles, from 0 to pi, and azimuths of the map of directions for an image of ``size`` pixels a side."""
+    """Return the numbers of polar angles and azimuths of the map of directions for an image size."""
     azimuths = 128 if size <= 64 else 256
     return azimuths // 2 + 1, azimuths
 
 
 def map_directions(size: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Directions of the nodes of the map in the world, or of points a share of their spacing away, shape (P, A, 3)."""
+    """Return directions (P, A, 3) of the map's nodes in the world, shifted by fractions of their spacing."""
     polar_angles, azimuths = map_shape(size)
     polar = ((np.arange(polar_angles) + shift[0]) * np.pi / (polar_angles - 1))[:, np.newaxis]
     azimuth = (np.arange(azimuths) + shift[1]) * 2.0 * np.pi / azimuths
@@ -54,8 +53,8 @@ def environment_rings(normals: Array, size: int) -> Callable[[Evaluate, Array], 
     rings = np.linspace(0.0, tilt.max(), 3 * size // 4)
     nodes = [_ring_nodes(theta) for theta in rings]
     theta_half, theta_diff, phi_diff = np.concatenate([node[:3] for node in nodes], axis=1)
-    groups = range(0, rings.size, _RINGS_AT_ONCE)
-    spreads = [_spread(nodes[start : start + _RINGS_AT_ONCE], shape) for start in groups]
+    groups = range(0, rings.size, _RINGS_PER_PASS)
+    spreads = [_spread(nodes[start : start + _RINGS_PER_PASS], shape) for start in groups]
     position = tilt / rings[-1] * (rings.size - 1), np.arctan2(normals[:, 1], normals[:, 0]) * shape[1] / (2.0 * np.pi)
     to_pixels = _gathering(*_bilinear(*position, (rings.size, shape[1])), rings.size * shape[1])
 
@@ -79,46 +78,46 @@ def environment_rings(normals: Array, size: int) -> Callable[[Evaluate, Array], 
 
 
 def _spread(nodes: list[Array], shape: tuple[int, int]) -> sparse.csc_array:
-    """Weights of the values at the nodes of some rings in the map of each, shape (rings * P * A, nodes)."""
+    """Return the weights (rings * P * A, nodes) of values at the nodes of some rings in each ring's map."""
     ring = np.repeat(np.arange(len(nodes)), [node.shape[1] for node in nodes])
     _, theta_diff, _, azimuth, weight = np.concatenate(nodes, axis=1)
-    # Twice theta_diff is the angle between light and view.
+    # The angle between light and view is twice theta_diff.
     cells, shares = _bilinear(2.0 * theta_diff * (shape[0] - 1) / np.pi, azimuth * shape[1] / (2.0 * np.pi), shape)
     return _gathering(cells + ring * shape[0] * shape[1], shares * weight, len(nodes) * shape[0] * shape[1]).T
 
 
 def _gathering(cells: Indices, shares: Array, count: int) -> sparse.csr_array:
-    """Matrix (N, count) whose row n sums the ``cells[:, n]`` with their shares."""
+    """Return a matrix (N, count) whose row n sums ``cells[:, n]`` with weights."""
     each, points = cells.shape
     starts = np.arange(points + 1) * each
     return sparse.csr_array((shares.T.ravel(), cells.T.ravel(), starts), (points, count))
 
 
 def _ring_nodes(tilt: float) -> Array:
-    """Nodes of the integral for the normal (sin(tilt), 0, cos(tilt)), shape (5, nodes).
+    """Return the nodes (5, n) of the integral for the normal (sin(tilt), 0, cos(tilt)).
 
-    They are theta_half, theta_diff, phi_diff, azimuth of omega_in about the view, and weight, which holds the cosine
+    Rows are theta_half, theta_diff, phi_diff, azimuth of omega_in about the view, and weight, which includes the cosine
     and the solid angle.
     """
-    largest = 0.5 * (np.pi / 2 + tilt)  # theta_half at which omega_in is at the horizon for every azimuth
-    count = int(np.ceil(2.0 * largest / _SPACING))
+    largest = 0.5 * (np.pi / 2 + tilt)  # At this theta_half, omega_in is at the horizon for every azimuth.
+    count = int(np.ceil(2.0 * largest / _NODE_SPACING))
     s = (np.arange(count) + 0.5) / count
-    theta_half, step = largest * s * s, largest * 2.0 * s / count  # crowded towards 0
+    theta_half, step = largest * s * s, largest * 2.0 * s / count  # Nodes are dense near 0.
     last = last_azimuth(theta_half, tilt)
-    number = np.maximum(np.ceil(2.0 * last * np.sin(theta_half) / _SPACING), _FEWEST_AZIMUTHS).astype(np.intp)
+    number = np.maximum(np.ceil(2.0 * last * np.sin(theta_half) / _NODE_SPACING), _MIN_AZIMUTHS).astype(np.intp)
     row = np.repeat(np.arange(count), number)
     within = np.arange(row.size) - np.repeat(np.cumsum(number) - number, number)
     around = last[row] * (2.0 * (within + 0.5) / number[row] - 1.0)
     theta_half, area = theta_half[row], (step * np.sin(theta_half) * 2.0 * last / number)[row]
 
     sin_tilt, cos_tilt = np.sin(tilt), np.cos(tilt)
-    # In the frame with the normal as z axis and the view in the half plane y = 0, x >= 0.
+    # The frame has the normal as z axis and the view in the half plane y = 0, x >= 0.
     half = spherical(theta_half, around)
     omega_out = np.array([sin_tilt, 0.0, cos_tilt])
     cos_diff = half @ omega_out
     omega_in = 2.0 * cos_diff[:, np.newaxis] * half - omega_out
     _, theta_diff, phi_diff = half_difference(omega_in, omega_out)
-    # The world's x axis is the direction in which the normal is tilted.
+    # The normal is tilted towards the world's x axis.
     world_x = sin_tilt * omega_in[:, 2] - cos_tilt * omega_in[:, 0]
     azimuth = np.arctan2(-omega_in[:, 1], world_x)
     weight = 4.0 * cos_diff * np.maximum(omega_in[:, 2], 0.0) * area
@@ -126,7 +125,7 @@ def _ring_nodes(tilt: float) -> Array:
 
 
 def _bilinear(row: Array, column: Array, shape: tuple[int, int]) -> tuple[Indices, Array]:
-    """Flat indices and weights of the four neighbours of each point, shapes (4, N); the columns are periodic."""
+    """Return flat indices and weights (4, N) of the four neighbours of each point; the columns are periodic."""
     low = np.clip(row.astype(np.intp), 0, shape[0] - 2)
     left = np.floor(column).astype(np.intp)
     down, right = row - low, column - left

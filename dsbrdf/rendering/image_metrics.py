@@ -1,6 +1,6 @@
-"""How alike two rendered images look: exposure, tone curve, PSNR and SSIM.
+"""Compare two rendered images by exposure, tone curve, PSNR and SSIM.
 
-All images are linear RGB radiance of shape (height, width, 3) until `displayed` turns them into what a screen shows.
+All images are linear RGB radiance of shape (height, width, 3) until `displayed` turns them into values of a screen.
 """
 
 import numpy as np
@@ -8,29 +8,31 @@ from scipy.ndimage import gaussian_filter
 
 from dsbrdf.arrays import Array, Mask
 
-_BRIGHT = 0.99
-_SIGMA, _RADIUS = 1.5, 5  # The window of Wang et al. (2004): 11 x 11 pixels.
+_EXPOSURE_QUANTILE = 0.99  # An exposure takes this quantile of a sphere's pixels to 1.
+# The window of Wang et al. (2004) has 11 x 11 pixels.
+_WINDOW_SIGMA_PX = 1.5
+_WINDOW_RADIUS_PX = 5
 _C1, _C2 = 0.01**2, 0.03**2
 
 
 def exposure(image: Array, mask: Mask) -> float:
     """Return the factor that takes the 99th percentile of the masked pixels, channels pooled, to 1; 1 if it is black.
 
-    As a rule the image is that of the measurement: what is compared with it gets the same exposure.
+    The image usually shows the measurement; images compared with it get the same exposure.
     """
-    bright = float(np.quantile(image[mask], _BRIGHT))
+    bright = float(np.quantile(image[mask], _EXPOSURE_QUANTILE))
     return 1.0 / bright if bright > 0.0 else 1.0
 
 
 def displayed(image: Array, factor: float = 1.0) -> Array:
-    """Return what a screen shows of radiance (..., 3): times `factor`, clipped to [0, 1], with the sRGB curve."""
+    """Return displayed values of radiance (..., 3): times `factor`, clipped to [0, 1], with the sRGB curve."""
     linear = np.clip(image * factor, 0.0, 1.0)
     curve = 1.055 * np.maximum(linear, 0.0031308) ** (1.0 / 2.4) - 0.055
     return np.where(linear <= 0.0031308, 12.92 * linear, curve)
 
 
 def psnr(reference: Array, image: Array, mask: Mask) -> float:
-    """Peak signal-to-noise ratio of two displayed images, the peak being 1 [dB]; infinite for equal ones.
+    """Return the peak signal-to-noise ratio [dB] of two displayed images with peak 1; infinite for equal images.
 
     The squared error is averaged over the pixels of the mask and the three channels.
     """
@@ -39,7 +41,7 @@ def psnr(reference: Array, image: Array, mask: Mask) -> float:
 
 
 def ssim(reference: Array, image: Array, mask: Mask) -> float:
-    """Structural similarity of two displayed images (Wang et al. 2004), 1 for equal ones.
+    """Return the structural similarity (Wang et al. 2004) of two displayed images; 1 for equal images.
 
     Means, variances and covariance are weighted by a Gaussian window of 11 x 11 pixels, sigma 1.5, in each channel,
     with the constants 0.01**2 and 0.03**2. Windows are averaged whose centres are in the mask; they see all pixels,
@@ -54,5 +56,12 @@ def ssim(reference: Array, image: Array, mask: Mask) -> float:
 
 
 def _windowed(image: Array) -> Array:
-    """Mean over the window about each pixel."""
-    return np.asarray(gaussian_filter(image, (_SIGMA, _SIGMA, 0.0), mode="constant", radius=(_RADIUS, _RADIUS, 0)))
+    """Return the weighted mean over the window about each pixel."""
+    return np.asarray(
+        gaussian_filter(
+            image,
+            (_WINDOW_SIGMA_PX, _WINDOW_SIGMA_PX, 0.0),
+            mode="constant",
+            radius=(_WINDOW_RADIUS_PX, _WINDOW_RADIUS_PX, 0),
+        )
+    )

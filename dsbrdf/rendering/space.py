@@ -1,10 +1,10 @@
-"""The space of materials: how far apart they are as seen, and a map of them (Nishino 2009, section 7).
+"""Map the space of materials by their visual distances (Nishino 2009, section 7).
 
-The paper embeds parameters, which must be those of equally many lobes in equal slices. Here the distance of two
-materials is that of their lit spheres, under three lights and under a sky: any models and measurements can be compared,
-and parameters that nobody sees do not count. Colour and brightness are taken out, as they are in the paper, whose
-coordinates are the shapes of lobes: a sphere's luminance is divided by its mean. Lightness is its cube root, as in CIE
-L*, so that neither highlights nor the dark decide alone.
+The paper embeds parameters, which needs equal numbers of lobes and equal slices. Here the distance of two materials is
+the distance of their lit spheres, under three lights and under a sky: any models and measurements can be compared, and
+invisible parameters have no effect. As in the paper, whose coordinates are the shapes of lobes, colour and brightness
+have no effect: a sphere's luminance is divided by its mean. Lightness is the cube root of luminance, as in CIE L*, so
+that neither highlights nor dark parts dominate.
 """
 
 from collections.abc import Mapping
@@ -19,22 +19,22 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.rendering.sphere import LIGHTINGS, Source, render_sphere, sphere_normals
 
 MEAN_LUMINANCE = 0.2
-"""Luminance of white being 1, that of a sphere in the mean, about that of a white one under three lights."""
+"""Mean luminance of a sphere relative to white, about the luminance of a white sphere under three lights."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-_SIZE = 48  # pixels
-_NEIGHBORS = 7  # The graph of Isomap has at least so many edges at each material.
-_MIN_EDGE = 1e-6  # SciPy takes 1e-8 for no edge.
+_SPHERE_SIZE_PX = 48
+_MIN_NEIGHBORS = 7  # The graph of Isomap has at least this number of edges at each material.
+_MIN_EDGE_LENGTH = 1e-6  # SciPy ignores edges shorter than 1e-8.
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialSpace:
-    """Materials, their distances and their places on a map.
+    """Hold materials, their distances and their places on a map.
 
     Attributes
     ----------
     names : tuple of str
     distance : ndarray, shape (n, n)
-        Root mean square of the difference of the spheres' lightness, that of white being 1.
+        Root mean square of the difference of the spheres' lightness, relative to white.
     places : ndarray, shape (n, 2)
         Coordinates on a map that keeps distances along chains of neighbours; the first grows with gloss.
     """
@@ -44,7 +44,7 @@ class MaterialSpace:
     places: Array
 
     def nearest(self, name: str, count: int = 3) -> list[tuple[str, float]]:
-        """Return the materials nearest to one, each with its likeness [dB], 20 dB being a difference of 0.1.
+        """Return the materials nearest to a material, each with its likeness [dB]; a difference of 0.1 is 20 dB.
 
         Raises InvalidArgumentError if the space has no such name.
         """
@@ -57,7 +57,7 @@ class MaterialSpace:
 
 
 def space(models: Mapping[str, Source]) -> MaterialSpace:
-    """Compare materials as they are seen, and map them.
+    """Compare materials by their lit spheres, and map them.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def space(models: Mapping[str, Source]) -> MaterialSpace:
     Raises
     ------
     InvalidArgumentError
-        If there is none, or one reflects no light.
+        If there are no materials, or a material reflects no light.
     """
     if not models:
         raise InvalidArgumentError("a space needs at least one material")
@@ -78,8 +78,8 @@ def space(models: Mapping[str, Source]) -> MaterialSpace:
 
 def _lightness(name: str, source: Source) -> Array:
     """Return the lightness of a material's spheres under all lightings, shape (pixels,)."""
-    _, mask = sphere_normals(_SIZE)
-    rows = [render_sphere(source, lighting=lighting, size=_SIZE)[mask] @ LUMINANCE for lighting in LIGHTINGS]
+    _, mask = sphere_normals(_SPHERE_SIZE_PX)
+    rows = [render_sphere(source, lighting=lighting, size=_SPHERE_SIZE_PX)[mask] @ LUMINANCE for lighting in LIGHTINGS]
     if not all(row.mean() > 0.0 for row in rows):
         raise InvalidArgumentError(f"{name}: the material reflects no light")
     return np.concatenate([np.cbrt(MEAN_LUMINANCE * row / row.mean()) for row in rows])
@@ -89,9 +89,9 @@ def _places(distance: Array, gloss: Array) -> Array:
     """Return the map (n, 2) of Isomap (Tenenbaum, de Silva and Langford 2000): classical scaling of shortest paths."""
     count = len(distance)
     places = np.zeros((count, 2))
-    for neighbors in range(min(_NEIGHBORS, count - 1), count):  # More of them, if islands are not connected yet.
+    for neighbors in range(min(_MIN_NEIGHBORS, count - 1), count):  # More neighbours connect islands.
         farthest = np.sort(distance, axis=1)[:, neighbors, np.newaxis]
-        graph = np.where(distance <= farthest, np.maximum(distance, _MIN_EDGE), 0.0)
+        graph = np.where(distance <= farthest, np.maximum(distance, _MIN_EDGE_LENGTH), 0.0)
         if connected_components(graph, directed=False)[0] == 1:
             break
     squared = shortest_path(graph, directed=False) ** 2
@@ -99,6 +99,6 @@ def _places(distance: Array, gloss: Array) -> Array:
     sizes, axes = np.linalg.eigh(-0.5 * centered)
     found = (axes * np.sqrt(np.maximum(sizes, 0.0)))[:, ::-1][:, :2]
     places[:, : found.shape[1]] = found
-    # Eigenvectors have no sign of their own.
+    # The sign of an eigenvector is arbitrary.
     reference = np.stack([gloss - gloss.mean(), np.arange(count) - (count - 1) / 2.0], axis=1)
     return places * np.where(np.sum(places * reference, axis=0) < 0.0, -1.0, 1.0)

@@ -1,7 +1,7 @@
-"""Lit spheres: a unit sphere of one material, seen along -z in parallel projection, x to the right and y up.
+"""Render a lit unit sphere of one material, seen along -z in parallel projection, x to the right and y up.
 
-The viewer's direction is (0, 0, 1) at every pixel. Where f is needed depends on the lighting and the size only. It is
-found once, so that an image costs one call of ``evaluate`` and sparse products.
+The viewer's direction is (0, 0, 1) at every pixel. The angles at which f is evaluated depend only on lighting and size.
+They are cached, so that an image costs one call of ``evaluate`` and sparse products.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from dsbrdf.rendering.image_metrics import displayed, exposure, psnr, ssim
 LIGHTINGS = ("three_lights", "environment")
 SIZES = (8, 1024)
 """Smallest and largest number of pixels along a side."""
-_VIEW = np.array([0.0, 0.0, 1.0])
-_PIXELS_AT_NODE = 4  # of a panorama, at most, for each node of the map of directions and axis
+_VIEW_DIRECTION = np.array([0.0, 0.0, 1.0])
+_MAX_PIXELS_PER_NODE = 4  # A finer panorama is averaged to this number of pixels per node of the map, on each axis.
 
 
 Source = Measurement | Reflectance | Evaluate
 
 
 def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lights", size: int = 128) -> Array:
-    """Picture of a lit sphere.
+    """Render a picture of a lit sphere.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
         ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``, such as the result of a fit or a component of
         `decompose`, or such a function.
     lighting : {"three_lights", "environment"} or EnvironmentMap
-        Three distant lights, a sky with sun, ground and window, or what `read_environment` has read.
+        Three distant lights, a sky with sun, ground and window, or an environment from `read_environment`.
     size : int
         Pixels along a side, 8 to 1024; the sphere touches the border.
 
@@ -49,7 +49,7 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
     -------
     ndarray, shape (size, size, 3)
         Linear RGB radiance, the first row at the top; 0 beside the sphere. The functions
-        `dsbrdf.rendering.image_metrics.exposure` and `displayed` turn it into what a screen shows.
+        `dsbrdf.rendering.image_metrics.exposure` and `displayed` turn it into values of a screen.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
 
 
 def sphere_likeness(reference: Array, image: Array) -> tuple[float, float]:
-    """PSNR [dB] and SSIM of two lit spheres of `render_sphere` as a screen shows them; PSNR is infinite for equal ones.
+    """Return PSNR [dB] and SSIM of two displayed spheres of `render_sphere`; PSNR is infinite for equal spheres.
 
     Both get the exposure that takes the 99th percentile of the reference's sphere to 1, are clipped to [0, 1] and get
     the sRGB curve. Only the sphere's pixels count; see `dsbrdf.rendering.image_metrics`.
@@ -92,7 +92,7 @@ def sphere_likeness(reference: Array, image: Array) -> tuple[float, float]:
 
 @lru_cache(maxsize=8)
 def sphere_normals(size: int) -> tuple[Array, Mask]:
-    """Normals of the sphere's N pixels, shape (N, 3), row by row, and which pixels these are, shape (size, size)."""
+    """Return the normals (N, 3) of the sphere's pixels, row by row, and the mask (size, size) of the pixels."""
     across = (np.arange(size) + 0.5) * 2.0 / size - 1.0
     x, y = np.meshgrid(across, -across)
     square = x * x + y * y
@@ -114,7 +114,7 @@ def _evaluator(source: Source) -> Evaluate:
 
 @lru_cache(maxsize=4)
 def _lit(size: int, lights: tuple[Light, ...]) -> tuple[tuple[Array, Array, Array], list[sparse.csr_array]]:
-    """Angles at which distant lights reach the sphere, and by channel what adds the values there to the N pixels."""
+    """Return the angles of distant lights on the sphere, and for each channel the matrix from values to N pixels."""
     normals, _ = sphere_normals(size)
     parts = [_light_angles(normals, light) for light in lights]
     pixel = np.concatenate([lit for lit, _, _ in parts])
@@ -126,19 +126,19 @@ def _lit(size: int, lights: tuple[Light, ...]) -> tuple[tuple[Array, Array, Arra
 
 
 def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:
-    """Pixels that a light reaches (n,), their three angles (3, n) and the irradiance that they receive (n, 3).
+    """Return the pixels (n,) that a light reaches, their angles (3, n) and their irradiance (n, 3).
 
-    Light and view are the same everywhere, and so are their half vector and theta_diff. What is left are the polar
-    coordinates of the normal about the half vector: theta_half, and phi_diff from the plane of light and view.
+    Light and view are constant over the sphere, and so are their half vector and theta_diff. The polar coordinates of
+    the normal about the half vector are theta_half, and phi_diff from the plane of light and view.
     """
     direction = np.array(light.direction)
     cosine = normals @ direction
     lit = np.flatnonzero(cosine > 0.0)
-    half = (direction + _VIEW) / np.linalg.norm(direction + _VIEW)
+    half = (direction + _VIEW_DIRECTION) / np.linalg.norm(direction + _VIEW_DIRECTION)
     cos_diff = float(direction @ half)
-    across = np.cross(_VIEW, half) if cos_diff < 1.0 - 1e-12 else np.array([1.0, 0.0, 0.0])
+    across = np.cross(_VIEW_DIRECTION, half) if cos_diff < 1.0 - 1e-12 else np.array([1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
-    # Along: towards the light, at right angles to the half vector, from where phi_diff is counted.
+    # phi_diff starts at this axis: towards the light, at right angles to the half vector.
     frame = np.stack([np.cross(across, half), across, half])
     along, aside, height = frame @ normals[lit].T
     theta_half, phi_diff = np.arctan2(np.hypot(along, aside), height), np.arctan2(aside, -along)
@@ -153,15 +153,15 @@ def _rings(size: int) -> Callable[[Evaluate, Array], Array]:
 
 @lru_cache(maxsize=2)
 def _map_of_sky(size: int) -> Array:
-    """Radiance of the library's environment at the nodes of the map of directions, shape (3, P, A)."""
+    """Return the radiance (3, P, A) of the library's environment at the nodes of the map of directions."""
     return np.moveaxis(environment_radiance(map_directions(size)), -1, 0)
 
 
 @lru_cache(maxsize=2)
 def _map_of_picture(size: int, environment: EnvironmentMap) -> Array:
-    """Mean radiance of a picture about the nodes of the map of directions, shape (3, P, A)."""
+    """Return the mean radiance (3, P, A) of a picture about the nodes of the map of directions."""
     columns = map_shape(size)[1]
-    picture = replace(environment, pixels=averaged(environment.pixels, _PIXELS_AT_NODE * columns))
+    picture = replace(environment, pixels=averaged(environment.pixels, _MAX_PIXELS_PER_NODE * columns))
     fine = -(-picture.pixels.shape[1] // columns)
     total, weight = np.zeros((*map_shape(size), 3)), np.zeros((*map_shape(size), 1))
     for down, right in (np.indices((fine, fine)).reshape(2, -1).T + 0.5) / fine - 0.5:

@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 
 from dsbrdf import DSBRDF
-from dsbrdf.model import LARGEST_CENTER
+from dsbrdf.model import MAX_CENTER
 from dsbrdf.model.splines import n_control_values
 
 TEXTS = ("interpolation", "lobe")
@@ -28,7 +28,7 @@ def make_model(n_lobes: int = 3, n_knots: int = 5, interpolation: str = "spline"
         amplitude=10.0 ** random.uniform(-300.0, 300.0, (3, count(n_knots), n_lobes)),
         kappa=10.0 ** random.uniform(-300.0, 2.8, shape),
         gamma=10.0 ** random.uniform(-320.0, 100.0, shape),
-        center=random.uniform(-LARGEST_CENTER, LARGEST_CENTER, shape),
+        center=random.uniform(-MAX_CENTER, MAX_CENTER, shape),
         elongation=random.uniform(-10.0, 10.0, (count(n_elongation_knots), n_lobes)),
         shape_theta_diff=knots(n_shape_knots),
         elongation_theta_diff=knots(n_elongation_knots),

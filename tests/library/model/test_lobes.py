@@ -6,7 +6,7 @@ import mpmath  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 
-from dsbrdf.model import FAMILIES, LARGEST_CENTER, gamma_of_half_width, half_width
+from dsbrdf.model import FAMILIES, MAX_CENTER, gamma_of_half_width, half_width
 from dsbrdf.model.lobes import GRAZING_COSINE, lobe_curves, lobe_values, log_cosine, reach_of_width, width_of_reach
 
 Number = Any  # mpmath has no types
@@ -86,7 +86,7 @@ def test_cosine_of_the_stretch_is_that_of_theta_diff_held_above_its_value_at_gra
 @pytest.mark.parametrize("family", FAMILIES)
 def test_ring_at_the_horizon_does_not_depend_on_rounding(family: str) -> None:
     squared, kappa, gamma = np.tan(np.radians([10.0, 60.0, 88.0])) ** 2, np.array(0.1), np.array(0.01)
-    centers = [np.array(LARGEST_CENTER * (1.0 + turn)) for turn in (-1e-7, 0.0, 1e-7)]
+    centers = [np.array(MAX_CENTER * (1.0 + turn)) for turn in (-1e-7, 0.0, 1e-7)]
     values = [lobe_values(squared, kappa, gamma, center, family) for center in centers]
     np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
     np.testing.assert_allclose(values[2], values[1], rtol=1e-5)

@@ -5,7 +5,7 @@ from scipy import stats
 from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.arrays import Array
 from dsbrdf.data import directions, spherical
-from dsbrdf.model.sampling import LEAST_COSINE_SHARE, direction_sampler
+from dsbrdf.model.sampling import MIN_COSINE_FRACTION, direction_sampler
 from tests.support.known_models import MODELS, single_lobe
 from tests.support.random_models import random_model
 
@@ -71,7 +71,7 @@ def test_weight_is_bounded_by_the_share_of_the_cosine(name: str) -> None:
     for angle in (10.0, 60.0, 80.0):
         omega_out = copies(direction(angle))
         drawn = model.sample(omega_out, np.random.default_rng(11))
-        bound = np.pi * model.evaluate_directions(drawn.omega_in, omega_out) / LEAST_COSINE_SHARE
+        bound = np.pi * model.evaluate_directions(drawn.omega_in, omega_out) / MIN_COSINE_FRACTION
         assert np.all(drawn.weight <= bound * (1.0 + 1e-9))
 
 
