@@ -18,7 +18,7 @@ from ..errors import DatabaseLostError, DataFolderError
 from .schema import VERSION, create_tables
 
 FILE_NAME = "dsbrdf.sqlite"
-RESERVE = Path("run", "reserve")
+RESERVE = "dsbrdf.reserve"
 """File that gives its room to a service that starts on a full disk, so that measurements can be deleted there."""
 _BUSY_TIMEOUT = 5.0  # [s] When a transaction has waited so long for others, its request is answered with 503.
 _MIN_DATABASE_BYTES = 512  # SQLite takes a shorter file for an empty database, and writes over it.
