@@ -16,10 +16,7 @@ TOP = Path(__file__).parent.parent
 FOLDERS = (".ci", "benchmarks", "docker", "docs", "dsbrdf", "examples", "service", "tests")
 SUFFIXES = {".py", ".js", ".css", ".ts", ".html", ".sh", ".conf", ".yaml", ".yml", ""}
 SKIPPED_FOLDERS = {"__pycache__", "_build", "generated", "stored", "cases"}
-NOT_YET_CLEAN = (
-    *(f"dsbrdf/{wing}/" for wing in ("fitting",)),
-    "service/dsbrdf_service/http/page/",
-)
+NOT_YET_CLEAN = (*(f"dsbrdf/{wing}/" for wing in ("fitting",)),)
 
 DANGLING_COMMENT = re.compile(r"(?:#|//|/\*)+ ?(?:of|which|that|to|with|by)\b")
 BARE_WORDS = re.compile(

@@ -44,7 +44,7 @@ def test_damaged_files_are_refused(mitsuba: ModuleType, tmp_path: Path) -> None:
     for name in ("b.exr", "c.exr"):
         with pytest.raises(ImageFormatError, match="damaged or cut off"):
             read_environment(tmp_path / name)
-    with pytest.raises(ImageFormatError, match="finite"):
+    with pytest.raises(ImageFormatError, match="values from 0 to"):
         read_environment(written(mitsuba, np.where(PANORAMA > 0.9, np.inf, PANORAMA), tmp_path / "d.exr"))
     with pytest.raises(ImageFormatError, match="has the channels Y, not R, G and B"):
         read_environment(written(mitsuba, PANORAMA[..., :1], tmp_path / "e.exr"))

@@ -187,8 +187,8 @@ def test_a_large_bright_area_stays_in_the_picture() -> None:
         (np.ones((4, 4, 3)), r"twice as wide as high, unlike one of the shape \(4, 4, 3\)"),
         (np.ones((4, 8)), "twice as wide as high"),
         (np.zeros((4, 8, 3)), "is black"),
-        (-np.ones((4, 8, 3)), "finite and not negative"),
-        (np.full((4, 8, 3), np.nan), "finite and not negative"),
+        (-np.ones((4, 8, 3)), "values from 0 to"),
+        (np.full((4, 8, 3), np.nan), "values from 0 to"),
     ],
 )
 def test_what_is_no_panorama_is_refused(pixels: np.ndarray, words: str) -> None:

@@ -1,8 +1,8 @@
-// What a view shows stands in its address, after #: each field that is not as the view has it at first. It is kept so.
+// Keeps the state of a view in its address, after #: each field whose value differs from its default.
 
 const fields = () => /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("main :is(input, select)[name]")]).filter((field) => !field.closest(".options, dialog"));
 
-/** Sets the fields as the address says. */
+/** Sets the fields from the address. */
 export function readAddress() {
   const given = new URLSearchParams(location.hash.slice(1));
   for (const field of fields()) {
@@ -28,6 +28,6 @@ let later = 0;
 for (const kind of ["input", "change"]) {
   document.addEventListener(kind, () => {
     clearTimeout(later);
-    later = setTimeout(write, 200); // browsers refuse more than a few changes a second
+    later = setTimeout(write, 200); // Browsers refuse more than a few changes a second.
   });
 }

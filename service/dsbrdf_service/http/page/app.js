@@ -1,4 +1,4 @@
-// What every view needs: requests with the key, pictures, elements; and the view that the address names.
+// Functions of all views: requests with the key, pictures, elements; and the choice of the view by the address.
 
 /** The address of the service, which may be below a prefix. */
 export const root = new URL("..", import.meta.url);
@@ -6,7 +6,7 @@ const STORED = `key of ${root.href}`;
 const MOST_TRIES = 5;
 const UNREACHABLE = "The service cannot be reached. Check the connection, then try again.";
 
-/** What the service refuses, in its words; of status 0 if there is no answer. */
+/** A refusal in the words of the service; the status is 0 if there is no answer. */
 export class Problem extends Error {
   /** @param {string} detail @param {string} [title] @param {number} [status] */
   constructor(detail, title = "The service does not answer", status = 0) {
@@ -16,9 +16,9 @@ export class Problem extends Error {
   }
 }
 
-let pending = 0; // requests, which a bar at the top of the page shows
+let pending = 0; // The bar at the top of the page shows these requests.
 
-/** Asks the service, with the key if there is one; asks for a key where one is needed, waits where it is told to.
+/** Sends a request with the key, if any; asks the user for a missing key, and retries when the service says so.
  * @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @param {typeof fetch} [send] @returns {Promise<Response>} */
 export function request(path, options = {}, send = fetch) {
   document.body.classList.toggle("busy", Boolean(pending += 1));
@@ -43,13 +43,13 @@ async function answerTo(path, options, send) {
   }
 }
 
-/** The JSON that the service answers, with JSON that it is sent, if any. @param {string} path @param {string} [method] @param {unknown} [content] @returns {Promise<any>} */
+/** Sends JSON, if any, and returns the JSON of the answer. @param {string} path @param {string} [method] @param {unknown} [content] @returns {Promise<any>} */
 export async function json(path, method = "GET", content) {
   const headers = { Accept: "application/json", ...(content !== undefined && { "Content-Type": "application/json", Prefer: "respond-async" }) };
   return (await request(path, { method, headers, body: JSON.stringify(content) })).json();
 }
 
-/** The array that the service answers, in the order of its memory; float16 as the bits. @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @returns {Promise<any>} */
+/** Returns the array of an answer in memory order; float16 as bits. @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @returns {Promise<any>} */
 export async function askArray(path, options) {
   const file = await (await request(path, options)).arrayBuffer();
   const [low, high] = new Uint8Array(file, 8, 2);
@@ -60,9 +60,9 @@ export async function askArray(path, options) {
 
 /** The OpenAPI document. @returns {Promise<any>} */
 export const openapi = () => json("openapi.json");
-/** What the document says of each option of a fit. @param {any} document @returns {Record<string, any>} */
+/** The schema of each option of a fit. @param {any} document @returns {Record<string, any>} */
 export const optionsOf = (document) => document.components.schemas.FitRequest.properties.options.properties;
-/** A sentence of it in the words of the form. @param {string} description */
+/** Rewrites a description of the API in the words of the form. @param {string} description */
 export const sentenceOf = (description) => description.replaceAll("`", "").replaceAll("None", "none");
 
 /** @param {number} milliseconds */
@@ -70,7 +70,7 @@ export const pause = (milliseconds) => new Promise((resolve) => { setTimeout(res
 
 /** @type {Promise<void> | null} */
 let asking = null;
-/** Waits until there is another key than the one that was refused. @param {string | null} refused */
+/** Waits until the refused key is replaced. @param {string | null} refused */
 async function signedIn(refused) {
   if (sessionStorage.getItem(STORED) !== refused) return;
   const dialog = find(document, "#sign-in", HTMLDialogElement);
@@ -89,7 +89,7 @@ async function signedIn(refused) {
   find(document, "#sign-out").hidden = !sessionStorage.getItem(STORED);
 }
 
-/** The element of a selector, which must be there.
+/** Returns the element of a selector; throws if it is missing.
  * @template {Element} [T=HTMLElement]
  * @param {ParentNode} parent @param {string} selector @param {abstract new () => T} [kind] @returns {T} */
 export function find(parent, selector, kind) {
@@ -98,7 +98,7 @@ export function find(parent, selector, kind) {
   return /** @type {T} */ (found);
 }
 
-/** A new element with properties, or attributes where it has no such property.
+/** Makes an element with properties; names that are not properties become attributes.
  * @template {keyof HTMLElementTagNameMap} K
  * @param {K} name @param {Record<string, unknown>} [given] @param {(Node | string)[]} content @returns {HTMLElementTagNameMap[K]} */
 export function make(name, given = {}, ...content) {
@@ -111,25 +111,25 @@ export function make(name, given = {}, ...content) {
   return made;
 }
 
-/** A copy of the first element of a template. @param {string} id @param {Record<string, string>} [texts] @param {Record<string, string>} [paths] */
+/** Copies the first element of a template. @param {string} id @param {Record<string, string>} [texts] @param {Record<string, string>} [paths] */
 export function template(id, texts = {}, paths = {}) {
   const copy = /** @type {DocumentFragment} */ (find(document, `template#${id}`, HTMLTemplateElement).content.cloneNode(true));
   fill(copy, texts, paths);
   return copy;
 }
 
-/** Writes texts to the elements with their names as `data-text`, and addresses to those as `data-link`. @param {ParentNode} part @param {Record<string, string>} texts @param {Record<string, string>} [paths] */
+/** Writes texts to elements by `data-text`, and addresses to elements by `data-link`. @param {ParentNode} part @param {Record<string, string>} texts @param {Record<string, string>} [paths] */
 export function fill(part, texts, paths = {}) {
   for (const [name, text] of Object.entries(texts)) for (const place of part.querySelectorAll(`[data-text="${name}"]`)) place.textContent = text;
   for (const [name, path] of Object.entries(paths)) for (const place of part.querySelectorAll(`[data-link="${name}"]`)) place.setAttribute("href", new URL(path, root).href);
 }
 
-/** What a button or form of a view does. @param {ParentNode} part @param {string} name @param {() => unknown} call */
+/** Sets the action of a button or form of a view. @param {ParentNode} part @param {string} name @param {() => unknown} call */
 export function act(part, name, call) {
   find(part, `[data-act=${name}]`).onclick = call;
 }
 
-/** Says how something went, or what went wrong with it, until it is read. @param {string} text @param {boolean} [wrong] */
+/** Shows a message of success or failure until it is read. @param {string} text @param {boolean} [wrong] */
 export function say(text, wrong = false) {
   const said = find(document, "#said");
   said.className = wrong ? "fault" : "panel";
@@ -138,7 +138,7 @@ export function say(text, wrong = false) {
   find(said, "button").onclick = () => say("");
 }
 
-/** Calls once, when an element is about to be seen. @param {Element} element @param {() => unknown} call */
+/** Calls a function once, when an element is about to become visible. @param {Element} element @param {() => unknown} call */
 export function whenSeen(element, call) {
   new IntersectionObserver(async (entries, observer) => {
     if (!entries.some((entry) => entry.isIntersecting)) return;
@@ -147,7 +147,7 @@ export function whenSeen(element, call) {
   }).observe(element);
 }
 
-/** Calls whenever a folded box is opened. @param {HTMLElement} part of the box @param {() => Promise<unknown>} show */
+/** Calls a function whenever a folded box is opened. @param {HTMLElement} part of the box @param {() => Promise<unknown>} show */
 export function whenOpened(part, show) {
   const details = /** @type {HTMLDetailsElement} */ (part.closest("details"));
   details.addEventListener("toggle", () => details.open && show());
@@ -168,21 +168,21 @@ export async function download(path) {
   setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }
 
-/** Copies the address with the view. */
+/** Copies the address of the view. */
 export async function share() {
-  await pause(250); // the view has been written into the address then
+  await pause(250); // By then the address contains the state of the view.
   const copied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
   say(copied ? "The link is copied; it shows this view." : `The link is the address of this page: ${location.href}`);
 }
 
-/** Deletes after a question, and goes to the list. @param {string} path @param {string} question @param {() => unknown} [then] */
+/** Deletes after a confirmation, and goes to the list. @param {string} path @param {string} question @param {() => unknown} [then] */
 export async function remove(path, question, then = () => location.assign(root)) {
   if (!confirm(question)) return;
   await request(path, { method: "DELETE" });
   then();
 }
 
-/** A function that says how far something is, in per cent, and how long it will take. @param {string} lead @returns {(done: number) => string} */
+/** Returns a function that describes progress in per cent and the remaining time. @param {string} lead @returns {(done: number) => string} */
 export function progressOf(lead) {
   let [first, begun] = [NaN, 0];
   return (done) => {
@@ -195,14 +195,14 @@ export function progressOf(lead) {
 /** @param {Fit} fit @param {() => unknown} [then] */
 export const removeFit = (fit, then) => remove(`v1/fits/${fit.id}?only=delete`, `Delete this fit of ${nameOf(fit)}? Its measurement stays.`, then);
 
-/** A fit as it goes on, until it has ended. @param {Fit} fit @returns {AsyncGenerator<Fit>} */
+/** Yields the states of a fit until it has ended. @param {Fit} fit @returns {AsyncGenerator<Fit>} */
 export async function* follow(fit) {
   for (let now = fit; ;) {
     yield now;
     if (now.status !== "accepted" && now.status !== "running") return;
     await pause(500);
     now = await json(`v1/fits/${fit.id}?wait=1`).catch((error) => {
-      if (error.status) throw error; // it is gone
+      if (error.status) throw error; // The fit was deleted.
       return now;
     });
   }
@@ -211,9 +211,9 @@ export async function* follow(fit) {
 /** @param {{name: string | null, measurement: string}} fit */
 export const nameOf = (fit) => fit.name ?? `${fit.measurement.slice(0, 12)}…`;
 const STATES = /** @type {Record<string, string>} */ ({ accepted: "waiting", running: "fitting", failed: "failed", cancelled: "cancelled", succeeded: "fitted" });
-/** How a fit is, in a word or two. @param {Fit} fit */
+/** Describes the state of a fit in one or two words. @param {Fit} fit */
 export function stateOf({ status, progress, likeness, metrics }) {
-  const error = 100 * (metrics?.relative_rms_left_out ?? 0); // of a table of samples
+  const error = 100 * (metrics?.relative_rms_left_out ?? 0); // Only fits of tables have this error.
   const text = likeness ?? (error ? `error ${error < 10 ? error.toPrecision(2) : Math.round(error)} %` : `${STATES[status]}${status === "running" ? `, ${Math.floor(100 * progress)} %` : ""}`);
   return text.replace(/ (?=dB|%)/g, "\u00a0");
 }
@@ -226,13 +226,13 @@ export const dateOf = (created) => `${created.slice(0, 16).replace("T", " ")} UT
 /** @param {string} name */
 export const setTitle = (name) => { document.title = `${name} – dsbrdf`; };
 
-/** Shows the view that the address names, or in its place what is wrong. */
+/** Shows the view of the address, or an error in its place. */
 export async function open() {
   const main = find(document, "main");
   const [name, id = ""] = location.pathname.slice(root.pathname.length).split("/");
   const view = { "": "list", fits: "fit", measurements: "measurement", compare: "compare" }[name];
   try {
-    // What these views consist of is fetched at once, not one after the other.
+    // All modules of these views are fetched in parallel.
     if (name) for (const part of ["address", "light", "said", "sphere", "shader"]) document.head.append(make("link", { rel: "modulepreload", href: new URL(`page/${part}.js`, root) }));
     if (!view) throw new Problem(`There is nothing at ${location.pathname}.`, "There is no such page", 404);
     await (await import(`./${view}.js`)).show(main, id);
@@ -245,11 +245,11 @@ export async function open() {
   }
 }
 
-addEventListener("click", ({ target }) => { // a menu closes when something else is pressed
+addEventListener("click", ({ target }) => { // A click elsewhere closes a menu.
   for (const menu of document.querySelectorAll("details.menu[open]")) if (!menu.contains(/** @type {Node} */ (target))) menu.removeAttribute("open");
 });
 addEventListener("unhandledrejection", (event) => {
-  const lost = String(event.reason).includes("dynamically imported module"); // a part of the page could not be fetched
+  const lost = String(event.reason).includes("dynamically imported module"); // A module of the page could not be fetched.
   if (lost || event.reason instanceof Problem) event.preventDefault();
   say(lost ? UNREACHABLE : event.reason.message, true);
 });

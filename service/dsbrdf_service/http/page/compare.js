@@ -1,4 +1,4 @@
-// Two fits side by side, under one light.
+// Compares two fits side by side, under one light.
 import { dateOf, fill, find, json, nameOf, Problem, setTitle, template } from "./app.js";
 import { showComponents } from "./components.js";
 import { place, showSide, showSpheres, storedOf, subjectOf } from "./said.js";
@@ -33,7 +33,7 @@ export async function show(main) {
   if (running.length === 2) compare(running);
 }
 
-/** Difference of what two spheres show, and its peak signal-to-noise ratio over their pixels. @param {import("./sphere.js").Sphere[]} spheres */
+/** Computes the difference of two displayed spheres, and its peak signal-to-noise ratio. @param {import("./sphere.js").Sphere[]} spheres */
 function compare([first, second]) {
   const canvas = find(document, "#between canvas", HTMLCanvasElement);
   find(document, "#between .scale i").style.background = SCALE;

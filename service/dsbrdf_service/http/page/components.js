@@ -4,7 +4,7 @@ import { LABELS } from "./sphere.js";
 
 const [two, three] = [2, 3].map((digits) => (/** @type {number} */ value) => String(Number(value.toPrecision(digits))));
 
-// Of a component, then of a surface: property, title, how a value is written.
+// Rows of a component, then rows of a surface: property, title, format of a value.
 /** @type {[string, string, (value: number) => string][]} */
 const OF_COMPONENTS = [
   ["light_share", "light", (value) => `${Math.round(100 * value)} %`],
@@ -16,13 +16,13 @@ const OF_COMPONENTS = [
 /** @type {[string, string, (value: number) => string][]} */
 const OF_SURFACES = [["alpha", "alpha", three], ["kappa", "kappa", three], ["f0", "F0", two], ["f90", "F90", two]];
 
-/** A row of a table whose first cell is its head, or a row of heads. @param {(Node | string | number)[]} cells @param {boolean} [heads] */
+/** Makes a row of a table with a head as first cell, or a row of heads. @param {(Node | string | number)[]} cells @param {boolean} [heads] */
 export const tableRow = (cells, heads = false) => make("tr", {}, ...cells.map((cell, i) => {
   const isHead = cell !== "" && (heads || i === 0);
   return make(isHead ? "th" : "td", isHead ? { scope: heads ? "col" : "row" } : {}, cell instanceof Node ? cell : String(cell));
 }));
 
-/** A number with its range: below it, or under the pointer where there are several. @param {number | null} value @param {Interval | null | undefined} range @param {number} several @param {(value: number) => string} write */
+/** Shows a number with its range below; several ranges appear under the pointer. @param {number | null} value @param {Interval | null | undefined} range @param {number} several @param {(value: number) => string} write */
 function numberCell(value, range, several, write) {
   if (value === null) return "–";
   const rounded = write === three ? two : write;

@@ -1,7 +1,7 @@
-// What can be downloaded of a fit, by the program that opens it.
+// Lists the downloads of a fit by the program that opens them.
 import { download, make, openapi } from "./app.js";
 
-// The programs that most people ask for come first; a format that stands nowhere here is listed after them.
+// Common programs come first; formats without an entry are listed last.
 /** @type {Record<string, string>} */
 const PROGRAMS = {
   bsdf: "Mitsuba 3", materialx: "Blender, Arnold, Maya", glsl: "three.js and other shaders", brdf: "BRDF Explorer", python: "NumPy, PyTorch, JAX",
@@ -23,7 +23,7 @@ export async function showDownloads(list, path) {
   }));
 }
 
-/** A button that downloads. @param {string} text @param {string} path @param {string} [more] words for who does not see the row */
+/** Makes a button that downloads a file. @param {string} text @param {string} path @param {string} [more] words for who does not see the row */
 function button(text, path, more = "") {
   const made = make("button", { className: "button", type: "button" }, text, make("span", { className: "sr" }, more));
   made.onclick = () => {

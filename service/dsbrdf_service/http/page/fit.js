@@ -1,4 +1,4 @@
-// The page of one fit: its progress, why it failed, or the result.
+// Shows one fit: its progress, its failure or its result.
 import { act, dateOf, fill, find, follow, json, make, nameOf, progressOf, removeFit, request, root, say, setTitle, share, showPicture, template, whenOpened, whenSeen } from "./app.js";
 import { showComponents } from "./components.js";
 import { showDownloads } from "./downloads.js";
@@ -15,7 +15,7 @@ const STATES = /** @type {Record<string, string>} */ ({ accepted: "Waiting for i
 export async function show(main, id) {
   const path = `v1/fits/${id}`;
   const asked = json(path);
-  const shader = request(`${path}/export?format=glsl`).then((answer) => answer.text(), () => undefined); // asked for again where it is needed
+  const shader = request(`${path}/export?format=glsl`).then((answer) => answer.text(), () => undefined); // A failed request is repeated on use.
   main.replaceChildren(template("fit", { name: "A fit" }));
   const figure = place(main, path);
   /** @type {Fit} */
@@ -37,7 +37,7 @@ function showResult(main, fit, stored) {
   find(main, "a[data-link=measurement]").hidden = find(main, "#figures").hidden = !stored;
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   for (const image of find(main, "#figures").querySelectorAll("img")) whenOpened(image, () => showPicture(image, `v1/fits/${fit.id}/figures/${image.id}.svg?dark=${dark}`));
-  if (!stored?.valid_nodes) find(main, "#lobes").closest("figure")?.remove(); // they are those of a grid
+  if (!stored?.valid_nodes) find(main, "#lobes").closest("figure")?.remove(); // Only a gridded measurement has a figure of lobes.
   act(main, "share", share);
   act(main, "delete", () => removeFit(fit));
   act(main, "compare", () => compareWith(fit));
@@ -51,7 +51,7 @@ function showResult(main, fit, stored) {
   });
 }
 
-/** Asks with which other fit one is to be compared, and goes there. @param {Fit} fit */
+/** Asks for a second fit, and opens the comparison. @param {Fit} fit */
 async function compareWith(fit) {
   /** @type {Fit[]} */
   const others = (await json("v1/fits?limit=200&status=succeeded")).items.filter((/** @type {Fit} */ { id }) => id !== fit.id);
@@ -63,7 +63,7 @@ async function compareWith(fit) {
   dialog.showModal();
 }
 
-/** Follows a fit to its end, or says how it ended. @param {HTMLElement} main @param {Fit} fit */
+/** Follows a fit to its end, and shows a failure. @param {HTMLElement} main @param {Fit} fit */
 async function watch(main, fit) {
   const path = `v1/fits/${fit.id}`;
   setTitle(`${nameOf(fit)}: ${fit.status}`);

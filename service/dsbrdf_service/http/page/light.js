@@ -1,12 +1,12 @@
-// Turning a sphere: the light, the line between measurement and fit, exposure and zoom, by pointer and keyboard; and what
-// the values are at the point below the pointer.
+// Handles pointer and keyboard on a sphere: the light, the line between measurement and fit, exposure and zoom; and shows
+// the values at the point below the pointer.
 import { find, showPicture } from "./app.js";
 import { controls, lightAt, look, panorama, running, Sphere, USUAL } from "./sphere.js";
 
-const GRIP = 14; // pixels from the line at which it is taken, and not the light
+const MAX_GRIP_DISTANCE_PX = 14; // A pointer closer to the line drags the line, otherwise the light.
 const STEPS = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] });
 
-/** Starts spheres, which share the light; where there is no WebGL 2, the service draws them. @param {Sphere[]} spheres */
+/** Starts spheres under one light; without WebGL 2, the service draws them. @param {Sphere[]} spheres */
 export async function startSpheres(spheres) {
   await Promise.all(spheres.map((sphere) => sphere.start().then(() => running.push(sphere), async (error) => {
     sphere.hint.textContent = error.message;
@@ -34,11 +34,11 @@ function listen(sphere) {
   const { canvas, hint } = sphere;
   let asked = 0;
   let wiping = false;
-  /** The point of the picture below a pointer, from -1 to 1, and whether the line is there. @param {PointerEvent} event */
+  /** Returns the point of the picture below a pointer, from -1 to 1, and whether the line is there. @param {PointerEvent} event */
   const at = ({ clientX, clientY }) => {
     const { left, top, width, height } = canvas.getBoundingClientRect();
     const x = ((clientX - left) / width) * 2 - 1;
-    return { point: [x, 1 - ((clientY - top) / height) * 2], isLine: sphere.hasBoth && look().show === "half" && Math.abs(x - look().wipe) * width < 2 * GRIP };
+    return { point: [x, 1 - ((clientY - top) / height) * 2], isLine: sphere.hasBoth && look().show === "half" && Math.abs(x - look().wipe) * width < 2 * MAX_GRIP_DISTANCE_PX };
   };
   /** @param {PointerEvent} event */
   const follow = (event) => {
@@ -77,7 +77,7 @@ function listen(sphere) {
     else return;
     event.preventDefault();
   };
-  for (const box of sphere.boxes) box.onchange = () => { // of two spheres, both show the same components
+  for (const box of sphere.boxes) box.onchange = () => { // Two spheres always show the same components.
     for (const same of running.flatMap((other) => other.boxes)) if (same.value === box.value) same.checked = box.checked;
     for (const other of running) other.draw();
   };
@@ -101,7 +101,7 @@ function control() {
   };
   form.oninput = () => change(true);
   form.onchange = () => change(false);
-  own.oninput = (event) => event.stopPropagation(); // spheres are drawn when it has been read
+  own.oninput = (event) => event.stopPropagation(); // Spheres are drawn after the file has been read.
   own.onchange = async (event) => {
     event.stopPropagation();
     const { readPanorama } = await import("./panorama.js");
@@ -111,7 +111,7 @@ function control() {
     change(false);
   };
   form.onsubmit = (event) => event.preventDefault();
-  form.onreset = () => setTimeout(() => form.dispatchEvent(new Event("change", { bubbles: true }))); // once the fields are reset
+  form.onreset = () => setTimeout(() => form.dispatchEvent(new Event("change", { bubbles: true }))); // The event must follow the reset of the fields.
   find(form, "#show").hidden = !hasBoth;
   form.hidden = false;
   change(false);

@@ -1,4 +1,4 @@
-// The list of all fits, and where files are dropped.
+// Shows the list of all fits, and the area where files are dropped.
 import { act, fill, find, follow, make, nameOf, removeFit, request, root, showPicture, stateOf, template, whenOpened, whenSeen } from "./app.js";
 
 /** @param {HTMLElement} main */
@@ -46,7 +46,7 @@ async function update(item, fit) {
   for await (const now of follow(fit)) {
     const { id, status, metrics } = now;
     fill(item, { state: stateOf(now) });
-    item.dataset.likeness = (1000 - (metrics?.psnr ?? 0)).toFixed(6); // the best first
+    item.dataset.likeness = (1000 - (metrics?.psnr ?? 0)).toFixed(6); // Sorting puts the best fit first.
     find(item, ".pick").hidden = status !== "succeeded";
     find(item, "[data-act=delete]").hidden = status === "accepted" || status === "running";
     const image = find(item, "img", HTMLImageElement);
@@ -71,13 +71,13 @@ function takeFiles(main) {
     addEventListener(kind, async (event) => {
       const { relatedTarget, dataTransfer } = /** @type {DragEvent} */ (event);
       event.preventDefault();
-      form.classList.toggle("over", kind === "dragover" || (kind === "dragleave" && relatedTarget !== null)); // it may be over another part now
+      form.classList.toggle("over", kind === "dragover" || (kind === "dragleave" && relatedTarget !== null)); // The pointer may have moved to another part of the form.
       if (kind === "drop") await take([...(dataTransfer?.files ?? [])]);
     });
   }
 }
 
-/** Filters the list by name while one types; at first by that of the address. @param {HTMLElement} main @param {HTMLElement[]} cards @param {string} name */
+/** Filters the list by name while the user types, starting with the name in the address. @param {HTMLElement} main @param {HTMLElement[]} cards @param {string} name */
 function search(main, cards, name) {
   const field = find(main, "#search", HTMLInputElement);
   const filter = () => {
@@ -91,7 +91,7 @@ function search(main, cards, name) {
   filter();
 }
 
-/** Lets two fits be ticked for comparison. @param {HTMLElement} main @param {HTMLElement[]} cards */
+/** Lets the user select two fits for comparison. @param {HTMLElement} main @param {HTMLElement[]} cards */
 function compare(main, cards) {
   const boxes = cards.map((item) => find(item, "input", HTMLInputElement));
   const button = find(main, "#compare-button", HTMLButtonElement);

@@ -1,4 +1,4 @@
-// A measurement, also before its fit: its sphere, profiles and values, or what is understood of a table; its fits, and a fit of it.
+// Shows a measurement, also before its fit: sphere, profiles and values, or the summary of a table; its fits, and a form to fit it.
 import { act, dateOf, download, find, json, make, remove, request, root, setTitle, share, sizeOf, stateOf, template, whenOpened } from "./app.js";
 import { chosen, fitStored, showForm } from "./options.js";
 import { place, showPlots, showSpheres } from "./said.js";
@@ -28,7 +28,7 @@ export async function show(main, sha256) {
   if (onGrid) return showSpheres(main, [place(main, path)], [subject]);
   const file = new File([await (await request(`${path}/content`)).blob()], name);
   const { showTable } = await import("./table.js");
-  await showForm(options, true); // its samples are stored: no option of a table is left to choose
+  await showForm(options, true); // The samples are stored, so options of a table no longer apply.
   return showTable(find(main, "#seen"), file, options, { understood: () => showPlots(main, [{ ...subject, samples: `${path}/samples.npy?` }]) });
 }
 

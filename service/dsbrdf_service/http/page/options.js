@@ -1,7 +1,7 @@
-// The form of all options that the API has: a title in plain words, and the sentence of its document; the common ones first.
+// Builds the form of all options of the API, with a plain title and the API's description; common options come first.
 import { make, openapi, optionsOf, json, sentenceOf, words } from "./app.js";
 
-// Titles; those of most use come first, the others are behind "More".
+// Titles of common options; the other options are behind "More".
 /** @type {Record<string, string>} */
 const COMMON = { columns: "Which column is which", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Which samples count most", robust: "Give outliers less weight" };
 /** @type {Record<string, string>} */
@@ -40,7 +40,7 @@ function tableOptionsOf(document) {
   }));
 }
 
-/** A field for the values of a schema: a list where they are few. @param {string} name @param {any} schema */
+/** Makes a field for the values of a schema, as a list for enumerations. @param {string} name @param {any} schema */
 function fieldOf(name, schema) {
   const usual = String(schema.default ?? "none");
   /** @type {string[][]} */
@@ -52,19 +52,19 @@ function fieldOf(name, schema) {
   return make("select", { name, "data-usual": usual }, ...choices.flat().map((word) => make("option", { value: word, selected: word === usual }, VALUES[word] ?? word)));
 }
 
-/** The options that were chosen, as text. @param {HTMLElement} box @param {string} [which] a selector @returns {[string, string][]} */
+/** Returns the chosen options as text. @param {HTMLElement} box @param {string} [which] a selector @returns {[string, string][]} */
 export function chosen(box, which = "[name]") {
   const fields = /** @type {NodeListOf<HTMLInputElement>} */ (box.querySelectorAll(which));
   return [...fields].filter(({ value, dataset }) => value.trim() && value.trim() !== dataset.usual).map(({ name, value }) => [name, value.trim()]);
 }
 
-/** Fits a measurement that the service has, with the options that were chosen. @param {string | null} name @param {string} measurement @param {[string, string][]} options @returns {Promise<Fit>} */
+/** Fits a stored measurement with the chosen options. @param {string | null} name @param {string} measurement @param {[string, string][]} options @returns {Promise<Fit>} */
 export function fitStored(name, measurement, options) {
   const typedOptions = Object.fromEntries(options.map(([key, text]) => [key, typed(text)]));
   return json(`v1/fits?${new URLSearchParams(name ? { name } : {})}`, "POST", { measurement, options: typedOptions });
 }
 
-/** The value of a text in JSON's types. @param {string} text @returns {unknown} */
+/** Parses a text into a JSON value. @param {string} text @returns {unknown} */
 function typed(text) {
   if (text.includes(",")) return text.split(",").map(typed);
   if (text === "none") return null;

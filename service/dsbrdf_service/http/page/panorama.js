@@ -1,10 +1,10 @@
-// A panorama of one's own in place of the environment: a picture of 360 by 180 degrees that the browser shows.
+// Replaces the environment by the user's panorama: a picture of 360 by 180 degrees that the browser can show.
 import { say } from "./app.js";
 
-const [WIDTH, HEIGHT] = [256, 128]; // pixels that are sent
-const HEAD = `{'descr': '<f4', 'fortran_order': False, 'shape': (${HEIGHT}, ${WIDTH}, 3)}\n`; // of a .npy file
+const [WIDTH, HEIGHT] = [256, 128]; // size of the sent picture in pixels
+const HEAD = `{'descr': '<f4', 'fortran_order': False, 'shape': (${HEIGHT}, ${WIDTH}, 3)}\n`; // header of a .npy file
 
-/** Linear RGB of a picture as a .npy file, which the service takes; says so if it is no panorama. @param {File} file */
+/** Converts a picture to linear RGB in a .npy file for the service; throws if it is not a panorama. @param {File} file */
 export async function readPanorama(file) {
   const { width, height } = await createImageBitmap(file).catch(() => ({ width: 0, height: 0 }));
   if (!width || width !== 2 * height) return say(`${file.name} is no panorama: choose a .png or .jpg picture twice as wide as high, 360 by 180 degrees.`, true);

@@ -3,12 +3,12 @@
 import { fill, find, make, words } from "./app.js";
 import { PLOTS } from "./said.js";
 import { LABELS } from "./sphere.js";
-import { mostAt, NEAR, samplesOf, valuesAt } from "./values.js";
+import { mostAt, MAX_SAMPLE_DISTANCE_DEG, samplesOf, valuesAt } from "./values.js";
 
 const CHANNELS = ["red", "green", "blue"];
 const MARGIN = { left: 62, right: 14, top: 12, bottom: 42 };
 const HEIGHT = 340;
-const APART = 6; // pixels between marks at least
+const MIN_MARK_DISTANCE_PX = 6; // Marks closer to the previous mark are left out.
 
 /** @param {string} name @param {Record<string, string | number>} attributes @param {(Node | string)[]} content */
 function svg(name, attributes, ...content) {
@@ -18,7 +18,7 @@ function svg(name, attributes, ...content) {
   return made;
 }
 
-/** The points and curves of a plot. In one channel a component has a colour of its own, and a band for the range of its albedo. @param {Drawing} drawing @returns {Curve[]} */
+/** Returns the points and curves of a plot. In one channel, a component has its own colour, and a band for the range of its albedo. @param {Drawing} drawing @returns {Curve[]} */
 function curvesOf({ all, subjects, channel }) {
   const several = all.length > 1;
   const shown = channel === "all" ? [0, 1, 2] : [Number(channel)];
@@ -33,14 +33,14 @@ function curvesOf({ all, subjects, channel }) {
       return { label: words(label), part: true, x, y: values[c], ...(alone ? { colour: own, band } : { colour, dash: own }) };
     });
     return [
-      ...(measured ? [{ label: lead + (subjects[i].samples ? `samples within ${NEAR}°` : "measured"), colour, points: true, x: at, y: measured[c] }] : []),
+      ...(measured ? [{ label: lead + (subjects[i].samples ? `samples within ${MAX_SAMPLE_DISTANCE_DEG}°` : "measured"), colour, points: true, x: at, y: measured[c] }] : []),
       ...components,
       ...(fit ? [{ label: `${lead}fit`, colour, x, y: fit[c] }] : []),
     ];
   }));
 }
 
-/** The bounds of the axes. @param {Plot} kind @param {Drawing} drawing @param {Curve[]} curves */
+/** Returns the bounds of the axes. @param {Plot} kind @param {Drawing} drawing @param {Curve[]} curves */
 function limits({ start }, { all: [{ x, fit }], axis, range }, curves) {
   const whole = curves.filter((one) => !one.part);
   const top = Math.max(...whole.flatMap(({ y }) => y.map(Number)), 1e-6);
@@ -52,7 +52,7 @@ function limits({ start }, { all: [{ x, fit }], axis, range }, curves) {
   return { start, end, low: Math.min(...inside, top / 2) / 1.6, high: 1.6 * top };
 }
 
-/** Round numbers up to the end of an axis. @param {number} low @param {number} high @param {string} axis */
+/** Returns round numbers up to the end of an axis. @param {number} low @param {number} high @param {string} axis */
 function ticksOf(low, high, axis) {
   const power = 10 ** Math.floor(Math.log10(high));
   if (axis === "linear") {
@@ -125,17 +125,17 @@ const classOf = ({ points, colour, dash }) => `${points ? "point" : "curve"} c-$
 /** @param {number[][]} places */
 const line = (places) => (places.length ? `M${places.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}` : "");
 
-/** Small squares, no nearer to each other than some pixels. @param {number[][]} places */
+/** Returns small squares at some of the places. @param {number[][]} places */
 function squares(places) {
   let last = [-Infinity, 0];
   return places.flatMap(([x, y]) => {
-    if (Math.hypot(x - last[0], y - last[1]) < APART) return [];
+    if (Math.hypot(x - last[0], y - last[1]) < MIN_MARK_DISTANCE_PX) return [];
     last = [x, y];
     return `M${(x - 2.5).toFixed(1)} ${(y - 2.5).toFixed(1)}h5v5h-5z`;
   }).join("");
 }
 
-/** Where a component is drawn in three channels, its dashes are shown once. @param {HTMLElement} panel @param {Curve[]} curves @param {string} along @param {number} [degrees] where values are told */
+/** Shows the legend; the three channels of a component share an entry. @param {HTMLElement} panel @param {Curve[]} curves @param {string} along @param {number} [degrees] where values are told */
 function showLegend(panel, curves, along, degrees) {
   const rank = (/** @type {Curve} */ { points, part }) => (points ? 0 : part ? 2 : 1);
   const items = [...new Set([...curves].sort((a, b) => rank(a) - rank(b)).map(({ label }) => label))].map((label) => {
@@ -150,7 +150,7 @@ function showLegend(panel, curves, along, degrees) {
   find(panel, ".legend").replaceChildren(...items, make("li", {}, degrees === undefined ? "" : `at θ_${along} ${degrees.toFixed(1)}°`));
 }
 
-/** Fetches what belongs to the place of a slider and draws it, whenever the slider, a choice or the width changes. @param {HTMLElement} panel @param {Subject[]} subjects @param {(Sample[] | null)[]} read samples of tables */
+/** Fetches and draws the values at the place of a slider, whenever the slider, a choice or the width changes. @param {HTMLElement} panel @param {Subject[]} subjects @param {(Sample[] | null)[]} read samples of tables */
 function followSlider(panel, subjects, read) {
   const kind = /** @type {Plot} */ (PLOTS.find(({ id }) => id === panel.id));
   const slider = find(panel, "input", HTMLInputElement);
@@ -171,13 +171,13 @@ function followSlider(panel, subjects, read) {
     find(panel, "output").textContent = `${slider.value}°`;
     const turn = turns += 1;
     await shown.catch(() => undefined);
-    if (turn === turns) await (shown = show()); // one at a time; of the changes meanwhile, the last one
+    if (turn === turns) await (shown = show()); // Only one drawing runs at a time; it is followed by the last change.
   };
   if (samples && !location.hash.includes(`${slider.name}=`)) slider.value = slider.defaultValue = String(mostAt(samples, kind.along));
   new ResizeObserver(() => panel.dispatchEvent(new Event("input"))).observe(find(panel, ".plot"));
 }
 
-/** Draws the plots that are in a box. @param {HTMLElement} box @param {Subject[]} subjects */
+/** Draws the plots in a box. @param {HTMLElement} box @param {Subject[]} subjects */
 export async function startPlots(box, subjects) {
   const read = await Promise.all(subjects.map(({ samples }) => (samples ? samplesOf(samples) : null)));
   for (const panel of box.querySelectorAll("section")) followSlider(panel, subjects, read);

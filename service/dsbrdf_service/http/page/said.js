@@ -1,4 +1,4 @@
-// What is said of a fit beside its sphere: verdict, warnings, metrics, options; and where spheres and plots are.
+// Describes a fit beside its sphere: verdict, warnings, metrics, options; and places spheres and plots.
 import { find, json, make, nameOf, openapi, optionsOf, sentenceOf, showPicture, stateOf, template, whenOpened, whenSeen } from "./app.js";
 import { readAddress } from "./address.js";
 import { row, tableRow } from "./components.js";
@@ -7,7 +7,7 @@ import { Sphere } from "./sphere.js";
 
 /** @param {number} share */
 const percent = (share) => `${Number((100 * share).toPrecision(3))} %`;
-// Name, title, how the value is written, what it means; the most telling first.
+// Name, title, format and meaning of each metric, the most important first.
 /** @type {[string, string, (value: number) => string, string][]} */
 const METRICS = [
   ["psnr", "picture", (value) => `${value.toFixed(1)} dB`, "Peak signal-to-noise ratio of spheres of fit and measurement under three lights."],
@@ -27,7 +27,7 @@ export const warningsOf = (sentences) => sentences.map((sentence) => make("p", {
 /** The measurement of a fit, if it is still stored. @param {Fit} fit @returns {Promise<Measurement | null>} */
 export const storedOf = ({ measurement }) => json(`v1/measurements/${measurement}`).catch((error) => (error.status === 404 ? null : Promise.reject(error)));
 
-/** What a sphere and the plots show of a fit. @param {Fit} fit @param {Measurement | null} stored @returns {Subject} */
+/** Returns the subject of spheres and plots for a fit. @param {Fit} fit @param {Measurement | null} stored @returns {Subject} */
 export function subjectOf(fit, stored) {
   const onGrid = Boolean(stored?.valid_nodes);
   return { name: nameOf(fit), fit: fit.id, measured: onGrid ? fit.measurement : null, samples: stored && !onGrid ? `v1/fits/${fit.id}/samples.npy?` : null, parts: fit.components };
@@ -59,7 +59,7 @@ export function showPlots(main, subjects) {
     Object.assign(find(panel, "input", HTMLInputElement), { ...slider, name, ariaLabel: `${name.replace("-", "_")} in degrees` });
     for (const choice of panel.querySelectorAll("select")) choice.name = lead + choice.name;
     find(panel, ".range").hidden = id === "plane";
-    if (subjects.length > 1) find(panel, "[value=all]", HTMLOptionElement).remove(); // one channel of both
+    if (subjects.length > 1) find(panel, "[value=all]", HTMLOptionElement).remove(); // A plot of two fits shows one channel.
     box.append(panel);
   }
   readAddress();
@@ -69,12 +69,12 @@ export function showPlots(main, subjects) {
 /** Shows spheres in their places, which share the light, and their plots. @param {HTMLElement} main @param {HTMLElement[]} figures @param {Subject[]} subjects @param {Promise<string | undefined>} [source] GLSL of the fit that is on its way */
 export async function showSpheres(main, figures, subjects, source) {
   find(main, "#seen").append(template("sphere-controls"));
-  const spheres = figures.map((figure, i) => new Sphere(figure, subjects[i], source)); // their boxes are in the address too
+  const spheres = figures.map((figure, i) => new Sphere(figure, subjects[i], source)); // The address also holds the boxes of the spheres.
   showPlots(main, subjects);
   await startSpheres(spheres);
 }
 
-/** Says what is known of a fit beside its sphere. @param {HTMLElement} box @param {Fit} fit */
+/** Describes a fit in the box beside its sphere. @param {HTMLElement} box @param {Fit} fit */
 export function showSide(box, fit) {
   box.append(template("side", { verdict: stateOf(fit) }));
   const known = METRICS.filter(([name]) => typeof fit.metrics?.[name] === "number");

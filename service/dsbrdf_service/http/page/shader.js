@@ -1,12 +1,12 @@
-// WebGL 2 programs that light a sphere: by a GLSL function of the fit, by the table of the measurement, or by pictures of
-// what is seen in an environment.
+// Builds WebGL 2 programs that light a sphere: by a GLSL function of the fit, by the table of the measurement, or by
+// pictures of the sphere in an environment.
 import { pause } from "./app.js";
 
-/** Colours of a difference, from none to that of black and white; between them it is the square root that grows evenly. */
+/** Colours of a difference, from 0 to 1 on a square root scale. */
 const DIFFERENCES = [[0, 0, 0], [0.35, 0.06, 0.43], [0.84, 0.25, 0.31], [0.98, 0.6, 0.1], [1, 0.92, 0.55]];
-/** Them as a gradient of CSS. */
+/** The colours of a difference as a gradient of CSS. */
 export const SCALE = `linear-gradient(90deg, ${DIFFERENCES.map((colour) => `rgb(${colour.map((value) => 255 * value).join(" ")})`).join(", ")})`;
-/** The colour that shows a difference of two pictures. @param {number} difference of the channel that differs most, from 0 to 1 */
+/** Returns the colour of a difference of two pictures. @param {number} difference of the channel that differs most, from 0 to 1 */
 export function colourOf(difference) {
   const place = Math.sqrt(difference) * (DIFFERENCES.length - 1);
   const below = Math.min(Math.floor(place), DIFFERENCES.length - 2);
@@ -65,7 +65,7 @@ void main() {
   if (dot(at, at) >= 1.0) { colour = vec4(0.0); return; }
   bool real = show == 1 || (show == 2 && on_screen.x < wipe);
   vec3 one = vec3(0.0);
-  // One call, in a loop: what it calls is long, and would be compiled for each.
+  // A single call in a loop keeps compilation short: compilers copy a function wherever it is called.
   for (int side = 0; side < (show == 3 ? 2 : 1); ++side) one = abs(one - seen(at, real != (side == 1)));
   if (show == 3) one = scaled(one);
   else if (show == 2 && abs(on_screen.x - wipe) < 2.0 / size) one = vec3(1.0);
@@ -73,7 +73,7 @@ void main() {
 }`;
 
 const TABLE = /const (vec4 (\w+)\[(\d+)\]) = vec4\[\d+\]\(([^;]*)\);/;
-const OTHERS = 32; // vectors at most of all other uniforms
+const RESERVED_UNIFORM_VECTORS = 32; // All other uniforms need at most this number of vectors.
 
 /** @param {WebGL2RenderingContext} gl @param {number} kind @param {string} source */
 function compile(gl, kind, source) {
@@ -83,12 +83,12 @@ function compile(gl, kind, source) {
   return shader;
 }
 
-/** A program from the functions of a material, and the call of the one that has its values for the directions a and b.
+/** Makes a program from the functions of a material, and the call that returns its values for the directions a and b.
  * A long table of constants takes more time than all else: it becomes a uniform where there is room for it.
  * @param {WebGL2RenderingContext} gl @param {string} given @param {string} call @returns {Promise<Program>} */
 export async function programOf(gl, given, call) {
   const [constants = "", declared, name, count, numbers] = TABLE.exec(given) ?? [];
-  const isUniform = Number(count) < gl.getParameter(gl.MAX_FRAGMENT_UNIFORM_VECTORS) - OTHERS;
+  const isUniform = Number(count) < gl.getParameter(gl.MAX_FRAGMENT_UNIFORM_VECTORS) - RESERVED_UNIFORM_VECTORS;
   const functions = isUniform ? given.replace(constants, `uniform ${declared};`) : given;
   const material = `${functions}\nuniform vec3 shown;\nvec3 material(vec3 a, vec3 b) { return ${call}; }`;
   const program = /** @type {WebGLProgram} */ (gl.createProgram());
@@ -96,7 +96,7 @@ export async function programOf(gl, given, call) {
   const fragment = compile(gl, gl.FRAGMENT_SHADER, HEAD + material + MAIN);
   gl.attachShader(program, fragment);
   gl.linkProgram(program);
-  const parallel = gl.getExtension("KHR_parallel_shader_compile"); // without it, the page stands still while it compiles
+  const parallel = gl.getExtension("KHR_parallel_shader_compile"); // Without it, compilation blocks the page.
   while (parallel && !gl.getProgramParameter(program, parallel.COMPLETION_STATUS_KHR)) await pause(5);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
     throw new Error(`The shader does not compile here: ${gl.getShaderInfoLog(fragment) || gl.getProgramInfoLog(program)}`);
@@ -107,7 +107,7 @@ export async function programOf(gl, given, call) {
   return { program, at: (name) => gl.getUniformLocation(program, name) };
 }
 
-/** Puts values into the texture of a unit: 0 holds a table of three dimensions, the others pictures.
+/** Puts values into the texture of a unit: unit 0 holds a three-dimensional table, other units hold pictures.
  * @param {WebGL2RenderingContext} gl @param {number} unit @param {number[]} size @param {Uint16Array | Float32Array} values */
 export function setTexture(gl, unit, [width, height, depth], values) {
   const target = unit === 0 ? gl.TEXTURE_3D : gl.TEXTURE_2D;
@@ -119,10 +119,10 @@ export function setTexture(gl, unit, [width, height, depth], values) {
   else gl.texImage2D(target, 0, gl.RGB16F, width, height, 0, gl.RGB, type, values);
   for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(target, filter, gl.LINEAR);
   for (const wrap of [gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) gl.texParameteri(target, wrap, gl.CLAMP_TO_EDGE);
-  gl.texParameteri(target, gl.TEXTURE_WRAP_S, unit === 0 ? gl.REPEAT : gl.CLAMP_TO_EDGE); // phi_diff is periodic
+  gl.texParameteri(target, gl.TEXTURE_WRAP_S, unit === 0 ? gl.REPEAT : gl.CLAMP_TO_EDGE); // phi_diff is periodic.
 }
 
-/** Waits until all that was drawn is there; the page goes on meanwhile. @param {WebGL2RenderingContext} gl */
+/** Waits for the end of drawing without blocking the page. @param {WebGL2RenderingContext} gl */
 export async function finished(gl) {
   const fence = /** @type {WebGLSync} */ (gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0));
   gl.flush();
@@ -130,7 +130,7 @@ export async function finished(gl) {
   gl.deleteSync(fence);
 }
 
-/** The factor that takes the 99th percentile of what is seen of a sphere to 1. @param {Float32Array} picture */
+/** Returns the factor that takes the 99th percentile of a sphere's pixels to 1. @param {Float32Array} picture */
 export function exposureOf(picture) {
   const side = Math.sqrt(picture.length / 3);
   const centred = (/** @type {number} */ i) => ((i % side) + 0.5) / side - 0.5;

@@ -1,19 +1,19 @@
-// A lit sphere of a fit, of its measurement, or of both, which can be turned under one's own light. All spheres of a view
-// show what the form of controls says.
+// Draws the lit sphere of a fit, of its measurement, or of both, under a light that the user moves. The form of controls
+// applies to all spheres of a view.
 import { askArray, find, make, request, words } from "./app.js";
 import { exposureOf, finished, programOf, SCALE, setTexture } from "./shader.js";
 
 const SHOWN = ["fit", "measured", "half", "difference"];
-export const LABELS = ["specular_spike", "specular_lobe", "diffuse"]; // in the order of the weights in GLSL
-const SIDE = 256; // pixels of a picture under environment light
-const SAMPLED = 64; // pixels along a side of the pictures whose brightness gives the exposure
-const FIRST = 128; // pixels of the first picture, and of the smallest
-const QUICK = 50; // milliseconds that a picture may take while something is moved
-const LONG = 200; // milliseconds of a picture from which on it is said that one is drawn
+export const LABELS = ["specular_spike", "specular_lobe", "diffuse"]; // The order is that of the weights in GLSL.
+const ENVIRONMENT_PICTURE_PX = 256; // size of pictures under environment light
+const EXPOSURE_PICTURE_PX = 64; // size of the pictures that determine the exposure
+const FIRST_PICTURE_PX = 128; // size of the first picture, and minimum size of later pictures
+const MAX_MOVING_PICTURE_MS = 50; // During a movement, a slower picture gets fewer pixels.
+const MAX_SILENT_PICTURE_MS = 200; // A slower picture is announced as "Drawing…".
 const KEYS = "Keys: arrows move the light, + and − change the exposure, [ and ] move the line between halves, R resets.";
 export const USUAL = `Drag to move the light.${matchMedia("(hover: hover)").matches ? " Point at the sphere to read values." : ""}`;
 // Key light from the upper left, fill light from the right, rim light from behind: as `lighting=three_lights`. The form's
-// `highlight` is where the reflection of the first one is seen.
+// `highlight` is the place of the first light's reflection.
 const LIGHTS = [[40, 125, 1], [80, -20, 0.5], [140, 70, 0.5]].map(([polar, azimuth, share]) => {
   const [away, round] = [polar, azimuth].map((degrees) => (degrees * Math.PI) / 180);
   return { towards: [Math.sin(away) * Math.cos(round), Math.sin(away) * Math.sin(round), Math.cos(away)], irradiance: share * Math.PI };
@@ -21,12 +21,12 @@ const LIGHTS = [[40, 125, 1], [80, -20, 0.5], [140, 70, 0.5]].map(([polar, azimu
 
 /** All spheres of the view. @type {Sphere[]} */
 export const running = [];
-/** A panorama of one's own, as a .npy file, in place of the environment; and how many were chosen. */
+/** The user's panorama as a .npy file in place of the environment, and a count of choices. */
 export const panorama = { file: /** @type {Blob | null} */ (null), number: 0 };
 
 export const controls = () => find(document, "#controls", HTMLFormElement);
 
-/** What the form says; the highlight is the point of the sphere where the light's reflection is seen. @returns {Look} */
+/** Returns the state of the form; the highlight is the point of the light's reflection on the sphere. @returns {Look} */
 export function look() {
   const given = Object.fromEntries(new FormData(controls()));
   const [show, lighting] = [String(given.show), String(given.lighting)];
@@ -35,7 +35,7 @@ export function look() {
   return { show, lighting, ...numbers, highlight: Math.hypot(x, y) <= 1 ? [x, y] : [0, 0] };
 }
 
-/** Waits until what stands on the page is seen: a page without a graphics card stands still while it compiles or draws. */
+/** Waits until the page is painted: without a graphics card, compilation and drawing block the page. */
 const seenByNow = () => new Promise((resolve) => { requestAnimationFrame(() => requestAnimationFrame(resolve)); });
 
 /** @param {number[]} highlight */
@@ -57,10 +57,10 @@ export class Sphere {
     this.hint = find(figure, ".hint");
     this.hint.textContent = USUAL;
     this.stage = find(figure, ".stage");
-    /** What pictures need, by name. @type {Map<string, Promise<any>>} */
+    /** Programs and data of pictures, by name. @type {Map<string, Promise<any>>} */
     this.loaded = new Map();
-    this.cost = 0; // milliseconds of a picture of all pixels, once it is known
-    /** What the textures hold, and the exposure that belongs to it. */
+    this.cost = 0; // measured time of a picture of all pixels [ms]
+    /** The content of the textures, and its exposure. */
     this.seen = { key: "", exposure: Infinity, pictures: /** @type {Float32Array[]} */ ([]) };
     this.turns = this.rest = 0;
     this.painted = Promise.resolve();
@@ -68,7 +68,7 @@ export class Sphere {
     this.canvas.setAttribute("aria-label", `Lit sphere of ${subject.name}. ${USUAL} ${KEYS}`);
     this.canvas.title = KEYS;
     find(figure, ".scale i").style.background = SCALE;
-    /** One for each component, where there are several. */
+    /** The checkboxes of the components, if there are several. */
     this.boxes = subject.parts.length < 2 ? [] : subject.parts.map(({ label }) => make("input", { type: "checkbox", name: `${subject.fit?.slice(0, 6)}-${label}`, value: label, defaultChecked: true }));
     for (const box of this.boxes) box.setAttribute("form", "controls");
     const toggles = find(figure, ".toggles");
@@ -76,7 +76,7 @@ export class Sphere {
     toggles.append(...this.boxes.map((box) => make("label", { className: `c-part-${LABELS.indexOf(box.value)}` }, box, ` ${words(box.value)}`)));
   }
 
-  async start() { // throws where there is no WebGL 2
+  async start() { // This throws without WebGL 2.
     if (!this.gl) throw new Error("This browser has no WebGL 2: the picture is the service's, its light is fixed.");
     for (const unit of [0, 1, 2]) setTexture(this.gl, unit, [1, 1, 1], new Uint16Array(3));
     await Promise.all([this.load("glsl"), this.lookAround(look(), null)]);
@@ -84,7 +84,7 @@ export class Sphere {
     new ResizeObserver(() => this.draw()).observe(this.canvas);
   }
 
-  /** Asks once for what a picture needs; again if that has failed. @param {string} name */
+  /** Requests data of a picture once, and again after a failure. @param {string} name */
   load(name) {
     if (!this.loaded.has(name)) {
       this.work(name === "measured" ? "Loading the measurement, 9 MB…" : name.startsWith("environment") || name.startsWith("panorama") ? "Computing the light from all around…" : "Preparing the sphere…");
@@ -95,14 +95,14 @@ export class Sphere {
     return this.loaded.get(name);
   }
 
-  /** Says what is worked at, on the sphere; nothing once it is done. @param {string} [text] */
+  /** Shows the current work on the sphere; an empty text hides it. @param {string} [text] */
   work(text = "") {
     this.stage.ariaBusy = String(Boolean(text));
     find(this.stage, ".work").textContent = text;
   }
 
-  // A program of the whole fit, "glsl", or one that weighs its components, "parts"; the table of the measurement,
-  // "measured"; or radiance under the lights of a name, "environment/fit" or "panorama 1/fit", of the measurement or of a component.
+  // Names are "glsl" for a program of the whole fit, "parts" for a program with weights of components, "measured" for the
+  // table of the measurement, and for example "environment/fit" or "panorama 1/fit" for radiance under a lighting.
   /** @param {string} name @returns {Promise<any>} */
   async fetch(name) {
     const { subject: { fit, measured, parts }, gl } = this;
@@ -115,32 +115,32 @@ export class Sphere {
       return programOf(gl, source, part ? "dsbrdf_shown(a, b, shown)" : "dsbrdf(a, b)");
     }
     const [lighting, what] = name.split("/");
-    const path = `v1/${what === "measured" ? `measurements/${measured}` : `fits/${fit}`}/figures/sphere.npy?size=${lighting === "three_lights" ? SAMPLED : SIDE}`;
+    const path = `v1/${what === "measured" ? `measurements/${measured}` : `fits/${fit}`}/figures/sphere.npy?size=${lighting === "three_lights" ? EXPOSURE_PICTURE_PX : ENVIRONMENT_PICTURE_PX}`;
     const part = ["fit", "measured"].includes(what) ? "" : `&component=${what}`;
     if (!lighting.startsWith("panorama")) return askArray(`${path}${part}&lighting=${lighting}`);
     return askArray(`${path}${part}`, { method: "POST", headers: { "Content-Type": "application/x-npy" }, body: panorama.file });
   }
 
-  /** Paints when all is there that is needed, and the picture before. While something is moved a slow machine paints fewer pixels. @param {boolean} [moving] */
+  /** Paints as soon as all data are loaded. During a movement, a slow machine paints fewer pixels. @param {boolean} [moving] */
   async draw(moving = false) {
     if (!running.includes(this)) return;
     const turn = this.turns += 1;
     clearTimeout(this.rest);
     if (moving) this.rest = setTimeout(() => this.draw(), 250);
     const now = look();
-    if (this.cost > LONG && !moving) this.work("Drawing…");
+    if (this.cost > MAX_SILENT_PICTURE_MS && !moving) this.work("Drawing…");
     for (const mark of this.stage.querySelectorAll("span")) mark.hidden = !(this.hasBoth && now.show === "half");
     this.stage.style.setProperty("--wipe", String(now.wipe));
     find(this.figure, ".scale").hidden = !(this.hasBoth && now.show === "difference");
     now.show = this.hasBoth ? now.show : this.subject.fit ? "fit" : "measured";
     const shown = this.boxes.filter((box) => box.checked).map((box) => box.value);
     const isWhole = shown.length === this.boxes.length;
-    const isAround = now.lighting === "environment"; // what its pictures show needs no other program
+    const isAround = now.lighting === "environment"; // Pictures under an environment need no program of the material.
     try {
       const [program, seen] = await Promise.all([this.load(isWhole || isAround ? "glsl" : "parts"), this.lookAround(now, isWhole ? null : shown)]);
       if (!isAround && now.show !== "fit") await this.load("measured");
       await Promise.all([this.painted, new Promise(requestAnimationFrame)]);
-      if (turn !== this.turns) return; // something has changed, which draws
+      if (turn !== this.turns) return; // A later change draws the sphere.
       this.painted = this.paint(program, now, isWhole ? LABELS : shown, seen, moving);
       await this.painted;
     } finally {
@@ -148,7 +148,7 @@ export class Sphere {
     }
   }
 
-  /** What is seen in an environment goes into textures: the components that are shown, or all, and the measurement; the
+  /** Loads pictures under an environment into textures: the components that are shown, or all, and the measurement; the
    * exposure is that of the whole. Components add up: those that are hidden are taken away where their pictures
    * are sooner there.
    * @param {Look} now @param {string[] | null} parts */
@@ -171,13 +171,13 @@ export class Sphere {
   async paint({ program, at }, now, shown, seen, moving) {
     const { canvas, gl } = this;
     const full = Math.min(Math.max(Math.round(canvas.clientWidth * devicePixelRatio), 64), 1024);
-    const quick = Math.min(full, this.cost ? Math.max(Math.round(full * Math.sqrt(QUICK / this.cost)), FIRST) : FIRST);
+    const quick = Math.min(full, this.cost ? Math.max(Math.round(full * Math.sqrt(MAX_MOVING_PICTURE_MS / this.cost)), FIRST_PICTURE_PX) : FIRST_PICTURE_PX);
     const size = moving || !this.cost ? quick : full;
     if (canvas.width !== size) canvas.width = canvas.height = size;
     if (seen !== this.seen) {
       this.seen = seen;
-      seen.pictures.forEach((picture, i) => setTexture(gl, i + 1, [SIDE, SIDE], picture));
-      for (const other of running) if (other !== this) other.draw(); // the common exposure may be another now
+      seen.pictures.forEach((picture, i) => setTexture(gl, i + 1, [ENVIRONMENT_PICTURE_PX, ENVIRONMENT_PICTURE_PX], picture));
+      for (const other of running) if (other !== this) other.draw(); // The common exposure may have changed.
     }
     if (this.stage.ariaBusy === "true") await seenByNow();
     const begun = performance.now();

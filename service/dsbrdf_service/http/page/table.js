@@ -1,16 +1,16 @@
-// What the service understands of a table of samples, before it is fitted.
+// Shows how the service reads a table of samples, before its fit.
 import { fill, find, make, request, template } from "./app.js";
 import { chosen, showForm } from "./options.js";
 import { tableRow } from "./components.js";
 import { warningsOf } from "./said.js";
 
 const MEANINGS = ["theta_in", "phi_in", "theta_out", "phi_out", "theta_half", "theta_diff", "phi_diff", "value", "red", "green", "blue", "wavelength", "weight"];
-const HEAD = 65_536; // bytes at the beginning of a file in which its names of columns are looked for
+const TABLE_HEAD_BYTES = 65_536; // The names of columns are searched in this part of a file.
 
 /** @param {number} value */
 const short = (value) => Number(value.toPrecision(4));
 
-/** Shows a table in a box, again whenever an option of it changes, and lets it be fitted once it is understood.
+/** Shows a table in a box, updates it when an option changes, and enables its fit if it is readable.
  * @param {HTMLElement} box @param {File} file @param {HTMLElement} options the form
  * @param {{fit?: () => unknown, understood?: () => unknown}} calls */
 export async function showTable(box, file, options, { fit, understood }) {
@@ -43,14 +43,14 @@ export async function showTable(box, file, options, { fit, understood }) {
   await show();
 }
 
-/** The columns of a file whose table is not understood: the first line that has several names. @param {File} file @returns {Promise<Table["columns"]>} */
+/** Returns the columns of an unreadable table, from the first line with several names. @param {File} file @returns {Promise<Table["columns"]>} */
 async function namesIn(file) {
-  const lines = (await file.slice(0, HEAD).text()).split(/\r?\n/).map((line) => line.split(/[,;\t]/).map((cell) => cell.trim()));
+  const lines = (await file.slice(0, TABLE_HEAD_BYTES).text()).split(/\r?\n/).map((line) => line.split(/[,;\t]/).map((cell) => cell.trim()));
   const names = lines.find((cells) => cells.length > 1 && cells.every((cell) => cell && Number.isNaN(Number(cell)))) ?? [];
   return names.map((name) => ({ name, read_as: null, unit: "" }));
 }
 
-/** Shows what each column is read as, which can be chosen. @param {HTMLElement} box @param {HTMLElement} options @param {Table["columns"]} columns @param {string} otherwise words for a column without a choice */
+/** Shows the meaning of each column, which the user can change. @param {HTMLElement} box @param {HTMLElement} options @param {Table["columns"]} columns @param {string} otherwise words for a column without a choice */
 function showColumns(box, options, columns, otherwise) {
   const field = /** @type {HTMLInputElement | null} */ (options.querySelector("[name=columns]")); // a table that is stored has none
   const given = Object.fromEntries((field?.value ?? "").split(",").map((pair) => pair.split("=").reverse()));

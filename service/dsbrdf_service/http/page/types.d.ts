@@ -1,4 +1,4 @@
-// The documents of the API, as far as the page reads them, and what its modules hand to each other: known everywhere.
+// Global types: documents of the API, as far as the page reads them, and values that modules exchange.
 type Rgb = [number, number, number];
 type Interval = [number, number];
 
@@ -25,24 +25,24 @@ interface Table {
   angles_of_incidence: number[] | null; in_plane_of_incidence: number; warnings: string[]; first: number[][];
 }
 
-// What a sphere and the plots show: a fit, its measurement, or both. `measured` is on a grid; `samples` is the address of those of a table.
+// The subject of a sphere and its plots: a fit, its measurement, or both. `measured` is on a grid; `samples` is the address of a table's samples.
 interface Subject { name: string; fit: string | null; measured: string | null; samples: string | null; parts: Component[] }
 
-// Values by channel, then place; null where there is none.
+// Values by channel, then place; null where a value is missing.
 type Channels = (number | null)[][];
-// Of all that a plot shows along x; measured values may be at places of their own.
+// Values of a plot along x; measured values may have their own places.
 interface Values { x: number[]; fit: Channels | null; parts: Channels[]; measured: Channels | null; at: number[] }
 interface Curve { label: string; colour: string; x: number[]; y: (number | null)[]; dash?: string; points?: boolean; part?: boolean; band?: Interval }
-// Of a table: angles in degrees; theta_out is negative on the side of the light, `aside` is the way out of the plane of incidence.
+// A sample of a table, with angles in degrees; theta_out is negative on the light's side, `aside` is the angle to the plane of incidence.
 interface Sample { half: number; diff: number; light: number; out: number; aside: number; values: number[] }
 
-// A plot: its id; what its slider is called in the address, and begins the names of its choices; what it draws along which angle.
+// A plot: its id; the name of its slider in the address, also the prefix of its choices; its curves and the angle along them.
 interface Plot {
   id: string; name: string; lead: string; title: string; axis: string; line: string; about: string;
   slider: { max: number; step: number; defaultValue: number }; along: "half" | "out"; start: number;
 }
-// What a plot draws, and how it is to look.
+// The content and the style of a plot.
 interface Drawing { all: Values[]; subjects: Subject[]; place: number; channel: string; axis: string; range: string }
-// What the form of controls says; the highlight is the point of the sphere where the light's reflection is seen.
+// The state of the form of controls; the highlight is the point of the light's reflection on the sphere.
 interface Look { show: string; lighting: string; stops: number; zoom: number; wipe: number; highlight: number[] }
 interface Program { program: WebGLProgram; at: (name: string) => WebGLUniformLocation | null }

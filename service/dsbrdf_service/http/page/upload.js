@@ -1,4 +1,4 @@
-// Sends files: first the SHA-256 of a file, the file itself only if the service does not have it. A table is shown before.
+// Sends files: first the SHA-256 of a file, and the file itself only if the service does not have it. A table is shown first.
 import { find, progressOf, request, root, say, sizeOf } from "./app.js";
 import { chosen, fitStored } from "./options.js";
 
@@ -7,7 +7,7 @@ const TABLE = /\.(csv|tsv|txt|astm|xlsx)$/i;
 let sending = null;
 addEventListener("beforeunload", (event) => sending && event.preventDefault());
 
-/** Shows a table that is chosen alone; sends everything else. @param {HTMLElement} main @param {File[]} files */
+/** Shows a single table, and sends all other files. @param {HTMLElement} main @param {File[]} files */
 export async function take(main, files) {
   const [box, options] = [find(main, "#table"), find(main, ".options")];
   say("");
@@ -18,14 +18,14 @@ export async function take(main, files) {
   return showTable(box, files[0], options, { fit: send });
 }
 
-/** Says what goes on with a file, or shows again where files are dropped. @param {HTMLElement} main @param {string} text */
+/** Shows the progress of a file, or the drop area again. @param {HTMLElement} main @param {string} text */
 function tell(main, text) {
   find(main, ".drop-main").hidden = Boolean(text);
   find(main, "#sending").hidden = !text;
   find(main, "#sending-title").textContent = text;
 }
 
-/** Sends files one after the other and leads to the fit, or to the list of several; one with a fault holds up no other. @param {HTMLElement} main @param {File[]} files @param {HTMLElement} options the form */
+/** Sends files in turn, then opens the fit, or the list for several files; a faulty file does not stop the others. @param {HTMLElement} main @param {File[]} files @param {HTMLElement} options the form */
 export async function sendAll(main, files, options) {
   const fits = [];
   const faults = [];
@@ -66,7 +66,7 @@ async function submit(main, file, options, signal) {
   }))).json();
 }
 
-/** Sends as fetch does, which does not say how far an upload is. @param {(done: number) => void} onProgress @returns {typeof fetch} */
+/** Sends a request as fetch does, but with the progress of the upload. @param {(done: number) => void} onProgress @returns {typeof fetch} */
 const uploading = (onProgress) => (address, { method = "POST", headers, body, signal } = {}) => new Promise((resolve, reject) => {
   const sent = new XMLHttpRequest();
   sent.open(method, String(address));
@@ -80,7 +80,7 @@ const uploading = (onProgress) => (address, { method = "POST", headers, body, si
 
 /** @param {File} file */
 async function sha256(file) {
-  if (!globalThis.crypto?.subtle) return null; // browsers hash on https and localhost only
+  if (!globalThis.crypto?.subtle) return null; // Browsers hash only on https and localhost.
   const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
   return Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
