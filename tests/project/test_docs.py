@@ -44,8 +44,8 @@ def blocks_of(text: str) -> list[tuple[str, str]]:
 
 def blocks(language: str, *, http: bool) -> list[str]:
     """The blocks of all pages in one language that need a running service, or that do not."""
-    # The page of HTTP uses files that the other pages write.
-    pages = sorted(PAGES, key=lambda page: page == "http.md")
+    # The page of Python writes the files that the others use.
+    pages = sorted(PAGES, key=lambda page: page != "python.md")
     found = [block for page in pages for block in blocks_of(PAGES[page])]
     return [text for name, text in found if name == language and (ADDRESS in text) is http]
 

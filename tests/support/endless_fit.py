@@ -5,8 +5,8 @@ from typing import Any
 from dsbrdf import FitOptions
 
 # These are the largest numbers that a fit may have.
-_LOBES = 8
-_RINGS = 7
+_LOBES = 10
+_RINGS = 9
 _KNOTS = tuple(range(90))  # one every degree
 
 OPTIONS = FitOptions(n_lobes=_LOBES, ring_lobes=_RINGS, knots_deg=_KNOTS, robust=True)

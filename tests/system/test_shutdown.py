@@ -249,7 +249,7 @@ def test_temporary_folders_are_empty_after_each_stop(
 
 
 @pytest.mark.parametrize(
-    ("setting", "value", "fault"), [("fit_memory_mb", "200", "MemoryLimit"), ("fit_seconds", "0.2", "TimeLimit")]
+    ("setting", "value", "fault"), [("fit_memory_mb", "512", "MemoryLimit"), ("fit_seconds", "0.2", "TimeLimit")]
 )
 def test_a_fit_has_the_limits_of_the_settings(
     own_server: Callable[..., Server], data: bytes, setting: str, value: str, fault: str

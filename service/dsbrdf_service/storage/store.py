@@ -78,6 +78,7 @@ class Store:
             for left in own_folder(self.running).glob("pymp-*"):  # folders, as multiprocessing names them
                 shutil.rmtree(left, ignore_errors=True)
             with suppress(OSError):  # A full disk has no room for it, and the service can start without.
+                (folder / RESERVE).touch(mode=0o600)
                 (folder / RESERVE).write_bytes(bytes(_RESERVE_BYTES))
         except BaseException:
             self.close()

@@ -29,7 +29,7 @@ def test_parameters_of_a_known_model_are_found() -> None:
     assert metrics.relative_rms < 3e-3
     assert metrics.male is not None
     assert metrics.psnr is None
-    assert not any("left out of a fit" in sentence for sentence in result.report.warnings)
+    assert not any("held out of a fit" in sentence for sentence in result.report.warnings)
 
 
 def test_a_table_is_predicted_at_the_middle_of_the_nodes_of_each_bin() -> None:

@@ -74,7 +74,7 @@ def test_a_file_is_read_with_options_and_a_grid_has_none(tmp_path: Path) -> None
     [
         ({"columns": "AOI"}, "columns must be such as theta_in=AOI,value=BSDF, not 'AOI'"),
         ({"columns": 3}, "columns must be such as"),
-        ({"missing": "0"}, "missing must be finite numbers, not 0"),
+        ({"missing": "0"}, "missing must be finite numbers, not '0'"),
         ({"missing": [0, float("nan")]}, "missing must be finite numbers"),
         ({"missing": 10**400}, "missing must be finite numbers"),
         ({"scale": 0}, "scale must be a number from 1e-12 to 1e+12, not 0"),

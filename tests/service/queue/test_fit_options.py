@@ -105,7 +105,7 @@ def identity(options: FitOptions, measurement: str = "a" * 64) -> str:
         ({}, {"horizon_cutoff_deg": 80 + 1e-12}),
         ({}, {"weighting": "balanced"}),
         ({"horizon_cutoff_deg": None}, {"horizon_cutoff_deg": 90}),
-        ({}, {"knots_deg": (0, 25, 50, 65, 72, 77, 81, 89)}),
+        ({}, {"knots_deg": (0, 30, 55, 68, 75, 81, 89)}),
         (
             {"variation": "parametric"},
             {"variation": "parametric", "knots_deg": (0, 70, 89)},
