@@ -16,7 +16,6 @@ TOP = Path(__file__).parent.parent
 FOLDERS = (".ci", "benchmarks", "docker", "docs", "dsbrdf", "examples", "service", "tests")
 SUFFIXES = {".py", ".js", ".css", ".ts", ".html", ".sh", ".conf", ".yaml", ".yml", ""}
 SKIPPED_FOLDERS = {"__pycache__", "_build", "generated", "stored", "cases"}
-NOT_YET_CLEAN = (*(f"dsbrdf/{wing}/" for wing in ("fitting",)),)
 
 DANGLING_COMMENT = re.compile(r"(?:#|//|/\*)+ ?(?:of|which|that|to|with|by)\b")
 BARE_WORDS = re.compile(
@@ -94,12 +93,7 @@ def _sources() -> Iterator[Path]:
     for folder in FOLDERS:
         for path in sorted((TOP / folder).rglob("*")):
             inside = path.relative_to(TOP)
-            if (
-                path.is_file()
-                and path.suffix in SUFFIXES
-                and not SKIPPED_FOLDERS & set(inside.parts)
-                and not inside.as_posix().startswith(NOT_YET_CLEAN)
-            ):
+            if path.is_file() and path.suffix in SUFFIXES and not SKIPPED_FOLDERS & set(inside.parts):
                 yield path
 
 

@@ -1,4 +1,4 @@
-"""The lobes of a model fitted to profiles: options, the default fit, metrics and the report."""
+"""Fit the lobes of a model to profiles: options, the default fit, metrics and the report."""
 
 from dsbrdf.fitting.metrics import METRICS, OUTSIDE_CENTER, Metrics, relative_errors, sample_errors
 from dsbrdf.fitting.options import FitOptions

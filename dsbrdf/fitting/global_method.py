@@ -1,4 +1,4 @@
-"""The default fit: one least-squares problem over the whole measurement.
+"""Fit the whole measurement as one least-squares problem, the default fit.
 
 Where the paper fits slices one by one and interpolates, this fits all rows of theta_diff at once, up to the horizon,
 with the parameters' control values as unknowns: a lobe keeps its identity from knot to knot and from channel to
@@ -18,7 +18,7 @@ from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
 from dsbrdf.data.weighting import DARK_VALUE_FRACTION, TINY, bin_weights
 from dsbrdf.errors import FitError
-from dsbrdf.fitting.least_squares import SMOOTHING, TOLERANCE, FitData, MixtureProblem, Solution, minimize
+from dsbrdf.fitting.least_squares import COST_TOLERANCE, SMOOTHING, FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.lobe_search import SearchData, Wanted, search
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
@@ -42,14 +42,14 @@ FINE_KNOTS = (
     np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0]),
     ELONGATION_KNOTS,
 )
-"""Knots [rad] of a small fixed number of lobes, whose every parameter has to follow more of a material."""
+"""Knots [rad] for a small fixed number of lobes, which need more flexible parameters."""
 MAX_ITERATIONS = 300
 COARSE_ITERATIONS = 10
-"""Bound on the iterations with a few bins of phi_diff: more are undone when all bins follow."""
+"""Maximum iterations with a few bins of phi_diff; the fit of all bins undoes more."""
 REFINE_TOLERANCE = 3e-3
-"""Refinement ends where two iterations in a row lower the cost by a smaller fraction.
+"""Refinement ends after two iterations in a row that lower the cost by a smaller fraction.
 
-The parameters then creep along valleys of the cost: ten times as many iterations change no error by more than 1 %.
+Ten times as many iterations change no error by more than 1 %.
 """
 REFINE_ROUNDS = 2
 ROBUST_REFINE_ROUNDS = 3
@@ -62,24 +62,24 @@ HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 FIT_COLUMNS = np.unique(np.concatenate([np.arange(30), np.arange(30, 90, 3), [89]]))
 USED_ROWS = np.unique(np.concatenate([FIT_ROWS, SEARCH_ROWS, HELD_OUT_ROWS]))
 USED_COLUMNS = np.unique(np.concatenate([FIT_COLUMNS, SEARCH_COLUMNS, HELD_OUT_COLUMNS]))
-"""Rows and columns of a table that the fit looks at.
+"""Rows and columns of a table that the fit uses.
 
-The last rows within the usual horizon cutoff, where reflectance is largest, are all there.
+They include all last rows within the usual horizon cutoff, where reflectance is largest.
 """
 SEARCH_BINS = (0, 3, 5, 8, 9)
-"""Bins of phi_diff that the search looks at; an elongated lobe changes too much within joined ones."""
+"""Bins of phi_diff that the search uses; an elongated lobe changes too much within joined bins."""
 NEIGHBOUR_COLUMNS = 5
 MIN_OUTLIER_RESIDUAL = 1e-2
-"""Relative residual below which a sample is no outlier, however well a mixture fits."""
+"""A sample with a smaller relative residual is never an outlier."""
 MIN_LINES = 8
-"""Number of rows, or columns, up to which all of them are used."""
+"""If there are fewer rows, or columns, all of them are used."""
 MIN_SAMPLES = 3
 MIN_TABLE_LIKE_SAMPLES = 20_000
-"""Number of scattered samples below which parameters are smoothed more than those of a table."""
+"""With fewer scattered samples, parameters are smoothed more than for a table."""
 MIN_BINS_IN_COLUMN = 5
-"""Bins with data for each knot below which a column does not allow lobes as narrow as its spacing."""
+"""A column with fewer filled bins per knot does not allow lobes as narrow as its spacing."""
 MIN_BINS_BETWEEN_KNOTS = 120
-"""Bins with data below which a knot is left out: parameters between would run away, as with scattered samples."""
+"""A knot with fewer filled bins before it is left out, because parameters between knots would be undetermined."""
 
 
 def fit_global(
@@ -88,7 +88,7 @@ def fit_global(
     progress: Callable[[float], None],
     on_stage: Callable[[str], None],
 ) -> tuple[FoundModel, Mixture]:
-    """Fit all rows at once, and return the model and the same as a mixture.
+    """Fit all rows at once, and return the model and its mixture.
 
     `on_stage` is called with the name of each stage that has ended. Raises FitError if the options leave no data to
     fit.
@@ -119,12 +119,12 @@ def fit_global(
 
 
 def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixture]:
-    """Fit the mixture that was found in bins again, to values at the very points where they were measured.
+    """Fit a mixture from bins again, to values at the exact points of the samples.
 
     The data have a row for each whole degree of theta_diff that has samples.
     """
     structure = mixture.structure
-    # Fewer samples say less: parameters have to be smoother.
+    # Fewer samples need smoother parameters.
     pull = max(1.0, MIN_TABLE_LIKE_SAMPLES / np.count_nonzero(data.weight[0]))
     amplitude, shape, elongation = (pull * smoothing for smoothing in SMOOTHING)
     problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
@@ -134,7 +134,7 @@ def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixt
 
 
 def _found(structure: Structure, solution: Solution, seen: Mask) -> tuple[FoundModel, Mixture]:
-    """Put a solution and what is reported of it together; `seen` says of each channel which rows had data.
+    """Combine a solution with its report; `seen` marks the rows with data in each channel.
 
     The lobes of the model stand from narrow to wide, rings last.
     """
@@ -150,7 +150,7 @@ def _found(structure: Structure, solution: Solution, seen: Mask) -> tuple[FoundM
 
 
 def fit_weights(data: Profiles, options: FitOptions) -> Array:
-    """Weights of the folded bins, 0 for what is masked."""
+    """Return the weights of the folded bins, 0 for masked bins."""
     weight = bin_weights(data.folded, options.resolved_weighting, options.horizon_cutoff)
     mask = options.mask or 0.0
     kept = THETA_HALF <= np.pi / 2 - mask * THETA_DIFF[:, None] + 1e-9
@@ -161,14 +161,14 @@ def fit_weights(data: Profiles, options: FitOptions) -> Array:
 
 
 def _search_data(fitted: FitData, held_out: FitData) -> SearchData:
-    """Thin out the bins of what lobes are fitted to during the search, and of what decides how many there are."""
+    """Thin out the bins of the data that lobes are fitted to in the search, and of the validation data."""
     thinned = fitted.take_bins(SEARCH_BINS), held_out.take_bins(SEARCH_BINS)
     fitted, held_out = thinned if thinned[0].signal > 0.0 else (fitted, held_out)
     return SearchData(fitted.single(), (held_out if held_out.signal > 0.0 else fitted).single())
 
 
 def _apart(angles: Array, axis: Array, filled: Indices, fewest: int) -> list[float]:
-    """Keep the first of some angles [rad], and those that have enough filled bins of an axis before them."""
+    """Keep the first of some angles [rad], and all angles with enough filled bins of an axis before them."""
     kept = [float(angles[0])]
     for angle in angles[1:].tolist():
         if filled[(axis >= kept[-1]) & (axis < angle)].sum() >= fewest:
@@ -179,9 +179,9 @@ def _apart(angles: Array, axis: Array, filled: Indices, fewest: int) -> list[flo
 def _structure(
     weight: Array, groups: tuple[Array, ...], options: FitOptions, amplitude_knots: tuple[float, ...] | None = None
 ) -> Structure:
-    """No lobes yet, on the knots [rad] within the rows with data that have enough of these before the next ones.
+    """Return a structure without lobes on the knots [rad] that have enough rows with data.
 
-    The knots that are asked for need not have any.
+    Knots chosen by the user are always kept.
     """
     filled = np.count_nonzero((weight > 0).any(axis=0), axis=2)
     rows, columns = filled.sum(axis=1), filled.sum(axis=0)
@@ -206,7 +206,7 @@ def _structure(
 
 
 def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:
-    """Take the rows and columns with data that are nearest to the wanted ones, or all where there are hardly any."""
+    """Take the rows and columns with data nearest to the wanted rows and columns, or all if there are few."""
     measured = weight.sum(axis=(0, 3)) > 0
     chosen = []
     for axis, wanted in ((1, rows), (0, columns)):
@@ -217,9 +217,9 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
 
 
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:
-    """Least squares on a few bins of phi_diff, then on all, exact, with outliers weighted down if asked for."""
+    """Fit a few bins of phi_diff, then all bins exactly, with outliers weighted down on request."""
     is_few = Wanted(options.n_lobes, options.ring_lobes).is_few
-    tolerance = TOLERANCE if is_few else REFINE_TOLERANCE  # Few lobes are fitted on at little cost.
+    tolerance = COST_TOLERANCE if is_few else REFINE_TOLERANCE  # More iterations for few lobes are cheap.
     rounds = ROBUST_REFINE_ROUNDS if options.robust else REFINE_ROUNDS
     unknowns, weight, iterations = mixture.unknowns, data.weight, 0
     for number in range(rounds):
@@ -242,7 +242,7 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
 
 
 def _trust(values: Array, data: FitData) -> Array:
-    """Weights, 0 for outliers to 1, of the shape (3, R, N, 10) of the data.
+    """Return weights (3, R, N, 10) of the data, from 0 for outliers to 1.
 
     A mixture that misses a peak does so on neighbouring columns, an outlier stands alone: what counts is how far the
     relative residual is from the median of its neighbours' over theta_half.
@@ -259,15 +259,15 @@ def _trust(values: Array, data: FitData) -> Array:
 
 
 def _exact(data: FitData, mixture: Mixture) -> FitData:
-    """Take off what the bins hide of a mixture, so that its values at the bins' means are what has to fit."""
+    """Subtract a mixture's error of binning from the data, so that its values at the bins' means fit them."""
     problem = MixtureProblem(data.single(), mixture.structure)
     return replace(data, mean=data.mean - _lost_in_bins(problem, mixture.unknowns))
 
 
 def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
-    """Mean of the mixture over the samples of each bin, less its value at their mean of cos(phi_diff)**2.
+    """Return the mixture's mean over the samples of each bin, minus its value at their mean cos(phi_diff)**2.
 
-    Elongated lobes change so fast within a bin that the two differ.
+    The difference matters for elongated lobes, which change fast within a bin.
     """
     data = problem.data
     theta_half, theta_diff = data.theta_half[:, None], data.theta_diff[:, None, None]
@@ -280,7 +280,7 @@ def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
 
 
 def _bounds_hit(model: DSBRDF) -> bool:
-    """Whether a lobe is as narrow or as steep as the bounds allow."""
+    """Tell whether a lobe is as narrow or as steep as the bounds allow."""
     narrowest = width_of_reach(np.array(REACH_BOUNDS[0]), model.lobe) * (1 + 1e-9)
     width = half_width(model.kappa, model.gamma, model.lobe)
     return bool(np.any(model.kappa >= KAPPA_BOUNDS[1] * (1 - 1e-9)) or np.any(width <= narrowest))

@@ -1,4 +1,4 @@
-"""Least squares over all rows of the folded profiles.
+"""Fit mixtures by least squares over all rows of the folded profiles.
 
 Unknowns are the control values of every lobe's log amplitude in each channel, of its log kappa, log gamma and, for ring
 lobes, center, and of its elongation; between knots they follow the B-splines of `dsbrdf.model.splines`, which are
@@ -9,10 +9,10 @@ with respect to the row's parameters,
 
 An amplitude concerns its own channel only and a shape all three: J^T W J of a row comes from one small product of lobes
 and derivatives for each channel. The method is Levenberg-Marquardt with the damping update of Nielsen (1999,
-IMM-REP-1999-05) and bounds: an unknown that stands at a bound and is pushed outwards is held.
+IMM-REP-1999-05) and bounds: an unknown at a bound with an outward step is fixed.
 
-A weak pull decides what the data leave open: `SMOOTHING` times the squared signal for each squared second difference of
-control values. Shapes get the strongest: where a lobe is faint they would run from bound to bound between two knots.
+A weak prior determines unknowns without data: `SMOOTHING` times the squared signal for each squared second difference
+of control values. Shapes have the strongest prior, because shapes of a faint lobe would oscillate between knots.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,33 +33,33 @@ from dsbrdf.model.lobes import LobeSlopes, lobe_curves, log_cosine
 from dsbrdf.model.splines import roughness
 
 SMOOTHING = (1e-7, 3e-6, 1e-6)
-"""Pull on second differences of log amplitudes, shapes and elongations, as a fraction of the squared signal."""
-TOLERANCE = 1e-3
-"""An iteration stalls that lowers the cost by a smaller fraction."""
-SAMPLES_IN_BLOCK = 2400
-"""Samples handled together: what is computed of them stays in a processor's cache."""
+"""Weights of squared second differences of log amplitudes, shapes and elongations, per squared signal."""
+COST_TOLERANCE = 1e-3
+"""An iteration that lowers the cost by a smaller fraction counts as stalled."""
+MAX_SAMPLES_IN_BLOCK = 2400
+"""Intermediate arrays of a block with so many samples stay in a processor's cache."""
 MAX_SINGLE_VALUE = 1e9
-"""Largest value [1/sr] in single precision, and one over the smallest: weights are about one over the squares."""
+"""Data beyond this value [1/sr], or below its inverse, stay in double precision."""
 MAX_UNKNOWN_STEP = 1.5
-"""Largest change of an unknown in one iteration, be it a logarithm, an angle [rad] or an elongation."""
+"""Maximum change of an unknown in one iteration: a logarithm, an angle [rad] or an elongation."""
 START_DAMPING = 1e-2
 MAX_DAMPING = 1e8
-"""Damping beyond which no step is left that lowers the cost: the iterations end."""
+"""Iterations end at a larger damping, because no step lowers the cost."""
 LIMIT_PASSES = 5
 MIN_UNKNOWN_CHANGE = 1e-9
 MAX_STALLED_ITERATIONS = 2
-"""Iterations in a row that lower the cost by less than the tolerance and end the fit."""
+"""The fit ends after so many stalled iterations in a row."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """Values at points in R rows of equal theta_diff, N angles theta_half and P of phi_diff, and what they count."""
+    """Hold values and weights in R rows of theta_diff, N columns of theta_half and P bins of phi_diff."""
 
     mean: Array  # (3, R, N, P)
     weight: Array  # (3, R, N, P)
     cos2_phi: Array  # (R, N, P)
     theta_diff: Array  # (R,) [rad]
-    theta_half: Array  # the same for all rows (N,) or each row's own (R, N) [rad]
+    theta_half: Array  # common to all rows (N,) or separate for each row (R, N) [rad]
 
     @classmethod
     def select(cls, folded: FoldedProfiles, weight: Array, rows: Indices, columns: Indices) -> "FitData":
@@ -70,7 +70,7 @@ class FitData:
 
     @classmethod
     def from_samples(cls, values: Array, weight: Array, row: Indices, theta_half: Array, phi_diff: Array) -> "FitData":
-        """Put samples (n, 3) into rows of whole degrees of theta_diff; shorter ones end with samples of no weight."""
+        """Put samples (n, 3) into rows of whole degrees of theta_diff; short rows end with weightless samples."""
         rows, index, counts = np.unique(row, return_inverse=True, return_counts=True)
         order = np.argsort(index, kind="stable")
         place = index[order], np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -89,9 +89,9 @@ class FitData:
         )
 
     def single(self) -> "FitData":
-        """Convert the data to single precision, in which the sums over them take half of the time.
+        """Convert the data to single precision, which halves the time of sums.
 
-        Data whose weights leave its range, as those of values in a wrong unit do, stay as they are.
+        Data whose weights exceed its range, such as values in a wrong unit, stay in double precision.
         """
         if not MAX_SINGLE_VALUE**-1 < self.mean.max(initial=0.0) < MAX_SINGLE_VALUE:
             return self
@@ -115,21 +115,21 @@ class FitData:
 
     @cached_property
     def squared_tangents(self) -> tuple[Array, Array]:
-        """tan(theta_half)**2 times cos(phi_diff)**2, and times sin(phi_diff)**2, shape (R, 1, N * P)."""
+        """Arrays (R, 1, N * P) of tan(theta_half)**2 times cos(phi_diff)**2, and times sin(phi_diff)**2."""
         squared = np.tan(self.theta_half).astype(self.mean.dtype)[..., None] ** 2
         shape = len(self.theta_diff), 1, -1
         return (squared * self.cos2_phi).reshape(shape), (squared * (1.0 - self.cos2_phi)).reshape(shape)
 
     @cached_property
     def slices(self) -> list[slice]:
-        """The rows, so few at a time that what is found of them stays in a processor's cache."""
+        """Slices of the rows, so short that intermediate arrays stay in a processor's cache."""
         count = len(self.theta_diff)
-        size = -(-count // max(1, round(self.cos2_phi.size / SAMPLES_IN_BLOCK)))
+        size = -(-count // max(1, round(self.cos2_phi.size / MAX_SAMPLES_IN_BLOCK)))
         return [slice(start, start + size) for start in range(0, count, size)]
 
     @cached_property
     def blocks(self) -> list["Block"]:
-        """The rows of each slice, without samples that count in none of them."""
+        """Rows of each slice, without samples that have no weight in any row."""
         counts = self.rows[1].any(axis=1)
         order, most, blocks = np.argsort(~counts, axis=1, kind="stable"), counts.sum(axis=1), []
         for rows in self.slices:
@@ -141,9 +141,9 @@ class FitData:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Neighbouring rows, and at least those of their samples that have a weight."""
+    """Hold neighbouring rows with all of their weighted samples."""
 
-    rows: slice  # which of all rows
+    rows: slice  # place of the rows in all rows
     mean: Array  # (r, 3, n)
     weight: Array  # (r, 3, n)
     along: Array  # tan(theta_half)**2 cos(phi_diff)**2, (r, 1, n)
@@ -151,7 +151,7 @@ class Block:
 
 
 class MixtureProblem:
-    """The cost of a mixture on data, and its derivatives; `SMOOTHING` pulls at the unknowns."""
+    """Compute the cost of a mixture on data with the prior `SMOOTHING`, and its derivatives."""
 
     def __init__(
         self,
@@ -174,7 +174,7 @@ class MixtureProblem:
         self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
 
     def values(self, unknowns: Array) -> Array:
-        """Values of the mixture, shape (3, R, N, P) [1/sr]."""
+        """Return values (3, R, N, P) of the mixture [1/sr]."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
         along, across = self.data.squared_tangents
         values = np.empty((len(parameters[0]), 3, along.shape[2]), along.dtype)
@@ -184,12 +184,12 @@ class MixtureProblem:
         return values.transpose(1, 0, 2).reshape(3, *self.data.cos2_phi.shape)
 
     def curves(self, unknowns: Array) -> Array:
-        """Values of the lobes at height 1, shape (R, K, N * P)."""
+        """Return values (R, K, N * P) of the lobes with height 1."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
         return self._lobes(parameters, slice(None), *self.data.squared_tangents)[0]
 
     def evaluate(self, unknowns: Array) -> "Evaluation":
-        """Cost, and what its derivatives are put together from."""
+        """Return the cost, and the intermediate arrays for its derivatives."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
         pull, parts = self._pull(unknowns), []
         cost = float(unknowns @ pull)
@@ -202,11 +202,11 @@ class MixtureProblem:
         return Evaluation(unknowns, cost, parameters[0], parts, pull)
 
     def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
-        """Lower triangle of the Gauss-Newton matrix (U, U), and half the gradient (U,) of the cost."""
+        """Return the lower triangle of the Gauss-Newton matrix (U, U), and half the gradient (U,) of the cost."""
         k, count = self.structure.n_lobes, self._lobe_of.size
         products = np.empty((len(at.amplitude), 3, count, count + 1), self.data.mean.dtype)
         for block, curves, kinds, residual in at.parts:
-            # Derivatives, then the residual.
+            # The columns are the derivatives, then the residual.
             columns = np.empty((len(curves), count + 1, curves.shape[2]), curves.dtype)
             columns[:, :k] = curves
             for place, values in (column for kind in kinds for column in self._slopes(block, kind)):
@@ -225,7 +225,7 @@ class MixtureProblem:
         return matrix, gradient + at.pull
 
     def _assemble(self, products: Array, slopes: Array) -> tuple[Array, Array]:
-        """Normal equations of control values from those of each row and channel, (R, 3, M, M) and (R, 3, M)."""
+        """Return normal equations of control values from each row's and channel's (R, 3, M, M) and (R, 3, M)."""
         k, first = self.structure.n_lobes, self.structure.parts[0]
         q = 2 * k + self.structure.n_rings
         matrix = np.zeros((self.structure.n_unknowns, self.structure.n_unknowns))
@@ -249,19 +249,19 @@ class MixtureProblem:
         return matrix, np.concatenate([(basis.T @ part).ravel() for basis, part in zip(self.bases, rows, strict=True)])
 
     def _spread(self, i: int, j: int, blocks: Array) -> Array:
-        """Sum over rows of first basis x second basis x block, shape (D, E, ...) for blocks (R, ...)."""
+        """Sum first basis x second basis x block over rows, to shape (D, E, ...) for blocks (R, ...)."""
         spread = self._pairs[i, j] @ blocks.reshape(len(blocks), -1)
         return spread.reshape(self.bases[i].shape[1], self.bases[j].shape[1], *blocks.shape[1:])
 
     def _pull(self, unknowns: Array) -> Array:
-        """Half the gradient of the cost of the smoothing."""
+        """Return half the gradient of the cost of the smoothing."""
         parts = zip(self._pulls, self.structure.split(unknowns), strict=True)
         return np.concatenate([(matrix @ part).ravel() for matrix, part in parts])
 
     def _lobes(
         self, parameters: tuple[Array, Array, Array], rows: slice, along: Array, across: Array
     ) -> tuple[Array, list["_Kind"]]:
-        """Lobes of height 1 (r, K, n) in some rows, and what those of each kind are made of."""
+        """Return lobes of height 1 (r, K, n) in some rows, and the intermediate arrays of each kind of lobes."""
         shape, elongation = parameters[1][rows], parameters[2][rows]
         k, centered = self.structure.n_lobes, self.structure.n_lobes - self.structure.n_rings
         logs = elongation[..., None] * self._log_cos[rows], shape[:, :k, None], shape[:, k : 2 * k, None]
@@ -276,7 +276,7 @@ class MixtureProblem:
         return curves[0] if len(curves) == 1 else np.concatenate(curves, axis=1), kinds
 
     def _slopes(self, block: Block, kind: "_Kind") -> list[tuple[slice, Array]]:
-        """Derivatives of lobes in the parameters that channels share, and which of all columns they are."""
+        """Return derivatives of lobes in the parameters common to all channels, with the slices of their columns."""
         k, found = self.structure.n_lobes, kind.slopes()
         start, stop, end = kind.part.start, kind.part.stop, 3 * k + self.structure.n_rings
         by_elongation = kind.far - kind.near
@@ -292,9 +292,9 @@ class MixtureProblem:
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """The lobes about the normal, or the ring lobes."""
+    """Hold the lobes about the normal, or the ring lobes."""
 
-    part: slice  # of all lobes
+    part: slice  # place in all lobes
     slopes: Callable[[], LobeSlopes]
     near: Array  # parts of the squared tangent of theta', along and across the plane of incidence
     far: Array
@@ -302,18 +302,18 @@ class _Kind:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A mixture on its data."""
+    """Hold the cost of a mixture on its data, with intermediate arrays."""
 
     unknowns: Array  # (U,)
-    cost: float  # weighted squared error plus the pull towards smooth parameters
+    cost: float  # weighted squared error plus the cost of the smoothing
     amplitude: Array  # (R, 3, K)
-    parts: list[tuple[Block, Array, list[_Kind], Array]]  # of each block lobes (r, K, n) and residual (r, 3, n)
-    pull: Array  # half the gradient of the pull (U,)
+    parts: list[tuple[Block, Array, list[_Kind], Array]]  # for each block: lobes (r, K, n), residual (r, 3, n)
+    pull: Array  # half the gradient of the cost of the smoothing (U,)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Outcome of `minimize`."""
+    """Hold the outcome of `minimize`."""
 
     unknowns: Array
     cost: float
@@ -326,14 +326,15 @@ def minimize(
     start: Array,
     *,
     iterations: int,
-    tolerance: float = TOLERANCE,
+    tolerance: float = COST_TOLERANCE,
     fixed: Mask | None = None,
     on_iteration: Callable[[int], None] | None = None,
 ) -> Solution:
-    """Levenberg-Marquardt within the bounds of the structure, from the unknowns `start`.
+    """Minimise the cost by Levenberg-Marquardt within the bounds of the structure, from the unknowns `start`.
 
-    An iteration stalls that lowers the cost by less than the share `tolerance`; at most so many steps are tried, and
-    `on_iteration` is called with the number of each. The unknowns that are `fixed` keep the value they start from.
+    An iteration that lowers the cost by less than the fraction `tolerance` counts as stalled; the number of steps is
+    bounded, and `on_iteration` is called with the number of each step. Unknowns that
+    are `fixed` keep their start values.
     """
     at = problem.evaluate(problem.structure.limit(start))
     damping, growth, stalled, is_new = START_DAMPING, 2.0, 0, True
@@ -368,12 +369,12 @@ def _step(
     fixed: Mask | None,
     precision: np.dtype[np.floating[Any]],
 ) -> Array:
-    """Damped Gauss-Newton step within the limits of the structure, solved in the precision of the data.
+    """Return the damped Gauss-Newton step within the limits of the structure, in the precision of the data.
 
-    Unknowns that a limit stops short are given the step that is left to them, and the others are solved for anew, as
-    under a constraint, with the same factor: else these would answer to steps that are not made.
+    Unknowns that reach a limit get the step up to the limit. The other unknowns are solved again under this constraint,
+    with the same factor; otherwise they would compensate steps that are not made.
     """
-    # First those that stand at a limit and are pushed outwards.
+    # First fix the unknowns at a limit with an outward gradient.
     pushed = structure.limit(unknowns - MIN_UNKNOWN_CHANGE * np.sign(gradient))
     held = np.abs(pushed - unknowns) <= 0.5 * MIN_UNKNOWN_CHANGE
     if fixed is not None:
@@ -387,9 +388,9 @@ def _step(
     damped[places], damped[:, places] = 0.0, 0.0
     damped[places, places] = 1.0
     factor, failed = potrf(damped.T, overwrite_a=True, clean=False)
-    if failed:  # singular to rounding: no step, so that the damping grows
+    if failed:  # A singular matrix gives no step, so that the damping grows.
         return np.zeros_like(gradient)
-    half = trtrs(factor, np.where(held, 0.0, -gradient), trans=1)[0]  # solved with the first of the two triangles
+    half = trtrs(factor, np.where(held, 0.0, -gradient), trans=1)[0]  # Solve with the first of the two triangles.
     solved, places, columns = trtrs(factor, half)[0], np.zeros(0, np.intp), np.zeros((held.size, 0))
     stopped = np.zeros(held.size, bool)
     for _ in range(LIMIT_PASSES):
@@ -406,5 +407,5 @@ def _step(
         columns = np.concatenate([columns, trtrs(factor, unit, trans=1, overwrite_b=True)[0]], axis=1)
         force = gesv(columns.T @ columns, step[places] - columns.T @ half)[2]
         solved = trtrs(factor, half + columns @ force)[0]
-        solved[places] = step[places]  # to the last bit: an unknown at its bound stays there
+        solved[places] = step[places]  # An unknown at its bound stays there exactly.
     return step

@@ -1,4 +1,4 @@
-"""How options are declared: a frozen dataclass whose fields have a sentence, bounds and a default."""
+"""Declare options as a frozen dataclass whose fields have a sentence, bounds and a default."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Options = TypeVar("Options")
 
 @dataclass(frozen=True)
 class Bounds:
-    """The smallest and largest number that an option, or each of a list, may be; stands in its annotation."""
+    """Bound the numbers of an option, or of each element of a list; used in its annotation."""
 
     least: float
     most: float
-    above: bool = False  # the least itself is too small
+    above: bool = False  # Whether the lower bound itself is excluded.
 
     def allow(self, number: float) -> bool:
-        """Whether a number is within the bounds."""
+        """Tell whether a number is within the bounds."""
         return (self.least < number if self.above else self.least <= number) and number <= self.most
 
     def __str__(self) -> str:
@@ -45,12 +45,12 @@ class Bounds:
 
 
 def option(default: Any, doc: str) -> Any:
-    """Return a field of a class of options; its sentence goes to the docstring, the command line and over HTTP."""
+    """Return a field of a class of options; its sentence appears in docstring, command line and HTTP reference."""
     return field(default=default, metadata={"doc": doc})
 
 
 def sentences_of(options: type) -> dict[str, str]:
-    """Return what each option of a class means."""
+    """Return the sentence of each option of a class."""
     return {declared.name: declared.metadata["doc"] for declared in fields(options)}
 
 
@@ -65,12 +65,12 @@ def documented(options: type[Options]) -> type[Options]:
 
 
 def suggesting(options: type[Options]) -> type[Options]:
-    """Make a dataclass name the option that a wrong name may mean."""
+    """Make a dataclass suggest the option that is meant by a wrong name."""
     init: Callable[..., None] = options.__init__
 
     @wraps(init)
     def checked(self: Options, *values: object, **choices: object) -> None:
-        check_names(choices, [declared.name for declared in fields(options)])  # type: ignore[arg-type]  # a dataclass
+        check_names(choices, [declared.name for declared in fields(options)])  # type: ignore[arg-type]  # The class is a dataclass.
         init(self, *values, **choices)
 
     options.__init__ = checked  # type: ignore[assignment, method-assign]
@@ -78,7 +78,7 @@ def suggesting(options: type[Options]) -> type[Options]:
 
 
 def check_names(choices: Iterable[str], known: Sequence[str]) -> None:
-    """Raise InvalidArgumentError for the first choice that is no known name, with the name that it may mean."""
+    """Raise InvalidArgumentError for the first unknown choice, and suggest a name."""
     for name in choices:
         if name not in known:
             near = get_close_matches(name, known, n=1)

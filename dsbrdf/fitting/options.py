@@ -1,4 +1,4 @@
-"""What can be chosen about a fit."""
+"""Define the options of a fit."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -16,9 +16,9 @@ from dsbrdf.model.lobe_families import Family
 MAX_LOBES = 10
 MAX_RING_LOBES = MAX_LOBES - 1
 OPTION_DECIMALS = 9
-"""Digits kept of a number: conversions to radians and back change the later ones."""
-# option -> what it can be with the method "paper", and why
-_OF_PAPER: dict[str, tuple[tuple[object, ...], str]] = {
+"""Options are rounded to this number of decimals: conversions to radians and back change later digits."""
+# Choices of some options for the method "paper", with the end of the sentence that refuses another choice.
+_PAPER_CHOICES: dict[str, tuple[tuple[object, ...], str]] = {
     "ring_lobes": (("auto", 0), 'has no ring lobes: use ring_lobes 0 or "auto"'),
     "knots_deg": ((None,), "has its slices every 5 degrees: leave the knots out"),
     "variation": (("full",), 'has values at every slice: use the variation "full"'),
@@ -93,7 +93,7 @@ class FitOptions:
     def __post_init__(self) -> None:
         for name, (kind, bounds, words) in _declared().items():
             value = getattr(self, name)
-            if isinstance(value, np.generic):  # an option taken from an array means the same
+            if isinstance(value, np.generic):  # NumPy numbers are converted to Python numbers.
                 value = value.item()
             if value not in words:
                 value = _checked(name, value, kind, bounds, words)
@@ -103,13 +103,13 @@ class FitOptions:
                 f"ring_lobes must be below n_lobes, at most {self.n_lobes - 1} here, not {self.ring_lobes}: "
                 "a ring lobe is one of the lobes"
             )
-        for name, (possible, why) in _OF_PAPER.items():
+        for name, (possible, why) in _PAPER_CHOICES.items():
             if self.method == "paper" and getattr(self, name) not in possible:
                 raise InvalidArgumentError(f'the method "paper" {why}')
 
     @property
     def horizon_cutoff(self) -> float | None:
-        """The largest angle to the normal [rad]."""
+        """Maximum angle of a direction to the normal [rad], or None."""
         return None if self.horizon_cutoff_deg is None else float(np.radians(self.horizon_cutoff_deg))
 
     @property
@@ -119,12 +119,12 @@ class FitOptions:
 
     @property
     def resolved_weighting(self) -> str:
-        """The weighting, None being the method's own."""
+        """The chosen weighting, or the method's default."""
         return self.weighting or ("plain" if self.method == "paper" else "balanced")
 
 
 def _checked(name: str, value: Any, kind: type | None, bounds: Bounds | None, words: tuple[str | None, ...]) -> Any:
-    """Return a value as its type; raise InvalidArgumentError if it is none of its option."""
+    """Return a value in its option's type; raise InvalidArgumentError if the option does not allow it."""
     if kind is bool:
         right = "true or false"
         if isinstance(value, bool):
@@ -156,7 +156,7 @@ def _checked(name: str, value: Any, kind: type | None, bounds: Bounds | None, wo
 
 @cache
 def _declared() -> dict[str, tuple[type | None, Bounds | None, tuple[str | None, ...]]]:
-    """For each option the type of its numbers, their bounds, and the words that it can be."""
+    """Return for each option the type of its numbers, their bounds, and its words."""
     found: dict[str, tuple[type | None, Bounds | None, tuple[str | None, ...]]] = {}
     for name, hint in get_type_hints(FitOptions, include_extras=True).items():
         kind: type | None = bool if hint is bool else None

@@ -1,4 +1,4 @@
-"""What a fit gives: the model and a report of how it was found and how good it is.
+"""Hold the result of a fit: the model and a report of the search and of its errors.
 
 A report consists of frozen dataclasses, tuples and numbers, so that reports can be compared, hashed and pickled.
 """
@@ -21,12 +21,12 @@ from dsbrdf.version import Versions
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """One number of lobes compared: by Williams' test of E_p, see `WilliamsRow`, and by its squared error."""
+    """Compare a number of lobes by Williams' test of E_p, see `WilliamsRow`, and by its squared error."""
 
     n_lobes: int
     e_p: float  # mean over the slices
     squared_error: float  # over all samples used [1/sr^2]
-    bic: float | None  # with Gaussian errors of unknown variance; None for an exact fit
+    bic: float | None  # for Gaussian errors of unknown variance; None for an exact fit
     t: float | None
     critical_value: float | None
     significant: bool
@@ -34,20 +34,20 @@ class SelectionStep:
 
 @dataclass(frozen=True)
 class KnotReport:
-    """How a fit went at each of D knots of theta_diff [rad], for each channel, tables (3, D).
+    """Report a fit at each of D knots of theta_diff [rad] in each channel, as tables (3, D).
 
-    Those of the method "paper" are its slices.
+    The knots of the method "paper" are its slices.
     """
 
     theta_diff: tuple[float, ...]
     fitted: tuple[tuple[bool, ...], ...]  # whether there were data
-    converged: tuple[tuple[bool, ...], ...]  # whether it did within the iterations allowed
+    converged: tuple[tuple[bool, ...], ...]  # whether the fit converged within its iterations
     iterations: tuple[tuple[int, ...], ...]
     bounds_hit: tuple[tuple[bool, ...], ...]  # whether a parameter ended at a bound
 
     @classmethod
     def from_arrays(cls, theta_diff: ArrayLike, *tables: ArrayLike) -> Self:
-        """Make it of the knots (D,), and of the other tables in order as arrays that broadcast to (3, D)."""
+        """Make a report from the knots (D,) and the other tables, in order, as arrays that broadcast to (3, D)."""
         knots = np.asarray(theta_diff)
         full = (np.broadcast_to(table, (3, knots.size)).tolist() for table in tables)
         return cls(tuple(knots.tolist()), *(tuple(map(tuple, table)) for table in full))
@@ -55,7 +55,7 @@ class KnotReport:
 
 @dataclass(frozen=True, eq=False)
 class FoundModel:
-    """What a method of fitting found: the model, and what the report says of the search, see `FitReport`."""
+    """Hold the model of a method of fitting, and its part of the `FitReport`."""
 
     model: DSBRDF
     knots: KnotReport
@@ -65,15 +65,15 @@ class FoundModel:
 
 @dataclass(frozen=True)
 class DirectionalAlbedo:
-    """Share of the light from some directions that a model reflects."""
+    """Hold the fraction of light from some directions that a model reflects."""
 
     theta_out: tuple[float, ...]  # angles to the normal [rad]
-    albedo: tuple[tuple[float, ...], ...]  # red, green and blue at each
+    albedo: tuple[tuple[float, ...], ...]  # red, green and blue at each angle
 
 
 @dataclass(frozen=True)
 class LeftOutErrors:
-    """Error of a fit of scattered samples at those samples of some directions that no fit saw."""
+    """Report the error of a fit of scattered samples at left-out samples."""
 
     where: str
     n_samples: int
@@ -82,7 +82,7 @@ class LeftOutErrors:
 
 @dataclass(frozen=True)
 class SuggestedPair:
-    """Directions at which a sample would tell much [degrees]; phi is the azimuth from one to the other."""
+    """Suggest directions for a useful next sample [degrees]; phi is the azimuth from one to the other."""
 
     theta_in_deg: float
     theta_out_deg: float
@@ -91,7 +91,7 @@ class SuggestedPair:
 
 @dataclass(frozen=True, repr=False)
 class FitReport:
-    """What a fit did and how good it is.
+    """Report the course and the errors of a fit.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class FitReport:
 
 @dataclass(frozen=True)
 class FitResult:
-    """A model and the report of its fit.
+    """Hold a model and the report of its fit.
 
     It is drawn, decomposed, saved and evaluated as its model is: `dsbrdf.render_sphere(result)`.
 
@@ -168,7 +168,7 @@ class FitResult:
 
 
 def _plain(value: Any) -> Any:
-    """Return dicts and tuples as JSON has them."""
+    """Return dicts and tuples in the types of JSON."""
     if isinstance(value, dict):
         return {name: _plain(item) for name, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

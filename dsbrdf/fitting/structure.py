@@ -1,13 +1,13 @@
-"""Which lobes a mixture has, how its unknowns lie in one array, and where they may lie.
+"""Describe the lobes of a mixture, the layout of its unknowns in one array, and their bounds.
 
-Gamma and center are not unknowns themselves, but
+Instead of gamma and center, the unknowns are log reach and offset:
 
     log reach = log fall_to_half(kappa) - log gamma,
-    center = offset where positive, else limit * expm1(offset / limit),
+    center = offset where positive, else limit * expm1(offset / limit).
 
-where a lobe falls to half its height and how far its peak lies from the normal. So kappa, which trades against gamma,
-changes while the half width stays, and each bound concerns one unknown. The limit of a negative center, a cusp, is the
-half width, and at most `MAX_CUSP_OFFSET`: a cusp stays about as steep as the lobe itself.
+The reach is at half of the height, and the offset is the distance of the peak from the normal. So kappa, which trades
+against gamma, changes while the half width stays, and each bound concerns one unknown. The limit of a
+negative center, a cusp, is the half width, and at most `MAX_CUSP_OFFSET`: a cusp stays about as steep as the lobe.
 """
 
 from dataclasses import dataclass, field
@@ -23,27 +23,29 @@ from dsbrdf.model.lobes import fall_to_half, reach_of_width, width_of_reach
 from dsbrdf.model.splines import n_control_values, spline_basis
 
 LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
-"""From nothing to the largest value that a measurement may have."""
+"""Logarithms of amplitudes from practically 0 to the maximum value of a measurement [log 1/sr]."""
 KAPPA_BOUNDS = (1e-2, 10.0)
 REACH_BOUNDS = (4e-6, 70.0)
-"""From a sixth of a degree, about the narrowest peak that the grid resolves, to flat."""
+"""Reach from 1/6 degree, about the narrowest peak that the grid resolves, to a flat lobe."""
 OFFSET_BOUNDS = (-1.0, MAX_CENTER)
-"""From a cusp to a ring at the horizon [rad]."""
+"""Offsets from a cusp to a ring at the horizon [rad]."""
 ELONGATION_BOUNDS = (-2.0, 10.0)
 MAX_CUSP_OFFSET = 0.25
-"""Largest distance of a center below 0 [rad]."""
+"""Maximum distance of a center below 0 [rad]."""
 MAX_OFFSET_LIMITS = 2.5
-"""Offset, over the limit of a cusp, beyond which the center changes by less than a twelfth of the limit."""
+"""Beyond this multiple of a cusp's limit, the offset changes the center by less than 1/12 of the limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Which lobes there are and where their parameters have knots [rad]; fixes the layout of the unknowns."""
+    """Define the lobes of a mixture, the knots [rad] of their parameters, and the layout of the unknowns."""
 
-    rings: tuple[bool, ...]  # whether a lobe has a center; those that have come last
-    knots: tuple[Array, Array, Array]  # of amplitudes, shapes and elongations
+    rings: tuple[bool, ...]  # whether a lobe has a center; ring lobes come last
+    knots: tuple[Array, Array, Array]  # knots of amplitudes, shapes and elongations
     family: str  # one of `dsbrdf.model.lobe_families.FAMILIES`
-    theta_half: Array = field(default_factory=lambda: THETA_HALF)  # with data: narrower lobes fit the gaps between
+    theta_half: Array = field(
+        default_factory=lambda: THETA_HALF
+    )  # angles with data; lobes narrower than their spacing would fit gaps
 
     @property
     def n_lobes(self) -> int:
@@ -57,23 +59,23 @@ class Structure:
 
     @property
     def n_unknowns(self) -> int:
-        """How many numbers describe the mixture."""
+        """Number of unknowns of the mixture."""
         return sum(rows * columns for rows, columns in self.blocks)
 
     @cached_property
     def blocks(self) -> list[tuple[int, int]]:
-        """Numbers of control values, and of parameters at each, of amplitudes, shapes and elongations."""
+        """Numbers of control values, and of parameters per control value, for amplitudes, shapes and elongations."""
         columns = 3 * self.n_lobes, 2 * self.n_lobes + self.n_rings, self.n_lobes
         return [(n_control_values(knots.size), count) for knots, count in zip(self.knots, columns, strict=True)]
 
     @cached_property
     def parts(self) -> tuple[slice, slice, slice]:
-        """Where the amplitudes, shapes and elongations are among the unknowns."""
+        """Slices of the amplitudes, shapes and elongations in the unknowns."""
         first, second, third = (rows * columns for rows, columns in self.blocks)
         return slice(0, first), slice(first, first + second), slice(first + second, first + second + third)
 
     def split(self, unknowns: Array) -> tuple[Array, Array, Array]:
-        """Views on the unknowns: amplitude (D, 3 K), shape (S, 2 K + rings) and elongation (E, K).
+        """Return views on the unknowns: amplitude (D, 3 K), shape (S, 2 K + rings) and elongation (E, K).
 
         Amplitudes are logarithms, channel by channel; shapes log kappa, log reach, and offset of the ring lobes.
         """
@@ -82,7 +84,7 @@ class Structure:
         return amplitude, shape, elongation
 
     def is_kappa(self) -> Mask:
-        """Which unknowns are logarithms of kappa, shape (n_unknowns,)."""
+        """Mask of the unknowns that are logarithms of kappa, shape (n_unknowns,)."""
         found = np.zeros(self.n_unknowns)
         self.split(found)[1][:, : self.n_lobes] = 1.0
         return found > 0.0
@@ -104,7 +106,7 @@ class Structure:
         return sides[0], sides[1]
 
     def limit(self, unknowns: Array) -> Array:
-        """Unknowns within the bounds, with no lobe narrower than the data's spacing.
+        """Clip unknowns to the bounds, and widen lobes narrower than the data's spacing.
 
         An offset below 0 ends where a lower one would not change the cusp any more.
         """
@@ -118,7 +120,7 @@ class Structure:
         return limited
 
     def lobe_shapes(self, unknowns: Array) -> Array:
-        """Control values of log kappa, log gamma and, for ring lobes, center, shape (S, 2 K + rings)."""
+        """Return control values (S, 2 K + rings) of log kappa, log gamma and, for ring lobes, center."""
         shape, k = self.split(unknowns)[1].copy(), self.n_lobes
         offset = shape[:, 2 * k :]
         if offset.min(initial=0.0) < 0.0:
@@ -128,18 +130,18 @@ class Structure:
         return shape
 
     def bases(self, theta_diff: Array) -> tuple[Array, Array, Array]:
-        """Weights of the control values of amplitudes, shapes and elongations at angles (R,), see `spline_basis`."""
+        """Return weights of the control values of amplitudes, shapes and elongations at angles (R,)."""
         amplitude, shape, elongation = (_basis(knots.tobytes(), theta_diff.tobytes()) for knots in self.knots)
         return amplitude, shape, elongation
 
     def row_parameters(self, bases: tuple[Array, Array, Array], unknowns: Array) -> tuple[Array, Array, Array]:
-        """Amplitude (R, 3, K), shape (R, 2 K + rings) and elongation (R, K) at the angles of `bases`."""
+        """Return amplitude (R, 3, K), shape (R, 2 K + rings) and elongation (R, K) at the angles of `bases`."""
         amplitude, _, elongation = self.split(unknowns)
         logs = (bases[0] @ amplitude).reshape(-1, 3, self.n_lobes)
         return np.exp(logs), bases[1] @ self.lobe_shapes(unknowns), bases[2] @ elongation
 
     def join(self, amplitude: Array, lobe_shapes: Array, elongation: Array) -> Array:
-        """Unknowns of control values; the inverse of `split` and `lobe_shapes`."""
+        """Return the unknowns of control values, the inverse of `split` and `lobe_shapes`."""
         shape, k = lobe_shapes.copy(), self.n_lobes
         shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
         limit, _ = self._cusp_limit(shape[:, 2 * k - self.n_rings : 2 * k])
@@ -149,13 +151,13 @@ class Structure:
         return np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()])
 
     def chain(self, unknowns: Array, matrix: Array, gradient: Array) -> None:
-        """Turn derivatives in control values, as `lobe_shapes` has them, into those in the unknowns, in place.
+        """Turn derivatives in control values of `lobe_shapes` into derivatives in the unknowns, in place.
 
-        Of the matrix, only the lower triangle counts.
+        Only the lower triangle of the matrix is used.
         """
         shape, k, part = self.split(unknowns)[1], self.n_lobes, self.parts[1]
         size, kappa, ring = shape.shape[1], np.arange(k), np.arange(2 * k, shape.shape[1])
-        turn = np.zeros((len(shape), size, size))  # of one derivative by another, at each control value
+        turn = np.zeros((len(shape), size, size))  # derivatives of control values in unknowns
         turn[:, kappa, kappa] = turn[:, ring, ring] = 1.0
         turn[:, kappa, k + kappa] = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))
         turn[:, k + kappa, k + kappa] = -1.0
@@ -171,12 +173,12 @@ class Structure:
             found[...] = turn @ found
 
     def _of_rings(self, unknowns: Array) -> tuple[Array, Array]:
-        """Views on log reach and offset of the ring lobes, shape (S, rings) each."""
+        """Return views (S, rings) on log reach and offset of the ring lobes."""
         shape, k = self.split(unknowns)[1], self.n_lobes
         return shape[:, 2 * k - self.n_rings : 2 * k], shape[:, 2 * k :]
 
     def _cusp_limit(self, log_reach: Array) -> tuple[Array, Array]:
-        """How far a center can be negative [rad], and the derivative in log reach."""
+        """Return the maximum distance of a center below 0 [rad], and its derivative in log reach."""
         reach = np.exp(log_reach)
         width = width_of_reach(reach, self.family)
         slope = FAMILIES[self.family].slope_of_width(reach, np.tan(width))
@@ -184,7 +186,7 @@ class Structure:
         return np.where(narrow, width, MAX_CUSP_OFFSET), np.where(narrow, slope, 0.0)
 
     def _narrowest(self, offset: Array) -> Array:
-        """Log reach of a lobe that is as narrow as the data's spacing is at its center."""
+        """Return the log reach of a lobe as narrow as the data's spacing at its center."""
         if self.theta_half.size < 2:
             return np.full(offset.shape, -np.inf)
         spacing = np.interp(np.maximum(offset, 0.0), *self._spacing)
@@ -192,20 +194,20 @@ class Structure:
 
     @cached_property
     def _spacing(self) -> tuple[Array, Array]:
-        """Angles between those with data, and how far these are apart [rad]."""
+        """Angles midway between neighbouring angles with data, and their spacing [rad]."""
         return 0.5 * (self.theta_half[1:] + self.theta_half[:-1]), np.diff(self.theta_half)
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A structure and its unknowns."""
+    """Hold a structure and its unknowns."""
 
     structure: Structure
     unknowns: Array
 
 
 def mixture_model(mixture: Mixture) -> DSBRDF:
-    """Model of a mixture, its lobes in the same order."""
+    """Return the model of a mixture, with its lobes in the same order."""
     structure = mixture.structure
     amplitude, _, elongation = structure.split(mixture.unknowns)
     shape, k = structure.lobe_shapes(mixture.unknowns), structure.n_lobes
@@ -234,7 +236,7 @@ def _basis(knots: bytes, theta_diff: bytes) -> Array:
 
 
 def change_knots(mixture: Mixture, new: Structure) -> Mixture:
-    """Put a mixture on other knots: exact where the old knots are among the new ones."""
+    """Move a mixture to new knots, exactly if they include the old knots."""
     old = mixture.structure
     amplitude, _, elongation = old.split(mixture.unknowns)
     parts = (amplitude, old.lobe_shapes(mixture.unknowns), elongation)
