@@ -1,4 +1,4 @@
-"""The search for the lobes of a mixture: choose all at once, fit them once, exchange some, drop those of no use.
+"""Search the lobes of a mixture: choose all lobes, fit them, exchange some, and drop useless lobes.
 
 1. **Choice.** Orthogonal matching pursuit (Pati, Rezaiifar, Krishnaprasad 1993) over a dictionary of lobes of many
    widths, centers and elongations: the candidate that explains most of the residual joins those chosen, and the
@@ -27,22 +27,22 @@ from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, rea
 from dsbrdf.model.splines import smooth_control_values
 
 MAX_SEARCHED_LOBES = 9
-"""Number of lobes from which elimination starts."""
+"""Elimination starts from this number of lobes."""
 TOLERATED_RISE = 0.01
-"""Fraction of the error on the rows held out by which a dropped lobe may raise it."""
+"""A lobe is dropped if the validation error rises by a smaller fraction."""
 NEGLIGIBLE_ERROR = 4e-6
-"""Fraction of the weighted squared signal that is no error: nobody sees 0.2 % of a material's values."""
+"""A smaller fraction of the weighted squared signal is no error: differences of 0.2 % are invisible."""
 NOISE_CORRELATION = 0.16
-"""Correlation of neighbouring residuals below which they count as noise.
+"""Neighbouring residuals with a smaller correlation count as noise.
 
 Noise of single samples has 0; where a mixture misses the shape of a material it is above 0.3 as a rule.
 """
 MAX_NOISE_RESIDUAL = 0.3
-"""Residual, over the root mean square of all, at which it is clipped: few samples must not decide what noise is."""
+"""Larger residuals, relative to the root mean square, are clipped, so that few samples do not dominate."""
 MAX_SIMPLE_LOBES = 3
-"""Number of lobes about the normal up to which a mixture is tried where the residual of many is noise."""
+"""If the residual is noise, mixtures with at most this number of lobes about the normal are tried."""
 MIN_COLUMNS_FOR_RINGS = 8
-"""Number of angles theta_half below which a free search takes no rings: any of them would explain the data."""
+"""With fewer angles theta_half, a free search uses no rings, because any ring would explain the data."""
 WIDTHS_DEG = (0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0)
 RING_WIDTHS_DEG = (0.4, 0.8, 1.5, 3.0, 6.0, 10.0, 16.0, 25.0, 40.0)
 RING_CENTERS_DEG = (1.0, 2.0, 4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0)
@@ -52,20 +52,20 @@ ELONGATIONS = (0.0, 1.0, 3.0)
 """The lobes of the dictionary."""
 START_KAPPA = 1.0
 START_ELONGATION = 0.5
-"""Fraction of a candidate's elongation at which the fit starts: too round a lobe is mended sooner than the opposite."""
+"""A fit starts at this fraction of a candidate's elongation: it corrects too round a lobe more easily."""
 MIN_START_HEIGHT = 0.02
 """Fraction of a typical amplitude that a lobe has at least at the start: a fainter one has no derivatives to follow."""
 CHOICE_RIDGE = 1e-3
 """Fraction of the candidates' squares added to normal equations: candidates that are nearly alike share their gain."""
 EQUAL_GAIN = 1e-4
-"""Relative difference of gains below which candidates explain the data equally well, as on a single column."""
+"""Candidates with a smaller relative difference of gains explain the data equally well."""
 HEIGHT_SWEEPS = 30
 FIXED_KAPPA_ITERATIONS = 8
 FIT_ITERATIONS = 30
 EXCHANGES = 2
 EXCHANGE_ITERATIONS = 12
 MAX_RESTARTED_LOBES = 5
-"""Fixed number of lobes up to which a search has several starts; more lobes find their places from one."""
+"""A search for a larger fixed number of lobes has a single start."""
 SPARE_LOBES = 3
 """Number of lobes that one of these starts has in the beginning, and drops."""
 HEAVY_TAIL_FACTOR = 0.3
@@ -74,10 +74,10 @@ HEAVY_TAIL_FACTOR = 0.3
 
 @dataclass(frozen=True)
 class SearchStep:
-    """A mixture of the search, and its error where it was not fitted."""
+    """Report a mixture of the search and its validation error."""
 
     n_lobes: int
-    ring_lobes: int  # those of the lobes that have a center of their own
+    ring_lobes: int  # number of lobes with a center
     error: float  # weighted squared error on the rows held out, as a fraction of the squared signal there
     kept: bool  # whether the search went on with it
 
@@ -100,7 +100,7 @@ class Wanted:
         return self.n_lobes != "auto" and self.n_lobes <= MAX_RESTARTED_LOBES
 
     def max_lobes(self, data: FitData) -> int:
-        """How many lobes are chosen at first: a few angles theta_half cannot tell many lobes apart."""
+        """Return the number of lobes to choose first; few angles theta_half cannot separate many lobes."""
         return min(MAX_SEARCHED_LOBES, data.theta_half.shape[-1] + 1) if self.n_lobes == "auto" else self.n_lobes
 
     def kinds_to_add(self, rings: tuple[bool, ...]) -> tuple[bool, ...]:
@@ -110,7 +110,7 @@ class Wanted:
         return (True,) if False in rings and sum(rings) < self.ring_lobes else (False,)
 
     def may_drop(self, rings: tuple[bool, ...]) -> list[bool]:
-        """Which lobes can be spared without breaking the numbers that are fixed."""
+        """Tell for each lobe whether its removal keeps the fixed numbers of lobes."""
         spare = {False: rings.count(False) > 1, True: self.ring_lobes == "auto" or sum(rings) > self.ring_lobes}
         return [spare[is_ring] for is_ring in rings]
 
@@ -149,13 +149,13 @@ class _Dictionary:
 
     @property
     def is_ring(self) -> Mask:
-        """Which candidates have a center."""
+        """Mask of the candidates with a center."""
         return self.center != 0.0
 
 
 @dataclass(frozen=True)
 class SearchData:
-    """What the lobes are fitted to, and what decides how many there are."""
+    """Hold the data that lobes are fitted to, and the validation data that determine their number."""
 
     fitted: FitData
     held_out: FitData
@@ -208,7 +208,7 @@ class _Trials:
         self._held_out, self._on_trial, self._limit = held_out, on_trial, np.inf
 
     def add(self, mixture: Mixture, held_out: FitData | None = None) -> bool:
-        """Whether the mixture is good enough to be kept, on the usual rows held out or its own."""
+        """Add a mixture, and tell whether it is good enough, on the usual or its own validation data."""
         self._on_trial()
         held_out = held_out or self._held_out
         error = _error(held_out, mixture) / held_out.signal

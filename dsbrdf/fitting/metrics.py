@@ -1,7 +1,7 @@
-"""How well a model fits a measurement.
+"""Measure the error of a model's fit to a measurement.
 
-Over all nodes that are valid, whose directions are both within the horizon cutoff of the normal, and whose
-theta_half is at least 1 degree, the three channels pooled and every node weighing the same:
+For a measurement on a grid, all channels and nodes weigh the same. Nodes count if they are valid, both directions are
+within the horizon cutoff of the normal, and theta_half is at least 1 degree:
 
     relative_rms    = sqrt( sum (f - fit)**2 / sum f**2 )
     floor           = relative_rms of the mean of f over phi_diff: no model that ignores phi_diff goes below it
@@ -9,12 +9,12 @@ theta_half is at least 1 degree, the three channels pooled and every node weighi
     excess          = relative_rms / floor
     male            = mean | log(1 + f cos_in) - log(1 + fit cos_in) |
 
-Of scattered samples, whose directions are where somebody chose to measure:
+For scattered samples, whose directions were chosen freely:
 
-    relative_rms_left_out = relative_rms at samples that no fit saw
+    relative_rms_left_out = relative_rms at samples that were left out of the fit
     relative_rms_expected = relative_rms over all directions that one to two tables in ten exceed
 
-What people see, over all directions:
+By visibility, over all directions:
 
     albedo_error = mean over theta_out = 0, 30, 60, 75 degrees and channels of |albedo of fit - of data| / of data
     psnr, ssim   = of a lit sphere, see `dsbrdf.rendering.sphere`
@@ -35,22 +35,22 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.rendering.sphere import render_sphere, sphere_likeness
 
 BANDS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 90.0])
-"""Bands of theta_diff that errors are reported for [rad]."""
+"""Edges of the bands of theta_diff in reports of errors [rad]."""
 OUTSIDE_CENTER = THETA_HALF >= CENTER_CUTOFF
 """Nodes of the theta_half axis that the first five metrics, and the paper's procedure, use; shape (90,)."""
 ALBEDO_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
-"""Directions that the albedo is compared at [rad]."""
+"""Angles to the normal at which albedos are compared [rad]."""
 MIN_FLOOR = 1e-12
-"""Floor below which data do not depend on phi_diff: excess would divide by rounding errors."""
+"""With a smaller floor, data do not depend on phi_diff, and excess would divide by rounding errors."""
 MIN_ALBEDO = 1e-9
-"""Albedo below which a channel is zero but for rounding."""
+"""A channel with a smaller albedo is black up to rounding."""
 SPHERE_PIXELS = 64
 COLUMN_GROUPS = 9
 
 
 @dataclass(frozen=True)
 class RelativeErrors:
-    """Errors over some of the samples, see the top of this file; they have no unit."""
+    """Hold errors over some samples, without unit, by the formulas at the top of this file."""
 
     relative_rms: float
     floor: float
@@ -75,16 +75,16 @@ class BandErrors(RelativeErrors):
 
 @dataclass(frozen=True)
 class Metrics:
-    """Errors of a whole fit, see the top of this file; ``metrics["excess"]`` looks one up by its name.
+    """Hold the errors of a whole fit; ``metrics["excess"]`` looks up a metric by its name.
 
-    All are None where only profiles were fitted.
+    All metrics are None if only profiles were fitted.
 
     Attributes
     ----------
     relative_rms_left_out, relative_rms_expected : float or None
-        Of scattered samples: at samples that no fit saw, and probably over all directions.
+        For scattered samples: the error at left-out samples, and an estimate for all directions.
     relative_rms, floor, symmetric_floor, male : float or None
-        Over the samples used, without a unit.
+        Errors over the samples used, without a unit.
     excess : float or None
         ``relative_rms / floor``; None where the floor is zero.
     albedo_error : float or None
@@ -116,7 +116,7 @@ METRICS = tuple(field.name for field in fields(Metrics))
 
 
 def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> Array:
-    """Compare a model with every sample whose directions are within the cutoff of the normal [rad]; None: the horizon.
+    """Compare a model with all samples within the cutoff of the normal [rad]; None means the horizon.
 
     Returns sums of shape (6, 3 channels, 90 theta_diff): of f**2, of (f - fit)**2, of the squared deviations from the
     mean over phi_diff and from the folded mean, of |log(1 + f cos_in) - log(1 + fit cos_in)|, and how many there are.
@@ -144,7 +144,7 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
 
 
 def _column_sums(samples: Array, fit: Array, used: Mask, cosine: Array) -> Array:
-    """The sums of one theta_half and channel for samples (R, 180), shape (6, R)."""
+    """Return the sums (6, R) of one theta_half and channel for samples (R, 180)."""
     counted = used.astype(float)
     count, fit = counted.sum(axis=1), fit * counted
     samples = samples * counted
@@ -166,7 +166,7 @@ def _column_sums(samples: Array, fit: Array, used: Mask, cosine: Array) -> Array
 
 
 def relative_errors(sums: Array, channels: slice = slice(None), rows: slice = slice(None)) -> RelativeErrors | None:
-    """Errors of some channels and rows of theta_diff; None where there is nothing but zeros."""
+    """Return the errors of some channels and rows of theta_diff, or None if all samples are 0."""
     power, error, scatter, asymmetry, log_error, count = (float(part[channels, rows].sum()) for part in sums)
     if power == 0.0:
         return None
@@ -181,7 +181,7 @@ def relative_errors(sums: Array, channels: slice = slice(None), rows: slice = sl
 
 
 def error_tables(sums: Array) -> tuple[tuple[ChannelErrors, ...], tuple[BandErrors, ...]]:
-    """Errors of each channel that is not black, and of each band of theta_diff that has data."""
+    """Return the errors of each channel that is not black, and of each band of theta_diff with data."""
     by_channel = []
     for index, channel in enumerate(CHANNELS):
         errors = relative_errors(sums, slice(index, index + 1))
@@ -197,7 +197,7 @@ def error_tables(sums: Array) -> tuple[tuple[ChannelErrors, ...], tuple[BandErro
 
 
 def sample_metrics(model: DSBRDF, measurement: Measurement, sums: Array, albedo: Array) -> Metrics:
-    """All metrics of a model, from `sample_errors` and its directional albedo (4, 3) at `ALBEDO_ANGLES`.
+    """Return all metrics of a model, from `sample_errors` and its albedo (4, 3) at `ALBEDO_ANGLES`.
 
     Likeness is that of a sphere under three lights, PSNR at most 200 [dB].
     """
