@@ -20,6 +20,7 @@ from PIL import Image
 
 import dsbrdf
 from dsbrdf.cli import main as cli
+from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
@@ -63,7 +64,10 @@ def words_of(line: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("readme")
+    """A folder with the file that the first example of README and pages reads."""
+    made = tmp_path_factory.mktemp("readme")
+    dsbrdf.write_merl(made / "paint.binary", synthetic_measurement(noise=0.02))
+    return made
 
 
 @pytest.fixture(scope="module")

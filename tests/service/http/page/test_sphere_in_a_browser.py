@@ -155,7 +155,9 @@ def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) ->
 
 
 def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site: Site) -> None:
-    page = painted(visit, site, device_scale_factor=1)
+    page = painted(
+        visit, site, device_scale_factor=1, viewport={"width": 1280, "height": 1000}
+    )  # a sphere of 512 pixels
     canvas = page.locator(SPHERE)
     size = canvas.evaluate("canvas => canvas.width")
     box = box_of(page, SPHERE)
