@@ -46,7 +46,7 @@ class Settings(BaseSettings):
     )
     queue_limit: int = Field(default=1000, ge=1, description="Fits that may wait; further ones are answered with 503.")
     fit_seconds: float = Field(default=600.0, gt=0, description="Time limit of one fit [s].")
-    fit_memory_mb: int = Field(default=4096, ge=512, description="Address space limit of one fit's process [MB].")
+    fit_memory_mb: int = Field(default=4096, ge=768, description="Address space limit of one fit's process [MB].")
     fit_attempts: int = Field(
         default=2, ge=1, description="Attempts at a fit whose process is lost; restarts of the service do not count."
     )

@@ -67,7 +67,7 @@ def test_address_is_told_at_a_terminal(tmp_path: Path) -> None:
         ("DSBRDF_LOG_LEVEL", "loud"),
         ("DSBRDF_WORKERS", "0"),
         ("DSBRDF_WORKERS", "99999999999999999999"),
-        ("DSBRDF_FIT_MEMORY_MB", "511"),
+        ("DSBRDF_FIT_MEMORY_MB", "767"),
         ("DSBRDF_IDLE_TIMEOUT", "-1"),
         ("DSBRDF_INSECURE", "perhaps"),
     ],
