@@ -248,20 +248,19 @@ def test_temporary_folders_are_empty_after_each_stop(
         assert "Traceback" not in server.log.read_text()
 
 
-def test_a_fit_has_the_limits_of_the_settings(own_server: Callable[..., Server], data: bytes) -> None:
-    memory_mb = 768  # The smallest that the settings allow is enough for a default fit.
-    server = own_server(fit_memory_mb=str(memory_mb), fit_seconds="20")
+@pytest.mark.parametrize(
+    ("setting", "value", "fault"), [("fit_memory_mb", "768", "MemoryLimit"), ("fit_seconds", "0.2", "TimeLimit")]
+)
+def test_a_fit_has_the_limits_of_the_settings(
+    own_server: Callable[..., Server], data: bytes, setting: str, value: str, fault: str
+) -> None:
+    server = own_server(**{setting: value})
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    assert server.submit(sha256).json()["status"] == "succeeded"
-    fit = server.submit(sha256, "respond-async", **ENDLESS).json()["id"]
-
-    def limits() -> list[int]:
-        return [resource.prlimit(pid, resource.RLIMIT_AS)[0] for pid in server.workers()]
-
-    wait_until(lambda: limits() == [memory_mb << 20])
-    wait_until(lambda: server.http.get(f"/v1/fits/{fit}").json()["status"] == "failed", 60.0)
-    error = server.http.get(f"/v1/fits/{fit}").json()["error"]
-    assert (error["origin"], error["type"]) == ("compute", "TimeLimit")
+    if setting == "fit_memory_mb":  # The smallest limit that the settings allow is enough for a default fit.
+        assert server.submit(sha256).json()["status"] == "succeeded"
+    answer = server.submit(sha256, **ENDLESS)
+    assert (answer.status_code, answer.json()["status"]) == (201, "failed")
+    assert (answer.json()["error"]["origin"], answer.json()["error"]["type"]) == ("compute", fault)
     wait_until(lambda: not server.workers())
     assert server.http.get("/health/ready").status_code == 200
 
