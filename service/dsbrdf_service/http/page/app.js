@@ -65,8 +65,7 @@ export const optionsOf = (document) => document.components.schemas.FitRequest.pr
 /** Rewrites a description of the API in the words of the form. @param {string} description */
 export const sentenceOf = (description) => description.replaceAll("`", "").replaceAll("None", "none");
 
-/** @param {number} milliseconds */
-export const pause = (milliseconds) => new Promise((resolve) => { setTimeout(resolve, milliseconds); });
+export const pause = (/** @type {number} */ milliseconds) => new Promise((resolve) => { setTimeout(resolve, milliseconds); });
 
 /** @type {Promise<void> | null} */
 let asking = null;
@@ -208,8 +207,7 @@ export async function* follow(fit) {
   }
 }
 
-/** @param {{name: string | null, measurement: string}} fit */
-export const nameOf = (fit) => fit.name ?? `${fit.measurement.slice(0, 12)}…`;
+export const nameOf = (/** @type {{name: string | null, measurement: string}} */ fit) => fit.name ?? `${fit.measurement.slice(0, 12)}…`;
 const STATES = /** @type {Record<string, string>} */ ({ accepted: "waiting", running: "fitting", failed: "failed", cancelled: "cancelled", succeeded: "fitted" });
 /** Describes the state of a fit in one or two words. @param {Fit} fit */
 export function stateOf({ status, progress, likeness, metrics }) {
@@ -217,14 +215,10 @@ export function stateOf({ status, progress, likeness, metrics }) {
   const text = likeness ?? (error ? `error ${error < 10 ? error.toPrecision(2) : Math.round(error)} %` : `${STATES[status]}${status === "running" ? `, ${Math.floor(100 * progress)} %` : ""}`);
   return text.replace(/ (?=dB|%)/g, "\u00a0");
 }
-/** @param {{size: number}} file */
-export const sizeOf = ({ size }) => (size < 1e6 ? `${(size / 1e3).toPrecision(3)} kB` : `${(size / 1e6).toPrecision(3)} MB`);
-/** @param {string} label of a component, or a word of ours */
-export const words = (label) => label.replace("_", " ");
-/** @param {string} created */
-export const dateOf = (created) => `${created.slice(0, 16).replace("T", " ")} UTC`;
-/** @param {string} name */
-export const setTitle = (name) => { document.title = `${name} – dsbrdf`; };
+export const sizeOf = (/** @type {{size: number}} */ { size }) => (size < 1e6 ? `${(size / 1e3).toPrecision(3)} kB` : `${(size / 1e6).toPrecision(3)} MB`);
+export const words = (/** @type {string} */ label) => label.replace("_", " ");
+export const dateOf = (/** @type {string} */ created) => `${created.slice(0, 16).replace("T", " ")} UTC`;
+export const setTitle = (/** @type {string} */ name) => { document.title = `${name} – dsbrdf`; };
 
 /** Shows the view of the address, or an error in its place. */
 export async function open() {

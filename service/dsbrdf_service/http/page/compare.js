@@ -2,7 +2,7 @@
 import { dateOf, fill, find, json, nameOf, Problem, setTitle, template } from "./app.js";
 import { showComponents } from "./components.js";
 import { place, showSide, showSpheres, storedOf, subjectOf } from "./said.js";
-import { colourOf, SCALE } from "./shader.js";
+import { colourOf } from "./shader.js";
 import { running } from "./sphere.js";
 
 const COLOURS = Array.from({ length: 256 }, (_, level) => colourOf(level / 255).map((value) => 255 * value));
@@ -36,7 +36,6 @@ export async function show(main) {
 /** Computes the difference of two displayed spheres, and its peak signal-to-noise ratio. @param {import("./sphere.js").Sphere[]} spheres */
 function compare([first, second]) {
   const canvas = find(document, "#between canvas", HTMLCanvasElement);
-  find(document, "#between .scale i").style.background = SCALE;
   const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { willReadFrequently: true }));
   first.onpaint = second.onpaint = () => {
     const size = first.canvas.width;

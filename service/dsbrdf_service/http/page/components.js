@@ -11,7 +11,7 @@ const OF_COMPONENTS = [
   ["color", "colour", (value) => value.toFixed(2)],
   ["albedo", "albedo", (value) => value.toFixed(3)],
   ["half_width_deg", "half width in °", three],
-  ["height", "height in 1/sr", three],
+  ["height", "height in 1/sr", two],
 ];
 /** @type {[string, string, (value: number) => string][]} */
 const OF_SURFACES = [["alpha", "alpha", three], ["kappa", "kappa", three], ["f0", "F0", two], ["f90", "F90", two]];

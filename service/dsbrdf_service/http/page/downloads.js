@@ -2,11 +2,10 @@
 import { download, make, openapi } from "./app.js";
 
 // Common programs come first; formats without an entry are listed last.
-/** @type {Record<string, string>} */
-const PROGRAMS = {
+const PROGRAMS = /** @type {Record<string, string>} */ ({
   bsdf: "Mitsuba 3", materialx: "Blender, Arnold, Maya", glsl: "three.js and other shaders", brdf: "BRDF Explorer", python: "NumPy, PyTorch, JAX",
-  "bsdf-spectral": "pbrt-v4, spectral Mitsuba", merl: "Programs that read MERL files", csv: "A spreadsheet", json: "dsbrdf itself, Mitsuba's plugin",
-};
+  "bsdf-spectral": "pbrt-v4, spectral Mitsuba", merl: "Programs that read MERL files", components: "A spreadsheet: components", csv: "A spreadsheet: lobes", json: "dsbrdf itself, Mitsuba's plugin",
+});
 
 /** Fills the list of downloads from the formats that the API has. @param {HTMLElement} list @param {string} path of the fit */
 export async function showDownloads(list, path) {

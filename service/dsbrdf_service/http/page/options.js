@@ -2,15 +2,12 @@
 import { make, openapi, optionsOf, json, sentenceOf, words } from "./app.js";
 
 // Titles of common options; the other options are behind "More".
-/** @type {Record<string, string>} */
-const COMMON = { columns: "Which column is which", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Which samples count most", robust: "Give outliers less weight" };
-/** @type {Record<string, string>} */
-const OTHERS = {
+const COMMON = /** @type {Record<string, string>} */ ({ columns: "Which column is which", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Which samples count most", robust: "Give outliers less weight" });
+const OTHERS = /** @type {Record<string, string>} */ ({
   cosine: "Values are multiplied by a cosine", phi: "How phi is counted", ring_lobes: "Lobes that are rings", horizon_cutoff_deg: "Samples near the horizon",
   variation: "Change with theta_diff", lobe: "Family of the lobes", method: "Method", knots_deg: "Knots", mask: "Mask of the paper", em_iterations: "Iterations of the paper's method",
-};
-/** @type {Record<string, string>} */
-const VALUES = { true: "yes", false: "no", auto: "automatic", none: "not set" };
+});
+const VALUES = /** @type {Record<string, string>} */ ({ true: "yes", false: "no", auto: "automatic", none: "not set" });
 
 /** Fills a box with the form: the options of a table of samples first, then those of the fit; a grid has no table. @param {HTMLElement} box @param {boolean} [onGrid] */
 export async function showForm(box, onGrid = false) {

@@ -119,11 +119,9 @@ function plot(panel, kind, drawing) {
   showLegend(panel, curves, kind.along);
 }
 
-/** @param {{points?: boolean, colour: string, dash?: string}} curve */
-const classOf = ({ points, colour, dash }) => `${points ? "point" : "curve"} c-${colour} ${dash ? `dash-${dash}` : ""}`;
+const classOf = (/** @type {{points?: boolean, colour: string, dash?: string}} */ { points, colour, dash }) => `${points ? "point" : "curve"} c-${colour} ${dash ? `dash-${dash}` : ""}`;
 
-/** @param {number[][]} places */
-const line = (places) => (places.length ? `M${places.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}` : "");
+const line = (/** @type {number[][]} */ places) => (places.length ? `M${places.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}` : "");
 
 /** Returns small squares at some of the places. @param {number[][]} places */
 function squares(places) {

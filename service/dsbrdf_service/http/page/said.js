@@ -5,8 +5,7 @@ import { row, tableRow } from "./components.js";
 import { startSpheres } from "./light.js";
 import { Sphere } from "./sphere.js";
 
-/** @param {number} share */
-const percent = (share) => `${Number((100 * share).toPrecision(3))} %`;
+const percent = (/** @type {number} */ share) => `${Number((100 * share).toPrecision(3))} %`;
 // Name, title, format and meaning of each metric, the most important first.
 /** @type {[string, string, (value: number) => string, string][]} */
 const METRICS = [

@@ -4,8 +4,7 @@ import { pause } from "./app.js";
 
 /** Colours of a difference, from 0 to 1 on a square root scale. */
 const DIFFERENCES = [[0, 0, 0], [0.35, 0.06, 0.43], [0.84, 0.25, 0.31], [0.98, 0.6, 0.1], [1, 0.92, 0.55]];
-/** The colours of a difference as a gradient of CSS. */
-export const SCALE = `linear-gradient(90deg, ${DIFFERENCES.map((colour) => `rgb(${colour.map((value) => 255 * value).join(" ")})`).join(", ")})`;
+document.body.style.setProperty("--scale", `linear-gradient(90deg, ${DIFFERENCES.map((colour) => `rgb(${colour.map((value) => 255 * value).join(" ")})`).join(", ")})`);
 /** Returns the colour of a difference of two pictures. @param {number} difference of the channel that differs most, from 0 to 1 */
 export function colourOf(difference) {
   const place = Math.sqrt(difference) * (DIFFERENCES.length - 1);

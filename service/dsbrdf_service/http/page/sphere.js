@@ -1,7 +1,7 @@
 // Draws the lit sphere of a fit, of its measurement, or of both, under a light that the user moves. The form of controls
 // applies to all spheres of a view.
 import { askArray, find, make, request, words } from "./app.js";
-import { exposureOf, finished, programOf, SCALE, setTexture } from "./shader.js";
+import { exposureOf, finished, programOf, setTexture } from "./shader.js";
 
 const SHOWN = ["fit", "measured", "half", "difference"];
 export const LABELS = ["specular_spike", "specular_lobe", "diffuse"]; // The order is that of the weights in GLSL.
@@ -67,7 +67,6 @@ export class Sphere {
     this.onpaint = () => {};
     this.canvas.setAttribute("aria-label", `Lit sphere of ${subject.name}. ${USUAL} ${KEYS}`);
     this.canvas.title = KEYS;
-    find(figure, ".scale i").style.background = SCALE;
     /** The checkboxes of the components, if there are several. */
     this.boxes = subject.parts.length < 2 ? [] : subject.parts.map(({ label }) => make("input", { type: "checkbox", name: `${subject.fit?.slice(0, 6)}-${label}`, value: label, defaultChecked: true }));
     for (const box of this.boxes) box.setAttribute("form", "controls");

@@ -7,8 +7,7 @@ import { warningsOf } from "./said.js";
 const MEANINGS = ["theta_in", "phi_in", "theta_out", "phi_out", "theta_half", "theta_diff", "phi_diff", "value", "red", "green", "blue", "wavelength", "weight"];
 const TABLE_HEAD_BYTES = 65_536; // The names of columns are searched in this part of a file.
 
-/** @param {number} value */
-const short = (value) => Number(value.toPrecision(4));
+const short = (/** @type {number} */ value) => Number(value.toPrecision(4));
 
 /** Shows a table in a box, updates it when an option changes, and enables its fit if it is readable.
  * @param {HTMLElement} box @param {File} file @param {HTMLElement} options the form
