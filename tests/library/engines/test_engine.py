@@ -99,7 +99,7 @@ def fitted_by_library(file: Path, options: FitOptions) -> tuple[FitResult, list[
 @pytest.mark.parametrize(
     ("name", "options", "limits", "fault"),
     [
-        ("other", QUICK, LIMITS, ("input", "MeasurementFormatError", "a MERL measurement has (90, 90, 180)")),
+        ("other", QUICK, LIMITS, ("input", "MeasurementFormatError", "which begins with the dimensions (90, 90, 180)")),
         ("plastic", NO_DATA_LEFT, LIMITS, ("input", "FitError", "leave no slice with enough valid samples")),
         ("gone", QUICK, LIMITS, ("system", "MeasurementUnreadable", "not be read: No such file or directory.")),
         ("plastic", SLOW_FIT, FitLimits(60.0, 200), ("compute", "MemoryLimit", "more memory than a fit may use.")),

@@ -107,7 +107,7 @@ def test_what_a_key_has_begun_is_refused_when_it_is_revoked(own_server: Callable
         return fit
 
     def poll() -> httpx.Response:
-        return server.http.get(f"/v1/fits/{fit}?wait=6", headers=header)
+        return server.http.get(f"/v1/fits/{fit}?wait=2", headers=header)
 
     def follow(who: dict[str, str]) -> str:
         with server.http.stream("GET", f"/v1/fits/{fit}/events", headers=who) as answer:
