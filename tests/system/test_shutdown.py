@@ -248,19 +248,28 @@ def test_temporary_folders_are_empty_after_each_stop(
         assert "Traceback" not in server.log.read_text()
 
 
-@pytest.mark.parametrize(
-    ("setting", "value", "fault"), [("fit_memory_mb", "768", "MemoryLimit"), ("fit_seconds", "0.2", "TimeLimit")]
-)
-def test_a_fit_has_the_limits_of_the_settings(
-    own_server: Callable[..., Server], data: bytes, setting: str, value: str, fault: str
+def test_a_fit_has_the_memory_limit_of_the_settings_and_the_smallest_is_enough(
+    own_server: Callable[..., Server], data: bytes
 ) -> None:
-    server = own_server(**{setting: value})
+    memory_mb = 768
+    server = own_server(fit_memory_mb=str(memory_mb))
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    if setting == "fit_memory_mb":  # The smallest limit that the settings allow is enough for a default fit.
-        assert server.submit(sha256).json()["status"] == "succeeded"
+    assert server.submit(sha256).json()["status"] == "succeeded"
+    fit = server.submit(sha256, "respond-async", **ENDLESS).json()["id"]
+
+    def limits() -> list[int]:
+        return [resource.prlimit(pid, resource.RLIMIT_AS)[0] for pid in server.workers()]
+
+    wait_until(lambda: limits() == [memory_mb << 20])
+    assert server.http.delete(f"/v1/fits/{fit}").json()["status"] == "cancelled"
+
+
+def test_a_fit_has_the_time_limit_of_the_settings(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(fit_seconds="0.2")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     answer = server.submit(sha256, **ENDLESS)
     assert (answer.status_code, answer.json()["status"]) == (201, "failed")
-    assert (answer.json()["error"]["origin"], answer.json()["error"]["type"]) == ("compute", fault)
+    assert (answer.json()["error"]["origin"], answer.json()["error"]["type"]) == ("compute", "TimeLimit")
     wait_until(lambda: not server.workers())
     assert server.http.get("/health/ready").status_code == 200
 
