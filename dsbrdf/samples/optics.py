@@ -40,7 +40,8 @@ def fred_table(data: bytes) -> TextTable:
     table = unnamed_table([(number, line) for number, line in lines if "=" not in line and "bsdf_data" not in line])
     column = [table.numbers(at) for at in range(len(table.names))]
     unit = "rad" if words.get("angles", "deg").startswith("rad") else "deg"
-    if len(column) == 3:  # in one plane: theta_out and value after each theta_in
+    # Blocks in one plane have theta_out and a value; the theta_in that leads each block becomes the last column.
+    if len(column) == 3:
         return TextTable.of_numbers((f"theta_out [{unit}]", "value", f"theta_in [{unit}]"), _scaled(column, 1, scale))
     if len(column) != 5:
         raise MeasurementFormatError(
