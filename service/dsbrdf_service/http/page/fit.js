@@ -17,6 +17,7 @@ export async function show(main, id) {
   const asked = json(path);
   const shader = request(`${path}/export?format=glsl`).then((answer) => answer.text(), () => undefined); // A failed request is repeated on use.
   main.replaceChildren(template("fit", { name: "A fit" }));
+  showActions(main, path, asked);
   const figure = place(main, path);
   /** @type {Fit} */
   const fit = await asked;
@@ -38,13 +39,17 @@ function showResult(main, fit, stored) {
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   for (const image of find(main, "#figures").querySelectorAll("img")) whenOpened(image, () => showPicture(image, `v1/fits/${fit.id}/figures/${image.id}.svg?dark=${dark}`));
   if (!stored?.valid_nodes) find(main, "#lobes").closest("figure")?.remove(); // Only a gridded measurement has a figure of lobes.
+}
+
+/** Gives the buttons their actions before the fit has arrived: no click is lost. @param {HTMLElement} main @param {string} path @param {Promise<Fit>} asked */
+function showActions(main, path, asked) {
   act(main, "share", share);
-  act(main, "delete", () => removeFit(fit));
-  act(main, "compare", () => compareWith(fit));
+  act(main, "delete", async () => removeFit(await asked));
+  act(main, "compare", async () => compareWith(await asked));
   act(main, "rename", async () => {
     const wanted = prompt("The fit's new name", find(main, "h1").textContent ?? "")?.trim();
     if (!wanted) return;
-    await json(`v1/fits/${fit.id}`, "PATCH", { name: wanted });
+    await json(path, "PATCH", { name: wanted });
     fill(main, { name: wanted });
     setTitle(wanted);
     say("The fit is renamed.");

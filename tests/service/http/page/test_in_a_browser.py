@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -242,7 +243,11 @@ def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visi
 
 def test_fit_asks_with_what_it_is_compared(visit: Visit, site: Site) -> None:
     page = visit(f"/fits/{site.fits['glossy']}", webgl=False).page
-    page.get_by_role("button", name="Compare with").click()
+    delayed: list[Any] = []
+    page.route(f"**/v1/fits/{site.fits['glossy']}", lambda route: delayed.append(route), times=1)
+    page.reload()
+    page.get_by_role("button", name="Compare with").click()  # The click comes before the fit's document.
+    delayed[0].continue_()
     dialog = page.get_by_role("dialog", name="Compare glossy with")
     expect(dialog.get_by_role("option")).to_contain_text(["rough"])
     dialog.get_by_role("button", name="Cancel").click()
