@@ -4,10 +4,11 @@ import ctypes
 import gc
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from itertools import count
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -112,9 +113,15 @@ def own_server(tmp_path: Path) -> Iterator[Callable[..., Server]]:
     with ExitStack() as started:
         number = count()
 
-        def start(*, own_interpreter: bool = False, fits: bool = True, **environment: str) -> Server:
+        def start(
+            *,
+            own_interpreter: bool = False,
+            fits: bool = True,
+            constants: Mapping[str, float] = MappingProxyType({}),
+            **environment: str,
+        ) -> Server:
             running = started.enter_context(closing(Server(tmp_path / f"data{next(number)}", **environment)))
-            running.own_interpreter, running.fits = own_interpreter, fits
+            running.own_interpreter, running.fits, running.constants = own_interpreter, fits, constants
             return running.start()
 
         yield start

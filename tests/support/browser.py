@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 SPHERE = ".sphere canvas"
-PAINTED = f"{SPHERE}[data-painted]"
+PAINTED = f"{SPHERE}[data-painted]:not([data-drawing])"
 _PATIENCE = 60_000  # milliseconds until what should appear on a page is given up, on a busy machine
 _PAGE = re.compile(r"/(fits/\w+|measurements/\w+|compare|docs(/[\w.-]+)?|page/[\w.-]+|openapi\.json)?")
 # The browser reports each answer above 399 itself; the page shows what it says.

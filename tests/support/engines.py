@@ -7,7 +7,8 @@ from contextlib import closing, contextmanager
 from typing import Any, TypeVar
 
 from dsbrdf import FitOptions
-from dsbrdf.engines import DaskEngine, Engine, FitLimits, FitTask, LocalEngine, Outcome
+from dsbrdf.engines import DaskEngine, Engine, FitLimits, FitTask, LocalEngine, Outcome, dask
+from dsbrdf.engines.dask import compute_on_cluster
 from tests.support import endless_fit
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.launcher import ForkedProcess
@@ -80,6 +81,12 @@ def run(stage: Stage, task: FitTask, limits: FitLimits = LIMITS) -> tuple[Outcom
     shares: list[float] = []
     with started(stage.engine(limits)) as engine:
         return engine.submit(task, shares.append).result(PATIENCE), shares
+
+
+def compute_impatiently(*arguments: Any, **named: Any) -> Outcome:
+    """Compute on a cluster, but give up a lost scheduler and lost workers soon."""
+    vars(dask).update(_SCHEDULER_TIMEOUT_S=1.0, _LOST_WORKER_TIMEOUT_S=0.5)
+    return compute_on_cluster(*arguments, **named)
 
 
 def content(document: str) -> Any:

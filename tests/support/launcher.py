@@ -76,13 +76,21 @@ class Launcher:
         atexit.register(self._close)
 
     def launch(
-        self, arguments: Sequence[str], environment: Mapping[str, str], log: Path, *, fits: bool = True
+        self,
+        arguments: Sequence[str],
+        environment: Mapping[str, str],
+        log: Path,
+        *,
+        fits: bool = True,
+        constants: Mapping[str, float] | None = None,
     ) -> ForkedProcess:
         """Fork a process that runs the program and appends what it prints to a log.
 
-        Without `fits`, a service starts the server of its worker processes at the first fit only.
+        Without `fits`, a service starts the server of its worker processes at the first fit only. `constants` of
+        modules, by their dotted names, get other values: times that a test would have to wait for.
         """
         request: dict[str, object] = {"arguments": arguments, "environment": dict(environment), "fits": fits}
+        request["constants"] = dict(constants or {})
         request |= {"log": str(log), "cwd": str(Path.cwd())}
         assert self._process.stdin is not None
         with self._lock:
@@ -181,6 +189,10 @@ def _become(program: str, request: dict[str, Any]) -> NoReturn:
     os.chdir(request["cwd"])
     if program == "dask":
         import_module("dask.config").refresh()  # it takes settings from the environment
+    for name, value in request["constants"].items():
+        module, _, constant = name.rpartition(".")
+        assert constant in vars(import_module(module))
+        vars(import_module(module))[constant] = value
     if not request["fits"]:
         vars(import_module("dsbrdf.engines.processes"))["start_fork_server"] = lambda: None
     else:

@@ -6,9 +6,10 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import httpx
@@ -28,11 +29,12 @@ class Server:
 
     It is a fork of a process that has imported the service already, or, with an interpreter of its own, what
     ``python -m dsbrdf_service`` starts. So is the process from which fits are forked; where nothing is fitted, the
-    service is spared it.
+    service is spared it; `constants` of its modules have other values.
     """
 
     own_interpreter = False
     fits = True
+    constants: Mapping[str, float] = MappingProxyType({})
     process: "subprocess.Popen[bytes] | ForkedProcess"
 
     def __init__(self, data_dir: Path, **environment: str) -> None:
@@ -80,7 +82,9 @@ class Server:
                 command = [sys.executable, "-m", "dsbrdf_service", *arguments]
                 self.process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
             else:
-                self.process = launcher("dsbrdf_service").launch(arguments, environment, self.log, fits=self.fits)
+                self.process = launcher("dsbrdf_service").launch(
+                    arguments, environment, self.log, fits=self.fits, constants=self.constants
+                )
         return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:

@@ -25,6 +25,7 @@ from tests.support.engines import (
     QUICK,
     SLOW_FIT,
     Stage,
+    compute_impatiently,
     fault_of,
     ignore,
     run,
@@ -40,6 +41,13 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc"),
 ]
+
+
+@pytest.fixture(autouse=True)
+def impatience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let checks of a cluster, which the tests wait for, find it lost soon: a good one is checked again each time."""
+    monkeypatch.setattr(dask, "_CLUSTER_CHECK_LIFETIME_S", 0.0)
+    monkeypatch.setattr(dask, "_SCHEDULER_TIMEOUT_S", 1.0)
 
 
 @pytest.fixture(autouse=True)
@@ -88,8 +96,9 @@ def test_fit_that_loses_four_workers_fails_and_they_leave_nothing(own_cluster: D
 
 
 def test_fit_survives_the_loss_of_the_scheduler_and_of_its_only_worker(
-    own_cluster: DaskCluster, plastic_file: Path
+    own_cluster: DaskCluster, plastic_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(dask, "compute_on_cluster", compute_impatiently)
     own_cluster.start_scheduler()
     own_cluster.add_worker()
     stage, shares = Stage(own_cluster), list[float]()

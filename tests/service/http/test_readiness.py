@@ -16,6 +16,7 @@ from dsbrdf.engines import Engine
 from dsbrdf_service.http import readiness
 from dsbrdf_service.http.readiness import Readiness
 from dsbrdf_service.settings import Settings
+from dsbrdf_service.storage import database
 from dsbrdf_service.storage.database import FILE_NAME
 from dsbrdf_service.storage.store import Store
 from tests.support.application import application
@@ -28,7 +29,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
     own_server: Callable[..., Server], data: bytes
 ) -> None:
-    server = own_server()
+    limit = 0.5  # [s] The service's own limits are several seconds.
+    server = own_server(constants={f"{database.__name__}._BUSY_TIMEOUT": limit, f"{readiness.__name__}.LIMIT": limit})
     first = server.http.post("/v1/fits", params=QUICK, content=data).json()
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
         db.execute("BEGIN IMMEDIATE")

@@ -120,10 +120,12 @@ export class Sphere {
     return askArray(`${path}${part}`, { method: "POST", headers: { "Content-Type": "application/x-npy" }, body: panorama.file });
   }
 
-  /** Paints as soon as all data are loaded. During a movement, a slow machine paints fewer pixels. @param {boolean} [moving] */
+  /** Paints as soon as all data are loaded; until then, and until a movement has ended, the canvas has the attribute
+   * data-drawing. During a movement, a slow machine paints fewer pixels. @param {boolean} [moving] */
   async draw(moving = false) {
     if (!running.includes(this)) return;
     const turn = this.turns += 1;
+    this.canvas.dataset.drawing = "";
     clearTimeout(this.rest);
     if (moving) this.rest = setTimeout(() => this.draw(), 250);
     const now = look();
@@ -143,7 +145,10 @@ export class Sphere {
       this.painted = this.paint(program, now, isWhole ? LABELS : shown, seen, moving);
       await this.painted;
     } finally {
-      if (turn === this.turns) this.work();
+      if (turn === this.turns) {
+        this.work();
+        if (!moving) delete this.canvas.dataset.drawing;
+      }
     }
   }
 

@@ -38,11 +38,12 @@ def pixels(page: Page) -> np.ndarray:
 
 
 def repaint(page: Page, act: Callable[[], object]) -> np.ndarray:
-    """What the canvas shows after an act that paints it again."""
+    """What the canvas shows at rest after an act that paints it again, perhaps several times."""
     canvas = page.locator(SPHERE)
     before = canvas.get_attribute("data-painted") or ""
     act()
     expect(canvas).not_to_have_attribute("data-painted", before)
+    expect(canvas).not_to_have_attribute("data-drawing", "")
     return pixels(page)
 
 
@@ -142,7 +143,6 @@ def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) ->
         page.locator(f"[name={name}]").fill(value)
     repaint(page, lambda: page.locator(SPHERE).click(position={"x": 200, "y": 150}))
     expect(page).to_have_url(re.compile("highlight"))
-    page.wait_for_timeout(600)  # the picture and the address are at rest
     before, address = pixels(page), page.url
     page.goto("/")
     page.goto(address)
