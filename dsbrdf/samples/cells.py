@@ -14,7 +14,7 @@ from dsbrdf.errors import MeasurementFormatError
 SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
 """What can separate cells, and its name in sentences."""
 MAX_CELLS = 5_000_000
-"""More cells than these, which take 5 s and 1 GB, are not read."""
+"""Tables with more cells, which would take 5 s and 1 GB, are refused."""
 MAX_COLUMNS = 4096
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 
@@ -28,20 +28,19 @@ class TextTable:
 
     Attributes
     ----------
-    names, units : tuple of str
-        What each column is called, and its unit, as written; an empty unit is none.
+    names : tuple of str
+        The name of each column with its unit, as written.
     rows, lines : list
         Cells, one for each of the first names, and the number of each row's line in the file, from 1.
     separator : str
-        What separates the cells.
+        The character between cells.
     columns : tuple of ndarray
         The numbers of the last columns, which have no cells.
     notes : tuple of str
-        What was decided, a sentence each.
+        A sentence on each decision of the reader.
     """
 
     names: tuple[str, ...]
-    units: tuple[str, ...]
     rows: list[list[str]]
     lines: list[int]
     separator: str = " "
@@ -49,37 +48,37 @@ class TextTable:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of_numbers(cls, names: Sequence[str], columns: Sequence[Array], *notes: str) -> "TextTable":
+    def of_numbers(cls, names: Sequence[str], columns: Iterable[Array], *notes: str) -> "TextTable":
         """Return a table of columns of numbers, shape (n,) each."""
-        return cls(tuple(names), ("",) * len(names), [], [], columns=tuple(columns), notes=notes)
+        return cls(tuple(names), [], [], columns=tuple(columns), notes=notes)
 
     @property
     def n_rows(self) -> int:
-        """How many rows there are."""
+        """Return the number of rows."""
         return len(self.columns[0]) if self.columns else len(self.rows)
 
     @property
     def n_cells(self) -> int:
-        """How many of the columns have cells in the rows."""
+        """Return the number of columns that have cells."""
         return len(self.names) - (len(self.columns) if self.rows else 0)
 
     def numbers(self, column: int) -> Array:
-        """Return the numbers of a column, NaN where there is none; a MeasurementFormatError names what is no number."""
+        """Return the numbers of a column, NaN for empty cells; a MeasurementFormatError names a word."""
         if column >= len(self.names) - len(self.columns):
             return self.columns[column - len(self.names)]
         cells = [row[column] for row in self.rows]
         try:
             return np.array(cells, dtype=np.float64)
-        except ValueError:  # missing cells, decimal commas, or no numbers at all
+        except ValueError:  # The column has empty cells, decimal commas, or words.
             return np.array([self._number(place, column) for place in range(len(cells))])
 
-    def with_columns(self, constants: Constants) -> "TextTable":
-        """Return the table with columns of the same number in each row."""
+    def with_columns(self, columns: dict[str, Array], *notes: str) -> "TextTable":
+        """Return the table with more columns of numbers, by name."""
         return replace(
             self,
-            names=(*self.names, *constants),
-            units=(*self.units, *[""] * len(constants)),
-            columns=(*self.columns, *(np.full(self.n_rows, value) for value in constants.values())),
+            names=(*self.names, *columns),
+            columns=(*self.columns, *columns.values()),
+            notes=(*self.notes, *notes),
         )
 
     def _number(self, place: int, column: int) -> float:
@@ -106,7 +105,7 @@ def decoded(data: bytes) -> str:
 
 
 def check_size(n_rows: int, n_columns: int) -> None:
-    """Raise MeasurementFormatError if a table takes too long to read; it is asked before the cells are made."""
+    """Raise MeasurementFormatError if a table would take too long to read, before its cells are split."""
     if n_columns > MAX_COLUMNS:
         raise MeasurementFormatError(f"The table has {n_columns} columns; it may have {MAX_COLUMNS}.")
     if n_rows * n_columns > MAX_CELLS:
@@ -118,8 +117,7 @@ def check_size(n_rows: int, n_columns: int) -> None:
 
 def split_cells(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
     """Yield the cells of each line, so that the first wrong one ends the reading with a MeasurementFormatError."""
-    blank = separator == " "
-    spaced = (line.replace("\t", " ") if blank else line for line in lines)
+    spaced = (line.replace("\t", " ") for line in lines) if separator == " " else lines
     try:
         reader = csv.reader(spaced, delimiter=separator, skipinitialspace=True)
         for number, cells in enumerate(reader, 1):
@@ -133,18 +131,18 @@ def split_cells(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
         ) from None
 
 
-def wrong_count(number: int, count: int, separator: str, names: tuple[str, ...]) -> MeasurementFormatError:
+def wrong_count(number: int, count: int, separator: str, n_names: int) -> MeasurementFormatError:
     """Return the error of a line that has another number of cells than there are names."""
     between = f", separated by {SEPARATORS[separator]}" if separator and count > 1 else ""
-    hint = "; separate numbers with a decimal comma by semicolons" if separator == "," and count > len(names) else ""
+    hint = "; separate numbers with a decimal comma by semicolons" if separator == "," and count > n_names else ""
     return MeasurementFormatError(
         f"Line {number} of the table has {count} {'cell' if count == 1 else 'cells'}{between}, and the line of names "
-        f"has {len(names)}{hint}."
+        f"has {n_names}{hint}."
     )
 
 
 def as_number(cell: str, separator: str) -> float | None:
-    """Return the number in a cell, NaN for a cell that says that there is none, or None for other words."""
+    """Return the number in a cell, NaN for an empty cell or a word such as "n/a", or None for other words."""
     text = cell.strip().replace("\N{MINUS SIGN}", "-")
     if text.lower() in _MISSING:
         return float("nan")

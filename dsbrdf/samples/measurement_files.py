@@ -9,7 +9,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.data.rgl_material import read_rgl
-from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.reading import parse_samples, read_samples
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
@@ -74,9 +74,7 @@ def read_measurement(
     OSError
         If the file does not exist or cannot be read.
     """
-    if options is not None and choices:
-        raise InvalidArgumentError("give the options as TableOptions or by name, not both")
-    options = options or TableOptions(**choices)
+    options = TableOptions.chosen(options, choices)
     kind = kind_of_file(path)
     if kind == "samples":
         return read_samples(path, options)

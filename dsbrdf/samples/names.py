@@ -2,11 +2,13 @@
 
 import re
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from math import pi
 
 from dsbrdf.data.grid import CHANNELS
 
-# side of the normal -> what stands before or behind an angle's name; abbreviations stand behind it only
+# Each of these words stands before or behind the name of an angle at its side of the normal; abbreviations stand behind
+# it only.
 _SIDES = {
     "in": ("in", "incident", "incidence", "incoming", "illumination", "light", "source", "src", "solar", "sun"),
     "out": (
@@ -40,17 +42,21 @@ _OTHERS = {
 }
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDES for axis in "xyz")
 HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
-DEGREES = ("deg", "degree", "degrees", "°")
-RADIANS = ("rad", "radian", "radians")
-NANOMETRES = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
-"""Units of wavelengths, and how many nanometres each has."""
+ANGLE_UNITS = {"deg": pi / 180.0, "degree": pi / 180.0, "degrees": pi / 180.0, "°": pi / 180.0}
+ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
+"""Units of angles in radians."""
+WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
+"""Units of wavelengths in nanometres."""
+_MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"})
+_N_MATRIX_NAMES = 3  # The first cell of a matrix names its rows and columns, and makes the others values.
 _MAX_NAME_LENGTH = 200  # [characters] with the unit.
 _BAND = re.compile(r"(?:(?:value|brdf|bsdf|f_?r?|r|l|w|wl|lambda)_?)?([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?")
 _MIN_BAND_NM = 200.0
 _MAX_BAND_NM = 3000.0
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _CONSTANT = re.compile(rf"(.*?[^\s:=,;])[\s:=,;]+({_NUMBER}(?:[\s,;]+{_NUMBER})?)[\s,;]*([A-Za-zμ°]*)")
-_HELD = ("theta_in", "phi_in", "elevation_in", "wavelength")  # what a line can give to all rows below
+# A line can give these to all rows below it.
+_HELD = ("theta_in", "phi_in", "elevation_in", "wavelength")
 
 
 def _spellings() -> Iterator[tuple[str, str]]:
@@ -76,30 +82,44 @@ def _spellings() -> Iterator[tuple[str, str]]:
 
 
 MEANINGS = dict(_spellings())
-"""What each spelling means."""
+"""The meaning of each spelling."""
 
 
-def is_known(cell: str) -> bool:
-    """Whether a cell is one of the spellings of a column's name."""
-    return name_and_unit(cell)[0] in MEANINGS
+def meaning_of(cell: str) -> str | None:
+    """Return the meaning of a column with this name."""
+    return MEANINGS.get(name_and_unit(cell)[0])
 
 
 def is_factor(cell: str) -> bool:
-    """Whether a cell names reflectance factors, which are pi times the BRDF."""
+    """Return whether a cell names reflectance factors, which are pi times the BRDF."""
     return name_and_unit(cell)[0] in _FACTORS
 
 
-def count_bands(cells: Sequence[str]) -> int:
-    """Return how many cells name wavelengths: none if there is one alone, or if no cell says more than a number."""
-    found = [cell for cell in cells if wavelength_of(cell)]
+def matrix_names(cell: str) -> tuple[str, ...]:
+    r"""Return the names in a cell such as "theta_out / theta_in" or "AOR \ AOI [deg]", first the name of the rows."""
+    name, unit = name_and_unit(cell)
+    parts = [part.strip("_ ") for part in re.split(r"[/\\|]", name)]
+    if {MEANINGS.get(part) for part in parts} not in _MATRICES or len(parts) != len(_MATRICES[0]):
+        return ()
+    return tuple(f"{part} [{unit}]" if unit else part for part in parts)
+
+
+def count_names(cells: Sequence[str], named: Collection[str] = ()) -> int:
+    """Return how many columns some cells name, also with further names in lower case.
+
+    Wavelengths count if there are several, and if a cell says more than a number.
+    """
+    known = sum(bool(meaning_of(cell)) or cell.strip("'\" ").lower() in named for cell in cells)
+    matrices = _N_MATRIX_NAMES * sum(bool(matrix_names(cell)) for cell in cells)
+    bands = sum(bool(wavelength_of(cell)) for cell in cells)
     has_words = any(not cell.replace(".", "").isdigit() for cell in cells)
-    return len(found) if len(found) > 1 and has_words else 0
+    return known + matrices + (bands if bands > 1 and has_words else 0)
 
 
 def wavelength_of(cell: str) -> float | None:
     """Return the wavelength [nm] that a column with this name is for, as in "450 nm", "0.45um" or "brdf_450nm"."""
     found = _BAND.fullmatch(name_and_unit(cell)[0])
-    number = 0.0 if found is None else float(found[1].replace("_", ".")) * NANOMETRES[found[2] or "nm"]
+    number = 0.0 if found is None else float(found[1].replace("_", ".")) * WAVELENGTH_UNITS[found[2] or "nm"]
     return number if _MIN_BAND_NM <= number <= _MAX_BAND_NM else None
 
 
@@ -133,5 +153,5 @@ def name_and_unit(cell: str) -> tuple[str, str]:
         text, unit = text[:bracket].rstrip(), text[bracket + 1 : -1].strip()
     name = re.sub(r"[\s.-]+", "_", text)
     base, _, last = name.rpartition("_")
-    is_unit = last in (*DEGREES, *RADIANS) or (last in NANOMETRES and base in _OTHERS["wavelength"])
+    is_unit = last in ANGLE_UNITS or (last in WAVELENGTH_UNITS and base in _OTHERS["wavelength"])
     return (base, last) if is_unit else (name, unit.replace("\N{MINUS SIGN}", "-"))

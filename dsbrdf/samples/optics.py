@@ -1,35 +1,104 @@
-"""Files of samples for programs of optical design: FRED, LightTools and Speos.
+"""Files of samples for programs of optical design: Zemax, LightTools, FRED and Speos.
 
-Sources: FRED's tabulated BSDF (Photon Engineering, FRED help, "Tabulated BSDF"; written by ua-loft/bsdf-tools),
-LightTools' BSDF text (read by libbsdf, LightToolsBsdfReader), and Speos' BRDF file (Ansys help, "Structure of BRDF
-files"; written by Ansys' BSDF converter).
+Sources: Zemax' tabular BSDF (Radiant Imaging's BSDF data interchange format), LightTools' BSDF text (read by libbsdf,
+LightToolsBsdfReader), FRED's tabulated BSDF (Photon Engineering, FRED help, "Tabulated BSDF"; written by
+ua-loft/bsdf-tools), and Speos' BRDF file (Ansys help, "Structure of BRDF files"; written by Ansys' BSDF converter).
 """
 
 import re
+from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
 from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.cells import TextTable
-from dsbrdf.samples.text_table import decoded_lines
+from dsbrdf.samples.cells import TextTable, check_size, decoded
+from dsbrdf.samples.names import VECTORS
+from dsbrdf.samples.text_table import rows_of
 from dsbrdf.samples.unnamed import unnamed_table
-from dsbrdf.samples.zemax import MAX_HEAD_BYTES, numbers_after
 
-_FRED = re.compile(rb"(?m)\A(?:\s*[#!].*\n|\s*\n)*\s*(?:type\s+)?bsdf_data\b")
+_HEAD_BYTES = 1 << 16  # The head of a file of Zemax or LightTools is not longer.
+_ZEMAX_LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
+_ZEMAX_WORDS = {"ScatterType": "BRDF", "SpectralContent": "Monochrome"}
 _LIGHTTOOLS_BLOCK = re.compile(r"((?:^[ \t]*[A-Za-z]\w*[ \t]+\S+[ \t\r]*\n)+)([-+0-9.eE\s]*)", re.MULTILINE)
+_FRED = re.compile(rb"(?m)\A(?:\s*[#!].*\n|\s*\n)*\s*(?:type\s+)?bsdf_data\b")
 _SPEOS = b"OPTIS - brdf surface file"
-_PER_DIRECTION = ("theta_out", "phi_out", "value")
+# The columns of `_block`.
+_NAMES = ("theta_out", "phi_out", "value", "theta_in", "phi_in", "wavelength")
 
 
-def is_fred(data: bytes) -> bool:
-    """Whether a text is a tabulated BSDF of FRED."""
-    return _FRED.match(data) is not None
+def scatter_table(data: bytes) -> TextTable | None:
+    """Return the samples of a BSDF file of Zemax or LightTools, which name ScatterRadial."""
+    head = data[:_HEAD_BYTES]
+    if b"ScatterRadial" not in head:
+        return None
+    if re.search(rb"(?m)^[ \t]*AOI[ \t]+[-+0-9.]", head):
+        return _lighttools_table(data.decode("latin-1"))
+    return _zemax_table(data.decode("latin-1")) if re.search(rb"(?m)^[ \t]*DataBegin[ \t\r]*$", head) else None
 
 
-def fred_table(data: bytes) -> TextTable:
-    """Return the samples of a file of FRED; light and viewer have one azimuth in its mirror direction."""
-    lines = decoded_lines(data)
+def _zemax_table(text: str) -> TextTable:
+    """Return samples whose angles of the receiver are about the mirror direction.
+
+    ScatterRadial is the angle to the mirror direction, ScatterAzimuth the turn about it, 0 towards the normal.
+    """
+    lines = _words(text)
+    begin = next(at for at, line in enumerate(lines) if line[0] == "DataBegin")
+    words = {line[0]: line[1] for line in lines[:begin] if len(line) == 2}
+    for name, read in _ZEMAX_WORDS.items():
+        if words.get(name, read).lower() != read.lower():
+            raise MeasurementFormatError(f"The Zemax BSDF file has {name} {words[name]}; {read} alone is read.")
+    rotation, *angles = (_numbers_after(name, lines[:begin]) for name in _ZEMAX_LISTS)
+    if rotation.size != 1:
+        raise MeasurementFormatError("The Zemax BSDF file has several sample rotations; a material here is isotropic.")
+    a, turn, away = (axis.ravel() for axis in np.meshgrid(*map(np.radians, angles), indexing="ij"))
+    check_size(a.size, len(VECTORS) + 1)
+    cells = [*chain.from_iterable(line for line in lines[begin + 1 :] if line[0] not in ("TIS", "DataEnd"))]
+    if len(cells) != a.size:
+        raise MeasurementFormatError(f"The Zemax BSDF file has {len(cells)} values, and its angles need {a.size}.")
+    try:
+        values = np.array(cells, dtype=np.float64)
+    except ValueError as error:
+        raise MeasurementFormatError(f"The Zemax BSDF file has a value that is no number ({error}).") from None
+    zero = np.zeros_like(a)
+    mirror, to_normal = np.stack([np.sin(a), zero, np.cos(a)]), np.stack([-np.cos(a), zero, np.sin(a)])
+    aside = np.stack([zero, zero + 1.0, zero])
+    omega_out = np.cos(away) * mirror + np.sin(away) * (np.cos(turn) * to_normal + np.sin(turn) * aside)
+    return TextTable.of_numbers((*VECTORS, "value"), [-np.sin(a), zero, np.cos(a), *omega_out, values])
+
+
+def _lighttools_table(text: str) -> TextTable:
+    """Return reflection at the front; the light comes from an azimuth of 90 degrees."""
+    head, _, body = text.partition("DataBegin")
+    lines = _words(head)
+    phi, theta = _numbers_after("ScatterAzimuth", lines)[:, np.newaxis], _numbers_after("ScatterRadial", lines)
+    blocks, state = list[Array](), {"ScatterType": "BRDF", "Side": "Front", "AOI": "0", "Wavelength": "0"}
+    for words, numbers in _LIGHTTOOLS_BLOCK.findall(body):
+        state |= dict(line.split()[:2] for line in words.splitlines())
+        if "TristimulusValue" in state:
+            raise MeasurementFormatError("The file of LightTools has tristimulus values; Monochrome alone is read.")
+        values = np.array(numbers.split(), dtype=np.float64)
+        if values.size == 0 or (state["ScatterType"], state["Side"]) != ("BRDF", "Front"):
+            continue
+        if values.size != phi.size * theta.size:
+            raise MeasurementFormatError(
+                f"The file of LightTools has {values.size} values at AOI {state['AOI']}; its angles need "
+                f"{phi.size * theta.size}."
+            )
+        values = values.reshape(phi.size, theta.size)
+        blocks.append(_block(theta, phi, values, float(state["AOI"]), 90.0, float(state["Wavelength"])))
+    if not blocks:
+        raise MeasurementFormatError("The file of LightTools has no BRDF of the front side.")
+    return _table_of_blocks(blocks)
+
+
+def fred_table(data: bytes) -> TextTable | None:
+    """Return the samples of a tabulated BSDF of FRED, whose light and viewer share the azimuth in a mirror."""
+    if not _FRED.match(data):
+        return None
+    lines = rows_of(decoded(data).splitlines())
     words = dict(re.findall(r"(\w+)=(\S+)", " ".join(line for _, line in lines[:20] if "=" in line)))
     if words.get("bsdf", "value") != "value":
         raise MeasurementFormatError(f"The file of FRED has bsdf={words['bsdf']}; bsdf=value alone is read.")
@@ -38,92 +107,71 @@ def fred_table(data: bytes) -> TextTable:
     except ValueError:
         raise MeasurementFormatError(f"The file of FRED has scale={words['scale']}, which is no number.") from None
     table = unnamed_table([(number, line) for number, line in lines if "=" not in line and "bsdf_data" not in line])
-    column = [table.numbers(at) for at in range(len(table.names))]
-    unit = "rad" if words.get("angles", "deg").startswith("rad") else "deg"
-    # Blocks in one plane have theta_out and a value; the theta_in that leads each block becomes the last column.
-    if len(column) == 3:
-        return TextTable.of_numbers((f"theta_out [{unit}]", "value", f"theta_in [{unit}]"), _scaled(column, 1, scale))
-    if len(column) != 5:
+    unit, half_turn = ("rad", np.pi) if words.get("angles", "deg").startswith("rad") else ("deg", 180.0)
+    # The numbers that lead each block are the last columns; blocks in one plane have no azimuths.
+    names = {3: ("theta_out", "value", "theta_in"), 5: _NAMES[:5]}.get(len(table.names))
+    if names is None:
         raise MeasurementFormatError(
-            f"The file of FRED has lines of {table.n_cells} numbers and blocks of {len(column) - table.n_cells}; it "
-            "needs theta, phi and BSDF after lines of theta and phi of the light."
+            f"The file of FRED has lines of {table.n_cells} numbers and blocks of {len(table.names) - table.n_cells}; "
+            "it needs theta, phi and BSDF after lines of theta and phi of the light."
         )
-    column[4] = column[4] + (np.pi if unit == "rad" else 180.0)
-    names = (f"theta_out [{unit}]", f"phi_out [{unit}]", "value", f"theta_in [{unit}]", f"phi_in [{unit}]")
-    return TextTable.of_numbers(names, _scaled(column, 2, scale))
+    columns = {name: table.numbers(at) for at, name in enumerate(names)}
+    columns["value"] = columns["value"] * scale
+    if "phi_in" in columns:
+        columns["phi_in"] = columns["phi_in"] + half_turn
+    return TextTable.of_numbers([name if name == "value" else f"{name} [{unit}]" for name in columns], columns.values())
 
 
-def _scaled(column: list[Array], at: int, scale: float) -> list[Array]:
-    return [*column[:at], column[at] * scale, *column[at + 1 :]]
-
-
-def is_lighttools(data: bytes) -> bool:
-    """Whether a text is a BSDF file of LightTools."""
-    head = data[:MAX_HEAD_BYTES]
-    return b"ScatterRadial" in head and re.search(rb"(?m)^[ \t]*AOI[ \t]+[-+0-9.]", head) is not None
-
-
-def lighttools_table(data: bytes) -> TextTable:
-    """Return what the front reflects of a file of LightTools, whose light comes from an azimuth of 90 degrees."""
-    head, _, body = data.decode("latin-1").partition("DataBegin")
-    lines = [line.split() for line in head.splitlines() if line.strip() and line.strip()[0] != "#"]
-    phi, theta = numbers_after("ScatterAzimuth", lines), numbers_after("ScatterRadial", lines)
-    grid = np.meshgrid(theta, phi)
-    columns, state = list[Array](), {"ScatterType": "BRDF", "Side": "Front"}
-    for words, numbers in re.findall(
-        r"((?:^[ \t]*[A-Za-z]\w*[ \t]+\S+[ \t\r]*\n)+)([-+0-9.eE\s]*)", body, re.MULTILINE
-    ):
-        state |= dict(line.split()[:2] for line in words.splitlines())
-        if "TristimulusValue" in state:
-            raise MeasurementFormatError("The file of LightTools has tristimulus values; Monochrome alone is read.")
-        values = np.array(numbers.split(), dtype=np.float64)
-        if values.size == 0 or state["ScatterType"] != "BRDF" or state["Side"] != "Front":
-            continue
-        if values.size != grid[0].size:
-            raise MeasurementFormatError(
-                f"The file of LightTools has {values.size} values at AOI {state.get('AOI')}; its angles need "
-                f"{grid[0].size}."
-            )
-        at = [
-            np.full(values.size, float(state.get(name, nothing))) for name, nothing in (("AOI", 0), ("Wavelength", 0))
-        ]
-        columns.append(np.stack([grid[0].ravel(), grid[1].ravel(), values, at[0], np.full(values.size, 90.0), at[1]]))
-    if not columns:
-        raise MeasurementFormatError("The file of LightTools has no BRDF of the front side.")
-    table = np.concatenate(columns, axis=1)
-    several = np.unique(table[5]).size > 1
-    names = (*_PER_DIRECTION, "theta_in", "phi_in", *(("wavelength",) if several else ()))
-    return TextTable.of_numbers(names, list(table[: len(names)]))
-
-
-def is_speos(data: bytes) -> bool:
-    """Whether a text is a BRDF file of Speos."""
-    return data.startswith(_SPEOS)
-
-
-def speos_table(data: bytes) -> TextTable:
-    """Return the samples of a text of Speos; light and viewer have one azimuth in its mirror direction."""
-    text = data.decode("latin-1")
-    lines = text.splitlines()
+def speos_table(data: bytes) -> TextTable | None:
+    """Return the samples of a BRDF text of Speos, whose light and viewer share the azimuth in a mirror."""
+    if not data.startswith(_SPEOS):
+        return None
+    lines = data.decode("latin-1").splitlines()
     try:
         if lines[1].strip() != "0":
             raise MeasurementFormatError("The file of Speos is binary; export it as text.")
         rest = "\n".join(lines[4:])[int(lines[3]) :].split()
         if rest[2] != "1":
             raise MeasurementFormatError("The file of Speos has intensities; values proportional to the BSDF are read.")
-        counts, numbers = (int(rest[3]), int(rest[4])), np.array(rest[5:], dtype=np.float64)
-        theta_in, wavelengths = numbers[: counts[0]], numbers[counts[0] : sum(counts)]
-        at, columns = sum(counts), list[Array]()
-        for incidence in theta_in:
-            for wavelength in wavelengths:
-                n_theta, n_phi = int(numbers[at + 1]), int(numbers[at + 2])
-                at += 3
-                phi, rows = numbers[at : at + n_phi], numbers[at + n_phi : at + n_phi + n_theta * (n_phi + 1)]
-                rows = rows.reshape(n_theta, n_phi + 1)
-                at += n_phi + n_theta * (n_phi + 1)
-                grid = np.broadcast_arrays(rows[:, :1], phi, rows[:, 1:], incidence, 180.0, wavelength)
-                columns.append(np.stack([axis.ravel() for axis in grid]))
+        (n_in, n_bands), numbers = map(int, rest[3:5]), np.array(rest[5:], dtype=np.float64)
+        theta_in, wavelengths, numbers = np.split(numbers, [n_in, n_in + n_bands])
+        blocks = list[Array]()
+        for incidence, wavelength in np.stack(np.meshgrid(theta_in, wavelengths, indexing="ij"), -1).reshape(-1, 2):
+            n_theta, n_phi = int(numbers[1]), int(numbers[2])
+            phi, rows, numbers = np.split(numbers[3:], [n_phi, n_phi + n_theta * (n_phi + 1)])
+            rows = rows.reshape(n_theta, n_phi + 1)
+            blocks.append(_block(rows[:, :1], phi, rows[:, 1:], incidence, 180.0, wavelength))
     except (IndexError, ValueError):
         raise MeasurementFormatError("The file of Speos is cut off or damaged.") from None
-    names = (*_PER_DIRECTION, "theta_in", "phi_in", *(("wavelength",) if wavelengths.size > 1 else ()))
-    return TextTable.of_numbers(names, list(np.concatenate(columns, axis=1)[: len(names)]))
+    return _table_of_blocks(blocks)
+
+
+def _block(*columns: ArrayLike) -> Array:
+    """Return the six columns of `_NAMES` for a grid of directions, shape (6, n)."""
+    return np.stack([column.ravel() for column in np.broadcast_arrays(*columns)])
+
+
+def _table_of_blocks(blocks: Sequence[Array]) -> TextTable:
+    """Return blocks as a table, without the wavelength if there is only one."""
+    columns = np.concatenate(blocks, axis=1)
+    is_spectral = np.ptp(columns[5]) > 0.0
+    return TextTable.of_numbers(_NAMES[: 5 + is_spectral], columns[: 5 + is_spectral])
+
+
+def _words(text: str) -> list[list[str]]:
+    """Return the words of each line that is no comment."""
+    return [words for line in text.splitlines() if (words := line.split()) and words[0][0] != "#"]
+
+
+def _numbers_after(name: str, head: Sequence[list[str]]) -> Array:
+    """Return the numbers after the line with a name and their count, in the lines of a file's head."""
+    count = 0
+    try:
+        at = next(at for at, line in enumerate(head) if line[0] == name)
+        count, cells = int(head[at][1]), [*head[at][2:], *chain.from_iterable(head[at + 1 :])]
+        numbers = np.array(cells[:count], dtype=np.float64)
+    except (StopIteration, IndexError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.size == 0 or numbers.size != count or not np.isfinite(numbers).all():
+        raise MeasurementFormatError(f"The BSDF file has no line {name} with a count, and the angles below it.")
+    return numbers

@@ -1,31 +1,31 @@
 """Files with a table of scattered samples.
 
-`dsbrdf.samples.layouts` finds the cells of a file, `dsbrdf.samples.columns` what they mean. What a measurement leaves
-behind is set right here, counted, and said in the notes of the samples: rows without a number, directions at or below
-the horizon, zeros that nobody measured, small negative values, vectors that are nearly of unit length.
+`dsbrdf.samples.layouts` finds the cells of a file, `dsbrdf.samples.columns` their meaning. Faults of a measurement are
+mended here, counted, and described in the notes of the samples: rows without a number, directions at or below the
+horizon, zeros that nobody measured, small negative values, vectors that are nearly of unit length.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
-from dsbrdf.samples.columns import LOWEST_COSINE, sample_columns
+from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.samples.columns import LOWEST_COSINE, Description, SampleRows, read_columns
 from dsbrdf.samples.layouts import table_in
 from dsbrdf.samples.missing import about_repeated, unmeasured_zeros
-from dsbrdf.samples.scattered_samples import CANONICAL, ScatteredSamples
+from dsbrdf.samples.scattered_samples import CANONICAL, CANONICAL_NAMES, ScatteredSamples
 from dsbrdf.samples.spreadsheet import is_spreadsheet, spreadsheet_text
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 _MAX_FILE_BYTES = 1 << 30
-# Vectors further off unit length are refused; tables have few digits, and a smaller deviation is not mentioned.
+# Vectors further off unit length are refused; a smaller deviation than the second is not mentioned.
 _MAX_LENGTH_DEVIATION = 0.02
 _ROUNDED_LENGTH_DEVIATION = 1e-3
 # Components of unit vectors that differ by less are the same direction.
@@ -39,9 +39,9 @@ _MAX_NOISE_FRACTION = 0.01
 
 @dataclass(frozen=True, eq=False)
 class ReadTable:
-    """A table that was read."""
+    """A table that was read, the description of its columns, and the number of its rows."""
 
-    columns: tuple[tuple[str, str, str], ...]  # name, meaning and unit of each, empty where the table says none
+    columns: Description
     n_rows: int
     samples: ScatteredSamples
 
@@ -74,16 +74,11 @@ def read_samples(
     OSError
         If a file does not exist or cannot be read.
     """
-    if options is not None and choices:
-        raise InvalidArgumentError("give the options as TableOptions or by name, not both")
-    options = options or TableOptions(**choices)
-    paths = [path] if isinstance(path, str | os.PathLike) else list(path)
-    found = []
-    for source in map(Path, paths):
-        if source.stat().st_size > _MAX_FILE_BYTES:
-            raise MeasurementFormatError(f"The table is longer than {_MAX_FILE_BYTES} bytes.")
-        found.append(_read(source.read_bytes(), options))
-    return _joined(found, Path(paths[0]).stem)
+    options = TableOptions.chosen(options, choices)
+    paths = [Path(one) for one in ([path] if isinstance(path, str | os.PathLike) else path)]
+    if any(source.stat().st_size > _MAX_FILE_BYTES for source in paths):
+        raise MeasurementFormatError(f"The table is longer than {_MAX_FILE_BYTES} bytes.")
+    return _joined([_read(source.read_bytes(), options) for source in paths], paths[0].stem)
 
 
 def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
@@ -97,64 +92,59 @@ def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WR
     return ReadTable(found.columns, found.n_rows, _joined([found], name))
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Rows of a file that can be used, however few."""
-
-    columns: tuple[tuple[str, str, str], ...]
-    n_rows: int
-    omega_in: Array
-    omega_out: Array
-    values: Array
-    weight: Array
-    notes: tuple[str, ...]
+def _joined(found: Sequence[SampleRows], name: str) -> ScatteredSamples:
+    numbers = np.concatenate([rows.numbers for rows in found])
+    omega_in, omega_out, values, weight = np.split(numbers, (3, 6, 9), axis=1)
+    notes = dict.fromkeys(note for rows in found for note in rows.notes)
+    return ScatteredSamples.from_arrays(omega_in, omega_out, values, weight[:, 0], name, tuple(notes))
 
 
-def _joined(found: list[_Rows], name: str) -> ScatteredSamples:
-    names = ("omega_in", "omega_out", "values", "weight")
-    arrays = {field: np.concatenate([getattr(one, field) for one in found]) for field in names}
-    notes = dict.fromkeys(note for one in found for note in one.notes)
-    return ScatteredSamples.from_arrays(**arrays, name=name, notes=tuple(notes))
-
-
-def _read(data: bytes, options: TableOptions) -> _Rows:
+def _read(data: bytes, options: TableOptions) -> SampleRows:
+    """Return the rows of a file that can be used, however few."""
     if data.startswith(CANONICAL):
         options.refuse("a file of samples, which says everything itself")
         made = ScatteredSamples.decode(data)
-        names = ("theta_in", "phi_in", "theta_out", "phi_out", "red", "green", "blue", "weight")
-        columns = tuple((name, name, "") for name in names)
-        return _Rows(columns, len(made.values), made.omega_in, made.omega_out, made.values, made.weight, made.notes)
+        numbers = np.column_stack([made.omega_in, made.omega_out, made.values, made.weight])
+        columns = tuple((name, name, "") for name in CANONICAL_NAMES)
+        return SampleRows(numbers, made.values, made.notes, columns, len(numbers))
     notes: list[str] = []
     if is_spreadsheet(data):
         data, notes = spreadsheet_text(data)
-    table = table_in(data, options)
-    found = sample_columns(table, options)
-    numbers = found.numbers
+    found = read_columns(table_in(data, options), options)
     notes += found.notes
+    numbers = _in_units(_usable(found, notes), options, notes)
+    return replace(found, numbers=numbers, notes=tuple(notes))
+
+
+def _usable(found: SampleRows, notes: list[str]) -> Array:
+    """Return the rows that hold a measured value above the horizon, their vectors of unit length."""
+    numbers = found.numbers.copy()
     used = np.asarray(np.isfinite(numbers).all(axis=1))
     notes += _left_out(~used, "no finite number in a column that is needed")
-    first, second = (
-        _unit_vectors(side, numbers[:, at : at + 3], used, notes) for side, at in (("omega_in", 0), ("omega_out", 3))
-    )
-    above = np.minimum(first[:, 2], second[:, 2]) > LOWEST_COSINE
+    for side, part in (("omega_in", slice(0, 3)), ("omega_out", slice(3, 6))):
+        numbers[:, part] = _unit_vectors(side, numbers[:, part], used, notes)
+    above = np.minimum(numbers[:, 2], numbers[:, 5]) > LOWEST_COSINE
     notes += _left_out(used & ~above, "a direction at or below the horizon")
     used &= above
     if len(found.written) == len(used):
         notes += about_repeated(found.written[used])
-    empty, said = unmeasured_zeros(first[used], second[used], numbers[used, 6:9])
+    numbers = numbers[used]
+    empty, said = unmeasured_zeros(numbers[:, :3], numbers[:, 3:6], numbers[:, 6:9])
     notes += said
-    used[np.flatnonzero(used)[empty]] = False
-    values = numbers[used, 6:9]
+    return numbers[~empty]
+
+
+def _in_units(numbers: Array, options: TableOptions, notes: list[str]) -> Array:
+    """Return rows with values in 1/sr and the plane of incidence turned, as the options say."""
+    omega_in, omega_out, values, weight = np.split(numbers, (3, 6, 9), axis=1)
     is_grey = bool(np.all(values == values[:, :1]))
     values = np.broadcast_to(_without_noise(values[:, :1] if is_grey else values, notes), values.shape)
-    omega_in, omega_out = first[used], second[used]
     if options.cosine is not None:
         values = values / (omega_in if options.cosine == "in" else omega_out)[:, 2:]
     if options.phi == "mirror":
         omega_in = omega_in * (-1.0, -1.0, 1.0)
     notes += _contradictions(np.hstack([omega_in, omega_out]), values.mean(axis=1))
-    values = values * options.scale
-    return _Rows(found.columns, table.n_rows, omega_in, omega_out, values, numbers[used, 9], tuple(notes))
+    return np.hstack([omega_in, omega_out, values * options.scale, weight])
 
 
 def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Array:
@@ -177,27 +167,23 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
     count = int(np.count_nonzero(negative))
     if count == 0:
         return values
-    lowest, largest = -values.min(), values.max()
-    several = "1 value is" if count == 1 else f"{count} values are"
-    if (
-        lowest > _MAX_NOISE_FRACTION * largest
-        or -values[negative].sum() > _MAX_NOISE_FRACTION * values[~negative].sum()
-    ):
+    lowest, largest, allowed = -values.min(), values.max(), _MAX_NOISE_FRACTION
+    several, they_count = ("1 value is", "it counts") if count == 1 else (f"{count} values are", "they count")
+    if lowest > allowed * largest or -values[negative].sum() > allowed * values[~negative].sum():
         raise MeasurementFormatError(
             f"{several} negative, down to {-lowest:.4g}, more than noise about zero explains: if they stand for what "
             f"is missing, set missing to {-lowest:g}."
         )
-    counts = "it counts" if count == 1 else "they count"
-    notes.append(f"{several} negative, down to {-lowest / largest:.2%} of the largest; {counts} as 0.")
+    notes.append(f"{several} negative, down to {-lowest / largest:.2%} of the largest; {they_count} as 0.")
     return np.maximum(values, 0.0)
 
 
 def _contradictions(pairs: Array, values: Array) -> list[str]:
-    """Tell of pairs of directions (n, 6) that have several values (n,) far apart."""
+    """Return a sentence on pairs of directions (n, 6) that have several values (n,) far apart."""
     if values.size == 0:
         return []
     digits = np.rint(pairs / _SAME_COMPONENT).astype(np.int64)
-    key = digits @ np.random.default_rng(0).integers(1 << 62, size=6)  # equal pairs have equal keys, in linear time
+    key = digits @ np.random.default_rng(0).integers(1 << 62, size=6)  # Equal pairs have equal keys, in linear time.
     order = np.lexsort((values, key))
     starts = np.flatnonzero(np.diff(key[order], prepend=key[order][:1] - 1))
     lowest, highest = values[order][starts], values[order][np.append(starts[1:], values.size) - 1]
@@ -216,5 +202,5 @@ def _contradictions(pairs: Array, values: Array) -> list[str]:
 
 def _left_out(rows: Mask, fault: str) -> list[str]:
     count = int(np.count_nonzero(rows))
-    several = "1 row has" if count == 1 else f"{count} rows have"
-    return [f"{several} {fault}; {'it is' if count == 1 else 'they are'} left out."] if count else []
+    several, they_are = ("1 row has", "it is") if count == 1 else (f"{count} rows have", "they are")
+    return [f"{several} {fault}; {they_are} left out."] if count else []

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
+from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS
 
 _ASTM_NAMES = re.compile(rb"(?m)^VARS[ \t]+(.*)$")
 _NOT_NUMBERS = re.compile(rb"[^-+0-9.eE\s]")
@@ -20,12 +22,12 @@ _SPHERICAL = ("theta_in", "phi_in", "theta_out", "phi_out")
 # Parametrisations of ALTA: L is the light, V the viewer, T theta, P phi; H and D are the half and difference angles.
 _ALTA = {
     "RUSIN_TH_PH_TD_PD": ("theta_half", "phi_half", "theta_diff", "phi_diff"),
-    "RUSIN_TH_TD_PD": ("theta_half", "theta_diff", "phi_diff"),
-    "RUSIN_TH_TD": ("theta_half", "theta_diff"),
+    "RUSIN_TH_TD_PD": HALF_DIFFERENCE,
+    "RUSIN_TH_TD": HALF_DIFFERENCE[:2],
     "SPHERICAL_TL_PL_TV_PV": _SPHERICAL,
     "ISOTROPIC_TV_TL_DPHI": ("theta_out", "theta_in", "phi_out"),
     "ISOTROPIC_TL_TV_DPHI": ("theta_in", "theta_out", "phi_out"),
-    "CARTESIAN": tuple(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz"),
+    "CARTESIAN": VECTORS,
 }
 
 
@@ -42,21 +44,13 @@ def plain_astm(data: bytes) -> bytes:
     return data[: found.start()] + in_radians + data[found.end() :]
 
 
-def is_cornell_spectra(data: bytes) -> bool:
-    """Whether a text is a count of wavelengths, the wavelengths, and rows of four angles and a spectrum."""
-    plain = _without_comments(data[:4096])
-    first = plain.split()[:-1]  # the last may be cut off
-    if _NOT_NUMBERS.search(plain) or len(first) < 3 or not first[0].isdigit() or not 2 <= int(first[0]) < 1000:
-        return False
-    try:
-        wavelengths = np.array(first[1 : 1 + int(first[0])], dtype=np.float64)
-    except ValueError:
-        return False
-    return bool(np.all((wavelengths > 200.0) & (wavelengths < 3000.0)) and np.all(np.diff(wavelengths) > 0.0))
+def cornell_spectra_table(data: bytes) -> TextTable | None:
+    """Return the samples of a spectral text of Cornell.
 
-
-def cornell_spectra_table(data: bytes) -> TextTable:
-    """Return the samples of a spectral text of Cornell."""
+    It has a count of wavelengths, the wavelengths, and rows of four angles and a spectrum.
+    """
+    if not _begins_with_wavelengths(_without_comments(data[:4096])):
+        return None
     try:
         numbers = np.array(_without_comments(data).split(), dtype=np.float64)
         count = int(numbers[0])
@@ -67,20 +61,28 @@ def cornell_spectra_table(data: bytes) -> TextTable:
             "sample has theta_in, phi_in, theta_out, phi_out and a value for each wavelength."
         ) from None
     names = [f"{name} [rad]" for name in _SPHERICAL] + [f"{wavelength:g} nm" for wavelength in numbers[1 : 1 + count]]
-    return TextTable.of_numbers(names, list(rows.T))
+    return TextTable.of_numbers(names, rows.T)
+
+
+def _begins_with_wavelengths(text: bytes) -> bool:
+    first = text.split()[:-1]  # The last word may be cut off.
+    if _NOT_NUMBERS.search(text) or len(first) < 3 or not first[0].isdigit() or not 2 <= int(first[0]) < 1000:
+        return False
+    try:
+        wavelengths = np.array(first[1 : 1 + int(first[0])], dtype=np.float64)
+    except ValueError:
+        return False
+    return bool(np.all((wavelengths > 200.0) & (wavelengths < 3000.0)) and np.all(np.diff(wavelengths) > 0.0))
 
 
 def _without_comments(data: bytes) -> bytes:
     return re.sub(rb"#[^\n]*", b"", data)
 
 
-def is_alta(data: bytes) -> bool:
-    """Whether a text is a data file of ALTA."""
-    return re.search(rb"(?m)^#PARAM_IN\b", data[:4096]) is not None
-
-
-def alta_table(data: bytes) -> TextTable:
+def alta_table(data: bytes) -> TextTable | None:
     """Return the samples of a data file of ALTA, whose angles are in radians."""
+    if not re.search(rb"(?m)^#PARAM_IN\b", data[:4096]):
+        return None
     text = data.decode("latin-1")
     words = {name: rest.split() for name, rest in re.findall(r"(?m)^#(\w+)[ \t]+(.*)$", text)}
     form, (n_in, n_out) = words["PARAM_IN"][0], map(int, (words.get("DIM") or ["0", "0"])[:2])
@@ -99,16 +101,13 @@ def alta_table(data: bytes) -> TextTable:
     if form == "RUSIN_TH_TD":
         named, columns = [*named, "phi_diff [rad]"], [*columns[:2], np.full(len(rows), np.pi / 2), *columns[2:]]
     note = ("The file of ALTA has values times a cosine: set cosine to in.",) if "COSINE" in str(words) else ()
-    return TextTable.of_numbers([*named, *(("value",) if n_out == 1 else ("red", "green", "blue"))], columns, *note)
+    return TextTable.of_numbers([*named, *(("value",) if n_out == 1 else CHANNELS)], columns, *note)
 
 
-def is_open_material(data: bytes) -> bool:
-    """Whether a text is a look-up table of ASAM OpenMATERIAL 3D."""
-    return data.lstrip()[:1] == b"{" and b'"lookupTable"' in data
-
-
-def open_material_table(data: bytes) -> TextTable:
+def open_material_table(data: bytes) -> TextTable | None:
     """Return the samples of a look-up table of ASAM OpenMATERIAL 3D."""
+    if data.lstrip()[:1] != b"{" or b'"lookupTable"' not in data:
+        return None
     try:
         document: Any = json.loads(data)
         rows = np.array(document["brdf"]["lookupTable"], dtype=np.float64)
@@ -120,4 +119,4 @@ def open_material_table(data: bytes) -> TextTable:
             "angles, the azimuth and the BRDF."
         )
     names = ("wavelength [m]", "theta_in [rad]", "theta_out [rad]", "phi_out [rad]", "value")
-    return TextTable.of_numbers(names, list(rows.T))
+    return TextTable.of_numbers(names, rows.T)

@@ -25,7 +25,8 @@ MIN_SAMPLES = 50
 MAX_WEIGHT = 1e12
 CANONICAL = b"# dsbrdf samples 1\n"
 """The first line of a file of samples."""
-_NAMES = "theta_in,phi_in,theta_out,phi_out,red,green,blue,weight"
+CANONICAL_NAMES = ("theta_in", "phi_in", "theta_out", "phi_out", "red", "green", "blue", "weight")
+_NAMES = ",".join(CANONICAL_NAMES)
 _UNIT_TOLERANCE = 1e-3
 # Angles are kept to so many decimals of a degree: conversions to a unit vector and back change less.
 _ANGLE_DECIMALS = 9

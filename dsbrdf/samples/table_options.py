@@ -71,6 +71,13 @@ class TableOptions:
             if value is not None and value not in words:
                 raise InvalidArgumentError(f"{name} must be one of {', '.join(words)}, not {repr(value)[:60]}")
 
+    @classmethod
+    def chosen(cls, options: TableOptions | None, choices: dict[str, Any]) -> TableOptions:
+        """Return options given as an object or by name; raise InvalidArgumentError if both are given."""
+        if options is not None and choices:
+            raise InvalidArgumentError("give the options as TableOptions or by name, not both")
+        return options or cls(**choices)
+
     def named_columns(self) -> dict[str, str]:
         """Return the name of the column with each meaning that `columns` gives."""
         return dict(_parts(pair) for pair in self.columns)

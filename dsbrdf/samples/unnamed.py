@@ -12,11 +12,15 @@ import numpy as np
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import SEPARATORS, TextTable, as_number, check_size, split_cells, wrong_count
 
-_LOOKED_AT = 50
+# The separator of all lines is the best for so many lines.
+_N_TRIED_LINES = 50
+
+NumberedLines = Sequence[tuple[int, str]]
+"""Lines of a text, each after its number from 1."""
 
 
-def unnamed_table(numbered: Sequence[tuple[int, str]]) -> TextTable:
-    """Return the table in some lines, each with its number in the file; lines before the first number are a title.
+def unnamed_table(numbered: NumberedLines) -> TextTable:
+    """Return the table in some lines; lines before the first number are a title.
 
     Raises MeasurementFormatError for a line with words between lines of numbers.
     """
@@ -26,33 +30,36 @@ def unnamed_table(numbered: Sequence[tuple[int, str]]) -> TextTable:
     found = list(split_cells((line for _, line in lines), separator))
     width = Counter(map(len, found)).most_common(1)[0][0] if found else 0
     if len(found) != len(lines) or count < 2:
-        raise _nameless(numbered)
+        begins = f"begins with {numbered[0][1][:80]!r}" if numbered else "is empty"
+        raise MeasurementFormatError(
+            f"The table {begins} and has no line that names its columns; it needs one such as "
+            "theta_in, phi_in, theta_out, phi_out, red, green, blue."
+        )
     rows, at, blocks, block = list[list[str]](), list[int](), list[list[float]](), list[float]()
     for (number, line), cells in zip(lines, found, strict=True):
+        if len(cells) > width:
+            raise wrong_count(number, len(cells), separator, width)
         if len(cells) == width:
             rows.append(cells)
             at.append(number)
             blocks.append(block)
-        elif len(cells) > width:
-            raise wrong_count(number, len(cells), separator, ("",) * width)
-        else:
-            numbers = _numbers(cells, separator) or _numbers(line.split(), separator)
-            if not numbers:
-                raise MeasurementFormatError(
-                    f"Line {number} of the table has {line[:40]!r} between lines that have numbers alone."
-                )
-            block = numbers
+            continue
+        block = _numbers(cells, separator) or _numbers(line.split(), separator)
+        if not block:
+            raise MeasurementFormatError(
+                f"Line {number} of the table has {line[:40]!r} between lines that have numbers alone."
+            )
     size = max(map(len, blocks))
-    before = np.array([[*block, *[np.nan] * (size - len(block))] for block in blocks]).T
+    columns = np.array([[*block, *[np.nan] * (size - len(block))] for block in blocks]).T
     names = tuple(str(place) for place in range(1, width + size + 1))
-    return TextTable(names, ("",) * len(names), rows, at, separator, tuple(before) if size else ())
+    return TextTable(names, rows, at, separator, tuple(columns) if size else ())
 
 
-def _layout(numbered: Sequence[tuple[int, str]]) -> tuple[int, str, int]:
-    """Return the number of cells of a line of numbers alone, their separator, and which line is the first such."""
+def _layout(numbered: NumberedLines) -> tuple[int, str, int]:
+    """Return the largest number of cells of a line of numbers, their separator, and the index of the first line."""
     best = (0, " ", 0)
     for separator in SEPARATORS:
-        cells = list(split_cells((line for _, line in numbered[:_LOOKED_AT]), separator))
+        cells = list(split_cells((line for _, line in numbered[:_N_TRIED_LINES]), separator))
         lines = zip(cells, numbered, strict=False)
         widest = max((len(row) for row in cells if _numbers(row, separator)), default=0)
         if widest > best[0]:
@@ -65,11 +72,3 @@ def _numbers(cells: Sequence[str], separator: str) -> list[float]:
     """Return the numbers in cells; none if a cell has words."""
     numbers = [number for cell in cells if (number := as_number(cell, separator)) is not None]
     return numbers if len(numbers) == len(cells) else []
-
-
-def _nameless(lines: Sequence[tuple[int, str]]) -> MeasurementFormatError:
-    begins = f"begins with {lines[0][1][:80]!r}" if lines else "is empty"
-    return MeasurementFormatError(
-        f"The table {begins} and has no line that names its columns; it needs one such as "
-        "theta_in, phi_in, theta_out, phi_out, red, green, blue."
-    )
