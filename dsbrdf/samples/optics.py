@@ -23,7 +23,8 @@ _HEAD_BYTES = 1 << 16  # The head of a file of Zemax or LightTools is not longer
 _ZEMAX_LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _ZEMAX_WORDS = {"ScatterType": "BRDF", "SpectralContent": "Monochrome"}
 _LIGHTTOOLS_BLOCK = re.compile(r"((?:^[ \t]*[A-Za-z]\w*[ \t]+\S+[ \t\r]*\n)+)([-+0-9.eE\s]*)", re.MULTILINE)
-_FRED = re.compile(rb"(?m)\A(?:\s*[#!].*\n|\s*\n)*\s*(?:type\s+)?bsdf_data\b")
+# A line before the name matches in one way alone, so that blank lines cost no more than others.
+_FRED = re.compile(rb"\A(?:[ \t]*(?:[#!].*)?\r?\n)*+[ \t]*(?:type\s+)?bsdf_data\b")
 _SPEOS = b"OPTIS - brdf surface file"
 # The columns of `_block`.
 _NAMES = ("theta_out", "phi_out", "value", "theta_in", "phi_in", "wavelength")

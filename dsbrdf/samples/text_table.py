@@ -28,6 +28,7 @@ from dsbrdf.samples.unnamed import NumberedLines, unnamed_table
 
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
 _BEGINS_NUMBER = tuple("+-.0123456789")
+_NUMBERS = re.compile(r"[-+.,;\s\deE]*")
 _MAX_LINES_BEFORE_NAMES = 500
 _MAX_LINES_OF_UNITS = 20
 _MAX_LINE_LENGTH = 1 << 17  # [characters]; 4096 columns with all their digits are shorter.
@@ -116,10 +117,13 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
         length += len(line)
         if length - len(line) > _MAX_HEAD_LENGTH:
             break
+        words = _without_comment(line)
+        if _NUMBERS.fullmatch(words):  # Names in a row of numbers would take most of the time of a table.
+            continue
         below = filter(_is_row, islice(lines, place + 1, place + 1 + _MAX_LINES_BEFORE_NAMES))
         row = next(below, "").strip(" ")
         splits = [_cells(row, separator) for separator in SEPARATORS]
-        for names in _candidates(_without_comment(line)):
+        for names in _candidates(words):
             known = count_names(names, named)
             if known == 1 and any(as_number(name, " ") is not None for name in names):
                 continue  # It is a number for all rows, or one column of a table that stands in lines.

@@ -106,6 +106,7 @@ SPELLINGS = {
     "r, g, b": table((*DIRECTION, "R", "G", "B")),
     "brdf_red [1/sr]": table((*DIRECTION, *(f"brdf_{name} [1/sr]" for name in CHANNELS))),
     "comment lines": table(before="# satin purple\n# goniometer 3\n"),
+    "many blank lines": table(before="\n" * 400),
     "saved by NumPy": saved_by_numpy(),
     "a preamble": table(before="Instrument: goniometer 3\nDate;2026-02-11\n\n"),
     "percent comments": table(before="% made by a script", comment="% "),
