@@ -50,11 +50,14 @@ serve: $(READY)  ## run the service on http://127.0.0.1:8000
 docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
 	@$(BIN)/python docs/_ext/build.py
 
+# A fifth of the time, tests wait for processes and limits: one worker more than there are cores, and at most four.
+WORKERS = $$($(BIN)/python -c 'import os; print(min(os.cpu_count() + 1, 4))')
+
 test: $(TESTS_READY)  ## run all tests, on up to four cores
-	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile --no-loadscope-reorder
 
 quick: $(TESTS_READY)  ## run the tests of library and service that are not marked as slow
-	$(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile -m 'not slow' tests/library tests/service
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile -m 'not slow' tests/library tests/service
 
 check: $(TESTS_READY)  ## check format, lint, prose, types and security
 	$(BIN)/ruff format --check .

@@ -147,7 +147,7 @@ def full_disk(harness: Harness, times: int) -> str:
             server.until_running(fit_id)
             filler = _fill(disk)
             _refusals(harness, server, sha256)
-            time.sleep(2.0)  # the fit ends, and there is no room for its result
+            harness.expect(becomes_true(lambda: not server.workers(), 60.0), "a fit does not end on the full disk")
             begin = time.monotonic()
             deleted = server.http.delete(f"/v1/measurements/{spare}")
             harness.expect(

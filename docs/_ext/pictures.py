@@ -6,6 +6,7 @@ build the pages do not have the data.
 
 import json
 import os
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -26,17 +27,17 @@ _STRIP_SPHERE_SIZE = 128  # pixels
 _METRICS = ("relative_rms", "excess", "psnr")
 
 
-def readme_picture(folder: Path) -> bytes:
+def readme_picture(folder: Path, materials: Sequence[str] = README_MATERIALS) -> bytes:
     """Return a WebP file of materials in a folder, one in a row: measured, the fit, and the components of the fit."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from PIL import Image
 
-    step, rows = _README_SPHERE_SIZE + _README_GAP, len(README_MATERIALS)
+    step, rows = _README_SPHERE_SIZE + _README_GAP, len(materials)
     width, height = _README_LINE_HEIGHT + step * len(_README_COLUMNS), _README_LINE_HEIGHT + step * rows
     canvas = FigureCanvasAgg(Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0, facecolor="none"))
     text = {"color": "0.5", "fontsize": 22, "ha": "center", "va": "center"}  # seen on white and on black
-    for row, name in enumerate(README_MATERIALS):
+    for row, name in enumerate(materials):
         measurement = dsbrdf.read_merl(folder / f"{name}.binary")
         panels = compare_spheres(
             measurement, dsbrdf.fit(measurement).model, lighting="environment", size=_README_SPHERE_SIZE

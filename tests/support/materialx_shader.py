@@ -2,7 +2,7 @@
 
 import importlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -32,8 +32,12 @@ def surface_of(document: Any) -> OpenPBR:
     return OpenPBR(**values)
 
 
-def generated_function(document: Any) -> str:
-    """Return GLSL with ``vec3 reflected(vec3 omega_in, vec3 omega_out)``, the BRDF as MaterialX generates it."""
+def generated_function(*documents: Any) -> str:
+    """Return GLSL with ``vec3 reflected(vec3 omega_in, vec3 omega_out, int which)``.
+
+    It is the BRDF of one of the documents as MaterialX generates it: compiling it takes seconds.
+    """
+    document = documents[0]
     materialx = importlib.import_module("MaterialX")
     shader_module = importlib.import_module("MaterialX.PyMaterialXGenShader")
     generator = importlib.import_module("MaterialX.PyMaterialXGenGlsl").EsslShaderGenerator.create()
@@ -47,20 +51,23 @@ def generated_function(document: Any) -> str:
     source = generator.generate("check", document.getMaterialNodes()[0], context).getSourceCode("pixel")
     declared = document.getDataLibrary().getNodeDef("ND_open_pbr_surface_surfaceshader").getInputs()
     inputs = {one.getName(): one.getValue() for one in declared if one.getType() in ("float", "color3")}
-    return _as_function(source, inputs | asdict(surface_of(document)))
+    return _as_function(source, [inputs | asdict(surface_of(document)) for document in documents])
 
 
-def _as_function(source: str, inputs: Mapping[str, Any]) -> str:
+def _as_function(source: str, surfaces: Sequence[Mapping[str, Any]]) -> str:
     """Turn a shader's inputs into variables, and its ``main`` into a function."""
     source = re.sub(r"#version.*|precision .*;|uniform \w*shader\w* .*", "", source)
     source = "const bool u_refractionTwoSided = false;\n" + source  # used without an environment, but not declared
     source = re.sub(r"^(uniform|in|out) (?=\w)", "", source, flags=re.MULTILINE).replace("void main()", "void shade()")
-    written = {name: value if isinstance(value, float) else f"vec3{tuple(value)}" for name, value in inputs.items()}
-    assigned = "\n".join(f"  {_SHADER}_{name} = {value};" for name, value in written.items())
+    assigned = "\n".join(
+        f"  if (which == {number}) {_SHADER}_{name} = {value if isinstance(value, float) else f'vec3{tuple(value)}'};"
+        for number, inputs in enumerate(surfaces)
+        for name, value in inputs.items()
+    )
     return (
         source
         + f"""
-vec3 reflected(vec3 omega_in, vec3 omega_out) {{
+vec3 reflected(vec3 omega_in, vec3 omega_out, int which) {{
 {assigned}
   normalWorld = vec3(0.0, 0.0, 1.0);
   tangentWorld = vec3(1.0, 0.0, 0.0);

@@ -13,7 +13,7 @@ import pytest
 
 from dsbrdf import FitOptions, load
 from dsbrdf.cli import main as cli
-from dsbrdf.engines import FileFit, LocalEngine, batch, fit_files, local
+from dsbrdf.engines import FileFit, LocalEngine, batch, dask, fit_files, local
 from tests.support import endless_fit
 from tests.support.crashing_tasks import compute_unless_named_one
 from tests.support.dask_cluster import forked
@@ -175,6 +175,7 @@ def test_unreachable_cluster_is_one_sentence(
     files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(dask, "_SCHEDULER_TIMEOUT_S", 0.5)
     address = "tcp://127.0.0.1:1"
     assert cli.main(["fit", str(files[0]), "--scheduler", address]) == 1
     captured = capsys.readouterr()

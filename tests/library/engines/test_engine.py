@@ -61,10 +61,9 @@ def samples_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("data", "options"),
     [
         ("plastic", FitOptions(2, "paper", em_iterations=5, weighting="log", robust=True, horizon_cutoff_deg=69)),
-        ("plastic", FitOptions(n_lobes=1, ring_lobes=0, weighting="cosine")),
         ("samples", FitOptions(n_lobes=1, ring_lobes=0)),
     ],
-    ids=["paper, log and robust", "global", "scattered samples"],
+    ids=["paper, log and robust", "scattered samples"],
 )
 def test_result_equals_that_of_the_library_bit_for_bit(
     stage: Stage, data: str, options: FitOptions, request: pytest.FixtureRequest

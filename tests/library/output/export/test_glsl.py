@@ -48,7 +48,8 @@ WEIGHTS = {"specular_spike": 3.0, "specular_lobe": 2.0, "diffuse": 0.5}
 TOWARDS = np.array([0.5, 0.0, np.sqrt(0.75)])
 FRAME = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 """Axes x, y, z of a turned surface, in its columns."""
-PAIRS = known_models.pairs_of_directions(10_000, lowest=0.02, spread=0.03)
+ROWS = 79  # rows of 128 pixels
+PAIRS = known_models.pairs_of_directions(128 * ROWS, lowest=0.02, spread=0.03)
 
 
 @pytest.fixture(scope="module")
@@ -60,13 +61,16 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     first, second = np.vstack([PAIRS[0], up, down]), np.vstack([PAIRS[1], down, up])
     calls = {name: ShaderCall(glsl_function(model), "dsbrdf(a, b)", first, second) for name, model in ALL.items()}
     both = "".join(glsl_function(ALL[name], paint, sampling=True) for name, paint in PAINTS.items())
-    for paint in PAINTS.values():
-        calls[paint] = ShaderCall(both, f"{paint}(a, b)", *PAIRS, precision="")
+    one, two, three = (f"{paint}(a, b)" for paint in PAINTS.values())
+    which = f"gl_FragCoord.y < {ROWS}.0 ? {one} : gl_FragCoord.y < {2 * ROWS}.0 ? {two} : {three}"
+    calls["paints"] = ShaderCall(both, which, *(np.tile(side, (3, 1)) for side in PAIRS), precision="")
     for name in SAMPLED:
         source = glsl_function(ALL[name], sampling=True)
-        calls[f"{name}, pdf"] = ShaderCall(source, "vec3(dsbrdf_pdf(a, b))", *PAIRS)
         towards = np.broadcast_to(TOWARDS, PAIRS[0].shape), np.random.default_rng(4).random(PAIRS[0].shape)
-        calls[f"{name}, sample"] = ShaderCall(source, "dsbrdf_sample(a, b)", *towards)
+        which = f"gl_FragCoord.y < {ROWS}.0 ? vec3(dsbrdf_pdf(a, b)) : dsbrdf_sample(a, b)"
+        calls[f"{name}, sampling"] = ShaderCall(
+            source, which, *(np.vstack(one) for one in zip(PAIRS, towards, strict=True))
+        )
     x, y, z = (f"vec3({', '.join(map(str, axis))})" for axis in FRAME.T.tolist())
     shader = "const float scale = 2.0;\n" + brdf_sections()["shader"]
     calls["turned"] = ShaderCall(shader, f"BRDF(a, b, {z}, {x}, {y})", *(one @ FRAME.T for one in PAIRS))
@@ -76,7 +80,11 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
         calls[f"{name}, weights"] = ShaderCall(source, f"dsbrdf_shown(a, b, vec3({weights}))", *PAIRS)
     for component in decompose(DECOMPOSED[DIVIDED]):
         calls[component.label] = ShaderCall(glsl_function(component), "dsbrdf(a, b)", *PAIRS)
-    return evaluate_glsl(calls, tmp_path_factory.mktemp("glsl"))
+    found = evaluate_glsl(calls, tmp_path_factory.mktemp("glsl"))
+    found |= dict(zip(PAINTS.values(), np.split(found["paints"], 3), strict=True))
+    for name in SAMPLED:
+        found[f"{name}, pdf"], found[f"{name}, sample"] = np.split(found[f"{name}, sampling"], 2)
+    return found
 
 
 def brdf_sections() -> dict[str, str]:
