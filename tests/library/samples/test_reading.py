@@ -250,13 +250,11 @@ WRONG = [
         "The table has 17000 rows of 3 cells, and it may have 50000 cells",
     ),
     (
-        b"SampleRotation 1\n0\nAngleOfIncidence 99\n"
-        + b"1 " * 99
-        + b"\nScatterAzimuth 99\n"
-        + b"1 " * 99
-        + b"\nScatterRadial 99\n"
-        + b"1 " * 99
-        + b"\nDataBegin\n1 2 3 4\n",
+        b"SampleRotation 1\n0\n"
+        + b"".join(
+            b"%b 99\n%b\n" % (name, b"1 " * 99) for name in (b"AngleOfIncidence", b"ScatterAzimuth", b"ScatterRadial")
+        )
+        + b"DataBegin\n1 2 3 4\n",
         "The table has 970299 rows of 7 cells, and it may have 50000 cells",
     ),
     (b"", "The table is empty and has no line that names its columns; it needs one such as theta_in, "),
