@@ -12,7 +12,7 @@ from dsbrdf import MeasurementFormatError, ScatteredSamples, read_measurement
 from dsbrdf.arrays import Array
 from dsbrdf.data import CHANNELS, half_difference
 from dsbrdf.samples import cells
-from dsbrdf.samples.names import meaning_of
+from dsbrdf.samples.names import VECTORS, meaning_of
 from dsbrdf.samples.reading import parse_samples
 
 COUNT = 240
@@ -23,7 +23,6 @@ IN_PLANE = ANGLES * [1.0, 0.0, 1.0, 0.0] * _RANDOM.choice([-1.0, 1.0], (COUNT, 4
 RGB = _RANDOM.uniform(0.01, 9.0, (COUNT, 3)).round(6)
 GREY = np.repeat(RGB[:, :1], 3, axis=1)
 DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")
-VECTORS = tuple(f"omega_{side}_{axis}" for side in ("in", "out") for axis in "xyz")
 
 
 def spherical(angles: Array) -> tuple[Array, Array]:
@@ -139,8 +138,7 @@ OF_OTHER_TABLES = {
 def check_same(samples: ScatteredSamples, angles: Array, values: Array) -> None:
     found = np.stack(half_difference(samples.omega_in, samples.omega_out))
     expected = np.stack(half_difference(*spherical(angles)))
-    apart = np.abs(found - expected)
-    apart = np.minimum(apart, 2.0 * np.pi - apart)
+    apart = np.abs((found - expected + np.pi) % (2.0 * np.pi) - np.pi)
     apart[2] *= np.sin(expected[0]) * np.sin(expected[1])  # phi_diff is any angle where another one is 0
     np.testing.assert_allclose(apart, 0.0, atol=1e-6)
     np.testing.assert_allclose(samples.values, values, rtol=1e-8)

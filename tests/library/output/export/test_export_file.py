@@ -62,8 +62,8 @@ def test_values_are_those_of_the_shaders_of_materialx(tmp_path: Path) -> None:
     pairs = pairs_of_directions(2048)  # 16 rows of pixels
     surfaces = COATED, replace(COATED, specular_ior=2.2, coat_weight=1.0)  # The base of the second one is the denser.
     documents = [materialx_document(document_of(FoundSurface(surface, {}, {}))) for surface in surfaces]
-    both = [np.tile(side, (2, 1)) for side in pairs]
-    call = ShaderCall(generated_function(*documents), "reflected(a, b, gl_FragCoord.y < 16.0 ? 0 : 1)", *both)
+    first, second = (np.tile(side, (2, 1)) for side in pairs)
+    call = ShaderCall(generated_function(*documents), "reflected(a, b, gl_FragCoord.y < 16.0 ? 0 : 1)", first, second)
     values = evaluate_glsl({"both": call}, tmp_path)["both"]
     for surface, found in zip(surfaces, np.split(values, 2), strict=True):
         expected = surface.evaluate(*half_difference(*pairs))

@@ -63,14 +63,13 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     both = "".join(glsl_function(ALL[name], paint, sampling=True) for name, paint in PAINTS.items())
     one, two, three = (f"{paint}(a, b)" for paint in PAINTS.values())
     which = f"gl_FragCoord.y < {ROWS}.0 ? {one} : gl_FragCoord.y < {2 * ROWS}.0 ? {two} : {three}"
-    calls["paints"] = ShaderCall(both, which, *(np.tile(side, (3, 1)) for side in PAIRS), precision="")
+    calls["paints"] = ShaderCall(both, which, np.tile(PAIRS[0], (3, 1)), np.tile(PAIRS[1], (3, 1)), precision="")
     for name in SAMPLED:
         source = glsl_function(ALL[name], sampling=True)
-        towards = np.broadcast_to(TOWARDS, PAIRS[0].shape), np.random.default_rng(4).random(PAIRS[0].shape)
+        towards, numbers = np.broadcast_to(TOWARDS, PAIRS[0].shape), np.random.default_rng(4).random(PAIRS[0].shape)
         which = f"gl_FragCoord.y < {ROWS}.0 ? vec3(dsbrdf_pdf(a, b)) : dsbrdf_sample(a, b)"
-        calls[f"{name}, sampling"] = ShaderCall(
-            source, which, *(np.vstack(one) for one in zip(PAIRS, towards, strict=True))
-        )
+        first, second = np.vstack([PAIRS[0], towards]), np.vstack([PAIRS[1], numbers])
+        calls[f"{name}, sampling"] = ShaderCall(source, which, first, second)
     x, y, z = (f"vec3({', '.join(map(str, axis))})" for axis in FRAME.T.tolist())
     shader = "const float scale = 2.0;\n" + brdf_sections()["shader"]
     calls["turned"] = ShaderCall(shader, f"BRDF(a, b, {z}, {x}, {y})", *(one @ FRAME.T for one in PAIRS))
