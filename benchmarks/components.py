@@ -22,9 +22,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_measurements
-from dsbrdf import DSBRDF, ConvergenceWarning, Decomposition, decompose, fit, load, profiles
+from dsbrdf import DSBRDF, ConvergenceWarning, Decomposition, decompose, fit, profiles
 from dsbrdf.arrays import Array
 from dsbrdf.data import synthetic_measurement
+from dsbrdf.output.serialize import read_model_file
 
 ROUGHNESSES = (0.03, 0.06, 0.1, 0.15, 0.35)
 GROUNDS = {"red": (0.40, 0.16, 0.10), "grey": (0.50, 0.50, 0.50), "dark": (0.10, 0.08, 0.06)}
@@ -119,7 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         if arguments.models:
-            print_measured((path.stem, load(path)) for path in sorted(arguments.models.glob("*.json")))
+            print_measured((path.stem, read_model_file(path)[0]) for path in sorted(arguments.models.glob("*.json")))
             return 0
         print_known()
         if os.environ.get(REFERENCE_VARIABLE):

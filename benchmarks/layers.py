@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
-from dsbrdf import ConvergenceWarning, decompose, fit, load, render_sphere
+from dsbrdf import ConvergenceWarning, decompose, fit, render_sphere
 from dsbrdf.output.export.materialx import fit_openpbr
+from dsbrdf.output.serialize import read_model_file
 from dsbrdf.rendering import LIGHTINGS, sphere_likeness
 
 HEADS = ("seconds", "numbers", "model", "", "layers", "", "OpenPBR", "", "seconds")
@@ -35,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         for measurement in chosen_measurements(arguments):
             stored = arguments.models and arguments.models / f"{measurement.name}.json"
-            model = load(stored) if stored else fit(measurement).model
+            model = read_model_file(stored)[0] if stored else fit(measurement).model
             start = time.perf_counter()
             found = decompose(model)
             seconds = time.perf_counter() - start

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dsbrdf import DSBRDF, blend, load, space
+from dsbrdf import DSBRDF, blend, space
+from dsbrdf.output.serialize import read_model_file
 
 KINDS = {
     "metal": "alum-bronze aluminium black-oxidized-steel brass chrome hematite nickel ss440 tungsten-carbide",
@@ -71,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--fits", type=Path, required=True, help="a folder of models")
     parser.add_argument("--pairs", type=int, default=300, help="random pairs to blend (default: 300)")
     arguments = parser.parse_args(argv)
-    models = {path.stem: load(path) for path in sorted(arguments.fits.glob("*.json"))}
+    models = {path.stem: read_model_file(path)[0] for path in sorted(arguments.fits.glob("*.json"))}
     if not models:
         raise SystemExit(f"{arguments.fits} holds no .json file")
     one, mean = neighbours(models)

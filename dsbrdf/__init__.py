@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from dsbrdf.output.export import export as export
     from dsbrdf.output.plots import plot as plot
     from dsbrdf.output.serialize import load as load
-    from dsbrdf.output.serialize import load_result as load_result
     from dsbrdf.output.serialize import save as save
     from dsbrdf.pipeline import fit as fit
     from dsbrdf.rendering.environment import EnvironmentMap as EnvironmentMap
@@ -83,7 +82,7 @@ _DEFINED_IN = {
     "rendering.sphere": "render_sphere",
     "output.export": "export",
     "output.plots": "plot",
-    "output.serialize": "load load_result save",
+    "output.serialize": "load save",
     "version": "ALGORITHM_VERSION __version__",
 }
 _MODULE_OF = {name: f"dsbrdf.{module}" for module, names in _DEFINED_IN.items() for name in names.split()}

@@ -156,7 +156,7 @@ def _result(
         knots=knots,
         search=found.search,
         selection=found.selection,
-        albedo=albedo,
+        directional_albedo=albedo,
         n_numbers=model.n_numbers,
         timings=clock.laps,
         options=options,
@@ -248,7 +248,7 @@ def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult
     clock, model, report = _Clock(), result.model, result.report
     sums = sample_errors(model, measurement, report.options.horizon_cutoff)
     by_channel, by_theta_diff = error_tables(sums)
-    metrics = sample_metrics(model, measurement, sums, np.array(report.albedo.albedo))
+    metrics = sample_metrics(model, measurement, sums, np.array(report.directional_albedo.rgb))
     clock.lap("metrics")
     complete = replace(
         report,

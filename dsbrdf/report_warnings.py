@@ -49,7 +49,7 @@ def fit_warnings(
                 f"The measurement has no valid samples beyond {name} = {np.degrees(last):.0f} degrees: the model is "
                 "extrapolated there."
             )
-    values = np.array(albedo.albedo)
+    values = np.array(albedo.rgb)
     row, channel = np.unravel_index(values.argmax(), values.shape)
     if values[row, channel] > _MAX_ALBEDO and not is_unit_wrong:
         yield (

@@ -120,8 +120,8 @@ def _spheres(paths: Sequence[Path], sources: Sequence[Any], look: Look, *, with_
         rows[-1] |= {title if len(paths) == 2 else f"{name}: {title}": panel for title, panel in panels[2:]}
     if with_picture and not is_fit:
         models = [(name, source) for name, source in zip(names, sources, strict=True) if isinstance(source, DSBRDF)]
-        rows += [component_panels(model, name, light, look.size, factor or 1.0) for name, model in models]
-    shown = f"{', '.join(title for row in rows for title in row)}; radiance times {factor:.4g}"
+        rows += [component_panels(model, name, light, look.size, found.exposure or 1.0) for name, model in models]
+    shown = f"{', '.join(title for row in rows for title in row)}; radiance times {found.exposure:.4g}"
     return likeness, sentences, encode_png(one_below_another(rows)) if with_picture else None, shown
 
 

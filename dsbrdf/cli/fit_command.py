@@ -15,8 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from dsbrdf.cli.arguments import BAD_INPUT, entry_point, print_json
-from dsbrdf.cli.commands import Whole
-from dsbrdf.cli.parameters import DEFAULT, NO_TABLE_FLAGS, AboutTable, Flags, Json, RequiredFiles
+from dsbrdf.cli.parameters import DEFAULT, NO_TABLE_FLAGS, AboutTable, CountOrAuto, Flags, Json, RequiredFiles
 from dsbrdf.data.files import write_atomically
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
 from dsbrdf.engines.dask import DaskEngine
@@ -52,7 +51,7 @@ class Work:
     force
         Fit again even if the folder has the fit already.
     jobs
-        Fits at once; by default one for each core of this machine.
+        Fits at once; auto is one for each core of this machine.
     scheduler
         Compute on the Dask cluster with this scheduler, tcp://host:8786.
     url
@@ -61,7 +60,7 @@ class Work:
 
     output: Annotated[Path | None, Parameter(alias="-o", metavar="DIR")] = None
     force: bool = False
-    jobs: Annotated[int | None, Whole] = None
+    jobs: CountOrAuto = "auto"
     scheduler: Annotated[str | None, Parameter(metavar="ADDRESS")] = None
     url: Annotated[str | None, Parameter(metavar="URL")] = None
 
@@ -70,7 +69,7 @@ class Work:
             raise InvalidArgumentError(
                 f"--output: must be a folder, in which NAME.json is saved, not a file such as {self.output}"
             )
-        if self.jobs is not None and self.jobs < 1:
+        if self.jobs != "auto" and self.jobs < 1:
             raise InvalidArgumentError(f"--jobs: must be at least 1, not {self.jobs}")
         for name, text, address, example in (
             ("--scheduler", self.scheduler, _SCHEDULER, "tcp://host:8786"),
@@ -81,7 +80,7 @@ class Work:
 
     def engine(self) -> Engine:
         """Return what computes the fits."""
-        jobs = core_count() if self.jobs is None else self.jobs
+        jobs = core_count() if self.jobs == "auto" else self.jobs
         if self.url is not None:
             require("client", "httpx", purpose="dsbrdf fit --url")
             found: Engine = entry_point("engines", "url").load()(self.url, jobs)

@@ -47,13 +47,13 @@ from dsbrdf.samples.table_options import TableOptions
 Channel = Annotated[str, Parameter(choices=CHANNELS)]
 _FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())
 Format = Annotated[
-    str | None,
+    str,
     Parameter(
         name="--format",
         metavar="FORMAT",
-        choices=tuple(FORMATS),
+        choices=("auto", *FORMATS),
         show_choices=False,
-        help=f"By default that of the file's suffix. {_FORMAT_HELP}. Each can hold the layers, those with values "
+        help=f"auto: by the file's suffix; {_FORMAT_HELP}. Each can hold the layers, those with values "
         "also one component.",
     ),
 ]
@@ -157,7 +157,7 @@ def export(
     model: ModelFile,
     /,
     *,
-    file_format: Format = None,
+    file_format: Format = "auto",
     output: OutputFile,
     component: ComponentName = None,
     name: str | None = None,
@@ -179,7 +179,7 @@ def export(
         Write beside it what shows it on a sphere: a page for a browser (glsl), a scene for Mitsuba (bsdf) or pbrt
         (bsdf-spectral), a script for Blender (materialx).
     """
-    kind = file_format or format_of(output)
+    kind = format_of(output) if file_format == "auto" else file_format
     stored, report = read_model(model)
     part = named_part(model, stored, component)
     stored_report = report if component is None else None

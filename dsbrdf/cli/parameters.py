@@ -37,19 +37,23 @@ ComponentName = Annotated[
 Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
 
 
-def _number_or_none(kind: Any, tokens: Sequence[Token]) -> float | tuple[int, ...] | None:
-    """Convert a number, several with commas, or the word "none"."""
+_WORDS = {"none": None, "auto": "auto"}
+
+
+def _angles_or_word(kind: Any, tokens: Sequence[Token]) -> float | tuple[int, ...] | str | None:
+    """Convert an angle, several whole ones with commas, or a word; the options refuse a word that is not theirs."""
     (token,) = tokens
-    if token.value == "none":
-        return None
+    if token.value in _WORDS:
+        return _WORDS[token.value]
     if kind is float:
         return float(convert(float, tokens))
     return tuple(convert(int, [token.evolve(value=part)]) for part in re.split(r"[,\s]+", token.value))
 
 
-_Count = Annotated[int | Literal["auto"], Whole, Parameter(metavar="N|auto", show_choices=False)]
-_ANGLE = Parameter(converter=_number_or_none, n_tokens=1, show_default="{:g}".format, metavar="DEGREES")
-_ANGLES = Parameter(converter=_number_or_none, n_tokens=1, metavar="DEGREES,...")
+CountOrAuto = Annotated[int | Literal["auto"], Whole, Parameter(metavar="N|auto", show_choices=False)]
+NumberOrAuto = Annotated[float | Literal["auto"], Parameter(metavar="NUMBER|auto", show_choices=False)]
+_ANGLE = Parameter(converter=_angles_or_word, n_tokens=1, show_default="{:g}".format, metavar="DEGREES|none")
+_ANGLES = Parameter(converter=_angles_or_word, n_tokens=1, metavar="DEGREES,...|auto")
 
 
 def _in_words(documented: type) -> str:
@@ -96,9 +100,10 @@ class FitFlags(FitOptions):
 
     __doc__ = _in_words(FitOptions)
 
-    n_lobes: _Count = FitOptions.n_lobes
-    ring_lobes: _Count = FitOptions.ring_lobes
-    knots_deg: Annotated[tuple[int, ...] | None, _ANGLES] = FitOptions.knots_deg
+    n_lobes: CountOrAuto = FitOptions.n_lobes
+    ring_lobes: CountOrAuto = FitOptions.ring_lobes
+    knots_deg: Annotated[tuple[int, ...] | Literal["auto"], _ANGLES] = FitOptions.knots_deg
+    mask: NumberOrAuto = FitOptions.mask
     horizon_cutoff_deg: Annotated[float | None, _ANGLE] = FitOptions.horizon_cutoff_deg
     robust: Annotated[bool, Parameter(negative="--no-robust")] = FitOptions.robust
     em_iterations: Annotated[int, Whole] = FitOptions.em_iterations

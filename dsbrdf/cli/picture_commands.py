@@ -13,6 +13,7 @@ from dsbrdf.cli.parameters import (
     AboutTable,
     ComponentName,
     Json,
+    NumberOrAuto,
     OutputFile,
     RequiredFiles,
     is_measurement,
@@ -51,21 +52,21 @@ class Look:
     size
         Of a sphere [pixels].
     exposure
-        What radiance is multiplied by before it is clipped at 1 and gets the sRGB curve; by default the 99th percentile
-        of the whole material, or of the first source, becomes 1.
+        Multiply radiance by this factor before it is clipped at 1 and gets the sRGB curve; auto takes the 99th
+        percentile of the whole material, or of the first source, to 1.
     """
 
     lighting: Annotated[str, Parameter(metavar="NAME|FILE")] = LIGHTINGS[0]
     size: Annotated[int, Whole, Parameter(metavar="PIXELS")] = 256
     component: ComponentName = None
-    exposure: Annotated[float | None, Parameter(metavar="FACTOR")] = None
+    exposure: NumberOrAuto = "auto"
 
     def __post_init__(self) -> None:
         if self.lighting not in LIGHTINGS and Path(self.lighting).suffix.lower() != ".exr":
             raise InvalidArgumentError(
                 f"--lighting: must be {', '.join(LIGHTINGS)} or an .exr file, not {self.lighting!r}"
             )
-        if self.exposure is not None and not 0.0 < self.exposure < float("inf"):
+        if self.exposure != "auto" and not 0.0 < self.exposure < float("inf"):
             raise InvalidArgumentError(f"the exposure must be a positive number, not {self.exposure:g}")
 
     def light(self) -> str | EnvironmentMap:
@@ -96,7 +97,7 @@ def render(source: Path, /, *, output: OutputFile, look: Look = USUAL_LOOK, json
     part = whole if isinstance(whole, Measurement) else named_part(source, whole, look.component)
     image = render_sphere(part, lighting=light, size=look.size)
     factor = look.exposure
-    if factor is None:
+    if factor == "auto":
         of_whole = image if part is whole else render_sphere(whole, lighting=light, size=look.size)
         factor = exposure(of_whole, sphere_normals(look.size)[1])
     write_atomically(output, [encode_png(displayed(image, factor))])

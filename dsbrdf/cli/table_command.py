@@ -60,7 +60,7 @@ def _list(files: Sequence[Path], options: TableOptions, *, json: bool) -> int:
 def _line(document: dict[str, Any]) -> str:
     if document["error"]:
         return f"not read: {document['error']}"
-    (low, high), incidence = document["ranges"]["theta_out"], document["angles_of_incidence"]
+    (low, high), incidence = document["ranges"]["theta_out_deg"], document["angles_of_incidence_deg"]
     at = f"theta_in {', '.join(f'{angle:g}' for angle in incidence)}" if incidence else "many theta_in"
     warned = len(document["warnings"])
     plural = "warning" if warned == 1 else "warnings"
@@ -79,12 +79,14 @@ def _text(about: dict[str, Any]) -> Iterator[str]:
     yield ""
     for name, (low, high) in about["ranges"].items():
         unit = "1/sr" if name in CHANNELS else "degrees"
-        yield f"{name:<18}{low:.4g} to {high:.4g} {unit}"
-    if about["angles_of_incidence"]:
-        yield "angles of incidence: " + ", ".join(f"{angle:g}" for angle in about["angles_of_incidence"])
+        yield f"{name.removesuffix('_deg'):<11}{low:.4g} to {high:.4g} {unit}"
+    if about["angles_of_incidence_deg"]:
+        yield "angles of incidence: " + ", ".join(f"{angle:g}" for angle in about["angles_of_incidence_deg"])
     yield f"in the plane of incidence: {about['in_plane_of_incidence']:.0%} of the samples"
     yield ""
     yield from (f"warning: {sentence}" for sentence in about["warnings"])
-    yield "".join(f"{name:>18}" for name in ANGLE_NAMES) + "".join(f"{name:>12}" for name in CHANNELS)
+    yield "".join(f"{name.removesuffix('_deg'):>11}" for name in ANGLE_NAMES) + "".join(
+        f"{name:>12}" for name in CHANNELS
+    )
     for row in about["first"]:
-        yield "".join(f"{angle:>18.2f}" for angle in row[:3]) + "".join(f"{value:>12.4g}" for value in row[3:])
+        yield "".join(f"{angle:>11.2f}" for angle in row[:3]) + "".join(f"{value:>12.4g}" for value in row[3:])

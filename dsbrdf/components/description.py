@@ -76,7 +76,7 @@ class Surface:
 
     Attributes
     ----------
-    alpha, kappa : float or None
+    alpha, tail_exponent : float or None
         Roughness, and exponent of the tails: 2 is GGX, more is a shorter tail.
     f0 : tuple of float or None
         Reflectance at normal incidence, RGB.
@@ -87,7 +87,7 @@ class Surface:
     """
 
     alpha: float | None
-    kappa: float | None
+    tail_exponent: float | None
     f0: Color | None
     f90: float | None
     alpha_range: Range | None
@@ -253,10 +253,10 @@ def _half_width(layers: Sequence[SpecularLayer | RetroLayer]) -> float | None:
 
 def _slope_density(layer: SpecularLayer | RetroLayer, tangent: Array) -> Array:
     """Return the frequency of slopes with a tangent (n,) times the mean reflectance."""
-    kappa = layer.kappa if isinstance(layer, SpecularLayer) else 2.0
-    norm = tail_norm(kappa)[0]
+    exponent = layer.tail_exponent if isinstance(layer, SpecularLayer) else 2.0
+    norm = tail_norm(exponent)[0]
     return np.asarray(
-        np.mean(layer.reflectance) / layer.alpha**2 * (1.0 + tangent**2 / (norm * layer.alpha**2)) ** -kappa
+        np.mean(layer.reflectance) / layer.alpha**2 * (1.0 + tangent**2 / (norm * layer.alpha**2)) ** -exponent
     )
 
 
@@ -304,7 +304,7 @@ def _surfaces(best: FittedStructure, misfit: Misfit, spread: SurfaceSpread) -> t
         )
         surface = Surface(
             None if no_alpha else layer.alpha,
-            None if no_alpha else layer.kappa,
+            None if no_alpha else layer.tail_exponent,
             None if no_f0 else layer.f0,
             None if no_f0 else layer.f90,
             None if no_alpha else alpha,

@@ -5,12 +5,12 @@ has risen from normal (0) to grazing incidence (1) by Fresnel's equations, a **s
 microfacets (Cook and Torrance 1982), with s at theta_diff,
 
     f = (F0 (1 - s) + F90 s) D V exp(q1 u + q2 u**2) T**t,
-    D = 1 / (pi alpha**2) (1 + tan(theta_half)**2 / (g alpha**2))**-kappa / cos(theta_half)**4.
+    D = 1 / (pi alpha**2) (1 + tan(theta_half)**2 / (g alpha**2))**-tau / cos(theta_half)**4.
 
-D has the tails of Student's t over slopes, and g = kappa - 1 norms it: kappa = 2 is GGX (Walter et al. 2007), and a
-large kappa is Beckmann's distribution, both with their usual alpha. V is Smith's masking over 4 cos_in cos_out, as of
-GGX, between the height-correlated form (b = 0) and the separable one (b = 1). T is the fraction of light that passes a
-clear coat both ways: t = 0 outside of one and 1 below. A **diffuse layer** is
+D has the tails of Student's t over slopes with the exponent tau, and g = tau - 1 norms it: tau = 2 is GGX (Walter et
+al. 2007), and a large tau is Beckmann's distribution, both with their usual alpha. V is Smith's masking over 4 cos_in
+cos_out, as of GGX, between the height-correlated form (b = 0) and the separable one (b = 1). T is the fraction of
+light that passes a clear coat both ways: t = 0 outside of one and 1 below. A **diffuse layer** is
 
     f = rho / pi exp(p . X),
 
@@ -57,8 +57,8 @@ class SpecularLayer:
         Reflectance of its facets at normal incidence, RGB.
     f90 : float
         Reflectance of its facets at grazing incidence.
-    alpha, kappa : float
-        Roughness, and exponent of the tails: 2 is GGX, less is a longer tail.
+    alpha, tail_exponent : float
+        Roughness, and tau: 2 is GGX, less is a longer tail.
     rise : tuple of float
         q1 and q2, the deviation of the reflectance from glass.
     masking, under_coat : float
@@ -68,7 +68,7 @@ class SpecularLayer:
     f0: Color
     f90: float
     alpha: float
-    kappa: float
+    tail_exponent: float
     rise: tuple[float, float]
     masking: float
     under_coat: float
@@ -76,9 +76,9 @@ class SpecularLayer:
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> SpecularLayer:
         """Make a layer from unknowns (10,)."""
-        red, green, blue, f90, alpha, kappa = np.exp(unknowns[[0, 1, 2, 3, 6, 7]]).tolist()
+        red, green, blue, f90, alpha, tail_exponent = np.exp(unknowns[[0, 1, 2, 3, 6, 7]]).tolist()
         q1, q2, masking, under_coat = unknowns[[4, 5, 8, 9]].tolist()
-        return cls((red, green, blue), f90, alpha, kappa, (q1, q2), masking, under_coat)
+        return cls((red, green, blue), f90, alpha, tail_exponent, (q1, q2), masking, under_coat)
 
     @property
     def reflectance(self) -> Array:
@@ -88,12 +88,13 @@ class SpecularLayer:
     @property
     def half_width(self) -> float:
         """Angle theta_half at which the slopes of facets are half as frequent as at 0 [rad]."""
-        return float(np.arctan(self.alpha * np.sqrt(tail_norm(self.kappa)[0] * (2.0 ** (1.0 / self.kappa) - 1.0))))
+        falling = 2.0 ** (1.0 / self.tail_exponent) - 1.0
+        return float(np.arctan(self.alpha * np.sqrt(tail_norm(self.tail_exponent)[0] * falling)))
 
     @property
     def unknowns(self) -> Array:
         """Unknowns (10,)."""
-        logs = np.log([*self.f0, self.f90, self.alpha, self.kappa])
+        logs = np.log([*self.f0, self.f90, self.alpha, self.tail_exponent])
         return np.array([*logs[:4], *self.rise, *logs[4:], self.masking, self.under_coat])
 
     @classmethod
@@ -104,14 +105,14 @@ class SpecularLayer:
         shape = np.exp(surface.log_shape(masking) + unknowns[4:6] @ points.rise + unknowns[9] * points.passed)
         own = np.exp(unknowns[:3])[:, np.newaxis] * (shape * (1.0 - points.fresnel))
         grazing = np.exp(unknowns[3]) * shape * points.fresnel
-        by_alpha, by_kappa, by_masking = surface.derivatives(masking)
-        relative = np.stack([*points.rise, by_alpha, by_kappa, by_masking, points.passed])
+        by_alpha, by_tail, by_masking = surface.derivatives(masking)
+        relative = np.stack([*points.rise, by_alpha, by_tail, by_masking, points.passed])
         return Linearized(own + grazing, own, relative, grazing)
 
     def values(self, points: Points) -> Array:
         """Return values (3, N) at points [1/sr]."""
         shape = np.exp(
-            _Surface(points, self.alpha, self.kappa).log_shape(self.masking)
+            _Surface(points, self.alpha, self.tail_exponent).log_shape(self.masking)
             + np.array(self.rise) @ points.rise
             + self.under_coat * points.passed
         )
@@ -121,8 +122,8 @@ class SpecularLayer:
 class _Surface:
     """Evaluate the logarithm of D V at points, and its derivatives."""
 
-    def __init__(self, points: Points, alpha: float, kappa: float) -> None:
-        self._points, self._alpha, self._kappa = points, alpha, kappa
+    def __init__(self, points: Points, alpha: float, tail_exponent: float) -> None:
+        self._points, self._alpha, self._exponent = points, alpha, tail_exponent
         self._square = square = alpha**2
         self._seen_in, self._seen_out = (
             np.sqrt(square + (1.0 - square) * cosine**2) for cosine in (points.cos_in, points.cos_out)
@@ -130,29 +131,29 @@ class _Surface:
         self._together = points.cos_out * self._seen_in + points.cos_in * self._seen_out
         self._apart = (points.cos_in + self._seen_in) * (points.cos_out + self._seen_out)
         self._by_masking = np.log(2.0 * self._together / self._apart)
-        self._norm, self._norm_slope = tail_norm(kappa)
+        self._norm, self._norm_slope = tail_norm(tail_exponent)
         self._slope = points.squared_tangent / (self._norm * square)
         self._tail = np.log1p(self._slope)
 
     def log_shape(self, masking: float) -> Array:
         norm = 1.0 / (2.0 * np.pi * self._square)
-        tails = 2.0 * self._points.log_squared_secant - self._kappa * self._tail
+        tails = 2.0 * self._points.log_squared_secant - self._exponent * self._tail
         return np.asarray(tails + np.log(norm / self._together) + masking * self._by_masking)
 
     def derivatives(self, masking: float) -> tuple[Array, Array, Array]:
-        """Return the derivatives in log alpha, log kappa and the masking."""
-        points, pulled = self._points, self._kappa * self._slope / (1.0 + self._slope)
+        """Return the derivatives in log alpha, log tau and the masking."""
+        points, pulled = self._points, self._exponent * self._slope / (1.0 + self._slope)
         by_in = self._square * (1.0 - points.cos_in**2) / self._seen_in
         by_out = self._square * (1.0 - points.cos_out**2) / self._seen_out
         together = -(points.cos_out * by_in + points.cos_in * by_out) / self._together
         apart = -by_in / (points.cos_in + self._seen_in) - by_out / (points.cos_out + self._seen_out)
         by_alpha = 2.0 * (pulled - 1.0) + together + masking * (apart - together)
-        return by_alpha, self._kappa * (self._norm_slope / self._norm * pulled - self._tail), self._by_masking
+        return by_alpha, self._exponent * (self._norm_slope / self._norm * pulled - self._tail), self._by_masking
 
 
-def tail_norm(kappa: float) -> tuple[float, float]:
-    """Return the norm g = kappa - 1 of D and its derivative; g stays positive where D has no norm."""
-    x = 8.0 * (kappa - 1.125)
+def tail_norm(tail_exponent: float) -> tuple[float, float]:
+    """Return the norm g = tau - 1 of D and its derivative; g stays positive where D has no norm."""
+    x = 8.0 * (tail_exponent - 1.125)
     return float(0.125 + np.logaddexp(0.0, x) / 8.0), float(1.0 / (1.0 + np.exp(-x)))
 
 

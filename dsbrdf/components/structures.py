@@ -77,7 +77,7 @@ def _prior(
 _DIELECTRIC_LOG_F0_BOUNDS = (-12.0, np.log(0.2))  # Diamond, the brightest dielectric, has F0 = 0.17.
 _LOG_F0_BOUNDS = (-12.0, np.log(3.0))
 _RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # The axes are `_RISE_AXES`.
-# Bounds of F90, q1, q2, alpha, kappa, masking and under_coat.
+# Bounds of F90, q1, q2, alpha, tau, masking and under_coat.
 _SPECULAR_BOUNDS = (
     (-5.0, 0.7), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
     (-0.5, 1.5), (-0.5, 2.0),
@@ -91,7 +91,7 @@ def _specular(color: Range, tint: float, *, strength: Range = _LOG_F0_BOUNDS, un
         (-0.1, 0.4),  # F90
         *_RISE_PRIOR,
         (np.log(0.12), 1.5),  # alpha
-        (np.log(2.0), 0.5),  # kappa; 2 is GGX.
+        (np.log(2.0), 0.5),  # tau; 2 is GGX.
         (0.5, 0.3),
         (1.0, 0.3) if under_coat else (0.0, _FIXED_DEVIATION),
     )

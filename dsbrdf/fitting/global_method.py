@@ -152,8 +152,7 @@ def _found(structure: Structure, solution: Solution, seen: Mask) -> tuple[FoundM
 def fit_weights(data: Profiles, options: FitOptions) -> Array:
     """Return the weights of the folded bins, 0 for masked bins."""
     weight = bin_weights(data.folded, options.resolved_weighting, options.horizon_cutoff)
-    mask = options.mask or 0.0
-    kept = THETA_HALF <= np.pi / 2 - mask * THETA_DIFF[:, None] + 1e-9
+    kept = THETA_HALF <= np.pi / 2 - options.resolved_mask * THETA_DIFF[:, None] + 1e-9
     weight = np.where(kept[..., None], weight, 0.0)
     if np.count_nonzero(weight) < MIN_SAMPLES or not np.sum(weight * data.folded.mean) > 0.0:
         raise FitError("the mask and the horizon cutoff leave no valid samples: raise the cutoff or lower the mask")

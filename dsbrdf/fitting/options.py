@@ -20,20 +20,22 @@ OPTION_DECIMALS = 9
 # Choices of some options for the method "paper", with the end of the sentence that refuses another choice.
 _PAPER_CHOICES: dict[str, tuple[tuple[object, ...], str]] = {
     "ring_lobes": (("auto", 0), 'has no ring lobes: use ring_lobes 0 or "auto"'),
-    "knots_deg": ((None,), "has its slices every 5 degrees: leave the knots out"),
+    "knots_deg": (("auto",), "has its slices every 5 degrees: leave the knots out"),
     "variation": (("full",), 'has values at every slice: use the variation "full"'),
     "lobe": (("hemi_epd",), 'has the lobe "hemi_epd" only'),
-    "weighting": ((None, "plain", "cosine", "log"), 'has no weighting "balanced": use "plain", "cosine" or "log"'),
+    "weighting": (("auto", "plain", "cosine", "log"), 'has no weighting "balanced": use "plain", "cosine" or "log"'),
 }
-Weighting = Literal["balanced", "plain", "cosine", "log"]
-"""Weights of the samples, see `dsbrdf.data.weighting`."""
+Weighting = Literal["auto", "balanced", "plain", "cosine", "log"]
+"""Weights of the samples, see `dsbrdf.data.weighting`; "auto" leaves them to the method."""
 
 
 @documented
 @suggesting
 @dataclass(frozen=True)
 class FitOptions:
-    """What can be chosen about a fit; checked when made.
+    """Choose how a measurement is fitted; every choice is checked.
+
+    "auto" leaves a choice to the library, and None goes without, as in ``horizon_cutoff_deg=None``.
 
     Raises
     ------
@@ -59,10 +61,10 @@ class FitOptions:
     lobe: Family = option(
         "hemi_epd", 'Family of the lobes, which glossary and model describe; the method "paper" has "hemi_epd" only.'
     )
-    knots_deg: Annotated[tuple[int, ...], Bounds(0, THETA_DIFF.size - 1)] | None = option(
-        None,
-        'Angles theta_diff at which the method "global" stores the amplitudes: increasing whole degrees. None takes 7 '
-        'angles that lie closer towards grazing, or 3 with the variation "parametric".',
+    knots_deg: Annotated[tuple[int, ...], Bounds(0, THETA_DIFF.size - 1)] | Literal["auto"] = option(
+        "auto",
+        'Angles theta_diff at which the method "global" stores the amplitudes: increasing whole degrees. "auto" takes '
+        '7 angles that lie closer towards grazing, or 3 with the variation "parametric".',
     )
     variation: Literal["full", "parametric"] = option(
         "full",
@@ -73,16 +75,16 @@ class FitOptions:
     horizon_cutoff_deg: Annotated[float, Bounds(0, 90, above=True)] | None = option(
         80.0,
         "Largest angle of a direction to the normal [degrees]. Samples beyond it are left out of the metrics and of "
-        'the method "paper"; the method "global" gives them less weight, down to none at the horizon. None takes all.',
+        'the method "paper"; the method "global" gives them less weight, down to 0 at the horizon. None takes all.',
     )
-    mask: Annotated[float, Bounds(0, 10)] | None = option(
-        None,
-        "Keep theta_half <= 90 degrees - mask * theta_diff (Nishino 2009, section 6); None is the method's own: 0 "
-        '(no mask) for "global", 1 for "paper".',
+    mask: Annotated[float, Bounds(0, 10)] | Literal["auto"] = option(
+        "auto",
+        "Keep theta_half <= 90 degrees - mask * theta_diff (Nishino 2009, section 6); 0 keeps all. "
+        '"auto" is 0 for the method "global" and 1 for "paper".',
     )
-    weighting: Weighting | None = option(
-        None,
-        'Weights of the samples, compared in "Which weighting, how many lobes" of the documentation. None takes '
+    weighting: Weighting = option(
+        "auto",
+        'Weights of the samples, compared in "Which weighting, how many lobes" of the documentation. "auto" takes '
         '"balanced" for the method "global", and "plain" for "paper", which has no "balanced".',
     )
     robust: bool = option(
@@ -114,13 +116,18 @@ class FitOptions:
 
     @property
     def knots(self) -> tuple[float, ...] | None:
-        """The knots of the amplitudes [rad]."""
-        return None if self.knots_deg is None else tuple(np.radians(self.knots_deg).tolist())
+        """The chosen knots of the amplitudes [rad], or None if the method chooses them."""
+        return None if self.knots_deg == "auto" else tuple(np.radians(self.knots_deg).tolist())
 
     @property
     def resolved_weighting(self) -> str:
-        """The chosen weighting, or the method's default."""
-        return self.weighting or ("plain" if self.method == "paper" else "balanced")
+        """The chosen weighting, or else the method's own."""
+        return ("plain" if self.method == "paper" else "balanced") if self.weighting == "auto" else self.weighting
+
+    @property
+    def resolved_mask(self) -> float:
+        """The chosen mask, or else the method's own."""
+        return (1.0 if self.method == "paper" else 0.0) if self.mask == "auto" else self.mask
 
 
 def _checked(name: str, value: Any, kind: type | None, bounds: Bounds | None, words: tuple[str | None, ...]) -> Any:
@@ -132,7 +139,7 @@ def _checked(name: str, value: Any, kind: type | None, bounds: Bounds | None, wo
     elif bounds is None:
         right = f"one of {', '.join(filter(None, words))}"
     elif kind is int:
-        right = " or ".join([f"an integer {bounds}", *(f'"{word}"' for word in words)])
+        right = f"an integer {bounds}"
         if isinstance(value, int) and not isinstance(value, bool) and bounds.allow(value):
             return value
     elif kind is float:
@@ -151,7 +158,8 @@ def _checked(name: str, value: Any, kind: type | None, bounds: Bounds | None, wo
                 rising = all(first < second for first, second in pairwise(items))
                 if len(items) > 1 and rising:
                     return tuple(int(item) for item in items)
-    raise InvalidArgumentError(f"{name} must be {right}, not {repr(value)[:60]}")
+    instead = ' or "auto"' if bounds is not None and "auto" in words else ""
+    raise InvalidArgumentError(f"{name} must be {right}{instead}, not {repr(value)[:60]}")
 
 
 @cache

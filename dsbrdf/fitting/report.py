@@ -68,7 +68,7 @@ class DirectionalAlbedo:
     """Hold the fraction of light from some directions that a model reflects."""
 
     theta_out: tuple[float, ...]  # angles to the normal [rad]
-    albedo: tuple[tuple[float, ...], ...]  # red, green and blue at each angle
+    rgb: tuple[tuple[float, ...], ...]  # fraction of the light at each angle
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,8 @@ class FitReport:
         How the fit went at each knot of theta_diff.
     search, selection : tuple of SearchStep, tuple of SelectionStep
         The lobes that the method "global" tried, and the numbers of lobes that "paper" compared, if not given one.
-    albedo, n_numbers : DirectionalAlbedo, int
-        Of the model: its directional albedo, and how many numbers it stores.
+    directional_albedo, n_numbers : DirectionalAlbedo, int
+        The light that the model reflects, and how many numbers it stores.
     timings : dict of str to float
         Time of each step, by its name [s].
     options, versions : FitOptions, Versions
@@ -126,7 +126,7 @@ class FitReport:
     knots: KnotReport
     search: tuple[SearchStep, ...]
     selection: tuple[SelectionStep, ...]
-    albedo: DirectionalAlbedo
+    directional_albedo: DirectionalAlbedo
     n_numbers: int
     timings: dict[str, float] = field(hash=False)
     options: FitOptions

@@ -3,7 +3,7 @@
 from dsbrdf.output.export import FORMATS, export_model
 from dsbrdf.output.figure_parts import encode_figure
 from dsbrdf.output.plots import plot
-from dsbrdf.output.serialize import fit_from_json, from_json, load, load_result, result_from_json, save, to_json
+from dsbrdf.output.serialize import fit_from_json, from_json, load, result_from_json, save, to_json
 
 __all__ = [
     "FORMATS",
@@ -12,7 +12,6 @@ __all__ = [
     "fit_from_json",
     "from_json",
     "load",
-    "load_result",
     "plot",
     "result_from_json",
     "save",

@@ -13,7 +13,7 @@ COLUMNS = (
     *("material", "component", "surface"),
     *(f"light_share{end}" for end in _RANGES),
     *(f"alpha{end}" for end in _RANGES),
-    "kappa",
+    "tail_exponent",
     *(f"f0_{channel}{end}" for channel in CHANNELS for end in _RANGES),
     "f90",
     *(f"albedo_{channel}{end}" for channel in CHANNELS for end in _RANGES),
@@ -31,7 +31,7 @@ def component_rows(
         own |= _with_range("light_share", part["light_share"], part["ranges"]["light_share"])
         own |= _by_channel("albedo", part["albedo"], part["ranges"]["albedo"])
         for number, surface in enumerate(part["surfaces"], 1):
-            row = own | {"surface": number, "kappa": surface["kappa"], "f90": surface["f90"]}
+            row = own | {"surface": number, "tail_exponent": surface["tail_exponent"], "f90": surface["f90"]}
             row |= _with_range("alpha", surface["alpha"], surface["alpha_range"])
             yield row | _by_channel("f0", surface["f0"], surface["f0_range"])
         if not part["surfaces"]:
@@ -64,7 +64,7 @@ _LATEX = {
     "part": "part",
     "light_share": "light [\\%]",
     "alpha": "$\\alpha$",
-    "kappa": "$\\kappa$",
+    "tail_exponent": "tail",
     "f0": "$F_0$ (r, g, b)",
     "f90": "$F_{90}$",
     "albedo": "albedo (r, g, b)",
@@ -81,7 +81,7 @@ def table_latex(rows: Iterable[Mapping[str, Any]]) -> bytes:
         cells = [row["material"], row["component"].replace("_", " ") + surface]
         cells = [re.sub(r"([&%#$_{}])", r"\\\1", cell) for cell in cells]
         cells += [_latex_range(row, "light_share", "{:.0f}", 100.0), _latex_range(row, "alpha", "{:.3g}", 1.0)]
-        cells += [_number(row.get("kappa")), _rgb(row, "f0"), _number(row.get("f90")), _rgb(row, "albedo")]
+        cells += [_number(row.get("tail_exponent")), _rgb(row, "f0"), _number(row.get("f90")), _rgb(row, "albedo")]
         cells.append(_number(row["psnr"]))
         lines.append(" & ".join(cells) + r" \\")
     return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""]).encode()

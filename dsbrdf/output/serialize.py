@@ -61,13 +61,19 @@ def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
     write_atomically(path, [to_json(plain, report).encode()])
 
 
-def load(path: str | os.PathLike[str]) -> DSBRDF:
-    """Read the model in a ``.json`` file.
+def load(path: str | os.PathLike[str]) -> DSBRDF | FitResult:
+    """Read a fit or a model from a ``.json`` file: whichever `save` wrote.
 
     Parameters
     ----------
     path : path-like
         The file.
+
+    Returns
+    -------
+    FitResult or DSBRDF
+        The model with the report of its fit, or the model alone if the file has no report. Functions such as `plot`,
+        `decompose` and `export` take both.
 
     Raises
     ------
@@ -78,25 +84,8 @@ def load(path: str | os.PathLike[str]) -> DSBRDF:
     OSError
         If the file does not exist or cannot be read.
     """
-    return read_model_file(path)[0]
-
-
-def load_result(path: str | os.PathLike[str]) -> FitResult:
-    """Read the model in a ``.json`` file with the report of its fit.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-
-    Raises
-    ------
-    ModelFormatError
-        As `load`, and if the file has a model without a report.
-    InvalidArgumentError, OSError
-        As `load`.
-    """
-    return _result(*read_model_file(path))
+    model, report = read_model_file(path)
+    return model if report is None else FitResult(model, report)
 
 
 def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | None]:
@@ -176,8 +165,11 @@ def layers_to_json(layers: LayeredModel) -> str:
 
 
 def result_from_json(text: str) -> FitResult:
-    """Return the result of a fit in a JSON text; errors are those of `load_result`."""
-    return _result(*from_json(text))
+    """Return the result of a fit in a JSON text; raise ModelFormatError also if the text has no report."""
+    model, report = from_json(text)
+    if report is None:
+        raise ModelFormatError("The stored model has no report of a fit.")
+    return FitResult(model, report)
 
 
 def _check_suffix(path: str | os.PathLike[str]) -> None:
@@ -224,12 +216,6 @@ def _model_and_report(document: Mapping[str, Any]) -> tuple[DSBRDF, FitReport | 
 
 def _refuse_constant(constant: str) -> None:
     raise ModelFormatError(f"The stored model contains {constant}; every number must be finite.")
-
-
-def _result(model: DSBRDF, report: FitReport | None) -> FitResult:
-    if report is None:
-        raise ModelFormatError("The stored model has no report of a fit: it was saved alone; read it with dsbrdf.load.")
-    return FitResult(model, report)
 
 
 def model_to_dict(model: DSBRDF) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -67,15 +67,15 @@ def compare_spheres(
     with_components: bool = True,
     lighting: str | EnvironmentMap = "three_lights",
     size: int = 256,
-    factor: float | None = None,
+    factor: float | Literal["auto"] = "auto",
 ) -> SphereComparison:
     """Draw a measurement, or a model, beside a fit or another measurement.
 
     The first two panels have the `names`. With components, those of a fit that is a model are drawn too. Lighting and
-    size are as for `dsbrdf.render_sphere`; the exposure `factor` is by default that of the measured sphere.
+    size are as for `dsbrdf.render_sphere`; the exposure `factor` "auto" is that of the measured sphere.
     """
     reference, fitted = (render_sphere(source, lighting=lighting, size=size) for source in (measured, fit))
-    factor = exposure(reference, sphere_normals(size)[1]) if factor is None else factor
+    factor = exposure(reference, sphere_normals(size)[1]) if factor == "auto" else factor
     seen, compared = displayed(reference, factor), displayed(fitted, factor)
     difference = np.clip(DIFFERENCE_GAIN * np.abs(seen - compared), 0.0, 1.0)
     panels = {names[0]: seen, names[1]: compared, f"difference x {DIFFERENCE_GAIN:g}": difference}

@@ -10,8 +10,8 @@ from dsbrdf.samples.reading import ReadTable
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.units import sample_doubts
 
-ANGLE_NAMES = ("theta_in", "theta_out", "phi_out - phi_in")
-"""Angles of a sample; the azimuths appear as their difference, 0 to 360 degrees."""
+ANGLE_NAMES = ("theta_in_deg", "theta_out_deg", "phi_deg")
+"""Angles of a sample; phi is the azimuth from omega_in to omega_out, 0 to 360 degrees."""
 _N_SHOWN_SAMPLES = 5
 _MAX_LISTED_ANGLES = 12  # If there are more angles of incidence, none is listed.
 _MAX_IN_PLANE_DISTANCE_DEG = 0.5  # A sample within this angle lies in the plane of incidence.
@@ -20,7 +20,7 @@ _MAX_IN_PLANE_DISTANCE_DEG = 0.5  # A sample within this angle lies in the plane
 def summary_of_table(found: ReadTable) -> dict[str, Any]:
     """Return columns, ranges, planes, warnings and the first samples of a table, in JSON's types.
 
-    A row of `first` has the `ANGLE_NAMES` in degrees, then red, green and blue in 1/sr; `ranges` are of all samples.
+    A row of `first` has the angles of `ANGLE_NAMES`, then red, green and blue in 1/sr; `ranges` are of all samples.
     """
     samples = found.samples
     angles = _angles(samples)
@@ -35,7 +35,7 @@ def summary_of_table(found: ReadTable) -> dict[str, Any]:
             name: [float(column.min()), float(column.max())]
             for name, column in zip((*ANGLE_NAMES, *CHANNELS), rows.T, strict=True)
         },
-        "angles_of_incidence": incidence.tolist() if incidence.size <= _MAX_LISTED_ANGLES else None,
+        "angles_of_incidence_deg": incidence.tolist() if incidence.size <= _MAX_LISTED_ANGLES else None,
         "in_plane_of_incidence": float(np.mean(aside <= np.sin(np.radians(_MAX_IN_PLANE_DISTANCE_DEG)))),
         "warnings": [*samples.notes, *sample_doubts(samples).sentences],
         "first": rows[:_N_SHOWN_SAMPLES].tolist(),

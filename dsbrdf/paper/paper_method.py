@@ -35,8 +35,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     `progress` is called with the share of the work done. Raises FitError if the options leave no data to fit.
     """
     rows = np.searchsorted(THETA_DIFF, PAPER_SLICES - 1e-9)
-    mask = 1.0 if options.mask is None else options.mask
-    kept = (THETA_HALF <= np.pi / 2 - mask * PAPER_SLICES[:, None] + 1e-9)[:, OUTSIDE_CENTER]
+    kept = (THETA_HALF <= np.pi / 2 - options.resolved_mask * PAPER_SLICES[:, None] + 1e-9)[:, OUTSIDE_CENTER]
     mean, weight, within = (part[:, rows][:, :, OUTSIDE_CENTER] for part in (data.mean, data.weight, data.within))
     weight, within = np.where(kept, weight, 0.0), np.where(kept, within, 0.0)
     largest_kappa, n_nodes = _largest_kappa(data, rows), np.count_nonzero(weight, axis=2)

@@ -170,7 +170,7 @@ class Client:
         return result_from_json(self.document(fit_id))
 
     def document(self, fit_id: str) -> str:
-        """Return the result of a fit as the text of a file that `dsbrdf.load_result` reads."""
+        """Return the result of a fit as the text of a file that `dsbrdf.load` reads."""
         return self._call("GET", f"/v1/fits/{fit_id}/export", {"format": "json"}).text
 
     def upload(self, measurement: Source, options: TableOptions = AS_WRITTEN, *, name: str | None = None) -> str:

@@ -45,7 +45,7 @@ def test_measurement_that_does_not_reach_the_rim(matte: Measurement, kept: NDArr
 
 
 def test_model_that_reflects_more_than_it_receives(data: Profiles) -> None:
-    bright = replace(MODERATE, albedo=((0.3, 0.3, 0.3), (0.5, 1.2, 0.5)))
+    bright = replace(MODERATE, rgb=((0.3, 0.3, 0.3), (0.5, 1.2, 0.5)))
     (found,) = fit_warnings(data, CONVERGED, bright)
     assert "more light than it receives: its directional albedo is 1.200 at 57 degrees in the green channel" in found
     assert not [*fit_warnings(data, CONVERGED, MODERATE)]

@@ -157,7 +157,7 @@ def test_commands_of_the_pages_have_their_options() -> None:
 
 def test_the_python_quick_start(python_quick_start: dict[str, Any], folder: Path) -> None:
     assert python_quick_start["values"].shape == (3, 3)
-    assert dsbrdf.load(folder / "paint.json").n_lobes == python_quick_start["result"].model.n_lobes
+    assert dsbrdf.load(folder / "paint.json") == python_quick_start["result"]
     assert dsbrdf.read_merl(folder / "paint-model.binary").valid.any()
 
 

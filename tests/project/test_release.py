@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 import dsbrdf
+from tests.support.loading import load_fit
 from tests.support.server import Server
 from tests.support.stored_fits import THETA_DIFF, THETA_HALF
 
@@ -58,7 +59,7 @@ def test_source_distribution_makes_a_wheel_whose_service_works(tmp_path: Path) -
 
 @releases
 def test_model_stored_by_an_earlier_release_has_the_same_values(folder: Path) -> None:
-    result = dsbrdf.load_result(folder / "plastic.json")
+    result = load_fit(folder / "plastic.json")
     expected = json.loads((folder / "values.json").read_text())
     np.testing.assert_allclose(result.model.evaluate(THETA_HALF, THETA_DIFF), expected, rtol=1e-12)
     assert result.report.options == dsbrdf.FitOptions(n_lobes=2)

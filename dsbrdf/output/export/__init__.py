@@ -116,7 +116,7 @@ FORMATS = {
         holds_parameters=True,
     ),
     "components": ExportFormat(
-        "a table of the components: light, alpha, kappa, F0, F90, albedo and their ranges",
+        "a table of the components: light, alpha, tail exponent, F0, F90, albedo and their ranges",
         "csv",
         "text/csv; charset=utf-8",
         _components,
@@ -196,7 +196,7 @@ def check_holds_component(file_format: str) -> None:
 def export(
     source: DSBRDF | LayeredModel | Component | FitResult,
     path: str | os.PathLike[str],
-    file_format: str | None = None,
+    file_format: str = "auto",
     *,
     name: str | None = None,
     sampling: bool = False,
@@ -207,10 +207,11 @@ def export(
     ----------
     source : DSBRDF, LayeredModel, Component or FitResult
     path : path-like
-        Its suffix determines the format: ``.json``, ``.binary`` (MERL), ``.glsl``, ``.py``, ``.brdf``,
+        The file; its suffix is ``.json``, ``.binary`` (MERL), ``.glsl``, ``.py``, ``.brdf``,
         ``.csv``, ``.bsdf`` (Mitsuba 3) or ``.mtlx`` (MaterialX).
     file_format : str, optional
-        One of `dsbrdf.output.export.FORMATS`; ``bsdf-spectral`` has no suffix of its own and must be named.
+        One of `dsbrdf.output.export.FORMATS`. "auto" takes the first with the suffix; ``components`` and
+        ``bsdf-spectral`` have no suffix of their own and must be named.
     name : str, optional
         Name of the function in GLSL, by default ``dsbrdf``; all other names in the file begin with it.
     sampling : bool, optional
@@ -225,7 +226,7 @@ def export(
     OSError
         If the file cannot be written.
     """
-    chosen = format_of(path) if file_format is None else file_format
+    chosen = format_of(path) if file_format == "auto" else file_format
     model, report = (source.model, source.report) if isinstance(source, FitResult) else (source, None)
     title = Path(path).stem
     write_atomically(path, [export_model(model, chosen, report, name=name, sampling=sampling, title=title)])

@@ -77,7 +77,7 @@ def _call(layer: Layer) -> str:
     """Return the logarithm of a layer as an expression."""
     match layer:
         case SpecularLayer():
-            facets = _facets(layer.alpha, layer.kappa, layer.masking)
+            facets = _facets(layer.alpha, layer.tail_exponent, layer.masking)
             fresnel, bend = f"{_list(layer.f0)}, {_short(layer.f90)}", _list((*layer.rise, layer.under_coat))
             return f"dsbrdf_specular(p, {fresnel},\n      {facets}, {bend})"
         case RetroLayer():
@@ -89,8 +89,8 @@ def _call(layer: Layer) -> str:
             return f"dsbrdf_sheen(p, {_list(layer.color)}, {_list(layer.powers)})"
 
 
-def _facets(alpha: float, kappa: float, masking: float) -> str:
-    return _list((alpha, kappa, tail_norm(kappa)[0], masking))
+def _facets(alpha: float, tail_exponent: float, masking: float) -> str:
+    return _list((alpha, tail_exponent, tail_norm(tail_exponent)[0], masking))
 
 
 def _list(values: Sequence[float]) -> str:
@@ -137,7 +137,7 @@ dsbrdf_Pair dsbrdf_pair(vec3 omega_in, vec3 omega_out) {
 """
 
 _SURFACE = """\
-// Return log(D V), facets and their masking; facets holds alpha, kappa (2 is GGX), the norm of D, form of masking.
+// Return log(D V), facets and masking; facets holds alpha, tail exponent (2 is GGX), norm of D, form of masking.
 float dsbrdf_surface(dsbrdf_Pair p, float tangent2, vec4 facets) {
   float alpha2 = facets.x * facets.x, slope = tangent2 / (facets.z * alpha2);
   vec2 seen = sqrt(alpha2 + (1.0 - alpha2) * p.cosines * p.cosines), apart = p.cosines + seen;

@@ -26,7 +26,7 @@ from dsbrdf.extras import require
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.mitsuba_model import MitsubaModel, Number, Table
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
-from dsbrdf.output.serialize import load
+from dsbrdf.output.serialize import read_model_file
 from dsbrdf.rendering.environment import LUMINANCE
 
 
@@ -54,7 +54,7 @@ def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
     if not path.is_file():
         raise InvalidArgumentError(f'there is no file {path}; the BSDF "dsbrdf" needs {wanted}')
     try:
-        return str(path), load(path)
+        return str(path), read_model_file(path)[0]
     except DSBRDFError as error:
         raise type(error)(f"{path}: {error}") from None
 

@@ -93,12 +93,12 @@ def _rise(xp: Any, cosine: Any) -> Any:
     return xp.clip(0.5 * ((bent - cosine) / (bent + cosine)) ** 2 * (1.0 + square) - COAT_F0, 0.0, None) / (1 - COAT_F0)
 
 
-def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, alpha: Any, kappa: Any, masking: Any) -> Any:
-    """Return the logarithm of a rough surface's facets and masking; alpha is its roughness, kappa = 2 is GGX."""
-    square, norm = alpha**2, 0.125 + xp.logaddexp(8.0 * (kappa - 1.125), 0.0 * kappa) / 8.0
+def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, alpha: Any, tail: Any, masking: Any) -> Any:
+    """Return the logarithm of a rough surface's facets and masking; alpha is its roughness, tail = 2 is GGX."""
+    square, norm = alpha**2, 0.125 + xp.logaddexp(8.0 * (tail - 1.125), 0.0 * tail) / 8.0
     to_in, to_out = (xp.sqrt(square + (1.0 - square) * cosine**2) for cosine in (cos_in, cos_out))
     seen, both = cos_out * to_in + cos_in * to_out, (cos_in + to_in) * (cos_out + to_out)
-    tails = 2.0 * xp.log1p(tan2) - kappa * xp.log1p(tan2 / (norm * square))
+    tails = 2.0 * xp.log1p(tan2) - tail * xp.log1p(tan2 / (norm * square))
     return tails + masking * xp.log(2.0 * seen / both) - xp.log(2.0 * math.pi * square * seen)
 
 
@@ -114,7 +114,7 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
         if "f0" in p:  # specular layer
             bent = p["rise"][0] * u + p["rise"][1] * u**2 + p["under_coat"] * (passed + 2.0 * math.log1p(-COAT_F0))
             color = xp.log(p["f0"] * (1.0 - rise) + p["f90"] * rise)
-            form = bent + _facets(xp, cos_in, cos_out, tan2, p["alpha"], p["kappa"], p["masking"])
+            form = bent + _facets(xp, cos_in, cos_out, tan2, p["alpha"], p["tail_exponent"], p["masking"])
         elif "alpha" in p:  # retro layer
             back2 = xp.clip(4.0 * sin2 - (cos_in - cos_out) ** 2, 0.0, None) / (cos_in + cos_out) ** 2
             color, form = xp.log(p["color"]), _facets(xp, cos_in, cos_out, back2, p["alpha"], 0.0 * u + 2.0, 0.0)

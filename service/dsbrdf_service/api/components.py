@@ -37,7 +37,9 @@ class SurfaceDocument(BaseModel):
     """One rough surface of a component; a parameter that does not describe the component is null."""
 
     alpha: Annotated[float | None, Field(description="Roughness: that of GGX or of Beckmann's distribution.")]
-    kappa: Annotated[float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller one falls slower.")]
+    tail_exponent: Annotated[
+        float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller one falls slower.")
+    ]
     f0: Annotated[Rgb | None, Field(description="Reflectance of its facets at normal incidence.")]
     f90: Annotated[float | None, Field(description="Reflectance of its facets at grazing incidence.")]
     alpha_range: Annotated[Range | None, Field(description="Where alpha lies with a probability of 90 %.")]

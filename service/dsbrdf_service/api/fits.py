@@ -99,7 +99,7 @@ class FitDocument(FitSummary):
     ]
     format: Annotated[
         Literal["dsbrdf"] | None,
-        Field(description="What the document is as a file: `dsbrdf.load_result` reads that of a fit that succeeded."),
+        Field(description="What the document is as a file: `dsbrdf.load` reads that of a fit that succeeded."),
     ]
     version: Annotated[int | None, Field(description="Version of the format.")]
 

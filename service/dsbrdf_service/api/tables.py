@@ -33,9 +33,9 @@ class TableDocument(BaseModel):
     columns: list[ColumnDocument]
     ranges: Annotated[
         dict[str, Range],
-        Field(description=f"Smallest and largest of {', '.join(ANGLE_NAMES)} [degrees], red, green and blue [1/sr]."),
+        Field(description=f"Smallest and largest of {', '.join(ANGLE_NAMES)}, red, green and blue [1/sr]."),
     ]
-    angles_of_incidence: Annotated[list[float] | None, Field(description="theta_in [degrees], if they are few.")]
+    angles_of_incidence_deg: Annotated[list[float] | None, Field(description="Angles theta_in, if they are few.")]
     in_plane_of_incidence: Annotated[Share, Field(description="Share of the samples.")]
     warnings: list[str]
     first: Annotated[list[list[float]], Field(description="The first samples, with numbers as those of `ranges`.")]

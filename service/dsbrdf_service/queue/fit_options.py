@@ -69,12 +69,10 @@ def canonical(options: FitOptions) -> dict[str, Any]:
     """Return the wire form with the method's own choices filled in, so that options of equal fits are equal."""
     wire, paper = to_wire(options), options.method == "paper"
     if wire["knots_deg"] == _USUAL_KNOTS[options.variation]:
-        wire["knots_deg"] = None
+        wire["knots_deg"] = "auto"
     if wire["horizon_cutoff_deg"] == 90.0:
         wire["horizon_cutoff_deg"] = None
-    if wire["mask"] is None:
-        wire["mask"] = 1.0 if paper else 0.0
-    wire["weighting"] = options.resolved_weighting
+    wire |= {"mask": options.resolved_mask, "weighting": options.resolved_weighting}
     return wire | ({"ring_lobes": 0} if paper else {"em_iterations": DEFAULTS["em_iterations"]})
 
 

@@ -27,6 +27,7 @@ from dsbrdf.output.export.rgl import rgl_bsdf
 from tests.support.command_line import QUICK, document, printed, run, sentence
 from tests.support.guarded import Guarded
 from tests.support.known_models import single_lobe
+from tests.support.loading import load_fit
 from tests.support.mixtures import mixture
 
 pytestmark = pytest.mark.slow
@@ -56,9 +57,9 @@ def test_every_option_has_a_flag_with_help() -> None:
     ("words", "asked"),
     [
         ("--horizon-cutoff-deg=10 --knots-deg=10,20", {"horizon_cutoff_deg": 10, "knots_deg": (10, 20)}),
-        ("--knots-deg none --horizon-cutoff-deg none", {"horizon_cutoff_deg": None}),
+        ("--knots-deg auto --horizon-cutoff-deg none", {"horizon_cutoff_deg": None}),
         ("--n-lobes 2 --weighting log --robust", {"n_lobes": 2, "weighting": "log", "robust": True}),
-        ("--lobe student --weighting none --mask 0.5 --no-robust", {"lobe": "student", "mask": 0.5}),
+        ("--lobe student --weighting auto --mask 0.5 --no-robust", {"lobe": "student", "mask": 0.5}),
     ],
 )
 def test_flags_reach_the_options(words: str, asked: dict[str, Any]) -> None:
@@ -171,7 +172,7 @@ def test_second_run_keeps_the_stored_fits_of_these_files_and_options(
     one.parent.mkdir()
     shutil.copyfile(stored_fit, two)
     damaged = stored_fit.read_bytes()[:-100]
-    dsbrdf.save(load(stored_fit), without_report := tmp_path / "plain.json")
+    dsbrdf.save(load_fit(stored_fit).model, without_report := tmp_path / "plain.json")
     for stored in (damaged, without_report.read_bytes(), stored_fit.read_bytes()):
         with pytest.raises(ComputedError):
             run(*command)
@@ -263,7 +264,7 @@ def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path) -> None
     assert "component     light 90 % range" in out
     assert out.splitlines()[-2:] == [f"saved: {tmp_path / 'plastic.json'}", f"figure: {tmp_path / 'plastic.png'}"]
     assert (tmp_path / "plastic.png").read_bytes().startswith(b"\x89PNG")
-    assert dsbrdf.load_result(tmp_path / "plastic.json").model.n_lobes == 1
+    assert load_fit(tmp_path / "plastic.json").model.n_lobes == 1
 
 
 def test_fit_on_a_server_is_the_fit_here(

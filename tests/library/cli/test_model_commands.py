@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import dsbrdf
-from dsbrdf import FitResult, decompose, load, read_merl, render_sphere
+from dsbrdf import FitResult, decompose, read_merl, render_sphere
 from dsbrdf.fitting import SelectionStep
 from dsbrdf.fitting.lobe_search import SearchStep
 from dsbrdf.output import export_model, from_json
 from dsbrdf.output.export import part_of
 from dsbrdf.rendering import displayed, exposure, sphere_normals
 from tests.support.command_line import FEW_LOBES, document, printed, run, sentence
+from tests.support.loading import load_fit
 from tests.support.mixtures import samples_table, scattered_samples
 from tests.support.random_models import random_model
 
@@ -28,7 +29,7 @@ from tests.support.random_models import random_model
 def test_eval_by_angles_as_a_table(model_file: Path) -> None:
     rows = printed("eval", model_file, "--theta-half", "0", "10", "--theta-diff", "30").splitlines()
     assert rows[0].split() == ["theta_half", "theta_diff", "phi_diff", "red", "green", "blue"]
-    expected = load(model_file).evaluate(np.radians(10.0), np.radians(30.0))
+    expected = load_fit(model_file).model.evaluate(np.radians(10.0), np.radians(30.0))
     np.testing.assert_allclose([float(word) for word in rows[2].split()], [10, 30, 90, *expected], rtol=1e-5)
 
 
@@ -52,7 +53,7 @@ def test_eval_by_angles_as_a_table(model_file: Path) -> None:
 )
 def test_eval_gives_the_values_of_the_library(words: str, degrees: Any, model_file: Path) -> None:
     answer = document("eval", model_file, *words.split(), "--json")
-    expected = load(model_file).evaluate(*(np.radians(angle) for angle in degrees))
+    expected = load_fit(model_file).model.evaluate(*(np.radians(angle) for angle in degrees))
     np.testing.assert_allclose(answer["values"], expected, rtol=1e-6)
     if "--theta-half" in words:
         asked = np.broadcast_arrays(*degrees)
@@ -69,7 +70,7 @@ def test_text_holds_at_60_columns(words: list[str], model_file: Path, monkeypatc
 
 def test_components_are_those_of_the_library(model_file: Path) -> None:
     command = ["eval", str(model_file), "--theta-half", "0.5", "12", "60", "--theta-diff", "0", "45", "20", "--json"]
-    for component in decompose(load(model_file)):
+    for component in decompose(load_fit(model_file).model):
         found = document(*command, "--component", component.label)["values"]
         expected = component.evaluate(*np.radians([[0.5, 12.0, 60.0], [0.0, 45.0, 20.0]]))
         np.testing.assert_array_equal(found, expected)
@@ -78,7 +79,7 @@ def test_components_are_those_of_the_library(model_file: Path) -> None:
 def test_decompose_prints_the_components(model_file: Path) -> None:
     items = document("decompose", model_file, "--json")["items"]
     lines = printed("decompose", model_file).splitlines()
-    for item, component in zip(items, decompose(load(model_file)), strict=True):
+    for item, component in zip(items, decompose(load_fit(model_file).model), strict=True):
         assert (item["label"], item["structure"]) == (component.label, component.structure)
         assert item["light_share"] == pytest.approx(component.light_share)
         assert item["ranges"]["light_share"] == list(component.ranges.light_share)
@@ -100,7 +101,7 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
 
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:
     black = tmp_path / "black.json"
-    dsbrdf.save(load(model_file).select((), with_delta=False), black)
+    dsbrdf.save(load_fit(model_file).model.select((), with_delta=False), black)
     assert printed("decompose", black).strip() == "The model reflects no light, so it has no components."
 
 
@@ -112,7 +113,7 @@ def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path) -> None
         [float(word.strip("°")) for word in line.split()[-4:]] for line in lines[start + 3 : start + 6]
     )
     angles = np.radians([0.0, 30.0, 60.0, 80.0])
-    first = load(model_file).select((0,), with_delta=False)
+    first = load_fit(model_file).model.select((0,), with_delta=False)
     np.testing.assert_allclose(height, first.evaluate(0.0, angles)[:, 2], rtol=1e-3)
     half = first.evaluate(np.radians(width[0]), 0.0)[2]
     assert half == pytest.approx(height[0] / 2.0, rel=1e-2)
@@ -122,7 +123,7 @@ def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path) -> None
 def test_show_prints_the_report_that_the_fit_printed(plastic_file: Path, model_file: Path, tmp_path: Path) -> None:
     *before, last = printed("fit", plastic_file, "-o", tmp_path, *FEW_LOBES).splitlines()
     assert last == f"saved: {tmp_path / 'plastic.json'}"
-    result = dsbrdf.load_result(model_file)
+    result = load_fit(model_file)
     assert re.match(r"plastic: (very )?close \(\d+\.\d dB\); 2 lobes; \d+\.\d\d s$", before[0])
     shown = printed("show", model_file).splitlines()
     assert shown[0].rpartition(";")[0] == before[0].rpartition(";")[0]  # the time is another
@@ -297,7 +298,7 @@ def test_compare_a_measurement_with_its_fit(
 
 def test_samples_are_drawn_beside_the_fit_and_compared_with_it(model_file: Path, tmp_path: Path) -> None:
     table, pictures = tmp_path / "table.csv", [tmp_path / "plot.png", tmp_path / "compare.png"]
-    samples = scattered_samples(load(model_file), 200)
+    samples = scattered_samples(load_fit(model_file).model, 200)
     table.write_bytes(samples_table(replace(samples, values=1.1 * samples.values)))
     run("plot", table, model_file, "-o", pictures[0])
     answer = document("compare", model_file, table, "-o", pictures[1], "--json")

@@ -11,6 +11,7 @@ import dsbrdf
 from dsbrdf import decompose, render_sphere
 from dsbrdf.rendering import sphere_likeness
 from tests.support.command_line import document, printed, run, sentence
+from tests.support.loading import load_fit
 from tests.support.random_models import random_model
 
 
@@ -44,7 +45,7 @@ def test_several_models_at_once_and_their_components_as_tables(model_file: Path,
     assert {row["material"] for row in rows} == {model_file.stem, "50%_gloss"}
     parts = decompose(random_model(1))
     assert {row["component"] for row in rows if row["material"] == "50%_gloss"} == {*parts.labels}
-    psnr = dsbrdf.load_result(model_file).report.metrics.psnr
+    psnr = load_fit(model_file).report.metrics.psnr
     assert {row["psnr"] for row in rows} == {str(psnr), ""}
     lines = latex.read_text().splitlines()
     assert len(lines) == len(rows) + 6

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf import TableOptions, load, load_result, read_merl, read_samples
+from dsbrdf import TableOptions, read_merl, read_samples
 from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.samples.names import VECTORS
 from tests.library.samples.test_layouts import LAYOUTS, MIRROR_60, REFUSED
 from tests.support.command_line import document, printed, run
+from tests.support.loading import load_fit
 from tests.support.mixtures import mixture, scattered_samples
 from tests.support.soak import repeats
 
@@ -26,11 +27,12 @@ def test_the_options_of_a_table_are_flags(tmp_path: Path) -> None:
     flags = ("--columns", "blue=azure", "--missing", "-999", "--scale", "0.01", "--cosine", "out", "--phi", "mirror")
     found = document("fit", odd, "-o", tmp_path, "--n-lobes", "1", "--ring-lobes", "0", *flags, "--json")
     error = found["report"]["metrics"]["relative_rms"]
-    model, stored = load(tmp_path / "odd.json"), load_result(tmp_path / "odd.json").report
+    stored = load_fit(tmp_path / "odd.json")
+    model, report = stored.model, stored.report
     angles = np.radians(10.0), np.radians(30.0)
     np.testing.assert_allclose(model.evaluate(*angles), felt.evaluate(*angles), rtol=0.02)
     chosen = TableOptions(columns="blue=azure", missing=-999, scale=0.01, cosine="out", phi="mirror")
-    assert stored.samples == read_samples(odd, chosen).sha256
+    assert report.samples == read_samples(odd, chosen).sha256
     kept = document("fit", odd, "-o", tmp_path, "--n-lobes", "1", "--ring-lobes", "0", *flags, "--json")
     assert kept["resumed"]
     assert "beside what was measured" in printed("plot", tmp_path / "odd.json", odd, "-o", tmp_path / "odd.png", *flags)
@@ -47,7 +49,7 @@ def test_layouts_of_instruments_are_fitted_to_their_truth(tmp_path: Path) -> Non
     run("fit", *files, "-o", tmp_path, "--n-lobes", "2", "--ring-lobes", "0")
     out = np.array([np.sin(np.radians(60.0)), 0.0, np.cos(np.radians(60.0))])
     for path in files:
-        model = load_result(tmp_path / f"{path.stem}.json").model
+        model = load_fit(tmp_path / f"{path.stem}.json").model
         value = model.evaluate_directions(out * [-1.0, 1.0, 1.0], out)
         assert value == pytest.approx([MIRROR_60] * 3, rel=0.3), path.name
 
@@ -68,10 +70,10 @@ def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:
         ("reflectance", "value", ""),
         ("probe", None, ""),
     ]
-    assert found["ranges"]["theta_in"] == pytest.approx([0.0, 60.0])
-    assert found["ranges"]["theta_out"] == pytest.approx([0.0, 80.0], abs=1e-6)
+    assert found["ranges"]["theta_in_deg"] == pytest.approx([0.0, 60.0])
+    assert found["ranges"]["theta_out_deg"] == pytest.approx([0.0, 80.0], abs=1e-6)
     assert found["ranges"]["green"][1] == pytest.approx(320.0 * 0.003183, rel=0.1)
-    assert found["angles_of_incidence"] == [0.0, 30.0, 60.0]
+    assert found["angles_of_incidence_deg"] == [0.0, 30.0, 60.0]
     assert found["in_plane_of_incidence"] == 1.0
     assert any("probe" in sentence for sentence in found["warnings"])
     assert found["first"][0] == pytest.approx([0.0, 80.0, 180.0, *[20.0 * 0.003183] * 3], rel=1e-4, abs=1e-6)

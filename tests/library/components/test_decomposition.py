@@ -129,7 +129,7 @@ def test_a_component_says_its_physical_parameters_with_ranges(paint_model: DSBRD
     spike, diffuse = parts["specular_spike"], parts["diffuse"]
     (surface,) = spike.surfaces
     assert surface.alpha == pytest.approx(ROUGHNESS, rel=0.05)
-    assert surface.kappa == pytest.approx(2.0, rel=0.1)
+    assert surface.tail_exponent == pytest.approx(2.0, rel=0.1)
     assert surface.f0 is not None
     np.testing.assert_allclose(surface.f0, COAT, rtol=0.15)
     assert surface.alpha_range is not None

@@ -92,8 +92,10 @@ def test_roughness_and_reflectance_of_a_layer_come_out_as_they_were_put_in(name:
     low, high = np.vstack([*surface.f0_range, surface.alpha_range]).T
     true = [*material.f0, material.alpha]
     assert np.all((low <= true) & (true <= high)) or name not in IN_RANGE
-    assert surface.kappa is not None  # 2 is the tail of GGX, more a shorter one
-    assert surface.kappa > 4.0 if material.distribution == "beckmann" else abs(surface.kappa - 2.0) < 0.15
+    assert surface.tail_exponent is not None  # 2 is the tail of GGX, more a shorter one
+    assert (
+        surface.tail_exponent > 4.0 if material.distribution == "beckmann" else abs(surface.tail_exponent - 2.0) < 0.15
+    )
 
 
 @pytest.mark.parametrize(

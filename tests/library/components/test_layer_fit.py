@@ -58,7 +58,7 @@ def test_parameters_come_out_as_they_were_put_in() -> None:
     assert isinstance(layer, SpecularLayer)
     np.testing.assert_allclose(layer.f0, GOLD, rtol=0.02)
     assert layer.alpha == pytest.approx(METAL.alpha, rel=0.01)
-    assert layer.kappa == pytest.approx(2.0, rel=0.02)
+    assert layer.tail_exponent == pytest.approx(2.0, rel=0.02)
 
 
 def test_the_descent_ends_in_a_minimum_of_the_documented_cost() -> None:

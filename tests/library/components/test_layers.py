@@ -19,8 +19,8 @@ def angles(count: int = 60) -> tuple[Array, Array, Array]:
     return random.uniform(0.0, 0.7, count), random.uniform(0.0, 0.7, count), random.uniform(0.0, np.pi, count)
 
 
-def metal(alpha: float, kappa: float = 2.0) -> LayeredModel:
-    return LayeredModel((SpecularLayer(F0, 1.0, alpha, kappa, (0.0, 0.0), 0.0, 0.0),))
+def metal(alpha: float, tail_exponent: float = 2.0) -> LayeredModel:
+    return LayeredModel((SpecularLayer(F0, 1.0, alpha, tail_exponent, (0.0, 0.0), 0.0, 0.0),))
 
 
 def glass(theta: Array) -> Array:
@@ -41,13 +41,13 @@ def microfacets(theta_half: Array, theta_diff: Array, phi_diff: Array, alpha: fl
     return fresnel * (height * masking / (4.0 * omega_in[:, 2] * omega_out[:, 2]))[:, None]
 
 
-def test_kappa_2_is_ggx() -> None:
+def test_tail_exponent_2_is_ggx() -> None:
     at = angles()
     slopes = (1.0 + (np.tan(at[0]) / 0.3) ** 2) ** -2.0
     np.testing.assert_allclose(metal(0.3).evaluate(*at), microfacets(*at, 0.3, slopes), rtol=2e-3)
 
 
-def test_a_large_kappa_is_beckmanns_distribution() -> None:
+def test_a_large_tail_exponent_is_beckmanns_distribution() -> None:
     at = angles()
     slopes = np.exp(-((np.tan(at[0]) / 0.3) ** 2))
     near = slopes > 0.05
@@ -55,10 +55,10 @@ def test_a_large_kappa_is_beckmanns_distribution() -> None:
     np.testing.assert_allclose(found, microfacets(*at, 0.3, slopes)[near], rtol=1e-2)
 
 
-@pytest.mark.parametrize("kappa", [1.5, 2.0, 6.0])
-def test_facets_project_to_the_area(kappa: float) -> None:
+@pytest.mark.parametrize("tail_exponent", [1.5, 2.0, 6.0])
+def test_facets_project_to_the_area(tail_exponent: float) -> None:
     # The facets' value at equal directions, over masking and Fresnel: the integral of D cos is 1.
-    layer = SpecularLayer((1.0, 1.0, 1.0), 1.0, 0.2, kappa, (0.0, 0.0), 1.0, 0.0)
+    layer = SpecularLayer((1.0, 1.0, 1.0), 1.0, 0.2, tail_exponent, (0.0, 0.0), 1.0, 0.0)
 
     def facets(theta: float) -> float:
         points = Points.at(np.array([theta]), np.zeros(1), np.zeros(1))

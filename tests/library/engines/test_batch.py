@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf import FitOptions, load
+import dsbrdf
+from dsbrdf import FitOptions
 from dsbrdf.cli import main as cli
 from dsbrdf.engines import FileFit, LocalEngine, batch, dask, fit_files, local
 from tests.support import endless_fit
@@ -92,7 +93,7 @@ def test_each_result_is_written(files: list[Path], tmp_path: Path) -> None:
     for item in results[1:]:
         assert item.result is not None
         assert item.output is not None
-        assert load(item.output).kappa.tolist() == item.result.model.kappa.tolist()
+        assert dsbrdf.load(item.output) == item.result
     assert shares[-1] == 4.0
     assert all(0.0 <= share <= 4.0 for share in shares)
     assert any(share % 1.0 for share in shares)

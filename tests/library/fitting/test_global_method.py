@@ -142,7 +142,8 @@ def test_report_is_complete_and_plain(plastic_fit: FitResult) -> None:
     assert [row.channel for row in report.by_channel] == list(CHANNELS)
     edges = [row.theta_diff for row in report.by_theta_diff]
     assert [first for first, _ in edges] == [0.0, *(last for _, last in edges[:-1])]
-    np.testing.assert_allclose(report.albedo.albedo, model.albedo(report.albedo.theta_out))
+    reflected = report.directional_albedo
+    np.testing.assert_allclose(reflected.rgb, model.albedo(reflected.theta_out))
     assert report.n_numbers == model.n_numbers
     assert {"profiles", "search", "refine", "metrics", "albedo"} <= set(report.timings)
     assert report.options == FitOptions()

@@ -8,7 +8,7 @@ import pytest
 from dsbrdf import FitOptions, InvalidArgumentError
 from dsbrdf.fitting.options import MAX_RING_LOBES
 
-KNOTS = "knots_deg must be at least two increasing whole numbers from 0 to 89"
+KNOTS = 'knots_deg must be at least two increasing whole numbers from 0 to 89 or "auto"'
 CUTOFF = "horizon_cutoff_deg must be a number above 0 and at most 90"
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
@@ -21,7 +21,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
         for bad in (-1, MAX_RING_LOBES + 1, 1.0, False, "none", None)
     ),
     ({"method": "best"}, "method must be one of global, paper, not 'best'"),
-    ({"weighting": "area"}, "weighting must be one of balanced, plain, cosine, log, not 'area'"),
+    ({"weighting": "area"}, "weighting must be one of auto, balanced, plain, cosine, log, not 'area'"),
     ({"variation": "cubic"}, "variation must be one of full, parametric, not 'cubic'"),
     ({"lobe": "gauss"}, "lobe must be one of hemi_epd, student, not 'gauss'"),
     *(
@@ -36,10 +36,13 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ),
     *(
         ({"knots_deg": bad}, f"{KNOTS}, not {bad}")
-        for bad in ([], [10], [10, 5], [10, 10], [0.0, 0.5], [0, 90], [-1, 10], [0.0, np.nan], [0, True], [0, "9"], 5)
+        for bad in ([], [9], [9, 5], [9, 9], [0.0, 0.5], [0, 90], [-1, 9], [0.0, np.nan], [0, True], [0, "9"], 5, None)
     ),
     *(({"horizon_cutoff_deg": bad}, f"{CUTOFF}, not {bad!r}") for bad in (0.0, -10, 91, np.nan, 1e-11, True, "80")),
-    *(({"mask": bad}, f"mask must be a number from 0 to 10, not {bad!r}") for bad in (-0.1, 10.5, float("nan"), "1")),
+    *(
+        ({"mask": bad}, f'mask must be a number from 0 to 10 or "auto", not {bad!r}')
+        for bad in (-0.1, 10.5, float("nan"), "1", None)
+    ),
     *(({"robust": bad}, f"robust must be true or false, not {bad!r}") for bad in (1, "yes", None)),
     *(
         ({"em_iterations": bad}, f"em_iterations must be an integer from 1 to 10000, not {bad!r}")
@@ -61,9 +64,9 @@ def test_a_wrong_choice_is_refused_in_one_sentence(chosen: dict[str, Any], sente
     [
         *({"n_lobes": n} for n in (1, 10)),
         *({"ring_lobes": n} for n in (0, MAX_RING_LOBES)),
-        *({"mask": share} for share in (0.0, 10)),
+        *({"mask": number} for number in (0.0, 10, "auto")),
         *({"horizon_cutoff_deg": angle} for angle in (None, 90.0)),
-        *({"knots_deg": knots} for knots in ((0, 1), tuple(range(90)))),
+        *({"knots_deg": knots} for knots in ((0, 1), tuple(range(90)), "auto")),
         {"lobe": "student", "variation": "parametric", "em_iterations": 10_000},
         {"weighting": "log", "robust": True},
         {"method": "paper", "ring_lobes": 0, "mask": 1.0},
@@ -86,8 +89,10 @@ def test_angles_are_radians_where_the_fit_computes() -> None:
 def test_the_default_is_the_automatic_global_fit() -> None:
     options = FitOptions()
     assert (options.method, options.n_lobes, options.ring_lobes) == ("global", "auto", "auto")
-    assert (options.lobe, options.weighting, options.resolved_weighting) == ("hemi_epd", None, "balanced")
-    assert FitOptions(method="paper").resolved_weighting == "plain"
+    assert (options.lobe, options.weighting, options.resolved_weighting) == ("hemi_epd", "auto", "balanced")
+    assert (options.knots_deg, options.mask, options.resolved_mask) == ("auto", "auto", 0.0)
+    paper = FitOptions(method="paper")
+    assert (paper.resolved_weighting, paper.resolved_mask) == ("plain", 1.0)
     assert FitOptions(weighting="log").resolved_weighting == "log"
 
 

@@ -27,7 +27,7 @@ def report() -> FitReport:
         knots=KnotReport.from_arrays(numbers[0], True, [False, True, True, False], [[3], [100], [7]], False),
         search=(SearchStep(n_lobes=1, ring_lobes=0, error=1e-5, kept=True),),
         selection=(SelectionStep(1, -0.3, 1.5, None, None, None, False),),
-        albedo=DirectionalAlbedo((0.0, 0.5, 1.0), tuple(map(tuple, numbers))),
+        directional_albedo=DirectionalAlbedo((0.0, 0.5, 1.0), tuple(map(tuple, numbers))),
         n_numbers=378,
         timings={"em": 0.1},
         options=FitOptions(n_lobes=3, method="paper", robust=True),

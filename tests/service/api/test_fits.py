@@ -51,9 +51,9 @@ def test_repeated_request_returns_the_stored_fit(server: Server, data: bytes, st
     first = server.submit(stored, n_lobes=1, em_iterations=37)
     assert first.status_code == 201
     numbers = {"n_lobes": "1", "em_iterations": "37", "horizon_cutoff_deg": "80.0"}
-    spelled_otherwise = {**numbers, "method": "paper", "mask": "none"}
+    spelled_otherwise = {**numbers, "method": "paper", "mask": "auto"}
     for again in (
-        server.submit(stored, n_lobes=1, em_iterations=37, horizon_cutoff_deg=80, mask=None),
+        server.submit(stored, n_lobes=1, em_iterations=37, horizon_cutoff_deg=80, mask="auto"),
         server.http.post("/v1/fits", params=spelled_otherwise, content=data),
         server.submit(stored, prefer="respond-async", n_lobes=1, em_iterations=37),
     ):

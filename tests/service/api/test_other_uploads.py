@@ -245,8 +245,8 @@ def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> Non
         ("reflectance", "value"),
     ]
     assert (told["n_rows"], told["n_samples"]) == (62, 60)
-    assert told["angles_of_incidence"] == [0.0, 30.0]
-    assert told["ranges"]["theta_out"] == pytest.approx([2.0, 60.0])
+    assert told["angles_of_incidence_deg"] == [0.0, 30.0]
+    assert told["ranges"]["theta_out_deg"] == pytest.approx([2.0, 60.0])
     assert told["ranges"]["red"] == pytest.approx([0.25, 0.25])
     assert told["in_plane_of_incidence"] == 1.0
     assert any("2 rows have" in sentence for sentence in told["warnings"])

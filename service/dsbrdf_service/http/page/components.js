@@ -14,7 +14,7 @@ const OF_COMPONENTS = [
   ["height", "height in 1/sr", two],
 ];
 /** @type {[string, string, (value: number) => string][]} */
-const OF_SURFACES = [["alpha", "alpha", three], ["kappa", "kappa", three], ["f0", "F0", two], ["f90", "F90", two]];
+const OF_SURFACES = [["alpha", "alpha", three], ["tail_exponent", "tail", three], ["f0", "F0", two], ["f90", "F90", two]];
 
 /** Makes a row of a table with a head as first cell, or a row of heads. @param {(Node | string | number)[]} cells @param {boolean} [heads] */
 export const tableRow = (cells, heads = false) => make("tr", {}, ...cells.map((cell, i) => {

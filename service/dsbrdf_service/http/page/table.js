@@ -70,12 +70,12 @@ function showColumns(box, options, columns, otherwise) {
 
 /** @param {HTMLElement} box @param {Table} table */
 function describe(box, table) {
-  const light = table.angles_of_incidence ? `The light comes at ${table.angles_of_incidence.join("°, ")}°.` : "";
+  const light = table.angles_of_incidence_deg ? `The light comes at ${table.angles_of_incidence_deg.join("°, ")}°.` : "";
   const plane = `${Math.round(100 * table.in_plane_of_incidence)} % of the samples lie in the plane of incidence.`;
   fill(box, { about: `${table.n_rows} rows, ${table.n_samples} samples. ${light} ${plane}` });
   find(box, ".warnings").replaceChildren(...warningsOf(table.warnings));
   const ranges = Object.entries(table.ranges);
-  const names = ranges.map(([name], i) => `${name.replace("phi_out - phi_in", "phi_out − phi_in")} in ${i < 3 ? "degrees" : "1/sr"}`);
+  const names = ranges.map(([name], i) => `${name.replace("_deg", "")} in ${i < 3 ? "degrees" : "1/sr"}`);
   const ends = ["Smallest", "Largest"].map((word, i) => tableRow([word, ...ranges.map(([, range]) => short(range[i]))]));
   const first = table.first.map((values, i) => tableRow([`Sample ${i + 1}`, ...values.map(short)]));
   find(box, ".samples").replaceChildren(tableRow(["", ...names], true), ...ends, ...first);

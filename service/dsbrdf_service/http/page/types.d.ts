@@ -9,7 +9,7 @@ interface Component {
   ranges: { light_share: Interval; albedo: Interval[]; color: Interval[] };
 }
 
-interface Surface { alpha: number | null; kappa: number | null; f0: Rgb | null; f90: number | null; alpha_range: Interval | null; f0_range: Interval[] | null }
+interface Surface { alpha: number | null; tail_exponent: number | null; f0: Rgb | null; f90: number | null; alpha_range: Interval | null; f0_range: Interval[] | null }
 
 interface Fit {
   id: string; name: string | null; status: string; progress: number; measurement: string; likeness: string | null;
@@ -22,7 +22,7 @@ interface Measurement { sha256: string; name: string | null; size: number; valid
 
 interface Table {
   n_rows: number; n_samples: number; columns: { name: string; read_as: string | null; unit: string }[]; ranges: Record<string, Interval>;
-  angles_of_incidence: number[] | null; in_plane_of_incidence: number; warnings: string[]; first: number[][];
+  angles_of_incidence_deg: number[] | null; in_plane_of_incidence: number; warnings: string[]; first: number[][];
 }
 
 // The subject of a sphere and its plots: a fit, its measurement, or both. `measured` is on a grid; `samples` is the address of a table's samples.

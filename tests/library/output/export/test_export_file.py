@@ -137,7 +137,7 @@ def test_the_suffix_tells_the_format(suffix: str, tmp_path: Path) -> None:
 def test_a_result_is_exported_with_its_report_and_a_component_as_one(report: FitReport, tmp_path: Path) -> None:
     result = FitResult(MODEL, report)
     dsbrdf.export(result, tmp_path / "paint.json")
-    assert dsbrdf.load_result(tmp_path / "paint.json") == result
+    assert dsbrdf.load(tmp_path / "paint.json") == result
     dsbrdf.export(result, tmp_path / "paint.txt", "glsl")
     assert "vec3 dsbrdf(" in (tmp_path / "paint.txt").read_text()
     dsbrdf.export(decompose(MODEL)["diffuse"], tmp_path / "lobe.glsl")

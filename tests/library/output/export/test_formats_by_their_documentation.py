@@ -209,7 +209,7 @@ def layer_values(layer: dict[str, Any]) -> Array:
 
     if "f0" in layer:
         q_1, q_2 = layer["rise"]
-        shape = facets(np.minimum(np.tan(half) ** 2, 1e4), layer["alpha"], layer["kappa"], layer["masking"])
+        shape = facets(np.minimum(np.tan(half) ** 2, 1e4), layer["alpha"], layer["tail_exponent"], layer["masking"])
         shape = shape * np.exp(q_1 * u + q_2 * u**2) * (0.96**2 * (1.0 - s_i) * (1.0 - s_o)) ** layer["under_coat"]
         return np.outer(layer["f0"], shape * (1.0 - s)) + layer["f90"] * s * shape
     if "albedo" in layer:

@@ -19,6 +19,7 @@ from dsbrdf.output.export import mitsuba_bsdf
 from dsbrdf.output.export.mitsuba_bsdf import register
 from dsbrdf.output.export.mitsuba_model import PARAMETERS
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
+from dsbrdf.output.serialize import read_model_file
 from tests.support.known_models import MODELS, pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
 
@@ -37,7 +38,7 @@ def tables_for_sampling_are_made_once() -> Iterator[None]:
     """What is read from a file equals the model in it and is replaced by it: its tables take half a second."""
     known = {model: model for model in MODELS.values()}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mitsuba_bsdf, "load", lambda path: known[dsbrdf.load(path)])
+        patch.setattr(mitsuba_bsdf, "read_model_file", lambda path: (known[read_model_file(path)[0]], None))
         yield
 
 
