@@ -16,7 +16,7 @@ _COMPONENT = re.compile(r"^(\w+) +\d+% +\d+%-\d+%(?: +([\d.]+)°)?" + r" +([\d.]
 def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     demo.main(tmp_path / "out")
     out = capsys.readouterr().out
-    words = ["201 Created", "200 OK", "90 % range", "width", "kappa", "F0 red", "relative_rms", "excess", "male"]
+    words = ["201 Created", "200 OK", "90 % range", "width", "tail", "F0 red", "relative_rms", "excess", "male"]
     assert [word for word in words if word not in out] == []
     rows = re.findall(r"^ +[\d.]+° +\d+°((?: +[\d.]+){6})$", out, re.MULTILINE)
     assert len(rows) == len(demo.SHOWN_THETA_HALF_NODES) * len(demo.SHOWN_THETA_DIFF_NODES)
