@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Callable
 from io import BytesIO
-from pathlib import Path
 
 import httpx
 import numpy as np
@@ -24,7 +23,6 @@ pytestmark = pytest.mark.slow
 
 MODEL = mixture(2, 0)
 FEW_LOBES = {"n_lobes": "1", "ring_lobes": "0"}
-LAYOUTS = Path(__file__).parents[2] / "library" / "samples" / "layouts"
 HEAD = "omega_in_x,omega_in_y,omega_in_z,omega_out_x,omega_out_y,omega_out_z,red,green,blue"
 
 
@@ -221,13 +219,6 @@ def test_a_measurement_on_a_grid_has_no_options_of_a_table(server: Server, merl:
         headers={"Content-Type": "application/octet-stream"},
     )
     assert "scale is an option of a table of samples" in assert_problem(answer, 422)
-
-
-def test_a_zemax_file_may_end_in_bsdf(server: Server) -> None:
-    content = LAYOUTS.joinpath("zemax.txt").read_bytes()
-    answer = post(server, content, "tile.bsdf", "application/octet-stream")
-    assert answer.status_code == 201, answer.text
-    assert (answer.json()["name"], answer.json()["sha256"]) == ("tile", parse_samples(content).sha256)
 
 
 def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> None:

@@ -154,7 +154,10 @@ export function whenOpened(part, show) {
 
 /** Shows a picture of the service. @param {HTMLImageElement} image @param {string} path */
 export async function showPicture(image, path) {
-  image.src = URL.createObjectURL(await (await request(path)).blob());
+  image.dataset.path = path;
+  const picture = await (await request(path)).blob();
+  if (image.dataset.path !== path) return; // A picture that was asked for later is shown instead.
+  image.src = URL.createObjectURL(picture);
   await image.decode().catch(() => undefined);
 }
 

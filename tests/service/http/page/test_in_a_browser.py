@@ -33,7 +33,7 @@ def test_key_is_asked_for_kept_in_the_tab_and_forgotten(visit: Visit, site: Site
     page.keyboard.press("Enter")
     expect(page.get_by_role("heading", name="glossy")).to_be_visible()
     expect(dialog).to_be_hidden()
-    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 128)
+    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 256)
     assert visitor.context.cookies() == []
     assert page.evaluate("localStorage.length") == 0
     assert [url for _, url, _ in visitor.requests if site.key in url] == []
@@ -131,7 +131,7 @@ def test_fit_without_a_result_says_why_and_is_deleted(visit: Visit, site: Site, 
 def test_plots_follow_their_sliders_and_a_picture_stands_where_webgl_is_missing(visit: Visit, site: Site) -> None:
     page = visit(f"/fits/{site.fits['glossy']}", webgl=False).page
     expect(page.get_by_text("This browser has no WebGL 2")).to_be_visible()
-    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 128)
+    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 256)
     for control in (SPHERE, ".toggles"):
         expect(page.locator(control)).to_be_hidden()
     page.locator("#plots").scroll_into_view_if_needed()  # plots are drawn when they are seen
@@ -163,6 +163,7 @@ def test_plots_tell_values_by_pointer_and_keys(visit: Visit, site: Site) -> None
     page.locator("#plots").scroll_into_view_if_needed()
     picture, legend, seen = page.locator("#plane .plot svg"), page.locator("#plane .legend"), list[int]()
     picture.hover(position={"x": 300, "y": 100})
+    expect(legend).to_contain_text("at θ_out")
     for key in ("ArrowRight", "Tab"):
         place = re.search(r"at θ_out (-?[\d.]+)°", legend.inner_text())
         assert place is not None
@@ -247,6 +248,8 @@ def test_fit_asks_with_what_it_is_compared(visit: Visit, site: Site) -> None:
     page.route(f"**/v1/fits/{site.fits['glossy']}", lambda route: delayed.append(route), times=1)
     page.reload()
     page.get_by_role("button", name="Compare with").click()  # The click comes before the fit's document.
+    while not delayed:
+        page.wait_for_timeout(10)
     delayed[0].continue_()
     dialog = page.get_by_role("dialog", name="Compare glossy with")
     expect(dialog.get_by_role("option")).to_contain_text(["rough"])
@@ -306,7 +309,7 @@ def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic
     visitor.context.set_offline(False)
     page.goto(f"/fits/{site.fits['glossy']}")
     folded = page.get_by_text("Options of the fit")
-    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 128)
+    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 256)
     visitor.context.set_offline(True)
     folded.click()
     expect(page.locator("#said")).to_contain_text("cannot be reached")
