@@ -204,7 +204,7 @@ def _fit_samples(
     sentences = (
         *samples.notes,
         *doubts.sentences,
-        *sample_warnings(samples, metrics, prediction.layers.structures[0].name, FEW_SAMPLES),
+        *sample_warnings(samples, metrics, prediction.layers.found[0].structure.name, FEW_SAMPLES),
         *unconfirmed_sample(known, without),
         *result.report.warnings,
     )

@@ -69,8 +69,8 @@ def sample_rows(
     values = samples.values * np.clip(there / np.maximum(here, 1e-300), 1.0 / _MAX_MOVE_RATIO, _MAX_MOVE_RATIO)
     share = np.sum(counted * predicted**2) / max(float(np.sum(at_sample * values.T**2)), 1e-300)
     nodes = THETA_HALF[cells[1]], THETA_DIFF[cells[0]], np.arccos(np.sqrt(folded.cos2_phi[*cells]))
-    spread, unknown = prediction.spread(*nodes), prediction.unknown_share(*nodes)
-    counted = counted * np.maximum(unknown * _MODEL_ERROR**2 / (_MODEL_ERROR**2 + spread**2), _MIN_NODE_WEIGHT)
+    spread, remote = prediction.spread(*nodes), prediction.remoteness(*nodes, samples)
+    counted = counted * np.maximum(remote * _MODEL_ERROR**2 / (_MODEL_ERROR**2 + spread**2), _MIN_NODE_WEIGHT)
     return FitData.from_samples(
         np.concatenate([values, predicted.T]),
         np.concatenate([share * at_sample.T, counted.T]),

@@ -11,12 +11,15 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.errors import MeasurementFormatError
 
-SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
+SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks", "|": "bars"}
 """What can separate cells, and its name in sentences."""
 MAX_CELLS = 5_000_000
 """Tables with more cells, which would take 5 s and 1 GB, are refused."""
 MAX_COLUMNS = 4096
-_MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
+_MISSING = {"", "nan", "na", "n/a", "n.a.", "null", "none", "missing", "-nan(ind)", "1.#qnan", "-1.#ind"}
+# Spreadsheets write "#N/A" and "#DIV/0!", Markdown rules its tables with hyphens.
+_NO_NUMBER = re.compile(r"#.*|:?-+:?")
+_FORTRAN_EXPONENT = re.compile(r"(?<=[0-9.])[dD](?=[-+0-9])")
 
 Constants = dict[str, float]
 """Numbers that hold for all rows after a line, by the name that the line gives them."""
@@ -143,12 +146,12 @@ def wrong_count(number: int, count: int, separator: str, n_names: int) -> Measur
 
 def as_number(cell: str, separator: str) -> float | None:
     """Return the number in a cell, NaN for an empty cell or a word such as "n/a", or None for other words."""
-    text = cell.strip().replace("\N{MINUS SIGN}", "-")
-    if text.lower() in _MISSING:
+    text = cell.strip().rstrip("\N{DEGREE SIGN}").replace("\N{MINUS SIGN}", "-")
+    if text.lower() in _MISSING or _NO_NUMBER.fullmatch(text):
         return float("nan")
     if separator != "," and "." not in text:
         text = text.replace(",", ".", 1)
     try:
-        return float(text)
+        return float(_FORTRAN_EXPONENT.sub("e", text))
     except ValueError:
         return None

@@ -56,6 +56,7 @@ _ORDERS = {
     3: "theta_in=1,theta_out=2,value=3",
     4: "theta_in=1,theta_out=2,phi_out=3,value=4",
     5: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,value=5",
+    6: "theta_in=1,theta_out=2,phi_out=3,red=4,green=5,blue=6",
     7: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,red=5,green=6,blue=7",
 }
 
@@ -156,11 +157,19 @@ def _places_of(table: TextTable, name: str) -> list[int]:
 
 
 def _unnamed(table: TextTable) -> MeasurementFormatError:
-    count, blocks = table.n_cells, len(table.names) - table.n_cells
-    example = _ORDERS.get(count, _ORDERS[3])
+    count, held = table.n_cells, [meaning_of(name) for name in table.names[table.n_cells :]]
+    blocks = held.count(None)
+    example, between = _ORDERS.get(count, _ORDERS[3]), ""
+    if held:
+        angles = (f",theta_in={count + 1}", f",phi_in={count + 2}")[:blocks]
+        example = "theta_out=1,phi_out=2,value=3" + "".join(angles)
     if blocks:
-        example = f"theta_out=1,phi_out=2,value=3,theta_in={count + 1}" + (f",phi_in={count + 2}" if blocks > 1 else "")
-    between = f", and lines of {blocks} between them, which are columns {count + 1} and on" if blocks else ""
+        between = f", and lines of {blocks} between them, which are columns {count + 1} and on"
+    if table.rows and not table.rows[0][0]:
+        return MeasurementFormatError(
+            "The table looks like a matrix, but its first cell is empty: write the names of the angles down and across "
+            "there, such as theta_out / phi_out."
+        )
     first = ", ".join(table.rows[0]) if table.rows else ""
     return MeasurementFormatError(
         f"The table has no line that names its columns; its rows have {count} numbers, such as {first[:60]}{between}: "

@@ -18,11 +18,8 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference, random_directions
 from dsbrdf.fitting.report import LeftOutErrors, SuggestedPair
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.samples.prediction import (
-    SamplePrediction,
-    dark_level,
-    left_out_predictions,
-)
+from dsbrdf.samples.prediction import SamplePrediction, left_out_predictions
+from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 THETA_OUT_BANDS = np.radians([0.0, 30.0, 60.0, 75.0, 90.0])

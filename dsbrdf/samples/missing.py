@@ -1,6 +1,6 @@
 """Values of a table that stand for what was not measured.
 
-An instrument that sees nothing, beyond its reach or below its noise, writes 0. Such zeros lie in runs beside values far
+An instrument that sees nothing, beyond its reach or below its noise, writes 0. Such zeros lie beside values far
 above the last digit of the table. True zeros of a black sample lie beside values of a few last digits, or among
 values that scatter about 0.
 """
@@ -22,10 +22,7 @@ _MAX_SCATTER_FACTOR = 4.0
 # A zero beside samples of at most so many last digits, or so small a fraction of the median, is a rounded value.
 _MAX_ROUNDED_DIGITS = 10.0
 _MAX_ROUNDED_FRACTION = 1e-4
-# Fewer zeros, or zeros among lit samples, are no run.
-_MIN_RUN = 3
-_N_IN_RUN = 9
-_MIN_ZERO_FRACTION = 0.2
+_MIN_ZEROS = 3  # Fewer zeros are kept.
 
 
 def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[Mask, list[str]]:
@@ -33,7 +30,7 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
     level = np.abs(values).max(axis=1, initial=0.0)
     zero, lit = np.flatnonzero(level == 0.0), np.flatnonzero(level > 0.0)
     empty = np.zeros(len(level), dtype=bool)
-    if len(zero) < _MIN_RUN or len(lit) <= _N_NEIGHBOURS or values.min() < 0.0:
+    if len(zero) < _MIN_ZEROS or len(lit) <= _N_NEIGHBOURS or values.min() < 0.0:
         return empty, []
     from scipy.spatial import cKDTree  # It takes time to import, and few tables have such zeros.
 
@@ -43,13 +40,11 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
     if np.median(beside.max(axis=1) / darkest) > _MAX_SCATTER_FACTOR:
         return empty, []
     rounded = max(_MAX_ROUNDED_DIGITS * _last_digit(level), _MAX_ROUNDED_FRACTION * float(np.median(level[lit])))
-    nearest = cKDTree(places).query(places[zero], min(_N_IN_RUN, len(level)))[1]
-    is_run = np.mean(level[nearest] == 0.0, axis=1) > _MIN_ZERO_FRACTION
     # All of a run is left out, also a part that lies beside darker samples.
     alike = cKDTree(places[zero]).query(places[zero], min(_N_NEIGHBOURS, len(zero)))[1]
-    empty[zero] = is_run & (np.mean((darkest > rounded)[alike], axis=1) > 0.5)
+    empty[zero] = np.mean((darkest > rounded)[alike], axis=1) > 0.5
     count = int(np.count_nonzero(empty))
-    if count < _MIN_RUN:
+    if count < _MIN_ZEROS:
         return np.zeros_like(empty), []
     return empty, [
         f"{count} samples have the value 0 beside samples of {np.median(darkest[empty[zero]]):.2g} and more, as "

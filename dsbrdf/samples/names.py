@@ -24,17 +24,37 @@ _ANGLES = {
 }
 # Abbreviations that stand behind a word alone: "in_z" would be a component of a vector.
 _BEHIND_WORDS = {"theta": ("z", "za", "zen"), "phi": ("a", "aa", "az", "azi")}
-_VALUES = ("value", "brdf", "bsdf", "luminance", "f_r", "fr")
+_VALUES = (
+    "value",
+    "brdf",
+    "bsdf",
+    "frdb",
+    "luminance",
+    "f_r",
+    "fr",
+    "brdf_mean",
+    "bsdf_mean",
+    "mean_brdf",
+    "mean_bsdf",
+)
 _MUELLER = tuple(f"{name}{mark}11" for name in ("f_r", "fr", "f", "m", "s", "mueller", "brdf") for mark in ("", "_"))
 _FACTORS = ("brf", "reflectance", "reflectance_factor", "bidirectional_reflectance_factor", "radiance_factor")
 _OTHERS = {
-    "theta_in": ("aoi", "angle_of_incidence", "sza", "incidence", "einfallswinkel", "intheta"),
+    "theta_in": ("aoi", "angle_of_incidence", "sza", "incidence", "einfallswinkel", "angle_d'incidence", "intheta"),
     "theta_out": (
         *("aor", "aos", "aov", "angle_of_reflection", "angle_of_scatter", "angle_of_view", "vza", "theta", "zenith"),
-        *("zenith_angle", "scatter", "scatterbeta", "ausfallswinkel", "beobachtungswinkel", "outtheta"),
+        *(
+            "zenith_angle",
+            "scatter",
+            "scatterbeta",
+            "ausfallswinkel",
+            "beobachtungswinkel",
+            "angle_de_réflexion",
+            "outtheta",
+        ),
     ),
     "phi_in": ("saa", "inphi"),
-    "phi_out": ("vaa", "phi", "azimuth", "azimuth_angle", "relative_azimuth", "raa", "outphi"),
+    "phi_out": ("vaa", "phi", "azimuth", "azimuth_angle", "azimut", "relative_azimuth", "raa", "outphi"),
     "elevation_out": ("elevation", "elevation_angle"),
     "value": (*_VALUES, *_MUELLER, *_FACTORS),
     "weight": ("weight",),

@@ -1,8 +1,7 @@
-"""What scattered samples say of a material at any pair of directions: layers, corrected near the samples.
+"""Prediction of a material at any pair of directions from scattered samples: layers, corrected near the samples.
 
-Layers by evidence (`dsbrdf.components.layer_fit`) are fitted to the samples; they know how a surface that is seen in
-one plane reflects in all others. What samples say beyond is a factor. Its logarithm is a Gaussian process with the
-kernel
+Where samples differ from the layers (`dsbrdf.samples.sample_layers`), they make a factor. Its logarithm is a Gaussian
+process with the kernel
 
     exp(-|x - x'|**2 / 2) (c + (1 - c) exp(-(y - y')**2 / 2)),
 
@@ -13,37 +12,22 @@ decide how far the prediction leaves the layers. Where none is near, the predict
 be as wrong there as they are at the samples, besides what structures that explain the samples equally well differ by.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import LAYER_POWER, PLAIN_ERROR_WEIGHT
-from dsbrdf.components.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
-from dsbrdf.components.layers import LayeredModel
-from dsbrdf.components.points import Points
-from dsbrdf.components.structures import STRUCTURES, LayerStructure
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.data.reduction import NORMAL_QUARTILE, OUTLIER
 from dsbrdf.model.albedo import directional_albedo
+from dsbrdf.samples.sample_layers import CANDIDATES, SampleLayers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# Errors of values below this fraction of the median of the channels' mean count alike.
-_DARK_FRACTION = 0.02
 # If there are more samples, so many are taken at random, for the prediction and for its kernel.
 _MAX_SAMPLES = 800
 _MAX_KERNEL_SAMPLES = 500
-# A highlight in which no sample lies has at least the half width that instruments resolve, or a quarter of theta_half
-# of the nearest sample: a narrower one is seen by its tails alone, which tell nothing of its peak. The second is the
-# smallest half width of any highlight.
-_APERTURE = np.radians(0.3)
-_MIN_HALF_WIDTH = 1e-4
-_NEGLIGIBLE_WEIGHT = 1e-3
-_N_DRAWS = 32
-# Structures are drawn with this power of their weights, as evidence is surer than it should be.
-_DRAWN_POWER = 0.5
 _ENERGY_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0, 85.0])
 _OFFSET = np.radians(1.5)
 # The kernel reaches so far in x and y, times one of the scales.
@@ -52,8 +36,6 @@ _REACH_SCALES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0)
 # Variance of the noise over the variance of the factor.
 _NOISE_RATIOS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
 _COMMON_FRACTION = 0.75
-# Layers miss the logarithm of measured highlights at grazing incidence by this between samples.
-_MISFIT_LOG = 0.33
 # The logarithm of a factor at a sample is clipped here.
 _MAX_LOG_FACTOR = 2.5
 _MAX_POINTS_AT_ONCE = 256  # Their kernel stays in the cache.
@@ -61,103 +43,9 @@ _N_FOLDS = 5
 _MIN_OUTLIER_LOG = 1e-2
 
 
-def layer_samples(samples: ScatteredSamples) -> LayerData:
-    """Samples, weighted so that layers are fitted to errors relative to f**1.4, and to a share of plain ones."""
-    level, square = samples.values.mean(axis=1), np.sum(samples.values**2, axis=1)
-    seen = samples.weight / (level + dark_level(samples)) ** LAYER_POWER
-    weight = seen / np.sum(seen * square) + PLAIN_ERROR_WEIGHT * samples.weight / np.sum(samples.weight * square)
-    points = Points.at(*half_difference(samples.omega_in, samples.omega_out))
-    return LayerData.of(points, samples.values.T, np.broadcast_to(weight, (3, weight.size)))
-
-
-def dark_level(samples: ScatteredSamples) -> float:
-    """Value below which errors count alike [1/sr]."""
-    return float(_DARK_FRACTION * np.median(samples.values.mean(axis=1)) + 1e-9 * samples.values.max())
-
-
 def thinned(samples: ScatteredSamples, most: int = _MAX_SAMPLES) -> ScatteredSamples:
     """At most so many of the samples, taken at random."""
     return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < most)
-
-
-@dataclass(frozen=True, eq=False)
-class SampleLayers:
-    """Structures of layers fitted to samples, whose values are the weighted geometric mean."""
-
-    found: tuple[FittedStructure, ...]
-    weights: Array  # (S,)
-    dark: float
-
-    @classmethod
-    def fit(cls, samples: ScatteredSamples, structures: Sequence[LayerStructure] = STRUCTURES) -> "SampleLayers":
-        """Fit structures; those that hardly count are dropped."""
-        nearest = float(half_difference(samples.omega_in, samples.omega_out)[0].min())
-        narrowest = max(min(nearest, _APERTURE), nearest / 4.0, _MIN_HALF_WIDTH)
-        found = fit_structures(layer_samples(samples), [one.no_narrower(narrowest) for one in structures])
-        weights = structure_weights(found)
-        kept = np.flatnonzero(weights > _NEGLIGIBLE_WEIGHT)
-        return cls(tuple(found[at] for at in kept), weights[kept] / weights[kept].sum(), dark_level(samples))
-
-    @property
-    def evidence(self) -> float:
-        """Of the structure that explains the samples best; less is better."""
-        return self.found[0].evidence
-
-    @property
-    def structures(self) -> tuple[LayerStructure, ...]:
-        """The structures."""
-        return tuple(fitted.structure for fitted in self.found)
-
-    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values (n, 3) at angles (n,) [1/sr]."""
-        mean = self._mean_log(Points.at(theta_half, theta_diff, phi_diff))
-        return np.maximum(np.exp(mean) - self.dark, 0.0)
-
-    def caution(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """By how much the logarithm of the values should be less where no sample is (n, 3).
-
-        If the logarithm of the true value is normal with a mean m and a deviation s, exp(m - 1.5 s**2) has the least
-        expected relative error: a highlight that no sample saw is rather too faint than a needle that nobody measured.
-        Where s is below 1, less of it: there the mean is what layers know of a highlight from its tails.
-        """
-        points = Points.at(theta_half, theta_diff, phi_diff)
-        drawn = self._logs(self._drawn, points)
-        variance = drawn.var(axis=0)
-        below = np.maximum(self._mean_log(points) - drawn.min(axis=0), 0.0)
-        return np.minimum(1.5 * variance**2 / (variance + 1.0), below)
-
-    def spread(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Standard deviation of the logarithm of the values, over layers that are as probable (n,)."""
-        return np.asarray(np.sqrt(np.mean(np.var(self.drawn_logs(theta_half, theta_diff, phi_diff), axis=0), axis=1)))
-
-    def drawn_logs(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Logarithms of the values, with what is dark added to them, of layers that are as probable (draws, n, 3)."""
-        return self._logs(self._drawn, Points.at(theta_half, theta_diff, phi_diff))
-
-    def misfit(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Standard deviation of the logarithm of true values from those of any layers (n,)."""
-        points = Points.at(theta_half, theta_diff, phi_diff)
-        share = np.zeros(theta_half.shape)
-        for weight, fitted in zip(self.weights, self.found, strict=True):
-            values = fitted.model.layer_values(points).mean(axis=1)
-            is_specular = np.logical_not(fitted.structure.is_diffuse)
-            share += weight * values[is_specular].sum(axis=0) / (values.sum(axis=0) + self.dark)
-        return _MISFIT_LOG * share * points.rise[0]
-
-    @cached_property
-    def _drawn(self) -> list[LayeredModel]:
-        generator = np.random.default_rng(0)
-        weights = self.weights**_DRAWN_POWER
-        counts = generator.multinomial(_N_DRAWS, weights / weights.sum()).tolist()
-        pairs = zip(self.found, counts, strict=True)
-        return [model for fitted, count in pairs for model in fitted.draw(generator, count)]
-
-    def _mean_log(self, points: Points) -> Array:
-        logs = self._logs([fitted.model for fitted in self.found], points)
-        return np.tensordot(self.weights, logs, axes=1)
-
-    def _logs(self, models: Sequence[LayeredModel], points: Points) -> Array:
-        return np.log(np.array([model.layer_values(points).sum(axis=0).T for model in models]) + self.dark)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +62,7 @@ class SamplePrediction:
     @classmethod
     def fit(cls, samples: ScatteredSamples, like: "SamplePrediction | None" = None) -> "SamplePrediction":
         """Fit the layers and the factor, with structures, reach and noise like those of another prediction if given."""
-        layers = SampleLayers.fit(samples, STRUCTURES if like is None else like.layers.structures)
+        layers = SampleLayers.fit(samples, CANDIDATES if like is None else like.layers.candidates)
         angles = half_difference(samples.omega_in, samples.omega_out)
         ratio = (samples.values + layers.dark) / (layers.evaluate_unmasked(*angles) + layers.dark)
         root = np.sqrt(samples.weight / samples.weight.mean())
@@ -243,6 +131,14 @@ class SamplePrediction:
         known = vectors[:, values > self.noise] / np.sqrt(values[values > self.noise] + self.noise)
         blocks = self._near(theta_half, theta_diff, phi_diff)
         return np.maximum(1.0 - np.concatenate([np.sum((near @ known) ** 2, axis=1) for near in blocks]), 0.0)
+
+    def remoteness(self, theta_half: Array, theta_diff: Array, phi_diff: Array, samples: ScatteredSamples) -> Array:
+        """Return how far angles (n,) are from all samples: 0 at a sample, 1 beyond the reach of the kernel."""
+        from scipy.spatial import cKDTree  # It takes time to import.
+
+        known = _places(*half_difference(samples.omega_in, samples.omega_out)) / self.reach
+        distance, _ = cKDTree(known).query(_places(theta_half, theta_diff, phi_diff) / self.reach)
+        return np.asarray(1.0 - np.exp(-(distance**2)))
 
     @property
     def noise_variance(self) -> float:

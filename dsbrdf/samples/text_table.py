@@ -33,6 +33,7 @@ _MAX_LINES_BEFORE_NAMES = 500
 _MAX_LINES_OF_UNITS = 20
 _MAX_LINE_LENGTH = 1 << 17  # [characters]; 4096 columns with all their digits are shorter.
 _MAX_HEAD_LENGTH = 1 << 18  # [characters]; the line of names is not looked for behind them.
+_MIN_NAMES = 2  # A line below the names that has so many names as well is one in another language, and has no units.
 # Fewer lines that begin with a name are no table whose columns stand in lines.
 _MIN_TRANSPOSED_LINES = 3
 
@@ -50,9 +51,9 @@ def parse_text_table(data: bytes, named: Collection[str] = ()) -> TextTable:
             f"Line {lines.index(longest) + 1} of the table has {len(longest)} characters; it may have "
             f"{_MAX_LINE_LENGTH}."
         )
-    place, names = _find_names(lines, named)
-    if not names and (transposed := _transposed(lines, named)):
+    if transposed := _transposed(lines, named):
         return transposed
+    place, names = _find_names(lines, named)
     rows, held = _rows_and_constants(lines, place)
     return _with_constants(_named_table(rows, names) if names else unnamed_table(rows), held)
 
@@ -72,9 +73,10 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
         numbers = [as_number(cell, separator) for cell in cells]
         if None not in numbers or not all(number is None or np.isnan(number) for number in numbers):
             break
-        pairs = zip(names, cells, strict=False)
-        names = tuple(name if name_and_unit(name)[1] or not unit else f"{name} [{unit}]" for name, unit in pairs)
         first += 1
+        if count_names(cells) < _MIN_NAMES:
+            pairs = zip(names, cells, strict=False)
+            names = tuple(name if name_and_unit(name)[1] or not unit else f"{name} [{unit}]" for name, unit in pairs)
     at = [number for number, _ in lines[first:]]
     rows = list[list[str]]()
     for number, cells in zip(at, split_cells((line for _, line in lines[first:]), separator), strict=True):
@@ -149,7 +151,8 @@ def _transposed(lines: Sequence[str], named: Collection[str]) -> TextTable | Non
     kept = rows_of(lines)
     for separator in SEPARATORS if kept else ():
         cells = [(number, _cells(line, separator)) for number, line in kept[:_MAX_LINES_BEFORE_NAMES]]
-        found = [(number, line) for number, line in cells if len(line) > 2 and count_names(line[:1], named)]
+        begun = [(number, line) for number, line in cells if len(line) > 2 and count_names(line[:1], named) == 1]
+        found = [(number, line) for number, line in begun if as_number(line[1], separator) is not None]
         if len(found) >= _MIN_TRANSPOSED_LINES and len({len(line) for _, line in found}) == 1:
             names = tuple(line[0].strip() for _, line in found)
             rows = [list(row) for row in zip(*(line[1:] for _, line in found), strict=True)]

@@ -14,7 +14,8 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference, spherical
-from dsbrdf.samples.prediction import SampleLayers, thinned
+from dsbrdf.samples.prediction import thinned
+from dsbrdf.samples.sample_layers import SampleLayers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 _MAX_ALBEDO_BOUND = 1.05  # noise may lift the bound of a white material above 1
