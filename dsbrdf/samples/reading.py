@@ -17,8 +17,9 @@ import numpy as np
 
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.columns import LOWEST_COSINE, Description, SampleRows, read_columns
+from dsbrdf.samples.columns import LOWEST_COSINE, SampleRows, read_columns
 from dsbrdf.samples.layouts import table_in
+from dsbrdf.samples.meanings import Description
 from dsbrdf.samples.missing import about_repeated, unmeasured_zeros
 from dsbrdf.samples.scattered_samples import CANONICAL, CANONICAL_NAMES, ScatteredSamples
 from dsbrdf.samples.spreadsheet import is_spreadsheet, spreadsheet_text

@@ -1,0 +1,176 @@
+"""Find which columns of a table have the directions and the values, by their names or the option ``columns``."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsbrdf.arrays import Array
+from dsbrdf.data.grid import CHANNELS
+from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.samples.cells import TextTable
+from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS, meaning_of, name_and_unit, wavelength_of
+from dsbrdf.samples.table_options import TableOptions
+
+THETAS = ("theta_in", "theta_out")
+PHIS = ("phi_in", "phi_out")
+GREY = ("value",)
+_DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS)
+_POSSIBLE = (
+    "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
+    "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or "
+    "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF, and the option "
+    "constants gives an angle that all rows have, as in constants theta_in=30"
+)
+# Usual orders of columns without names, by their number.
+_ORDERS = {
+    3: "theta_in=1,theta_out=2,value=3",
+    4: "theta_in=1,theta_out=2,phi_out=3,value=4",
+    5: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,value=5",
+    6: "theta_in=1,theta_out=2,phi_out=3,red=4,green=5,blue=6",
+    7: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,red=5,green=6,blue=7",
+}
+
+Description = tuple[tuple[str, str, str], ...]
+"""Name as written, meaning and unit of each column; the last two may be empty."""
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """A column that is read: its name and unit as written, and its numbers (n,)."""
+
+    written: str
+    unit: str
+    numbers: Array
+    is_elevation: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class FoundColumns:
+    """The columns that are read by their meaning, the names of directions and of values among them, and all columns.
+
+    `wavelengths` [nm] are those of the values if they are spectra.
+    """
+
+    columns: dict[str, Column]
+    form: tuple[str, ...]
+    values: tuple[str, ...]
+    wavelengths: Array
+    description: Description
+
+
+def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
+    """Return the columns of a table that are read.
+
+    Raises MeasurementFormatError if a column is missing or is there twice.
+    """
+    places, units = _places(table, options)
+    elevations = {f"theta_{side}" for side in ("in", "out") if f"elevation_{side}" in places} - places.keys()
+    places |= {name: places[name.replace("theta", "elevation")] for name in elevations}
+    bands = {} if places.keys() & {*GREY, *CHANNELS} else _bands(table)
+    places |= {name: [place] for name, (place, _) in bands.items()}
+    form, values = _chosen(table, places, bands)
+    read = (*form, *values, *(PHIS if form is THETAS else ()), "weight", *(("wavelength",) if values == GREY else ()))
+    columns = {}
+    for name in [name for name in read if name in places]:
+        place, *others = places[name]
+        written, unit = table.names[place], name_and_unit(table.names[place])[1]
+        if others:
+            raise MeasurementFormatError(
+                f"The columns {written!r} and {table.names[others[0]]!r} mean the same; keep one of them."
+            )
+        columns[name] = Column(written, units.get(name) or unit, table.numbers(place), name in elevations)
+    at = {places[name][0]: name for name in columns}
+    described = ((name, at.get(place, ""), name_and_unit(name)[1]) for place, name in enumerate(table.names) if name)
+    wavelengths = np.array([wavelength for _, wavelength in bands.values()])
+    return FoundColumns(columns, form, values, wavelengths, tuple(described))
+
+
+def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int]], dict[str, str]]:
+    """Return the places of the columns with each meaning, and the units that the options give.
+
+    A column of the rows counts before a constant of the same meaning.
+    """
+    named = options.named_columns()
+    if table.names[:2] == ("1", "2") and not named:
+        raise _unnamed(table)
+    chosen = {meaning: _places_of(table, name) for meaning, name in named.items()}
+    taken = {at for found in chosen.values() for at in found}
+    places: dict[str, list[int]] = {}
+    for place, name in enumerate(table.names):
+        known = meaning_of(name)
+        if known is not None and place not in taken and not (known in places and place >= table.n_cells):
+            places.setdefault(known, []).append(place)
+    for meaning, found in chosen.items():
+        known = meaning_of(meaning)
+        if known is None:
+            raise MeasurementFormatError(f"The option columns has {meaning!r}, which is no meaning. {_POSSIBLE}.")
+        if not found:
+            raise MeasurementFormatError(f"The table has no column {named[meaning]!r}; it has {_listed(table.names)}.")
+        places[known] = found
+    return places, {str(meaning_of(name)): unit for name in named if (unit := name_and_unit(name)[1])}
+
+
+def _places_of(table: TextTable, name: str) -> list[int]:
+    """Return the places of the columns with a name, or with a number as their position, from 1."""
+    found = [place for place, written in enumerate(table.names) if written.lower() == name.lower()]
+    bare = name_and_unit(name)[0]
+    found = found or [place for place, written in enumerate(table.names) if name_and_unit(written)[0] == bare]
+    is_position = name.isdecimal() and 1 <= int(name[:9]) <= len(table.names)
+    return found or ([int(name) - 1] if is_position else [])
+
+
+def _unnamed(table: TextTable) -> MeasurementFormatError:
+    count, held = table.n_cells, [meaning_of(name) for name in table.names[table.n_cells :]]
+    blocks = held.count(None)
+    example, between = _ORDERS.get(count, _ORDERS[3]), ""
+    if held:
+        angles = (f",theta_in={count + 1}", f",phi_in={count + 2}")[:blocks]
+        example = "theta_out=1,phi_out=2,value=3" + "".join(angles)
+    if blocks:
+        between = f", and lines of {blocks} between them, which are columns {count + 1} and on"
+    if table.rows and not table.rows[0][0]:
+        return MeasurementFormatError(
+            "The table looks like a matrix, but its first cell is empty: write the names of the angles down and across "
+            "there, such as theta_out / phi_out."
+        )
+    first = ", ".join(table.rows[0]) if table.rows else ""
+    return MeasurementFormatError(
+        f"The table has no line that names its columns; its rows have {count} numbers, such as {first[:60]}{between}: "
+        f"name them by their positions, as in columns {example}."
+    )
+
+
+def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
+    """Return the place and the wavelength [nm] of columns named by wavelengths, ascending, if there are several."""
+    found = [(wavelength, place) for place, name in enumerate(table.names) if (wavelength := wavelength_of(name))]
+    return {f"{wavelength:g} nm": (place, wavelength) for wavelength, place in sorted(found)} if len(found) > 1 else {}
+
+
+def _chosen(table: TextTable, places: dict[str, list[int]], bands: Iterable[str]) -> tuple[tuple[str, ...], ...]:
+    """Return the names of the columns of directions and of values that a table has."""
+    forms = [form for form in _DIRECTION_FORMS if places.keys() >= {*form}]
+    values = CHANNELS if places.keys() >= {*CHANNELS} else tuple(bands) or GREY
+    if not forms:
+        # The form of which the table has most columns; angles if it has none.
+        nearest = max((THETAS, VECTORS, HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
+        raise _missing("directions", nearest, table, places)
+    if not places.keys() >= {*values}:
+        raise _missing("values", CHANNELS, table, places)
+    return forms[0], values
+
+
+def _missing(
+    kind: str, wanted: Sequence[str], table: TextTable, places: dict[str, list[int]]
+) -> MeasurementFormatError:
+    lacking = ", ".join(name for name in wanted if name not in places)
+    known = {at for found in places.values() for at in found}
+    unknown = [name for at, name in enumerate(table.names) if name and at not in known and not wavelength_of(name)]
+    quoted = f"; not understood are {', '.join(map(repr, unknown[:10]))}" if unknown else ""
+    return MeasurementFormatError(
+        f"The table lacks columns for the {kind}: {lacking}. It has {_listed(table.names)}{quoted}. {_POSSIBLE}."
+    )
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join([name for name in names if name][:20])
