@@ -13,7 +13,6 @@ part below 12 degrees of theta_half, and how far the middle of a lobe below a sp
 import argparse
 import itertools
 import os
-import sys
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, astuple
@@ -111,7 +110,7 @@ def print_measured(models: Iterable[tuple[str, DSBRDF]]) -> None:
     print(f"withheld: {n_components - len(misfits)} of {n_components} components")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks components", description=__doc__)
     add_arguments(parser, every=1)
@@ -127,7 +126,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             chosen = chosen_measurements(arguments)
             print_measured((measurement.name, fit(profiles(measurement)).model) for measurement in chosen)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -63,7 +63,7 @@ def run(name: str, times: int, seed: int, measurement: Path) -> tuple[str, list[
     return measured, harness.faults
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print a table with a row for each series."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks durability", description=__doc__)
     parser.add_argument("--only", choices=SERIES, metavar="NAME", help=f"one series of: {', '.join(SERIES)}")
@@ -85,7 +85,3 @@ def main(argv: Sequence[str] | None = None) -> int:
                 print(f"  {name}: {fault}", file=sys.stderr, flush=True)
             missed += bool(faults)
     return 1 if missed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

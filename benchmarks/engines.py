@@ -10,7 +10,6 @@ is missed.
 import argparse
 import os
 import random
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -217,7 +216,7 @@ def _unfinished(server: Server) -> int:
     return sum(fit["status"] in ("accepted", "running") for fit in _fits(server))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print one table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks engines", description=__doc__)
     parser.add_argument("--fits", type=int, default=24, metavar="N", help="fits for each rate, even (default: 24)")
@@ -232,7 +231,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.breaks:
             return int(not breaks(file, arguments.workers, arguments.schedulers, arguments.seed))
         return int(not rates(file, arguments.fits))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -15,7 +15,6 @@ Mitsuba 3 opens a fit as the BSDF ``dsbrdf`` and as ``.bsdf`` (RGB and spectral)
 """
 
 import argparse
-import sys
 import tempfile
 import time
 import warnings
@@ -214,7 +213,7 @@ def work_and_speed(way: Callable[[], Array]) -> tuple[float, float]:
     return float(weights.mean(axis=1).var()) * min(seconds), len(weights) / min(seconds)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the figures of each material and their medians."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks exports", description=__doc__)
     add_arguments(parser, every=1, names="rgl_")
@@ -239,7 +238,3 @@ def main(argv: Sequence[str] | None = None) -> int:
 def print_row(name: str, figures: Sequence[float]) -> None:
     """Print one line."""
     print(f"{name:40}" + "".join(f"{figure:{WIDTH}.3g}" for figure in figures), flush=True)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,6 @@ report of samples that are enough names none.
 """
 
 import argparse
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 
@@ -29,7 +28,7 @@ NOISE = 0.02
 N_OTHERS = 6000
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print a line for each material and kind of samples, then the figures over all materials."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks few_samples", description=__doc__)
     add_arguments(parser, every=1, names=NAMES)
@@ -139,7 +138,3 @@ def errors(result: FitResult, others: ScatteredSamples) -> tuple[float, float]:
     rms = float(np.sqrt(np.sum((found - expected) ** 2) / np.sum(expected**2)))
     mean = expected.mean(axis=1)
     return rms, float(np.median(np.abs(found.mean(axis=1) - mean) / np.maximum(mean, 1e-9)))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

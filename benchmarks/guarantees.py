@@ -8,7 +8,6 @@ their sum.
 """
 
 import argparse
-import sys
 import warnings
 from collections.abc import Sequence
 
@@ -75,7 +74,7 @@ def check(model: DSBRDF, omega_in: Array, omega_out: Array) -> list[float]:
     ]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the figures of each material and the largest of all."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks guarantees", description=__doc__)
     add_arguments(parser, every=7)
@@ -91,7 +90,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"{measurement.name:34}" + "".join(f"{figure:14.2g}" for figure in rows[-1]), flush=True)
     print(f"{f'largest of {len(rows)}':34}" + "".join(f"{figure:14.2g}" for figure in np.max(rows, axis=0)))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

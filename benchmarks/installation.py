@@ -44,7 +44,7 @@ else:
 """
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print a line for each environment; the exit code is 1 if one does not work."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks installation", description=__doc__)
     parser.add_argument("--pythons", nargs="+", default=[sys.executable], metavar="PYTHON", help="interpreters to try")
@@ -94,7 +94,3 @@ def run(folder: Path, *command: str) -> str:
     environment = os.environ | ONE_CORE | {"PYTHONWARNINGS": "error::DeprecationWarning:dsbrdf"}
     answer = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
     return answer.stdout
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ found from a picture, with 1 % of noise, of synthetic layers of which roughness,
 
 import argparse
 import importlib.util
-import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Sequence
@@ -165,7 +164,7 @@ def roughness() -> list[float]:
     return errors
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print both tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks inverse_rendering", description=__doc__)
     add_arguments(parser, every=1, names="rgl_")
@@ -176,7 +175,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     relative = roughness()
     print(f"largest error of alpha: {max(relative):.2%}, median {np.median(relative):.2%}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

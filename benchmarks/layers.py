@@ -6,7 +6,6 @@ nearest OpenPBR surface. With ``--models`` the fits are read from a folder of ``
 """
 
 import argparse
-import sys
 import time
 import warnings
 from collections.abc import Sequence
@@ -24,7 +23,7 @@ HEADS = ("seconds", "numbers", "model", "", "layers", "", "OpenPBR", "", "second
 QUANTILES = {"smallest": 0.0, "median": 0.5, "largest": 1.0}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print one line for each material, and the spread of each column."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks layers", description=__doc__)
     add_arguments(parser, every=1)
@@ -58,7 +57,3 @@ def main(argv: Sequence[str] | None = None) -> int:
 def print_row(name: str, figures: Sequence[float]) -> None:
     """Print one line."""
     print(f"{name:68}" + "".join(f"{figure:9.2f}" for figure in figures), flush=True)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

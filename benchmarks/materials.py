@@ -106,7 +106,7 @@ def _options(*, flags: Flags = DEFAULT) -> FitOptions:
     return flags.options()
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the table, or the same as JSON; the exit code is 1 if a fit failed."""
     options_help = "The options of the fit are those of dsbrdf fit --help."
     parser = argparse.ArgumentParser(prog="python -m benchmarks materials", description=__doc__, epilog=options_help)
@@ -135,7 +135,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     else:
         print_summary(rows)
     return 1 if failures else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,6 @@ import argparse
 import random
 import socket
 import statistics
-import sys
 import tempfile
 import threading
 import time
@@ -174,7 +173,7 @@ def measure(place: Place, attack: str, seconds: float) -> list[Row]:
     ]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks neighbours", description=__doc__)
     parser.add_argument("--only", nargs="+", choices=ATTACKS, metavar="ATTACK", help=f"some of: {', '.join(ATTACKS)}")
@@ -207,7 +206,3 @@ def main(argv: Sequence[str] | None = None) -> int:
                     missed |= not row.holds
                 wait_until(lambda: server.http.get("/health/ready").is_success, 60.0)
     return int(missed)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,6 +8,7 @@ import sys
 import tempfile
 import threading
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -50,7 +51,7 @@ async def trace_post(tracer: Tracer, content: bytes) -> None:
         raise SystemExit(f"the fit did not succeed: {answer.text[:500]}")
 
 
-def main() -> None:
+def main(argv: Sequence[str]) -> int:
     """Print the number of functions."""
     tracer, content = Tracer(), encode_merl(glossy_plastic())
     threading.setprofile(tracer)
@@ -59,10 +60,11 @@ def main() -> None:
     sys.setprofile(None)
     in_service = sum(name.startswith("service") for name, _, _ in tracer.calls)
     print(f"{len(tracer.calls)} functions, {in_service} of them in the service, {tracer.calls.total()} calls")
-    if "--list" in sys.argv:
+    if "--list" in argv:
         for (name, line, function), number in sorted(tracer.calls.items()):
             print(f"{number:5} {name}:{line} {function}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main(sys.argv[1:]))

@@ -12,7 +12,6 @@ With ``--sheet`` a picture shows measured and fitted spheres, their difference a
 
 import argparse
 import os
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -145,7 +144,7 @@ def save_sheet(path: Path, strips: dict[str, dict[str, Array]]) -> None:
     figure.savefig(path, dpi=100)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the table, and write the sheet if one is asked for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks rendered", description=__doc__)
     add_arguments(parser, every=1)
@@ -173,7 +172,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.sheet:
         save_sheet(arguments.sheet, strips)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

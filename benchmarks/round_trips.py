@@ -7,7 +7,6 @@ normal, half of them near the mirror direction (median and 95th percentile; valu
 """
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from dsbrdf.data import encode_merl, half_difference, interpolate, parse_rgl, re
 from dsbrdf.output.export.rgl import rgl_bsdf
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print a line for each file."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks round_trips", description=__doc__)
     parser.add_argument(
@@ -40,7 +39,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             figures += [float(np.median(error)), float(np.quantile(error, 0.95))]
         print(f"{path.name:28}" + "".join(f"{figure:10.4f}" for figure in figures), flush=True)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ directions; "below" is the share of the model's directions below the horizon.
 """
 
 import argparse
-import sys
 import warnings
 from collections.abc import Sequence
 
@@ -52,7 +51,7 @@ def visible(omega_in: Array, omega_out: Array, alpha: float) -> Array:
     return np.asarray(masking * distribution / (4.0 * omega_out[2]))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print a line for each material and angle, and the largest ratio."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks sampling", description=__doc__)
     add_arguments(parser, every=1, names="rgl_")
@@ -70,7 +69,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             )
     print(f"largest ratio: {max(ratios):.2f}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ and of many samples, beside that of the fit of the whole table.
 """
 
 import argparse
-import sys
 import warnings
 from collections.abc import Sequence
 
@@ -24,7 +23,7 @@ NOISE = 0.02
 COUNTS = (300, 1000, 5000, 20_000)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print both tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks scattered", description=__doc__)
     parser.add_argument("--samples", type=int, default=5000, help="samples of each mixture (default: 5000)")
@@ -71,7 +70,3 @@ def _drawn(measurement: Measurement, where: DSBRDF, count: int, seed: int, noise
     values = interpolate(measurement).evaluate(*half_difference(omega_in, omega_out))
     values = values * (1.0 + noise * np.random.default_rng(seed).standard_normal(values.shape))
     return ScatteredSamples.from_arrays(omega_in, omega_out, np.maximum(values, 0.0))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

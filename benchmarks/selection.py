@@ -5,7 +5,6 @@ high, how elongated, how they change towards grazing angles and with the channel
 """
 
 import argparse
-import sys
 from collections import Counter
 from collections.abc import Sequence
 
@@ -16,7 +15,7 @@ from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, num
 LIMIT = 0.02
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the chosen numbers for each true number of lobes, and how far the parameters are from the true ones."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks selection", description=__doc__)
     parser.add_argument("--seeds", type=int, default=20, help="materials for each number of lobes (default: 20)")
@@ -41,7 +40,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         row = "".join(f"{value:9.4f}" for value in np.quantile(values, [0.5, 0.95, 1.0]))
         print(f"{name:32}{row}{np.mean(values < LIMIT):12.0%}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -254,7 +254,7 @@ def _shown(rates: Sequence[Rate]) -> str:
     return f"{figures[0]:.0f}/s, p50 {figures[1]:.1f} ms, p99 {figures[2]:.1f} ms"
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks service", description=__doc__)
     parser.add_argument("--only", nargs="+", choices=PARTS, metavar="PART", help=f"some of: {', '.join(PARTS)}")
@@ -277,7 +277,3 @@ def main(argv: Sequence[str] | None = None) -> int:
                     print(f"| {row.asked} | {row.measured} | {'ok' if row.holds else 'missed'} |", flush=True)
                     missed |= not row.holds
     return int(missed)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ graphics card will show other ratios.
 """
 
 import argparse
-import sys
 import tempfile
 import warnings
 from collections.abc import Sequence
@@ -48,7 +47,7 @@ CALLS_PER_PIXEL = 32
 NOTHING = "vec3 dsbrdf(vec3 i, vec3 o) { return i + o; }"
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print one line for each material, and the medians."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks shader_cost", description=__doc__)
     add_arguments(parser, every=1, names="rgl_")
@@ -88,7 +87,3 @@ def print_row(name: str, figures: Sequence[float]) -> None:
     """Print one line."""
     widths = zip(figures, (9, 9, 9, 7, 9, 7, 10), (1, 1, 1, 0, 0, 1, 1), strict=True)
     print(f"{name:28}" + "".join(f"{figure:{width}.{digits}f}" for figure, width, digits in widths), flush=True)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

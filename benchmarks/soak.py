@@ -47,7 +47,7 @@ class Sample(NamedTuple):
     answers: int
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print a table, and save the samples and a figure."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks soak", description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0, help="how long (default: 30)")
@@ -179,7 +179,3 @@ def _draw(samples: Sequence[Sample], path: Path) -> None:
     axes[-1].set_xlabel("minutes")
     figure.savefig(path, dpi=100)
     plt.close(figure)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ materials lies between if it is nearer to each of them than they are to each oth
 """
 
 import argparse
-import sys
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
@@ -66,7 +65,7 @@ def midpoints(models: dict[str, DSBRDF], count: int) -> list[float]:
     return found
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the figures."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks space", description=__doc__)
     parser.add_argument("--fits", type=Path, required=True, help="a folder of models")
@@ -81,7 +80,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     between = float(np.mean(np.array(found) < 1.0))
     print(f"{between:.1%} of {len(found)} midpoints lie between their ends; largest {max(found):.3f}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,7 +6,6 @@ channels added, as a share of it; components that hold less than 1 % of the albe
 """
 
 import argparse
-import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -43,7 +42,7 @@ def albedos(measurement: Measurement, options: FitOptions) -> Array:
     return np.array([found.get(label, 0.0) for label in LABELS])
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print the changes of each material and their spread."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks stability", description=__doc__)
     add_arguments(parser, every=7)
@@ -63,7 +62,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         spread = np.quantile(np.concatenate(every), [0.5, 0.9, 1.0])
         print(f"{what:24} median {spread[0]:.1%}, p90 {spread[1]:.1%}, largest {spread[2]:.1%}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,7 +6,6 @@ sentence must name the factor or the cosine. Materials are sums of a diffuse ter
 """
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -22,7 +21,7 @@ _UNIT_WORDS = ("scale", "cosine", "multiply")
 _NOISE = 0.02
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print each table of which something wrong is said, then how many there are."""
     argparse.ArgumentParser(prog="python -m benchmarks table_units", description=__doc__).parse_args(argv)
     wrong = [(name, said) for name, samples in right_tables() if (said := _said(samples))]
@@ -130,7 +129,3 @@ def wrong_tables() -> Iterator[tuple[str, ScatteredSamples, str]]:
 def _scaled(samples: ScatteredSamples, factor: float | Array, *, whole: bool = False) -> ScatteredSamples:
     values = samples.values * factor
     return ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, values.round() if whole else values)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ and the diffuse light at normal incidence.
 """
 
 import argparse
-import sys
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -183,7 +182,7 @@ def chosen_materials(arguments: argparse.Namespace) -> Mapping[str, Material]:
     return materials_of_kinds() if arguments.kinds else CATALOGUE
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Print a line for each material, and the spread."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks truth", description=__doc__)
     parser.add_argument("--names", default="", help="only materials whose name contains one of these, with commas")
@@ -221,7 +220,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     if seconds:
         print(f"decompose: median {np.median(seconds):.2f} s, largest {max(seconds):.2f} s")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
