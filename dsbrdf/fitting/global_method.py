@@ -18,7 +18,7 @@ from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
 from dsbrdf.data.weighting import DARK_VALUE_FRACTION, TINY, bin_weights
 from dsbrdf.errors import FitError
-from dsbrdf.fitting.least_squares import COST_TOLERANCE, SMOOTHING, FitData, MixtureProblem, Solution, minimize
+from dsbrdf.fitting.least_squares import COST_TOLERANCE, FitData, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.lobe_search import SearchData, Wanted, search
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
@@ -55,7 +55,7 @@ REFINE_ROUNDS = 2
 ROBUST_REFINE_ROUNDS = 3
 EXPECTED_SEARCH_STAGES = 5
 SEARCH_ROWS = np.array([0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
-FIT_ROWS = np.unique(np.concatenate([np.arange(0, 60, 6), np.arange(60, 82, 2), [77, 79, 84, 86, 88, 89]]))
+FIT_ROWS = np.concatenate([np.arange(0, 60, 6), [60, 64, 68], np.arange(70, 81), [82, 84, 86, 88, 89]])
 SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(32, 90, 5)]))
 HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
 HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
@@ -66,6 +66,8 @@ USED_COLUMNS = np.unique(np.concatenate([FIT_COLUMNS, SEARCH_COLUMNS, HELD_OUT_C
 
 They include all last rows within the usual horizon cutoff, where reflectance is largest.
 """
+SEARCH_SPACING_POWER = 0.5
+"""Power of the spacing of columns in their weights in the search; 1 has lobes for the highlight dropped."""
 SEARCH_BINS = (0, 3, 5, 8, 9)
 """Bins of phi_diff that the search uses; an elongated lobe changes too much within joined bins."""
 NEIGHBOUR_COLUMNS = 5
@@ -74,8 +76,10 @@ MIN_OUTLIER_RESIDUAL = 1e-2
 MIN_LINES = 8
 """If there are fewer rows, or columns, all of them are used."""
 MIN_SAMPLES = 3
+SAMPLE_SMOOTHING = (1e-7, 3e-6, 1e-6)
+"""Smoothing of parameters of scattered samples, stronger than for a table, because samples leave gaps."""
 MIN_TABLE_LIKE_SAMPLES = 20_000
-"""With fewer scattered samples, parameters are smoothed more than for a table."""
+"""With fewer scattered samples, the smoothing is stronger in proportion."""
 MIN_BINS_IN_COLUMN = 5
 """A column with fewer filled bins per knot does not allow lobes as narrow as its spacing."""
 MIN_BINS_BETWEEN_KNOTS = 120
@@ -96,7 +100,8 @@ def fit_global(
     weight = fit_weights(data, options)
     coarse = _structure(weight, SEARCH_KNOTS[options.variation], options)
     searched = tuple(
-        _select(data, weight, *lines) for lines in ((SEARCH_ROWS, SEARCH_COLUMNS), (HELD_OUT_ROWS, HELD_OUT_COLUMNS))
+        _select(data, weight, *lines, SEARCH_SPACING_POWER)
+        for lines in ((SEARCH_ROWS, SEARCH_COLUMNS), (HELD_OUT_ROWS, HELD_OUT_COLUMNS))
     )
     stages, wanted = itertools.count(1), Wanted(options.n_lobes, options.ring_lobes)
     mixture, steps = search(
@@ -126,7 +131,7 @@ def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixt
     structure = mixture.structure
     # Fewer samples need smoother parameters.
     pull = max(1.0, MIN_TABLE_LIKE_SAMPLES / np.count_nonzero(data.weight[0]))
-    amplitude, shape, elongation = (pull * smoothing for smoothing in SMOOTHING)
+    amplitude, shape, elongation = (pull * smoothing for smoothing in SAMPLE_SMOOTHING)
     problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
     solution = minimize(problem, mixture.unknowns, iterations=MAX_ITERATIONS)
     seen = np.isin(THETA_DIFF, data.theta_diff)
@@ -204,15 +209,20 @@ def _structure(
     return Structure((), (amplitude, shape, elongation), options.lobe, np.array(theta_half))
 
 
-def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:
-    """Take the rows and columns with data nearest to the wanted rows and columns, or all if there are few."""
+def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices, power: float = 1.0) -> FitData:
+    """Take the rows and columns with data nearest to the wanted rows and columns, or all if there are few.
+
+    The weight of a column is multiplied by a power of the spacing of columns, because it stands for those left out.
+    """
     measured = weight.sum(axis=(0, 3)) > 0
     chosen = []
     for axis, wanted in ((1, rows), (0, columns)):
         present = np.flatnonzero(measured.any(axis=axis))
         nearest = np.unique(present[np.abs(wanted[:, None] - present).argmin(axis=1)])
         chosen.append(nearest if nearest.size >= min(MIN_LINES, present.size) else present)
-    return FitData.select(data.folded, weight, chosen[0], chosen[1])
+    selected, columns = FitData.select(data.folded, weight, chosen[0], chosen[1]), chosen[1].astype(float)
+    spacing = np.gradient(columns)[:, None] if columns.size > 1 else np.ones(1)
+    return replace(selected, weight=selected.weight * spacing**power)
 
 
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:

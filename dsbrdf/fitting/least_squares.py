@@ -32,7 +32,7 @@ from dsbrdf.fitting.structure import Structure
 from dsbrdf.model.lobes import LobeSlopes, lobe_curves, log_cosine
 from dsbrdf.model.splines import roughness
 
-SMOOTHING = (1e-7, 3e-6, 1e-6)
+SMOOTHING = (1e-8, 2e-7, 1e-7)
 """Weights of squared second differences of log amplitudes, shapes and elongations, per squared signal."""
 COST_TOLERANCE = 1e-3
 """An iteration that lowers the cost by a smaller fraction counts as stalled."""

@@ -61,9 +61,11 @@ EQUAL_GAIN = 1e-4
 """Candidates with a smaller relative difference of gains explain the data equally well."""
 HEIGHT_SWEEPS = 30
 FIXED_KAPPA_ITERATIONS = 8
-FIT_ITERATIONS = 30
+FIT_ITERATIONS = 20
+SEARCH_TOLERANCE = 3e-3
+"""An iteration that lowers the cost by a smaller fraction counts as stalled: the refinement goes on anyway."""
 EXCHANGES = 2
-EXCHANGE_ITERATIONS = 12
+EXCHANGE_ITERATIONS = 8
 MAX_RESTARTED_LOBES = 5
 """A search for a larger fixed number of lobes has a single start."""
 SPARE_LOBES = 3
@@ -447,7 +449,8 @@ def _join(mixture: Mixture, added: Mixture) -> Mixture:
 
 def _minimize(data: FitData, start: Mixture, iterations: int, fixed: Mask | None = None) -> Mixture:
     problem = MixtureProblem(data, start.structure)
-    return Mixture(start.structure, minimize(problem, start.unknowns, iterations=iterations, fixed=fixed).unknowns)
+    end = minimize(problem, start.unknowns, iterations=iterations, tolerance=SEARCH_TOLERANCE, fixed=fixed)
+    return Mixture(start.structure, end.unknowns)
 
 
 def _error(data: FitData, mixture: Mixture) -> float:
