@@ -29,16 +29,9 @@ Step = Callable[[], None]
 
 @dataclass
 class Tally:
-    """The responses that the clients received.
+    """The responses that the clients received, by method, route and status; wrong ones are faults, one sentence each.
 
-    Attributes
-    ----------
-    answers : Counter
-        By method, route and status.
-    faults : list of str
-        Answers that are none of the right ones, one sentence each.
-    fits : deque of str
-        Some that have succeeded, the newest last.
+    `fits` are some that have succeeded, the newest last.
     """
 
     answers: Counter[tuple[str, str, int]] = field(default_factory=Counter)
@@ -61,14 +54,7 @@ class Tally:
 class Client:
     """One client program, which repeats a step of a few related requests.
 
-    Parameters
-    ----------
-    address : str
-        Of the server.
-    bodies : sequence of bytes
-        Measurements that nobody else sends, with the same values.
-    tally : Tally
-    seed : int
+    `bodies` are measurements that nobody else sends, with the same values.
     """
 
     def __init__(self, address: str, bodies: Sequence[bytes], tally: Tally, seed: int) -> None:

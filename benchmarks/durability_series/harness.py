@@ -31,20 +31,9 @@ _ARRAYS = ("theta_diff", "kappa", "gamma", "center", "delta")
 
 @dataclass
 class Harness:
-    """The surroundings of one series: a folder, a measurement, a seeded generator, and the faults found so far.
+    """The surroundings of one series: a folder with a short path, a MERL file, a seeded generator, and faults.
 
-    Attributes
-    ----------
-    folder : Path
-        Empty; its path is short enough for whatever a server puts below it.
-    measurement : Path
-        A MERL file.
-    random : random.Random
-        Gives the random moments.
-    faults : list of str
-        What was not as it ought to be, one sentence each.
-    own_interpreter : bool
-        Whether servers are started as users start them, and not as forks, which start sooner.
+    With an interpreter of their own, servers are started as users start them, and not as forks, which start sooner.
     """
 
     folder: Path

@@ -44,16 +44,9 @@ _RIDGE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class GGXModel:
-    """Lambert plus GGX lobes.
+    """Lambert plus L GGX lobes.
 
-    Attributes
-    ----------
-    diffuse : ndarray, shape (3,)
-        Albedo of the Lambertian term.
-    alpha : ndarray, shape (L,)
-        Roughnesses.
-    normal, grazing : ndarray, shape (3, L)
-        weight f0 and weight (1 - f0), the factors of D V at normal and towards grazing incidence.
+    `normal` and `grazing`, shape (3, L), are the factors of D V at normal and towards grazing incidence.
     """
 
     diffuse: Array
@@ -131,15 +124,7 @@ def microfacet(alpha: float, nodes: Nodes) -> tuple[Array, Array]:
 
 
 def samples(measurement: Measurement, horizon_cutoff: float | None, stride: int) -> tuple[Nodes, Array]:
-    """Every ``stride``-th of the nodes that the metrics use.
-
-    Returns
-    -------
-    nodes : Nodes
-        Of N samples.
-    values : ndarray, shape (3, N)
-        The BRDF [1/sr].
-    """
+    """Every ``stride``-th of the nodes that the metrics use, and their values (3, N) [1/sr]."""
     angles, values, offset = [], [], 0
     for i in np.flatnonzero(OUTSIDE_CENTER).tolist():
         row, column = np.nonzero(used_nodes(measurement, i, horizon_cutoff))
@@ -156,22 +141,9 @@ def samples(measurement: Measurement, horizon_cutoff: float | None, stride: int)
 def fit_ggx(
     measurement: Measurement, n_lobes: int, objective: Objective = "plain", horizon_cutoff: float | None = None
 ) -> GGXModel:
-    """Fit Lambert plus GGX lobes.
+    """Fit Lambert plus one or two GGX lobes; return the best of `N_STARTS` starts.
 
-    Parameters
-    ----------
-    measurement : Measurement
-    n_lobes : int
-        Number of GGX lobes, 1 or 2.
-    objective : {"plain", "log"}
-        Squared error of f, or of log(1 + f cos_in).
-    horizon_cutoff : float or None
-        As in `dsbrdf.FitOptions` [rad].
-
-    Returns
-    -------
-    GGXModel
-        The best of `N_STARTS` starts.
+    The objective is the squared error of f, or of log(1 + f cos_in).
     """
     coarse, values = samples(measurement, horizon_cutoff, COARSE_STRIDE)
     polished = [_polish(start, coarse, values, objective) for start in _starts(coarse, values, n_lobes, objective)]

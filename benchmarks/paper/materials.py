@@ -51,16 +51,9 @@ STAND_INS = "merl_*"
 
 @dataclass(frozen=True)
 class Material:
-    """One measurement file.
+    """One measurement file, and the folder in which its fits are kept.
 
-    Attributes
-    ----------
-    file : Path
-        A MERL ``.binary`` file.
-    kept : Path
-        Folder in which its fits are kept.
-    measured : bool
-        False for a stand-in, a table that was decoded from another program's description of a material.
+    A stand-in is not measured: another program's description of a material was decoded into a table.
     """
 
     file: Path
@@ -128,23 +121,9 @@ class Failure:
 def find_materials(
     folder: Path, kept: Path, *, names: Sequence[str] = (), stand_ins: str = STAND_INS
 ) -> tuple[Material, ...]:
-    """Find the measurements of a folder.
+    """Find the measurements of a folder; `names` are with or without what precedes the first ``_`` of a file's name.
 
-    Parameters
-    ----------
-    folder : Path
-        With ``.binary`` files.
-    kept : Path
-        Folder for fits.
-    names : sequence of str, optional
-        Only these, with or without what precedes the first ``_`` of a file's name; by default all.
-    stand_ins : str, optional
-        Pattern of the names that are no measurements.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If there is no such folder or file.
+    Raises InvalidArgumentError if there is no such folder or file.
     """
     if not folder.is_dir():
         raise InvalidArgumentError(f"{folder} is not a folder; name a folder of measurements")
@@ -182,33 +161,10 @@ def compute(
     jobs: int = 1,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[list[Computed], list[Failure]]:
-    """Compute numbers of every material, several at once in processes of their own.
+    """Compute numbers of every material, several at once in processes of their own; return failures beside them.
 
-    Parameters
-    ----------
-    materials : sequence of Material
-    measure : callable
-        A function of a module where there are several jobs, so that another process finds it.
-    folder : Path
-        Where the numbers are kept: a folder of its own for each measure.
-    settings : str, optional
-        What the numbers depend on besides the material: kept ones with other settings are computed again.
-    jobs : int, optional
-        Most processes; with 1 everything is computed in this one.
-    progress : callable, optional
-        Called with the number of materials done.
-
-    Returns
-    -------
-    computed : list of Computed
-        In the order of the materials.
-    failures : list of Failure
-        Materials that could not be read or fitted.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If ``jobs`` is less than 1.
+    The numbers are kept in a folder until the material or the settings change. Raises InvalidArgumentError if `jobs`,
+    the number of processes, is less than 1; with 1 everything is computed in this process.
     """
     if jobs < 1:
         raise InvalidArgumentError(f"jobs, the number of processes, must be at least 1, not {jobs}")

@@ -44,29 +44,9 @@ class Claim:
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """One figure of the paper.
+    """One figure of the paper: which materials it shows, their numbers, its table, picture and claims.
 
-    Attributes
-    ----------
-    name : str
-        Such as ``figure1``, also that of its files.
-    title : str
-    shows : str
-        What the picture shows, in a few sentences.
-    choose : callable
-        Takes the materials that the figure shows from all of them.
-    measure : callable
-        Computes the numbers of a material.
-    table : callable
-        Lines of the CSV file.
-    draw : callable
-        Draws the picture.
-    claims : callable
-        Compares the numbers with the paper's text.
-    at_least : int
-        Fewest materials that the figure makes sense of.
-    settings : str
-        What the numbers depend on, see `benchmarks.paper.materials.compute`.
+    `name` is also that of its files; `settings` is what the numbers depend on besides the material.
     """
 
     name: str
@@ -101,20 +81,7 @@ def make(
 ) -> Made:
     """Compute a figure and write ``NAME.png``, ``NAME.svg`` and ``NAME.csv`` into a folder.
 
-    Parameters
-    ----------
-    figure : PaperFigure
-    materials : sequence of Material
-        Those that the figure shows.
-    output : Path
-        The folder; numbers of each material are kept in ``kept/NAME`` inside.
-    jobs, progress
-        See `benchmarks.paper.materials.compute`.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If there are too few materials to show.
+    Numbers of each material are kept in ``kept/NAME`` inside. Raises InvalidArgumentError for too few materials.
     """
     computed, failures = compute(
         materials,

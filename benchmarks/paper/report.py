@@ -43,21 +43,9 @@ def write_report(
     jobs: int = 1,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[Failure]:
-    """Make all figures that there are enough materials for, and write ``report.html``.
+    """Make all figures that there are enough materials for, and write ``report.html``; return each failure once.
 
-    Parameters
-    ----------
-    materials : sequence of Material
-    output : Path
-    jobs : int, optional
-        As for `benchmarks.paper.paper_figure.make`.
-    progress : callable, optional
-        Called with the number of finished figures, fractions included.
-
-    Returns
-    -------
-    list of Failure
-        Materials that could not be computed, each once.
+    `progress` gets the number of finished figures, fractions included.
     """
     made: dict[str, Made] = {}
     for number, figure in enumerate(_ORDER):

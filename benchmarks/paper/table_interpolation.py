@@ -54,14 +54,7 @@ def means_over_phi(measurement: Measurement) -> Measurement:
 
 
 def interpolated_rows(measurement: Measurement, coordinate: Array) -> RowPredictor:
-    """Interpolate the valid nodes linearly along theta_half, for each theta_diff and phi_diff.
-
-    Parameters
-    ----------
-    measurement : Measurement
-    coordinate : ndarray, shape (90,)
-        What the values are linear in, at the rows of theta_half.
-    """
+    """Interpolate the valid nodes linearly along theta_half, in a coordinate of its rows, shape (90,)."""
     count = GRID_SHAPE[0]
     valid = measurement.valid.reshape(count, -1)
     number = np.broadcast_to(np.arange(count)[:, None], valid.shape)

@@ -33,12 +33,7 @@ UP = np.array([[0.0, 0.0, 1.0]])
 class Material:
     """What a surface reflects: its specular and its diffuse parts; sheen is diffuse, a coat is specular.
 
-    Attributes
-    ----------
-    alpha : float or None
-        Where the specular light is that of one layer of GGX's or of Beckmann's microfacets: their roughness.
-    distribution : str
-        Of the microfacets: "ggx" or "beckmann".
+    Where the specular light is that of one layer of microfacets, `alpha` is their roughness.
     """
 
     specular: tuple[Part, ...] = ()

@@ -71,20 +71,10 @@ class SurfaceJudgement:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is wrong with one decomposition.
+    """What is wrong with one decomposition: light moved at `ANGLES_DEG`, and the brightest specular surface.
 
-    Attributes
-    ----------
-    moved : Array
-        At `ANGLES_DEG`.
-    surface : SurfaceJudgement or None
-        The brightest surface of the brightest specular component; None if the truth is not one layer.
-    share, true_share : float
-        Fraction of the diffuse light at normal incidence.
-    range : tuple of float
-        Range that the decomposition states of this fraction.
-    is_warned : bool
-        Whether a sentence says that the split is open.
+    `share` and its stated range are fractions of the diffuse light at normal incidence; a sentence may say that
+    the split is open.
     """
 
     structure: str
