@@ -3,8 +3,6 @@
 In this form a polynomial is a mean of its four coefficients, with weights that are never negative: nothing cancels.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from dsbrdf.arrays import Array
@@ -30,13 +28,6 @@ def constant_array(kind: str, name: str, values: Array) -> str:
 def constant(name: str, value: float) -> str:
     """Return a constant number in GLSL."""
     return f"const float dsbrdf_{name} = {literal(value)};\n"
-
-
-def filled(text: str, words: Mapping[str, str | int]) -> str:
-    """Return a template with its words in capitals replaced."""
-    for word, value in words.items():
-        text = text.replace(word, str(value))
-    return text
 
 
 def bernstein_pieces(model: DSBRDF, program: str) -> tuple[Array, Array]:

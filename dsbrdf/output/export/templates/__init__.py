@@ -1,0 +1,22 @@
+"""Hold the templates of exported files, each in a file of its own language."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+
+def template(file: str) -> str:
+    """Return the text of a template."""
+    return Path(__file__).with_name(file).read_text(encoding="utf-8")
+
+
+def sections(file: str) -> dict[str, str]:
+    """Return the sections of a template by name; each begins with a line such as ``//// angles``."""
+    parts = (part.partition("\n") for part in template(file).split("//// ")[1:])
+    return {name: text for name, _, text in parts}
+
+
+def filled(text: str, words: Mapping[str, str | int]) -> str:
+    """Return a template with its words in capitals replaced."""
+    for word, value in words.items():
+        text = text.replace(word, str(value))
+    return text
