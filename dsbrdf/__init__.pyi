@@ -1,0 +1,43 @@
+# The public names of the library and where each is defined; `__init__.py` reads this list.
+from dsbrdf.components.decomposition import Component as Component
+from dsbrdf.components.decomposition import Decomposition as Decomposition
+from dsbrdf.components.decomposition import decompose as decompose
+from dsbrdf.data.measurement import Measurement as Measurement
+from dsbrdf.data.merl import parse_merl as parse_merl
+from dsbrdf.data.merl import read_merl as read_merl
+from dsbrdf.data.merl import write_merl as write_merl
+from dsbrdf.data.reduction import Profiles as Profiles
+from dsbrdf.data.reduction import profiles as profiles
+from dsbrdf.errors import ConvergenceWarning as ConvergenceWarning
+from dsbrdf.errors import DSBRDFError as DSBRDFError
+from dsbrdf.errors import FitError as FitError
+from dsbrdf.errors import ImageFormatError as ImageFormatError
+from dsbrdf.errors import InvalidArgumentError as InvalidArgumentError
+from dsbrdf.errors import MeasurementFormatError as MeasurementFormatError
+from dsbrdf.errors import ModelFormatError as ModelFormatError
+from dsbrdf.fitting.options import FitOptions as FitOptions
+from dsbrdf.fitting.report import FitReport as FitReport
+from dsbrdf.fitting.report import FitResult as FitResult
+from dsbrdf.model.blend import Blend as Blend
+from dsbrdf.model.blend import blend as blend
+from dsbrdf.model.dsbrdf import DSBRDF as DSBRDF
+from dsbrdf.model.furnace import FurnaceReport as FurnaceReport
+from dsbrdf.model.furnace import white_furnace as white_furnace
+from dsbrdf.output.export import export as export
+from dsbrdf.output.plots import plot as plot
+from dsbrdf.output.serialize import load as load
+from dsbrdf.output.serialize import save as save
+from dsbrdf.pipeline import fit as fit
+from dsbrdf.rendering.environment import EnvironmentMap as EnvironmentMap
+from dsbrdf.rendering.environment import read_environment as read_environment
+from dsbrdf.rendering.space import MaterialSpace as MaterialSpace
+from dsbrdf.rendering.space import space as space
+from dsbrdf.rendering.sphere import render_sphere as render_sphere
+from dsbrdf.samples.measurement_files import read_measurement as read_measurement
+from dsbrdf.samples.reading import read_samples as read_samples
+from dsbrdf.samples.scattered_samples import ScatteredSamples as ScatteredSamples
+from dsbrdf.samples.table_options import TableOptions as TableOptions
+from dsbrdf.version import ALGORITHM_VERSION as ALGORITHM_VERSION
+from dsbrdf.version import __version__ as __version__
+
+__all__: list[str]
