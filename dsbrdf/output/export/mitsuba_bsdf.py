@@ -61,31 +61,28 @@ def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
 
 def _bsdf_class(mitsuba: Any) -> Any:
     """Return the class of BSDF for the active variant."""
-    dr = import_module("drjit")
+    dr, lobe = import_module("drjit"), mitsuba.BSDFFlags.GlossyReflection
 
     class DirectionalStatistics(mitsuba.BSDF):  # type: ignore[misc]
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
             self.filename, model = _file_and_model(mitsuba, properties)
-            self.material = MitsubaModel(model)
-            self.spectra = Table(SPECTRA)
-            self.m_components = [mitsuba.BSDFFlags.GlossyReflection | mitsuba.BSDFFlags.FrontSide]
+            self.material, self._spectrum = MitsubaModel(model), _Spectrum(mitsuba)
+            self.m_components = [lobe | mitsuba.BSDFFlags.FrontSide]
             self.m_flags = self.m_components[0]
 
         def eval(self, context: Any, surface: Any, wo: Any, active: Any = True) -> Any:
-            value = self._spectrum(surface, self.material.brdf(wo, surface.wi)) * wo.z
-            return dr.select(active & self._reflects(context, surface, wo), value, 0.0)
+            value = self._spectrum(self.material.brdf(wo, surface.wi), surface.wavelengths) * wo.z
+            return dr.select(active & _reflects(context, surface, wo, lobe), value, 0.0)
 
         def pdf(self, context: Any, surface: Any, wo: Any, active: Any = True) -> Any:
-            return dr.select(active & self._reflects(context, surface, wo), self.material.pdf(wo, surface.wi), 0.0)
+            return dr.select(active & _reflects(context, surface, wo, lobe), self.material.pdf(wo, surface.wi), 0.0)
 
         def sample(self, context: Any, surface: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
             result = mitsuba.BSDFSample3f()
-            result.wo = self.material.sample(surface.wi, sample1, sample2)
+            result.wo, result.eta = self.material.sample(surface.wi, sample1, sample2), 1.0
             result.pdf = self.pdf(context, surface, result.wo, active)
-            result.eta = 1.0
-            result.sampled_type = mitsuba.UInt32(+mitsuba.BSDFFlags.GlossyReflection)
-            result.sampled_component = mitsuba.UInt32(0)
+            result.sampled_type, result.sampled_component = mitsuba.UInt32(+lobe), mitsuba.UInt32(0)
             drawn = result.pdf > 0.0
             weight = self.eval(context, surface, result.wo, active & drawn) / dr.select(drawn, result.pdf, 1.0)
             return result, weight
@@ -103,28 +100,37 @@ def _bsdf_class(mitsuba: Any) -> Any:
         def to_string(self) -> str:
             return f"DirectionalStatistics[filename = {self.filename}]"
 
-        def _reflects(self, context: Any, surface: Any, wo: Any) -> Any:
-            enabled = context.is_enabled(mitsuba.BSDFFlags.GlossyReflection)
-            return (surface.wi.z > 0.0) & (wo.z > 0.0) & enabled
-
-        def _spectrum(self, surface: Any, color: list[Number]) -> Any:
-            if mitsuba.is_spectral:
-                return mitsuba.Spectrum([self._at_wavelength(color, at) for at in surface.wavelengths])
-            if mitsuba.is_monochromatic:
-                return mitsuba.Spectrum(
-                    sum(part * weight for part, weight in zip(color, LUMINANCE.tolist(), strict=True))
-                )
-            return mitsuba.Spectrum(*color)
-
-        def _at_wavelength(self, color: list[Number], wavelength: Number) -> Number:
-            first, step, count = float(WAVELENGTHS[0]), float(WAVELENGTHS[1] - WAVELENGTHS[0]), WAVELENGTHS.size
-            place = dr.clip((wavelength - first) / step, 0.0, count - 1.0)
-            node = dr.minimum(mitsuba.UInt32(place), count - 2)
-            share = place - mitsuba.Float(node)
-            total = mitsuba.Float(0.0)
-            for channel, value in enumerate(color):
-                left, right = (self.spectra[channel * count + node + i] for i in (0, 1))
-                total = total + value * (left + share * (right - left))
-            return total
-
     return DirectionalStatistics
+
+
+def _reflects(context: Any, surface: Any, wo: Any, lobe: Any) -> Any:
+    """Return whether both directions are above the surface, if a context asks for the lobe."""
+    return (surface.wi.z > 0.0) & (wo.z > 0.0) & context.is_enabled(lobe)
+
+
+class _Spectrum:
+    """Turn RGB values into spectra of the active variant of Mitsuba."""
+
+    def __init__(self, mitsuba: Any) -> None:
+        self._mitsuba, self._spectra = mitsuba, Table(SPECTRA)
+
+    def __call__(self, color: list[Number], wavelengths: Number) -> Any:
+        mitsuba = self._mitsuba
+        if mitsuba.is_spectral:
+            return mitsuba.Spectrum([self._at_wavelength(color, at) for at in wavelengths])
+        if mitsuba.is_monochromatic:
+            return mitsuba.Spectrum(sum(part * weight for part, weight in zip(color, LUMINANCE.tolist(), strict=True)))
+        return mitsuba.Spectrum(*color)
+
+    def _at_wavelength(self, color: list[Number], wavelength: Number) -> Number:
+        """Return the sum of the spectra of red, green and blue, linear between their nodes."""
+        dr, mitsuba = import_module("drjit"), self._mitsuba
+        first, step, count = float(WAVELENGTHS[0]), float(WAVELENGTHS[1] - WAVELENGTHS[0]), WAVELENGTHS.size
+        place = dr.clip((wavelength - first) / step, 0.0, count - 1.0)
+        node = dr.minimum(mitsuba.UInt32(place), count - 2)
+        share = place - mitsuba.Float(node)
+        total = mitsuba.Float(0.0)
+        for channel, value in enumerate(color):
+            left, right = (self._spectra[channel * count + node + i] for i in (0, 1))
+            total = total + value * (left + share * (right - left))
+        return total
