@@ -20,6 +20,7 @@ from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
 from dsbrdf.output.export.python_file import python_file
 from dsbrdf.output.export.rgl import rgl_bsdf
+from dsbrdf.output.export.templates import filled, template
 from dsbrdf.output.report_text import layers_csv, parameters_csv
 from dsbrdf.output.serialize import layers_to_json, to_json
 
@@ -48,23 +49,6 @@ class ExportFormat:
     encode: Callable[[Any, Extras], bytes | str]  # returns the content of a file for a model, layers or a component
     holds_parameters: bool = False  # A component has values but no parameters.
     time: Literal["short", "medium", "long"] = "short"  # Short is about 50 ms, medium about 1 s.
-
-
-_BRDF_EXPLORER = """\
-analytic
-
-::begin parameters
-float scale 0 4 1
-::end parameters
-
-::begin shader
-{function}
-vec3 BRDF(vec3 L, vec3 V, vec3 N, vec3 X, vec3 Y) {{
-  mat3 frame = mat3(X, Y, N);
-  return scale * dsbrdf(L * frame, V * frame);
-}}
-::end shader
-"""
 
 
 def _json(model: DSBRDF | LayeredModel, extras: Extras) -> str:
@@ -106,7 +90,7 @@ FORMATS = {
         "for Disney's BRDF Explorer",
         "brdf",
         _TEXT_TYPE,
-        lambda source, _: _BRDF_EXPLORER.format(function=glsl_function(source)),
+        lambda source, _: filled(template("explorer.brdf"), {"FUNCTION": glsl_function(source)}),
     ),
     "csv": ExportFormat(
         "a table of the parameters",

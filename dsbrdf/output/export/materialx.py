@@ -20,21 +20,11 @@ from dsbrdf.components.layers import Color, LayeredModel, SpecularLayer
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.openpbr import OpenPBR
+from dsbrdf.output.export.templates import filled, template
 from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.version import __version__
 
-_DOCUMENT = """\
-<?xml version="1.0"?>
-<materialx version="1.39" colorspace="lin_rec709">
-  <open_pbr_surface name="{name}_surface" type="surfaceshader" doc="{doc}">
-{inputs}
-  </open_pbr_surface>
-  <surfacematerial name="{name}" type="material">
-    <input name="surfaceshader" type="surfaceshader" nodename="{name}_surface" />
-  </surfacematerial>
-</materialx>
-"""
 _FITTED_SPHERE_SIZES_PX = {"three_lights": 32, "environment": 10}  # sizes of the fitted spheres
 _STATED_SPHERE_SIZE_PX = 128  # The stated PSNR compares spheres of this size.
 _MAX_RADIANCE = 1e100  # A model whose lit sphere is brighter is refused.
@@ -86,7 +76,7 @@ def materialx_document(model: DSBRDF | LayeredModel, title: str) -> str:
     inputs = [_input(field.name, getattr(found.surface, field.name)) for field in fields(OpenPBR)]
     name = re.sub("[^A-Za-z0-9]+", "_", title).strip("_")
     name = name if name[:1].isalpha() else f"material_{name}".rstrip("_")
-    return _DOCUMENT.format(doc=doc, inputs="\n".join(inputs), name=name)
+    return filled(template("openpbr.mtlx"), {"DOC": doc, "INPUTS": "\n".join(inputs), "NAME": name})
 
 
 def _input(name: str, value: float | Color) -> str:

@@ -15,8 +15,10 @@ from dsbrdf.components.shares import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobe_families import FAMILIES
 from dsbrdf.output.export import python_code as code
+from dsbrdf.output.export.templates import filled, sections
 from dsbrdf.version import __version__
 
+_TEMPLATES = sections("python_file.txt")
 _CONSTANTS = (
     *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO"),
     *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE"),
@@ -32,12 +34,12 @@ def python_file(source: DSBRDF | LayeredModel | Component) -> str:
     """Return Python source with ``evaluate(omega_in, omega_out, parameters=PARAMETERS)``, independent of dsbrdf."""
     if isinstance(source, LayeredModel):
         layers = _layer_parameters(source.layers, "")
-        return _file("its physical layers", layers, {"LAYERS": tuple(layers)}, _LAYER_FUNCTIONS, _LAYERS)
+        return _file("its physical layers", layers, {"LAYERS": tuple(layers)}, _LAYER_FUNCTIONS, "layers")
     if isinstance(source, DSBRDF):
-        return _file("all of it", _model_parameters(source), _fixed(source), _of(source), _MODEL)
+        return _file("all of it", _model_parameters(source), _fixed(source), _of(source), "model")
     whole, what = source.whole, f"its {source.label.replace('_', ' ')}"
     if len(whole.labels) < 2:  # The component is the whole model.
-        return _file(what, _model_parameters(whole.model), _fixed(whole.model), _of(whole.model), _MODEL)
+        return _file(what, _model_parameters(whole.model), _fixed(whole.model), _of(whole.model), "model")
     parameters: dict[str, _Numbers] = _model_parameters(whole.model) | {"structures": {}}
     structures = []
     for number, structure in enumerate(whole.structures, 1):
@@ -47,7 +49,7 @@ def python_file(source: DSBRDF | LayeredModel | Component) -> str:
         structures.append(tuple(tuple(_with(label, layers, structure.labels)) for label in LABELS))
     shown = tuple(float(whole.receiver(label) == source.label) for label in LABELS)
     fixed = _fixed(whole.model) | {"SHOWN": shown, "STRUCTURES": tuple(structures)}
-    return _file(what, parameters, fixed, (*_of(whole.model), *_LAYER_FUNCTIONS, code._divided), _COMPONENT)
+    return _file(what, parameters, fixed, (*_of(whole.model), *_LAYER_FUNCTIONS, code._divided), "component")
 
 
 def _model_parameters(model: DSBRDF) -> dict[str, _Numbers]:
@@ -84,61 +86,15 @@ def _with(label: str, names: dict[str, _Numbers], labels: tuple[str, ...]) -> It
 
 
 def _file(part: str, parameters: dict[str, _Numbers], fixed: _Numbers, functions: _Functions, evaluate: str) -> str:
-    """Return the whole file."""
+    """Return the whole file; its last function is a section of the template."""
     used: _Functions = (code._arrays, code._angles, *functions)
-    body = "\n".join([*(inspect.getsource(one) for one in used), evaluate])
+    body = "\n".join([*(inspect.getsource(one) for one in used), _TEMPLATES[evaluate]])
     for name in _LOBE_FUNCTIONS:
         body = body.replace(f"_{name}(", "_lobe(")
     numbers = [" ".join(f'"{name}": {value!r},' for name, value in line.items()) for line in parameters.values()]
-    lines = [_HEAD.format(version=__version__, part=part), "PARAMETERS: dict[str, Any] = {"]
+    lines = [filled(_TEMPLATES["head"], {"VERSION": __version__, "PART": part}), "PARAMETERS: dict[str, Any] = {"]
     lines += [f"    {line}" for line in numbers] + ["}"]
     lines += [f"{name} = {fixed.pop(name)!r}" for name in ("KNOTS", "STRUCTURES") if name in fixed]
     fixed |= {name: getattr(code, name) for name in _CONSTANTS if name in body}
     lines += [f"{', '.join(fixed)} = {', '.join(map(repr, fixed.values()))}", "", body]
     return "\n".join(lines)
-
-
-_HEAD = '''\
-"""A measured BRDF, {part}, for NumPy, PyTorch and JAX. Written by dsbrdf {version}.
-
-`evaluate(omega_in, omega_out)` returns values (..., 3) in 1/sr for linear red, green and blue, without cosine, 0 below
-the horizon. Directions (..., 3) broadcast: unit vectors away from the surface, in the frame whose z axis is the normal.
-An array may replace a parameter, `evaluate(i, o, PARAMETERS | {{name: array}})`; the function is differentiable.
-"""
-
-import itertools
-import math
-import sys
-from typing import Any
-
-import numpy
-'''
-
-_MODEL = '''\
-def evaluate(omega_in: Any, omega_out: Any, parameters: dict[str, Any] = PARAMETERS) -> Any:
-    """Return the BRDF (..., 3) [1/sr] at pairs of directions (..., 3)."""
-    xp, first, second, p = _arrays(parameters, omega_in, omega_out)
-    above, *angles = _angles(xp, first, second)
-    return above * _model(xp, *angles, p)
-'''
-
-_LAYERS = '''\
-def evaluate(omega_in: Any, omega_out: Any, parameters: dict[str, Any] = PARAMETERS) -> Any:
-    """Return the BRDF (..., 3) [1/sr] at pairs of directions (..., 3)."""
-    xp, first, second, p = _arrays(parameters, omega_in, omega_out)
-    above, theta_diff, tan2, _ = _angles(xp, first, second)
-    return above * xp.exp(_layers(xp, (first, second), theta_diff, tan2, p, LAYERS))
-'''
-
-_COMPONENT = '''\
-def evaluate(omega_in: Any, omega_out: Any, parameters: dict[str, Any] = PARAMETERS, shown: Any = SHOWN) -> Any:
-    """Return the component (..., 3) [1/sr]; `shown` holds the weights of spike, lobe and diffuse part."""
-    xp, first, second, p = _arrays(parameters, omega_in, omega_out)
-    above, theta_diff, tan2, cos2_phi = _angles(xp, first, second)
-    whole, total = _model(xp, theta_diff, tan2, cos2_phi, p), 0.0
-    for number, names in enumerate(STRUCTURES, 1):
-        layers = [_layers(xp, (first, second), theta_diff, tan2, p, own) for own in names]
-        parts = _divided(xp, whole, tan2, layers, bool(names[0] or names[1]))
-        total = total + p[f"structure_{number}.weight"] * sum(w * part for w, part in zip(shown, parts, strict=True))
-    return above * total
-'''
