@@ -141,18 +141,15 @@ def plot(
     if measurement is not None and is_measurement(model):
         model, measurement = measurement, model
     if measurement is None and is_measurement(model):
-        figure = plot_source(read_grid(model))
-        write_atomically(output, [encode_figure(figure, image_format)])
-        print_written(output, "the measurement", image_format, json=json)
-        return
-    fitted, report = read_model(model)
-    if measurement is None:
-        what, figure = "parameters over theta_diff", parameters_figure(fitted, title=model.stem, model_lobes=lobes)
+        what, figure = "the measurement", plot_source(read_grid(model))
+    elif measurement is None:
+        what = "parameters over theta_diff"
+        figure = parameters_figure(read_model(model)[0], title=model.stem, model_lobes=lobes)
     else:
-        options = FitOptions() if report is None else report.options
-        measured = read_measured(measurement, table)
         what = "the fit beside what was measured"
-        figure = plot_fit(fitted, measured, options, model_lobes=lobes)
+        fitted, report = read_model(model)
+        options = FitOptions() if report is None else report.options
+        figure = plot_fit(fitted, read_measured(measurement, table), options, model_lobes=lobes)
     write_atomically(output, [encode_figure(figure, image_format)])
     print_written(output, what, image_format, json=json)
 

@@ -23,20 +23,25 @@ from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.output.figure_parts import (
     CHANNEL_COLOURS,
     LOBE_COLOURS,
-    PAIR_WIDTH_IN,
     ROW_HEIGHT_IN,
-    draw_legend,
     empty_figure,
     figure_of_rows,
-    set_ticks,
 )
 from dsbrdf.output.report_text import lobes_in_channel
+from dsbrdf.output.slice_panels import (
+    draw_curve,
+    draw_points,
+    finish_row,
+    measured_means,
+    panel_pairs,
+    set_limits,
+    slice_means,
+)
 from dsbrdf.output.sphere_panels import SphereComparison, cut_out
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase
 
     from dsbrdf.data.reduction import Profiles
@@ -49,20 +54,9 @@ if TYPE_CHECKING:
 DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
 """Slices of theta_diff drawn by default [rad]."""
 COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
-CURVE_THETA_HALF = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])
-"""Angles theta_half of curves, dense at the peak [rad]."""
-PHI_DIFF_FRACTIONS = (np.arange(24) + 0.5) / 24
-"""Nodes of means over phi_diff, as fractions of the way from 90 degrees to the last phi_diff that counts."""
-_TOP_MARGIN_IN = 0.6
-_BOTTOM_MARGIN_IN = 0.6
-_LEFT_MARGIN_IN = 0.7
-_RIGHT_MARGIN_IN = 0.15
-_LEGEND_LINE_HEIGHT_IN = 0.18
 _SPHERES_HEIGHT_IN = 2.5
 _MAX_COLOURED_RESIDUAL_PERCENT = 100.0  # Larger residuals have the same colour.
 _RESIDUAL_TICKS_DEG = (0, 5, 20, 45, 90)  # ticks on the axis of theta_half
-_MIN_PEAK_RATIO = 1.3  # A curve with a smaller ratio of its highest to its lowest value has no peak.
-_MAX_PEAK_THETA_HALF = np.radians(60.0)  # The lowest value is sought up to this angle.
 
 
 def profiles_figure(profiles: Profiles, model: Reflectance, *, curves: str = "fit") -> Figure:
@@ -164,16 +158,16 @@ def _profiles_row(
     figure: FigureBase, profiles: Profiles, model: Reflectance, rows: Sequence[int], curves: str = "fit"
 ) -> None:
     """Draw all channels, in two panels for each slice, with a legend."""
-    pairs = _panel_pairs(figure, len(rows))
+    pairs = panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         fitted = slice_means(model, row, profiles.horizon_cutoff)
-        data = [_measured(profiles, row, channel) for channel in range(3)]
-        _set_limits(pair, row, fitted, np.concatenate([measured for _, measured in data]))
+        data = [measured_means(profiles, row, channel) for channel in range(3)]
+        set_limits(pair, row, fitted, np.concatenate([measured for _, measured in data]))
         for ax in pair:
             for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
-                _draw_points(ax, *points, colour, "s", f"{channel}, measured")
-                _draw_curve(ax, curve, colour, label=f"{channel}, {curves}")
-    _finish_row(figure, [pairs[0][0]], slices=len(rows), columns=min(6, 3 * len(rows)))
+                draw_points(ax, *points, colour, "s", f"{channel}, measured")
+                draw_curve(ax, curve, colour, label=f"{channel}, {curves}")
+    finish_row(figure, [pairs[0][0]], slices=len(rows), columns=min(6, 3 * len(rows)))
 
 
 def _parts_name(model_lobes: bool) -> str:
@@ -185,21 +179,21 @@ def _parts_row(
 ) -> None:
     """Draw parts of a model in one channel, in two panels for each slice, with a legend of the visible parts."""
     parts = _lobe_parts(model, channel) if model_lobes else _component_parts(model)
-    pairs = _panel_pairs(figure, len(rows))
+    pairs = panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
-        points = _measured(profiles, row, channel)
+        points = measured_means(profiles, row, channel)
         fitted = slice_means(model, row, profiles.horizon_cutoff)[:, channel]
-        _set_limits(pair, row, fitted, points[1])
+        set_limits(pair, row, fitted, points[1])
         curves = [slice_means(source, row, profiles.horizon_cutoff)[:, channel] for source, *_ in parts]
         seen = [curve.max() > pair[0].get_ylim()[0] for curve in curves]
         for ax in pair:
-            _draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # The wide line stays visible below a component.
-            _draw_points(
+            draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # The wide line stays visible below a component.
+            draw_points(
                 ax, *points, str(ax.xaxis.label.get_color()), "o", "measured"
             )  # The axis label's colour is visible on dark backgrounds.
             for (_, colour, style, label), curve in compress(zip(parts, curves, strict=True), seen):
-                _draw_curve(ax, curve, colour, style=style, label=label)
-    _finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))
+                draw_curve(ax, curve, colour, style=style, label=label)
+    finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))
 
 
 def _component_parts(model: DSBRDF) -> list[_Part]:
@@ -230,26 +224,6 @@ def _lobe_parts(model: DSBRDF, channel: int) -> list[_Part]:
     return parts
 
 
-def _panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
-    """Return two panels for each slice, side by side."""
-    axes = figure.subplots(1, 2 * slices, squeeze=False, width_ratios=[1.7, 1.0] * slices)[0]
-    return list(zip(axes[::2], axes[1::2], strict=True))
-
-
-def _finish_row(figure: FigureBase, named: Sequence[Axes], *, slices: int, columns: int) -> None:
-    """Draw a legend at the bottom of a row, and set the margins of the row's panels."""
-    draw_legend(figure, named, columns, "lower center")
-    below = _BOTTOM_MARGIN_IN + _LEGEND_LINE_HEIGHT_IN * -(-len(figure.legends[0].get_texts()) // columns)
-    width = PAIR_WIDTH_IN * slices
-    figure.subplots_adjust(
-        left=_LEFT_MARGIN_IN / width,
-        right=1.0 - _RIGHT_MARGIN_IN / width,
-        bottom=below / ROW_HEIGHT_IN,
-        top=1.0 - _TOP_MARGIN_IN / ROW_HEIGHT_IN,
-        wspace=0.36,
-    )
-
-
 def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
     """Draw panels in one row over the whole width, each with its title and transparent beside the sphere."""
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
@@ -258,91 +232,6 @@ def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
         ax.imshow(cut_out(picture), interpolation="antialiased")
         ax.set_title(title, fontsize=9)
         ax.set_axis_off()
-
-
-def slice_means(
-    model: Reflectance, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_THETA_HALF
-) -> Array:
-    """Return a model's means (n, 3) [1/sr] over the phi_diff of profiles, at angles theta_half (n,) [rad].
-
-    `row` is the index of theta_diff on the measurement's grid. Profiles leave out directions beyond `horizon_cutoff`
-    [rad] from the normal; if all are beyond, the values are taken at phi_diff = 90 degrees. The cosines to the normal
-    are ``level -/+ swing cos(phi_diff)``, so the other directions lie between some phi_diff and 90 degrees, and at
-    the mirror images.
-    """
-    cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
-    level, swing = np.cos(theta_half) * np.cos(THETA_DIFF[row]), np.sin(theta_half) * np.sin(THETA_DIFF[row])
-    first = np.arccos(np.clip((level - np.cos(cutoff)) / np.maximum(swing, 1e-12), 0.0, 1.0))
-    phi_diff = np.pi / 2 - (np.pi / 2 - first)[:, None] * PHI_DIFF_FRACTIONS
-    return model.evaluate(theta_half[:, None], THETA_DIFF[row], phi_diff).mean(axis=1)
-
-
-def _measured(profiles: Profiles, row: int, channel: int) -> tuple[Array, Array]:
-    """Return theta_half [rad] and the mean over phi_diff [1/sr] at nodes with positive data."""
-    mean = profiles.mean[channel, row]
-    used = (profiles.weight[channel, row] > 0) & (mean > 0)
-    return THETA_HALF[used], mean[used]
-
-
-def _set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array) -> None:
-    """Set the axes of a slice: all angles on a logarithmic scale, and four half widths on a linear scale."""
-    top = float(max(fitted.max(), measured.max(initial=0.0), 1e-6))
-    bottom = float(measured.min(initial=top))
-    all_angles, peak = pair
-    all_angles.set(yscale="log", xlim=(-90, 90), ylim=(0.4 * bottom, 2.0 * top), ylabel="BRDF [1/sr]")
-    all_angles.set_title(rf"$\theta_\mathrm{{diff}}$ = {np.degrees(THETA_DIFF[row]):.0f}°", fontsize=9)
-    half_width = _peak_half_width(fitted.reshape(CURVE_THETA_HALF.size, -1).sum(axis=1))
-    extent = 90.0 if half_width is None else min(4.0 * float(np.degrees(half_width)), 90.0)
-    peak.set(xlim=(-extent, extent), ylim=(0.0, 1.08 * top))
-    peak.set_title("the same, linear axis" if half_width is None else "the peak, linear axis", fontsize=9)
-    for ax in pair:
-        ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
-        set_ticks(ax)
-    if extent == 90.0:
-        peak.set_xticks(range(-90, 91, 45))  # The panel is too narrow for more ticks.
-
-
-def _peak_half_width(values: Array) -> float | None:
-    """Return the angle where a curve over `CURVE_THETA_HALF` is halfway between highest and lowest value [rad].
-
-    Return None for a nearly constant curve; a rise near the horizon is not a peak.
-    """
-    lowest = int(np.argmin(values[CURVE_THETA_HALF <= _MAX_PEAK_THETA_HALF]))
-    high, low = float(values[: lowest + 1].max()), float(values[lowest])
-    if high < _MIN_PEAK_RATIO * low or high <= 0.0:
-        return None
-    return float(CURVE_THETA_HALF[np.flatnonzero(values[: lowest + 1] >= 0.5 * (high + low))[-1]])
-
-
-def _draw_curve(
-    ax: Axes, values: Array, colour: str, *, label: str, style: str = "-", width: float | None = None
-) -> None:
-    width = width or (1.2 if label else 0.8)
-    ax.plot(*_mirrored(CURVE_THETA_HALF, values), style, color=colour, linewidth=width, label=label)
-
-
-def _draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker: str, label: str) -> None:
-    """Draw hollow markers, and leave out markers that would overlap."""
-    spacing = np.radians(ax.get_xlim()[1] / 36.0)
-    kept: list[int] = []
-    for node, angle in enumerate(theta_half):
-        if not kept or angle - theta_half[kept[-1]] >= spacing:
-            kept.append(node)
-    ax.plot(
-        *_mirrored(theta_half[kept], values[kept]),
-        marker,
-        color=colour,
-        markerfacecolor="none",
-        markersize=3.4,
-        markeredgewidth=0.6,
-        label=label,
-    )
-
-
-def _mirrored(theta_half: Array, values: Array) -> tuple[Array, Array]:
-    """Return a curve mirrored about theta_half = 0, in degrees."""
-    degrees = np.degrees(theta_half)
-    return np.concatenate([-degrees[::-1], degrees]), np.concatenate([values[::-1], values])
 
 
 def _nearest_rows(theta_diff: Sequence[float]) -> list[int]:

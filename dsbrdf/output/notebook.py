@@ -23,62 +23,45 @@ _THUMBNAIL_SIZE_PX = 96
 
 
 def html(shown: Measurement | DSBRDF | Component | LayeredModel | FitResult | FitReport) -> str:
-    """Return an object as HTML: a lit sphere beside a few lines, or the lines of a report."""
+    """Return an object as HTML: a lit sphere beside a table, or the metrics and warnings of a report."""
     if isinstance(shown, FitReport):
         return _report_html(shown)
-    if isinstance(shown, FitResult):
-        return _card(shown.model, _model_table(shown.model), _report_html(shown.report))
-    if isinstance(shown, DSBRDF):
-        return _card(shown, _model_table(shown))
-    if isinstance(shown, Component):
-        return _component_html(shown)
-    return _layers_html(shown) if isinstance(shown, LayeredModel) else _measurement_html(shown)
+    source, report = (shown.model, [_report_html(shown.report)]) if isinstance(shown, FitResult) else (shown, [])
+    return _card(source, _table(_rows(source)), *report)
 
 
-def _measurement_html(measurement: Measurement) -> str:
-    """Return a lit sphere of a measurement beside its name and the fraction of nodes with a value."""
-    share = np.count_nonzero(measurement.valid) / measurement.valid.size
-    rows = {"measurement": measurement.name, "nodes with a value": f"{share:.1%}", "sha256": measurement.sha256[:12]}
-    return _card(measurement, _table(rows))
-
-
-def _component_html(component: Component) -> str:
-    """Return a lit sphere of a component beside its light, albedo, half width and structure."""
-    rows = {component.label.replace("_", " "): _component_phrase(component), "structure": component.structure}
-    return _card(component, _table(rows))
-
-
-def _layers_html(model: LayeredModel) -> str:
-    """Return a lit sphere of a layered model beside the parameters of its layers."""
-    rows = {"layered model": f"{len(model.layers)} layers, {model.n_numbers} numbers"}
-    for number, layer in enumerate(model.layers, 1):
+def _rows(source: Measurement | DSBRDF | Component | LayeredModel) -> dict[str, str]:
+    """Return the names and texts of an object's table."""
+    if isinstance(source, DSBRDF):
+        rows = {"model": f"{lobes_phrase(source)}, {source.n_numbers} numbers"}
+        return rows | {part.label.replace("_", " "): _component_phrase(part) for part in decompose(source)}
+    if isinstance(source, Component):
+        return {source.label.replace("_", " "): _component_phrase(source), "structure": source.structure}
+    if isinstance(source, Measurement):
+        valid = f"{np.count_nonzero(source.valid) / source.valid.size:.1%}"
+        return {"measurement": source.name, "nodes with a value": valid, "sha256": source.sha256[:12]}
+    rows = {"layered model": f"{len(source.layers)} layers, {source.n_numbers} numbers"}
+    for number, layer in enumerate(source.layers, 1):
         parameters = (f"{name} {_rounded(value)}" for name, value in asdict(layer).items())
         rows[f"{number}: {type(layer).__name__.removesuffix('Layer').lower()}"] = ", ".join(parameters)
-    return _card(model, _table(rows))
+    return rows
 
 
 def _rounded(value: float | Sequence[float]) -> str:
     return f"{value:.3g}" if isinstance(value, float) else f"({', '.join(f'{one:.3g}' for one in value)})"
 
 
-def _report_html(report: FitReport) -> str:
-    """Return the metrics that have a value and the warnings."""
-    metrics = {name: f"{value:.4g}" for name, value in asdict(report.metrics).items() if value is not None}
-    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in report.warnings)
-    return _table(metrics) + (f"<ul>{sentences}</ul>" if sentences else "")
-
-
-def _model_table(model: DSBRDF) -> str:
-    rows = {"model": f"{lobes_phrase(model)}, {model.n_numbers} numbers"}
-    for component in decompose(model):
-        rows[component.label.replace("_", " ")] = _component_phrase(component)
-    return _table(rows)
-
-
 def _component_phrase(component: Component) -> str:
     albedo = ", ".join(f"{value:.4f}" for value in component.albedo)
     width = "" if component.half_width is None else f", half width {np.degrees(component.half_width):.1f}°"
     return f"{component.light_share:.0%} of the light, albedo {albedo}{width}"
+
+
+def _report_html(report: FitReport) -> str:
+    """Return the metrics that have a value, and the warnings."""
+    metrics = {name: f"{value:.4g}" for name, value in asdict(report.metrics).items() if value is not None}
+    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in report.warnings)
+    return _table(metrics) + (f"<ul>{sentences}</ul>" if sentences else "")
 
 
 def _card(source: DSBRDF | LayeredModel | Component | Measurement, *parts: str) -> str:
