@@ -28,11 +28,8 @@ from tests.support.command_line import QUICK, document, printed, run, sentence
 from tests.support.guarded import Guarded
 from tests.support.known_models import single_lobe
 from tests.support.loading import load_fit
-from tests.support.mixtures import mixture
 
 pytestmark = pytest.mark.slow
-
-FELT = mixture(1, 0)
 
 
 def options_of(*words: str) -> dsbrdf.FitOptions:

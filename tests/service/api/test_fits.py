@@ -116,6 +116,7 @@ def test_failed_fit_is_stored_with_its_error(server: Server, stored: str) -> Non
 
 
 def test_fit_is_cancelled_with_its_process_or_deleted(server: Server, stored: str) -> None:
+    wait_until(lambda: not server.workers())  # Fits of other tests end.
     fit_id = server.submit(stored, prefer="respond-async", mask=0.13, **ENDLESS).json()["id"]
     url = f"/v1/fits/{fit_id}"
     server.until_running(fit_id)
