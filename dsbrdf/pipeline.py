@@ -191,7 +191,7 @@ def _fit_samples(
     progress(0.9)
     without = left_out_values(known, prediction, found.model)
     left_out, rows = left_out_errors(known, without, options.horizon_cutoff)
-    expected = expected_error(prediction, found.model)
+    expected = expected_error(prediction, found.model, known)
     pairs = pairs_to_measure(prediction, found.model) if expected > MAX_EXPECTED_ERROR else ()
     clock.lap("left out")
     amplitude = found.model.amplitude / doubts.factor

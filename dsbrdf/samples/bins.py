@@ -1,9 +1,8 @@
-"""Scattered samples as what the fit works on, without a table in between.
+"""Prepare scattered samples for the fit.
 
-What is predicted from the samples (`dsbrdf.samples.prediction`) fills the rows, columns and bins of phi_diff
-that the fit of a table uses, and is fitted as a table is. The last fit takes each sample where it is too, but for its
-theta_diff, which is moved by less than a degree: in units of the signal, all samples count as much as the whole table,
-of which a node counts less where samples are near.
+The prediction from the samples (`dsbrdf.samples.prediction`) fills the rows, columns and bins of phi_diff of a table,
+which is fitted like a measured one. The last fit adds each sample at its own angles, but for theta_diff, which is moved
+by less than a degree. All samples together count as much as the whole table; a node counts less where samples are near.
 """
 
 import numpy as np
@@ -20,7 +19,8 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.prediction import SamplePrediction
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-_MODEL_ERROR = 0.015  # relative, that lobes have at best: a node that is as uncertain counts half
+# Lobes have at best this relative error; a node that is as uncertain counts half.
+_MODEL_ERROR = 0.015
 # A node keeps at least this fraction of its weight where samples are near.
 _MIN_NODE_WEIGHT = 1e-3
 # A value changes by at most this factor when its sample moves to the next whole degree of theta_diff.
@@ -28,7 +28,7 @@ _MAX_MOVE_RATIO = 16.0
 
 
 def predicted_profiles(samples: ScatteredSamples, prediction: SamplePrediction, options: FitOptions) -> Profiles:
-    """The table that is predicted from samples: the rows and columns that a fit looks at."""
+    """Return the table that is predicted from samples, in the rows and columns that a fit uses."""
     cells = np.stack([axis.ravel() for axis in np.meshgrid(USED_ROWS, USED_COLUMNS, np.arange(N_BINS), indexing="ij")])
     count = _nodes_in_cells(cells)
     cells, count = cells[:, count.any(axis=1)], count[count.any(axis=1)]
@@ -67,13 +67,13 @@ def sample_rows(
     row = _nearest(THETA_DIFF, theta_diff)
     there, here = (model.evaluate_unmasked(theta_half, angle, phi_diff) for angle in (THETA_DIFF[row], theta_diff))
     values = samples.values * np.clip(there / np.maximum(here, 1e-300), 1.0 / _MAX_MOVE_RATIO, _MAX_MOVE_RATIO)
-    share = np.sum(counted * predicted**2) / max(float(np.sum(at_sample * values.T**2)), 1e-300)
+    sample_weight = np.sum(counted * predicted**2) / max(float(np.sum(at_sample * values.T**2)), 1e-300)
     nodes = THETA_HALF[cells[1]], THETA_DIFF[cells[0]], np.arccos(np.sqrt(folded.cos2_phi[*cells]))
     spread, remote = prediction.spread(*nodes), prediction.remoteness(*nodes, samples)
     counted = counted * np.maximum(remote * _MODEL_ERROR**2 / (_MODEL_ERROR**2 + spread**2), _MIN_NODE_WEIGHT)
     return FitData.from_samples(
         np.concatenate([values, predicted.T]),
-        np.concatenate([share * at_sample.T, counted.T]),
+        np.concatenate([sample_weight * at_sample.T, counted.T]),
         np.concatenate([row, cells[0]]),
         np.concatenate([theta_half, nodes[0]]),
         np.concatenate([phi_diff, nodes[2]]),
@@ -81,7 +81,7 @@ def sample_rows(
 
 
 def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
-    """Errors of a model on samples: relative_rms within the cutoff, male over all; others need a whole measurement."""
+    """Return errors of a model on samples: relative_rms within the cutoff, male over all; the others are None."""
     fitted = model.evaluate_directions(samples.omega_in, samples.omega_out)
     cosine, weight = samples.omega_in[:, 2:], samples.weight[:, np.newaxis]
     lowest = np.minimum(samples.omega_in[:, 2:], samples.omega_out[:, 2:])
@@ -95,7 +95,7 @@ def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: 
 
 
 def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:
-    """Row, column and bin of phi_diff of each sample, shape (3, n)."""
+    """Return row, column and bin of phi_diff of each sample, shape (3, n)."""
     row = FIT_ROWS[_nearest(THETA_DIFF[FIT_ROWS], theta_diff)]
     column = FIT_COLUMNS[_nearest(np.sqrt(THETA_HALF[FIT_COLUMNS]), np.sqrt(theta_half))]
     turned = np.degrees(phi_diff) % 180.0
@@ -105,12 +105,12 @@ def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:
 
 
 def _nearest(axis: Array, angles: Array) -> Indices:
-    """Index of the nearest of ascending angles."""
+    """Return the index of the nearest of ascending angles."""
     return np.searchsorted(0.5 * (axis[1:] + axis[:-1]), angles)
 
 
 def _nodes_in_cells(cells: Indices) -> Array:
-    """What each node of phi_diff, from 0 to 90 degrees, counts in each cell, those above the horizon (cells, 91)."""
+    """Return the weights of the nodes of phi_diff, 0 to 90 degrees, in each cell; 0 below the horizon (cells, 91)."""
     row, column, bin_of = cells
     above = above_horizon(THETA_HALF[column, np.newaxis], THETA_DIFF[row, np.newaxis], PHI_DIFF[:QUARTER])
     return np.asarray(SAMPLES_IN_BIN.T[bin_of] * above)

@@ -44,13 +44,13 @@ _MIN_OUTLIER_LOG = 1e-2
 
 
 def thinned(samples: ScatteredSamples, most: int = _MAX_SAMPLES) -> ScatteredSamples:
-    """At most so many of the samples, taken at random."""
+    """Return at most so many of the samples, taken at random."""
     return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < most)
 
 
 @dataclass(frozen=True, eq=False)
 class SamplePrediction:
-    """Layers times a factor that samples know."""
+    """Layers times the factor by which the samples differ from them."""
 
     layers: SampleLayers
     places: Array  # x and y of the samples, in units of the kernel's reach, (n, 3)
@@ -83,17 +83,17 @@ class SamplePrediction:
 
     @cached_property
     def variance(self) -> float:
-        """Of the logarithm of the factor."""
+        """Return the variance of the logarithm of the factor."""
         values, vectors = self._eigen
         return float(np.mean((vectors.T @ self.logs) ** 2 / (values + self.noise)[:, np.newaxis]))
 
     @cached_property
     def albedo(self) -> Array:
-        """Directional albedo (A, 3) at some angles, without the bound."""
+        """Return the directional albedo (A, 3) at some angles, without the bound."""
         return directional_albedo(self.unbounded, _ENERGY_ANGLES)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values (n, 3) at angles (n,) [1/sr].
+        """Return values (n, 3) at angles (n,) [1/sr].
 
         The model must not reflect more light than arrives: values are divided by the albedo at the angle of omega_in to
         the normal, and by that of omega_out, where it is above 1.
@@ -110,23 +110,25 @@ class SamplePrediction:
         return values
 
     def unbounded(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values (n, 3) at angles (n,), whatever energy allows [1/sr]."""
+        """Return values (n, 3) at angles (n,), whatever energy allows [1/sr]."""
         angles = theta_half, theta_diff, phi_diff
-        return self.likely(*angles) * np.exp(-self.unknown_share(*angles)[:, np.newaxis] * self.layers.caution(*angles))
+        return self.likely(*angles) * np.exp(
+            -self.unknown_fraction(*angles)[:, np.newaxis] * self.layers.caution(*angles)
+        )
 
     def likely(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Values (n, 3) at angles (n,) without any caution: layers times the factor [1/sr]."""
+        """Return the most likely values (n, 3) at angles (n,), layers times the factor [1/sr]."""
         layers, dark = self.layers.evaluate_unmasked(theta_half, theta_diff, phi_diff), self.layers.dark
         logs = np.concatenate([near @ self._coefficients for near in self._near(theta_half, theta_diff, phi_diff)])
         return np.maximum((layers + dark) * np.exp(logs) - dark, 0.0)
 
     def spread(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Standard deviation of the logarithm of the values (n,)."""
+        """Return the standard deviation of the logarithm of the values (n,)."""
         angles = theta_half, theta_diff, phi_diff
-        return np.asarray(np.sqrt(self.unknown_share(*angles) * (self.variance + self.layers.spread(*angles) ** 2)))
+        return np.asarray(np.sqrt(self.unknown_fraction(*angles) * (self.variance + self.layers.spread(*angles) ** 2)))
 
-    def unknown_share(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Share of the variance of the factor that samples leave at angles (n,): 0 near many, 1 far from all."""
+    def unknown_fraction(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Return the fraction of the factor's variance that samples leave open: 0 near many, 1 far from all (n,)."""
         values, vectors = self._eigen
         known = vectors[:, values > self.noise] / np.sqrt(values[values > self.noise] + self.noise)
         blocks = self._near(theta_half, theta_diff, phi_diff)
@@ -142,11 +144,11 @@ class SamplePrediction:
 
     @property
     def noise_variance(self) -> float:
-        """Variance of the logarithm of a sample, of noise alone."""
+        """Return the variance of the logarithm of a sample by noise alone."""
         return self.noise * self.variance
 
     def covariance(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Covariance of the logarithms of the values at angles (n,), shape (n, n)."""
+        """Return the covariance of the logarithms of the values at angles (n,), shape (n, n)."""
         angles = theta_half, theta_diff, phi_diff
         values, vectors = self._eigen
         near = np.concatenate([*self._near(*angles)]) @ vectors / np.sqrt(values + self.noise)
@@ -174,7 +176,7 @@ def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
 
 
 def left_out_predictions(samples: ScatteredSamples, prediction: SamplePrediction) -> Array:
-    """Values (n, 3) that predictions without each sample and a fifth of the others have for it."""
+    """Return values (n, 3) at the samples of predictions without each sample and a fifth of the others."""
     fold = np.random.default_rng(1).permutation(len(samples.values)) % _N_FOLDS
     values = np.empty(samples.values.shape)
     for number in range(_N_FOLDS):
@@ -197,7 +199,7 @@ def _kernel(first: Array, second: Array) -> Array:
 
 
 def _gaussian(first: Array, second: Array) -> Array:
-    """exp(-d**2 / 2) of distances d, whose squares are a product of matrices."""
+    """Return exp(-d**2 / 2) of all distances d, whose squares are a product of matrices."""
     here, there = (-0.5 * np.sum(points**2, axis=1, keepdims=True) for points in (first, second))
     left, right = np.hstack([first, here, np.ones_like(here)]), np.hstack([second, np.ones_like(there), there])
     return np.asarray(np.exp(np.minimum(left @ right.T, 0.0)))
@@ -209,7 +211,7 @@ def _eigen(places: Array, root: Array) -> tuple[Array, Array]:
 
 
 def _most_probable(x: Array, root: Array, logs: Array) -> tuple[Array, float]:
-    """Reach of the kernel (3,), and the noise."""
+    """Return the most probable reach of the kernel (3,), and the noise."""
     best, reach, noise = -np.inf, _KERNEL_REACH, _NOISE_RATIOS[-1]
     for scale in _REACH_SCALES:
         values, vectors = _eigen(x / (scale * _KERNEL_REACH), root)

@@ -39,8 +39,6 @@ _LOWEST_COSINE_DIFF = 0.17  # A highlight nearer to grazing angles has no furthe
 _N_DRAWS = 32
 # Structures are drawn with this power of their weights, as evidence is surer than it should be.
 _DRAWN_POWER = 0.5
-# Layers miss the logarithm of measured highlights at grazing incidence by this between samples.
-_MISFIT_LOG = 0.33
 
 Candidate = tuple[LayerStructure, float]
 """A structure of layers and its stretch."""
@@ -112,16 +110,6 @@ class SampleLayers:
     def drawn_logs(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return logarithms of the values, the dark level added, of layers that are as probable (draws, n, 3)."""
         return self._logs(self._drawn, (theta_half, theta_diff, phi_diff))
-
-    def misfit(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the standard deviation of the logarithm of true values from those of any layers (n,)."""
-        points = _points(theta_half, theta_diff, phi_diff, 0.0)
-        fraction = np.zeros(theta_half.shape)
-        for weight, fitted in zip(self.weights, self.found, strict=True):
-            values = fitted.model.layer_values(points).mean(axis=1)
-            is_specular = np.logical_not(fitted.structure.is_diffuse)
-            fraction += weight * values[is_specular].sum(axis=0) / (values.sum(axis=0) + self.dark)
-        return _MISFIT_LOG * fraction * points.rise[0]
 
     @cached_property
     def _drawn(self) -> list[tuple[LayeredModel, float]]:

@@ -10,9 +10,7 @@ from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.extras import require
 from dsbrdf.samples.cells import MAX_CELLS
 
-SPREADSHEET = ".xlsx"
-ARCHIVE = b"PK\x03\x04"
-"""What such a file begins with, as every ZIP archive."""
+_ARCHIVE = b"PK\x03\x04"
 _WORKBOOK = "xl/workbook.xml"
 _PIECE_BYTES = 1 << 20
 _MAX_UNPACKED_BYTES = 1 << 26
@@ -23,7 +21,7 @@ _MAX_TEXT_LENGTH = 1 << 26  # [characters]
 
 def is_spreadsheet(data: bytes) -> bool:
     """Whether bytes are those of such a file."""
-    if not data.startswith(ARCHIVE):
+    if not data.startswith(_ARCHIVE):
         return False
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:

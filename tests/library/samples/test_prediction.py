@@ -8,6 +8,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.components import SpecularLayer
 from dsbrdf.components.structures import STRUCTURES
 from dsbrdf.data import half_difference, spherical
+from dsbrdf.data.geometry import directions
 from dsbrdf.samples.prediction import SamplePrediction
 
 
@@ -31,6 +32,29 @@ def test_a_highlight_that_no_sample_saw_is_no_needle() -> None:
     mirror = np.zeros(3), np.radians([20.0, 45.0, 65.0]), np.zeros(3)
     ratio = prediction.evaluate_unmasked(*mirror) / highlight(*mirror)
     assert np.all((ratio > 0.2) & (ratio < 5.0)), ratio
+
+
+def stretched(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+    """A highlight that is round in angles about the mirror direction (n, 3)."""
+    along, across = theta_half * np.cos(phi_diff), theta_half * np.cos(theta_diff) * np.sin(phi_diff)
+    return np.asarray(0.05 + 8.0 / (1.0 + np.degrees(np.hypot(along, across)) ** 2 / 25.0) ** 2)[:, None] * np.ones(3)
+
+
+@pytest.mark.parametrize(("is_in_plane", "lowest", "highest"), [(False, 0.8, 1.25), (True, 0.25, 0.7)])
+def test_samples_all_around_tell_that_a_highlight_is_longer_across_the_plane(
+    is_in_plane: bool, lowest: float, highest: float
+) -> None:
+    """In one plane they cannot: the prediction lies between that of microfacets, 0.13, and the truth."""
+    random = np.random.default_rng(3)
+    half, diff = random.uniform(0.0, np.radians((20.0, 65.0)), (300, 2)).T
+    phi = np.zeros(300) if is_in_plane else random.uniform(0.0, np.pi, 300)
+    values = stretched(half, diff, phi) * (1.0 + 0.02 * random.standard_normal((300, 1)))
+    first, second = directions(half, diff, phi)
+    above = np.minimum(first[:, 2], second[:, 2]) > 0.1
+    prediction = SamplePrediction.fit(ScatteredSamples.from_arrays(first[above], second[above], values[above]))
+    asked = np.radians([10.0]), np.radians([60.0]), np.radians([90.0])
+    ratio = prediction.evaluate_unmasked(*asked) / stretched(*asked)
+    assert np.all((ratio > lowest) & (ratio < highest)), ratio
 
 
 @pytest.mark.parametrize("half_width", [1e-3, 0.02])

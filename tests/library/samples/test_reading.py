@@ -115,6 +115,12 @@ SPELLINGS = {
     "line ends of Windows and a mark": b"\xef\xbb\xbf" + table(newline="\r\n"),
     "a spreadsheet's Unicode text": table(between="\t").decode().encode("utf-16"),
     "a separator at the end": "\n".join(line + ";" for line in table(between=";").decode().splitlines()).encode(),
+    "empty columns at the end": "\n".join(line + ";;;" for line in table(between=";").decode().splitlines()).encode(),
+    "exponents of Fortran": table(number=lambda number: f"{number:.9E}".replace("E", "D")),
+    "degree signs in cells": table(number="{:.9g}°".format),
+    "names in two languages": table(
+        units="Einfallswinkel,phi_i,Ausfallswinkel,Azimut,R,G,B\ndeg,deg,deg,deg,1/sr,1/sr,1/sr"
+    ),
     "unit vectors": table((*VECTORS, *CHANNELS), np.hstack([*spherical(ANGLES), RGB])),
     "half and difference angles": table(
         ("theta_half", "theta_diff", "phi_diff", *CHANNELS), np.hstack([half_and_difference(), RGB])
@@ -170,6 +176,26 @@ def test_the_content_tells_a_table(suffix: str, tmp_path: Path) -> None:
     path.write_bytes(table())
     samples = read_measurement(path)
     assert (type(samples), samples.name) == (ScatteredSamples, "felt")
+
+
+def test_a_table_in_markdown_is_read() -> None:
+    names, *rows = WORDS
+    lines = [f"| {line.replace(',', ' | ')} |" for line in (names, "---," * 6 + "---", *rows)]
+    check_same(parse_samples("\n".join(lines).encode()), ANGLES, RGB)
+
+
+def test_columns_in_lines_may_be_in_radians() -> None:
+    columns = np.hstack([np.radians(ANGLES), RGB]).T
+    names = [f"{name} (rad)" for name in DIRECTION] + [*CHANNELS]
+    lines = [",".join([name, *map(repr, row)]) for name, row in zip(names, columns.tolist(), strict=True)]
+    check_same(parse_samples("\n".join(lines).encode()), ANGLES, RGB)
+
+
+@pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "missing", "n.a.", "---"])
+def test_words_for_no_number_leave_out_their_row(word: str) -> None:
+    samples = parse_samples(changed(5, word))
+    assert len(samples.values) == COUNT - 1
+    assert samples.notes == ("1 row has no finite number in a column that is needed; it is left out.",)
 
 
 def test_weights_and_columns_that_are_not_read() -> None:
@@ -260,6 +286,14 @@ WRONG = [
         "\n".join(WORDS[1:]).encode(),
         "has no line that names its columns; its rows have 7 numbers, such as "
         f"{WORDS[1].replace(',', ', ')[:60]}: name them by their positions, as in columns theta_in=1,phi_in=2,",
+    ),
+    (
+        b"AOI=30\n;0;90;180\n" + b"10;0.1;0.2;0.3\n" * 60,
+        "The table looks like a matrix, but its first cell is empty: write the names of the angles down and across",
+    ),
+    (
+        b"# theta_i: 10\n" + b"10 0 0.5\n" * 60,
+        "such as 10, 0, 0.5: name them by their positions, as in columns theta_out=1,phi_out=2,value=3.",
     ),
     (
         table(("alpha", "beta", "gamma", "delta", *CHANNELS)),
