@@ -11,7 +11,7 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.errors import MeasurementFormatError
 
-SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks", "|": "bars"}
+SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "bars", " ": "blanks"}
 """What can separate cells, and its name in sentences."""
 MAX_CELLS = 5_000_000
 """Tables with more cells, which would take 5 s and 1 GB, are refused."""

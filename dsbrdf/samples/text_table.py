@@ -1,9 +1,9 @@
 """Tables of numbers as people and instruments write them: bytes -> the cells under each column's name.
 
-Cells are separated by commas, semicolons, tabs or blanks; where it is not the comma, numbers may have a decimal comma.
-Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments; the line that names the columns may be one, and other
-lines may stand before it. A line below the names without any number gives the units. A line of a word and a number,
-such as ``#intheta 30``, holds for the rows after it. Where no line has names, see `dsbrdf.samples.unnamed`.
+Cells are separated by commas, semicolons, tabs, bars or blanks; where it is not the comma, numbers may have a decimal
+comma. Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments; the line that names the columns may be one, and
+other lines may stand before it. A line below the names without any number gives the units. A line of a word and a
+number, such as ``#intheta 30``, holds for the rows after it. Where no line has names, see `dsbrdf.samples.unnamed`.
 """
 
 import re
