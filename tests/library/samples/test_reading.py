@@ -178,26 +178,6 @@ def test_the_content_tells_a_table(suffix: str, tmp_path: Path) -> None:
     assert (type(samples), samples.name) == (ScatteredSamples, "felt")
 
 
-def test_a_table_in_markdown_is_read() -> None:
-    names, *rows = WORDS
-    lines = [f"| {line.replace(',', ' | ')} |" for line in (names, "---," * 6 + "---", *rows)]
-    check_same(parse_samples("\n".join(lines).encode()), ANGLES, RGB)
-
-
-def test_columns_in_lines_may_be_in_radians() -> None:
-    columns = np.hstack([np.radians(ANGLES), RGB]).T
-    names = [f"{name} (rad)" for name in DIRECTION] + [*CHANNELS]
-    lines = [",".join([name, *map(repr, row)]) for name, row in zip(names, columns.tolist(), strict=True)]
-    check_same(parse_samples("\n".join(lines).encode()), ANGLES, RGB)
-
-
-@pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "missing", "n.a.", "---"])
-def test_words_for_no_number_leave_out_their_row(word: str) -> None:
-    samples = parse_samples(changed(5, word))
-    assert len(samples.values) == COUNT - 1
-    assert samples.notes == ("1 row has no finite number in a column that is needed; it is left out.",)
-
-
 def test_weights_and_columns_that_are_not_read() -> None:
     weight = np.linspace(1.0, 2.0, COUNT)[:, None]
     columns = np.hstack([ANGLES, RGB, weight, weight])
@@ -220,16 +200,6 @@ def test_what_is_no_number_is_left_out_and_counted() -> None:
     )
 
 
-def test_values_of_one_pair_of_directions_that_are_far_apart_are_told() -> None:
-    rows = np.hstack([ANGLES, RGB])
-    again = rows[10:40] * [1.0, 1.0, 1.0, 1.0, 1.02, 1.02, 1.02]
-    assert not parse_samples(table(columns=np.vstack([rows, again]))).notes
-    again[[3, 7], 4:] *= 1.5
-    again[3] -= [0.0, 360.0, 0.0, 360.0, 0.0, 0.0, 0.0]
-    (note,) = parse_samples(table(columns=np.vstack([rows, again]))).notes
-    assert note.startswith("2 pairs of directions have values that differ by more than 25%, such as theta_in = ")
-
-
 def test_noise_below_zero_counts_as_zero() -> None:
     values = RGB.copy()
     values[7, 1], values[9, 2] = -0.01, -0.02
@@ -238,14 +208,6 @@ def test_noise_below_zero_counts_as_zero() -> None:
     assert samples.notes == (
         f"2 values are negative, down to -{0.02 / RGB.max():.2%} of the largest; they count as 0.",
     )
-
-
-def test_vectors_one_percent_off_are_made_unit_vectors() -> None:
-    first, second = spherical(ANGLES)
-    samples = parse_samples(table((*VECTORS, *CHANNELS), np.hstack([1.01 * first, second, RGB])))
-    np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-14)
-    np.testing.assert_allclose(samples.omega_in, first, atol=1e-8)
-    assert samples.notes == ("The vectors omega_in were up to 1.0% off unit length; they were made unit vectors.",)
 
 
 def changed(place: int, cell: str) -> bytes:

@@ -5,11 +5,25 @@ import pytest
 
 from dsbrdf import MeasurementFormatError, ScatteredSamples, TableOptions
 from dsbrdf.arrays import Array
+from dsbrdf.data import CHANNELS
 from dsbrdf.data.geometry import spherical
+from dsbrdf.samples.names import VECTORS
 from dsbrdf.samples.reading import parse_samples
 from dsbrdf.samples.units import sample_doubts
 from tests.library.samples.test_layouts import truth
-from tests.library.samples.test_reading import table
+from tests.library.samples.test_reading import (
+    ANGLES,
+    COUNT,
+    DIRECTION,
+    RGB,
+    WORDS,
+    changed,
+    check_same,
+    table,
+)
+from tests.library.samples.test_reading import (
+    spherical as vectors_of,
+)
 
 NAMES = ("theta_in", "phi_in", "theta_out", "phi_out", "value")
 GRID = np.array([(a, 180.0, b, p) for a in (15.0, 40.0, 65.0) for b in range(0, 86, 5) for p in range(0, 181, 20)])
@@ -114,6 +128,44 @@ def test_a_matrix_at_one_incidence_needs_its_angle() -> None:
     samples = parse_samples(content, options=TableOptions(constants="theta_in=40,phi_in=180"))
     np.testing.assert_allclose(samples.values[:, 0], TRUE[theta_in], rtol=1e-5)
     np.testing.assert_allclose(samples.omega_in[:, 2], np.cos(np.radians(40.0)), rtol=1e-12)
+
+
+def test_a_table_in_markdown_is_read() -> None:
+    names, *rows = WORDS
+    lines = [f"| {line.replace(',', ' | ')} |" for line in (names, "---," * 6 + "---", *rows)]
+    check_same(parse_samples("\n".join(lines).encode()), ANGLES, RGB)
+
+
+def test_columns_in_lines_may_be_in_radians() -> None:
+    columns = np.hstack([np.radians(ANGLES), RGB]).T
+    names = [f"{name} (rad)" for name in DIRECTION] + [*CHANNELS]
+    lines = [",".join([name, *map(repr, row)]) for name, row in zip(names, columns.tolist(), strict=True)]
+    check_same(parse_samples("\n".join(lines).encode()), ANGLES, RGB)
+
+
+@pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "missing", "n.a.", "---"])
+def test_words_for_no_number_leave_out_their_row(word: str) -> None:
+    samples = parse_samples(changed(5, word))
+    assert len(samples.values) == COUNT - 1
+    assert samples.notes == ("1 row has no finite number in a column that is needed; it is left out.",)
+
+
+def test_vectors_one_percent_off_are_made_unit_vectors() -> None:
+    first, second = vectors_of(ANGLES)
+    samples = parse_samples(table((*VECTORS, *CHANNELS), np.hstack([1.01 * first, second, RGB])))
+    np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(samples.omega_in, first, atol=1e-8)
+    assert samples.notes == ("The vectors omega_in were up to 1.0% off unit length; they were made unit vectors.",)
+
+
+def test_values_of_one_pair_of_directions_that_are_far_apart_are_told() -> None:
+    rows = np.hstack([ANGLES, RGB])
+    again = rows[10:40] * [1.0, 1.0, 1.0, 1.0, 1.02, 1.02, 1.02]
+    assert not parse_samples(table(columns=np.vstack([rows, again]))).notes
+    again[[3, 7], 4:] *= 1.5
+    again[3] -= [0.0, 360.0, 0.0, 360.0, 0.0, 0.0, 0.0]
+    (note,) = parse_samples(table(columns=np.vstack([rows, again]))).notes
+    assert note.startswith("2 pairs of directions have values that differ by more than 25%, such as theta_in = ")
 
 
 def _blocks() -> list[tuple[float, str]]:
