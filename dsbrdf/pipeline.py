@@ -102,7 +102,9 @@ def fit(
         measurement = read_measurement(measurement, **of_table)
     elif of_table:
         chosen = " and ".join(of_table)
-        raise InvalidArgumentError(f"with {chosen} a table in a file is read: give its path, or leave {chosen} out")
+        raise InvalidArgumentError(
+            f"{chosen} applies to a table in a file: give the path of the table, or leave {chosen} out"
+        )
     elif not isinstance(measurement, Measurement | Profiles | ScatteredSamples):
         measurement = Measurement.from_values(measurement)
     in_slices = options.method == "paper"
@@ -236,7 +238,9 @@ def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Pr
     for name, asked in wanted.items():
         made = getattr(measurement, name)
         if made != asked:
-            raise InvalidArgumentError(f"the profiles were made with {name} {made!r}, the options ask for {asked!r}")
+            raise InvalidArgumentError(
+                f"the profiles were made with {name}={made!r}, but the options have {asked!r}: use equal values"
+            )
     return measurement
 
 

@@ -247,7 +247,7 @@ def _converted(
         found, sentences = result.model, result.report.warnings
         about = {"error_of_the_fit": result.report.metrics.relative_rms}
     elif len(sources) > 1 or suffix == ".csv":
-        raise InvalidArgumentError("only tables of samples are joined, or written as .csv")
+        raise InvalidArgumentError("only tables of samples can be joined, or written as .csv")
     else:
         options.refuse("a measurement on a grid")
         found = read_rgl(source) if kind == "rgl" else read_merl(source)

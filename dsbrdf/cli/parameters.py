@@ -223,7 +223,7 @@ def read_grid(path: Path) -> Measurement:
     measurement = read_measured(path)
     with named_in_errors(path):
         if not isinstance(measurement, Measurement):
-            raise InvalidArgumentError("scattered samples are no measurement on a grid; fit them first")
+            raise InvalidArgumentError("the file is a table of samples, not a measurement on a grid; fit it first")
         return measurement
 
 

@@ -152,16 +152,15 @@ class MerlChecker:
         fewest = int(np.argmin(self._n_measured))
         if self._n_measured[fewest] < SMALLEST_VALID_SHARE * n_above:
             raise MeasurementFormatError(
-                f"Of the {n_above} nodes above the horizon the number of valid ones (not negative) in the "
-                f"{CHANNELS[fewest]} channel is {self._n_measured[fewest]}; a measurement needs at least "
-                f"{SMALLEST_VALID_SHARE:.0%} of them in every channel."
+                f"The {CHANNELS[fewest]} channel has valid values (not negative) at {self._n_measured[fewest]} of the "
+                f"{n_above} nodes above the horizon; every channel needs at least {SMALLEST_VALID_SHARE:.0%}."
             )
         # Nodes at theta_half = 0 have no solid angle: a fit would not see their light.
         n_lit = int(np.bitwise_count(np.packbits(valid) & self._lit)[NODES // 90 // 8 :].sum())
         if n_lit < MIN_LIT_FRACTION * n_above:
             raise MeasurementFormatError(
-                f"Of the {n_above} nodes above the horizon {n_lit} have a value of at least {SMALLEST_PEAK:g}/sr at a "
-                f"theta_half above 0; a measurement has light at {MIN_LIT_FRACTION:.1%} of them at least. {_UNIT}"
+                f"{n_lit} of the {n_above} nodes above the horizon have a value of at least {SMALLEST_PEAK:g}/sr at a "
+                f"theta_half above 0; a measurement needs at least {MIN_LIT_FRACTION:.1%} of the nodes. {_UNIT}"
             )
         return valid.reshape(GRID_SHAPE)
 

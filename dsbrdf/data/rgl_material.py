@@ -158,7 +158,7 @@ def _check(fields: Mapping[str, NDArray[Any]]) -> None:
         raise MeasurementFormatError("The .bsdf file has spectra; use the file of the same material that ends in _rgb.")
     for name, axes in _AXES.items():
         if name not in fields:
-            raise MeasurementFormatError(f"The .bsdf file has no field {name!r}, as one of a material must.")
+            raise MeasurementFormatError(f"The .bsdf file lacks the field {name!r}, which every material has.")
         array = fields[name]
         if array.ndim != axes or array.dtype.kind != "f" or 0 in array.shape:
             raise MeasurementFormatError(f"The field {name!r} of the .bsdf file is not an array with {axes} axes.")
@@ -176,7 +176,7 @@ def _check(fields: Mapping[str, NDArray[Any]]) -> None:
     )
     smallest = min(*square, *grid, *fields["ndf"].shape, *fields["sigma"].shape)
     if not angles.size == n_angles == n_rgb or channels != 3 or smallest < 2:
-        raise MeasurementFormatError("The fields of the .bsdf file do not fit together: it is damaged.")
+        raise MeasurementFormatError("The fields of the .bsdf file have inconsistent shapes: the file is damaged.")
     if angles[0] < -1e-6 or angles[-1] > np.pi / 2 + 1e-6 or (np.diff(angles) <= 0.0).any():
         raise MeasurementFormatError("The theta_i of the .bsdf file must ascend from 0 to at most 90 degrees.")
     if fields["vndf"].min() < 0.0 or not fields["vndf"].any(axis=(2, 3)).all() or fields["sigma"].min() <= 0.0:

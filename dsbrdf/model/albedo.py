@@ -3,13 +3,13 @@
     rho(omega_out) = integral f(omega_in, omega_out) cos(theta_in) d omega_in,
     d omega_in = 4 cos(theta_diff) d omega_half.
 
-In half vectors even a specular spike is smooth on the scale of its width in theta_half, so the nodes in theta_half are
-graded towards 0. In the azimuth, the domain of integration ends at an angle in closed form, where omega_in reaches the
-horizon.
+The half vector has the polar angle theta_half and an azimuth, which starts at omega_out. A specular spike is narrow
+only in theta_half, so the nodes in theta_half are dense near 0. The azimuth ends where omega_in reaches the horizon, at
+an angle in closed form.
 
-The paper's model has a kink at each of its slices. The azimuth is cut in closed form where theta_diff passes a slice,
-and theta_half is cut where a slice enters or leaves the range of azimuths; the integrand is smooth between the cuts.
-A spline needs no cuts.
+The paper's model has a kink wherever theta_diff is one of its slices. Both integrals are divided at these kinks, so
+that the integrand is smooth in every part: the azimuth where theta_diff passes a slice, and theta_half where a slice
+begins or ceases to be among the theta_diff of its azimuths. Models with splines have no kinks.
 """
 
 from typing import NamedTuple
@@ -22,19 +22,19 @@ from dsbrdf.data.grid import CENTER_CUTOFF
 _NO_KNOTS = np.zeros(0)
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
-# These panel ends resolve a spike with a width of 0.01 degrees, and the edge of the delta term.
+# Ends of narrow panels [rad]; they resolve a spike of 0.01 degrees, and the edge of the delta term at 1 degree.
 _FINE_PANEL_ENDS = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
-_PANEL_WIDTH = np.radians(4.0)  # width of the other panels
+_PANEL_WIDTH = np.radians(4.0)  # Width of the panels beyond the narrow ones [rad].
 # Ends of panels, as fractions of the azimuths with omega_in above the horizon. Panels are short near azimuth 0, where
-# theta_diff changes fastest, and an elongated lobe has its ridge a quarter turn from the plane of incidence.
+# theta_diff changes fastest.
 _AZIMUTH_ENDS = np.array([0.0, 0.2, 0.5, 1.0])
 
 
 def directional_albedo(evaluate: Evaluate, theta_out: Array, knots: Array = _NO_KNOTS) -> Array:
     """Return the directional albedo (..., 3) of a reciprocal isotropic BRDF at angles theta_out (...) [rad].
 
-    `evaluate` need not be smooth where theta_diff is one of the `knots` (D,) [rad]. The relative error is below 1e-5
-    for lobes about the normal wider than a hundredth of a degree, and below 5e-4 for ring lobes wider than two.
+    `evaluate` may have kinks where theta_diff is one of the `knots` (D,) [rad]. The relative error is below 1e-5 for
+    lobes about the normal that are wider than 0.01 degrees, and below 5e-4 for ring lobes wider than 2 degrees.
     """
     rules = (half_vector_rule(float(angle), knots) for angle in theta_out.ravel())
     rows = [rule.weight @ evaluate(rule.theta_half, rule.theta_diff, rule.phi_diff) for rule in rules]
@@ -42,24 +42,24 @@ def directional_albedo(evaluate: Evaluate, theta_out: Array, knots: Array = _NO_
 
 
 class HalfVectorRule(NamedTuple):
-    """Hold nodes (n,) for integrals over omega_in, with angles in radians."""
+    """Hold the nodes (n,) of a quadrature over omega_in; angles are in radians."""
 
     theta_half: Array
     theta_diff: Array
     phi_diff: Array
-    azimuth: Array  # azimuth from omega_out to the half vector, over half of the circle
-    cos_in: Array  # not negative
-    weight: Array  # weight in the integral of f cos(theta_in) d omega_in [sr]
+    azimuth: Array  # azimuth from omega_out to the half vector, 0 to pi
+    cos_in: Array  # cosine of omega_in to the normal, at least 0
+    weight: Array  # The sum of weight * f approximates the integral of f cos(theta_in) d omega_in [sr].
 
 
 def half_vector_rule(theta_out: float, knots: Array = _NO_KNOTS) -> HalfVectorRule:
-    """Return nodes for integrals over the hemisphere of omega_in; knots as for `directional_albedo`."""
+    """Return a quadrature over all omega_in for one omega_out; `knots` as in `directional_albedo`."""
     theta_half, weight = _half_angle_rule(theta_out, knots)
     row, phi, phi_weight = _azimuth_rule(theta_half, theta_out, knots)
     theta_half, weight = theta_half[row, None], weight[row, None]
     cos_diff = np.cos(theta_out) * np.cos(theta_half) + np.sin(theta_out) * np.sin(theta_half) * np.cos(phi)
     cos_in = np.maximum(2.0 * cos_diff * np.cos(theta_half) - np.cos(theta_out), 0.0)
-    # The azimuth runs over half of the circle; the other half is its mirror image.
+    # The factor 2 counts azimuths from pi to 2 pi, where values are equal by symmetry.
     measure = 2.0 * weight * phi_weight * np.sin(theta_half) * 4.0 * cos_diff * cos_in
     theta_diff = np.arccos(np.clip(cos_diff, 0.0, 1.0))
     # Solve cos_out = cos(theta_half) cos(theta_diff) + sin(theta_half) sin(theta_diff) cos(phi_diff) for phi_diff.
@@ -73,12 +73,13 @@ def half_vector_rule(theta_out: float, knots: Array = _NO_KNOTS) -> HalfVectorRu
 def _half_angle_rule(theta_out: float, knots: Array) -> tuple[Array, Array]:
     """Return composite Gauss-Legendre nodes and weights in theta_half.
 
-    The panels end where the azimuth range starts to shrink, where it is empty, and where a knot enters or leaves it.
-    There it behaves like a square root, so the nodes of a panel are placed by s*s*(3 - 2 s), which flattens both ends.
+    Panels end at the theta_half from which on some azimuths are below the horizon, at the theta_half from which on all
+    are, and where a knot begins or ceases to be among the theta_diff of the azimuths. At these ends the integral over
+    the azimuth behaves like a square root; the substitution s*s*(3 - 2 s) makes the integrand smooth there.
     """
     shrinks, ends = 0.5 * (np.pi / 2 - theta_out), 0.5 * (np.pi / 2 + theta_out)
     even = np.arange(_FINE_PANEL_ENDS[-1], ends, _PANEL_WIDTH)
-    # A knot enters at theta_diff = |theta_half - theta_out|, and leaves at theta_diff = theta_half + theta_out.
+    # Over the azimuths, theta_diff covers |theta_half - theta_out| to theta_half + theta_out.
     kinks = np.concatenate([np.abs(theta_out - knots), theta_out + knots])
     breaks = np.unique(np.concatenate([[0.0], _FINE_PANEL_ENDS, even, kinks, [shrinks, ends]]))
     breaks = breaks[breaks <= ends]
@@ -89,9 +90,9 @@ def _half_angle_rule(theta_out: float, knots: Array) -> tuple[Array, Array]:
 
 
 def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[Indices, Array, Array]:
-    """Return a composite Gauss-Legendre rule in the azimuth of each theta_half, cut at the knots.
+    """Return a composite Gauss-Legendre rule in the azimuth for each theta_half, divided at the knots.
 
-    Returns the index of the theta_half to which each panel belongs, and azimuths and weights, each (panels, nodes).
+    Returns the index of the theta_half of each panel, and azimuths and weights (panels, nodes).
     """
     last = last_azimuth(theta_half, theta_out)[:, None]
     across = np.sin(theta_out) * np.sin(theta_half)[:, None]
@@ -106,7 +107,7 @@ def _azimuth_rule(theta_half: Array, theta_out: float, knots: Array) -> tuple[In
 
 
 def last_azimuth(theta_half: Array, theta_out: float) -> Array:
-    """Return the largest azimuth of the half vector from omega_out with omega_in above the horizon."""
+    """Return the largest azimuth of the half vector, from omega_out, at which omega_in is above the horizon."""
     down = np.cos(theta_out) * np.cos(2.0 * theta_half)
     across = np.sin(theta_out) * np.sin(2.0 * theta_half)
     ratio = np.where(across > np.abs(down), down / np.where(across > 0, across, 1.0), np.sign(down))

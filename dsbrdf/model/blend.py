@@ -1,4 +1,4 @@
-"""Blend two materials."""
+"""Interpolate between two models."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -38,11 +38,11 @@ class Blend(RenderableModel):
 
 
 def blend(a: RenderableModel, b: RenderableModel, t: float) -> Blend:
-    """Return a material between two materials.
+    """Return a model between two models.
 
-    Values are geometric means. Between a polished and a rough surface lies one highlight of medium width, where the
-    arithmetic mean would show two. Values stay positive and reciprocal; the albedo is at most the arithmetic mean of
-    both albedos, so that a blend conserves energy where its ends do.
+    Values are geometric means ``a**(1 - t) b**t``. A blend of a polished and a rough surface has one highlight of
+    medium width; an arithmetic mean would have two. Blends of positive, reciprocal models are positive and reciprocal.
+    Their albedo is at most the arithmetic mean of both albedos, so that a blend conserves energy if both models do.
 
     Parameters
     ----------

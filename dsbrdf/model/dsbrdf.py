@@ -2,13 +2,13 @@
 
     f_c = sum_k amplitude_ck(theta_diff) s_k(theta'_k) + delta_c(theta_diff) [theta_half < 1 degree]
 
-with lobes s_k of height 1 (`dsbrdf.model.lobes`) whose shape is kappa_k, gamma_k and center_k, and theta'_k the angle
-theta_half stretched by elongation_k. All channels have the same shapes, so that the amplitude of a lobe is its
-colour; in the paper's model, each channel has its own shapes. The paper's lobe exp(kappa cos(theta_half)**gamma) - 1
+where s_k is a lobe of height 1 (`dsbrdf.model.lobes`) with the shape kappa_k, gamma_k and center_k, and theta'_k is the
+angle theta_half stretched by elongation_k. All channels have the same shapes, so that the amplitude of a lobe is its
+colour. In the paper's model, each channel has its own shapes. The paper's lobe exp(kappa cos(theta_half)**gamma) - 1
 has the amplitude expm1(kappa) (Nishino 2009, eqs. 3 and 5); the delta term is from section 6 of the paper.
 
-Every term is non-negative, continuous where the delta term is 0, and does not change when the two directions change
-places.
+The model is non-negative, and continuous except for the delta term. It does not change when the two directions are
+swapped.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from dsbrdf.model.reflectance import RenderableModel, check_angle
 from dsbrdf.model.splines import n_control_values
 
 TEXTS = ("interpolation", "lobe")
-"""Attributes of a model that are texts; all other attributes are arrays."""
+"""Attributes of a model that are strings; all other attributes are arrays."""
 INTERPOLATIONS = ("linear", "spline")
 """Interpolations of parameters between knots, see `DSBRDF`."""
-# Beyond these values, the formula may overflow.
+# Larger parameters may overflow in the formula.
 _MAX_PARAMETERS = {"amplitude": 1e300, "kappa": 700.0, "gamma": 1e100, "delta": 1e300}
 _MAX_ELONGATION = 10.0
 
@@ -47,19 +47,19 @@ class DSBRDF(RenderableModel):
     theta_diff : ndarray, shape (B,)
         Knots of the amplitudes, increasing, 0 to pi/2 [rad].
     amplitude : ndarray, shape (3, D, K)
-        Height of each lobe in each channel (red, green, blue) [1/sr], zero or positive; K may be 0. With the
-        interpolation "linear" D = B and these are the values at the knots, log1p(amplitude) being linear between them;
-        with "spline" D = B + 2 and they are the control values of a cubic B-spline of the logarithm, then positive.
+        Height of each of K lobes in each channel (red, green, blue) [1/sr], not negative; K may be 0. With the
+        interpolation "linear", D = B, and these are the heights at the knots; log1p(amplitude) is linear between knots.
+        With "spline", D = B + 2, and the logarithms are control values of a cubic B-spline, so all must be positive.
     kappa, gamma, center : ndarray, shape (C, S, K)
-        Scale, shape and ring angle [rad] of each lobe, C = 1 for all channels or C = 3 for each, at the S control
-        values of the knots ``shape_theta_diff``; kappa and gamma run as amplitude does, center as it is. A center
-        below 0 is a cusp at the normal.
+        Scale, shape and center [rad] of each lobe, for all channels (C = 1) or for each channel (C = 3), at the S
+        control values of the knots ``shape_theta_diff``. With "spline", the logarithms of kappa and gamma are splines,
+        and so is center. A positive center makes a ring, a negative center a cusp at the normal.
     elongation : ndarray, shape (E, K)
-        Stretch of each lobe, 0 for a round one, at the control values of ``elongation_theta_diff``.
+        Stretch of each lobe, 0 for a round lobe, at the E control values of the knots ``elongation_theta_diff``.
     shape_theta_diff, elongation_theta_diff : ndarray
-        Knots [rad]; those of the amplitudes and a single one if not given.
+        Knots [rad]; by default, those of the amplitudes, and a single knot.
     delta : ndarray, shape (3, B)
-        Height added where theta_half < 1 degree [1/sr], linear between the knots; zero or positive, 0 if not given.
+        Value added where theta_half < 1 degree [1/sr], linear between the knots, not negative; 0 by default.
     interpolation : {"linear", "spline"}
     lobe : {"hemi_epd", "student"}
 
@@ -132,22 +132,24 @@ class DSBRDF(RenderableModel):
                 raise InvalidArgumentError(f"every {name} must be finite")
 
     def _check_ranges(self) -> None:
-        """Raise InvalidArgumentError if the formula is not defined for a parameter."""
+        """Raise InvalidArgumentError if a parameter is outside the domain of the formula."""
         if not np.all(self.kappa > 0):
             raise InvalidArgumentError("every kappa must be positive")
         for name in ("amplitude", "gamma", "delta"):
             lowest = getattr(self, name).min(initial=np.inf)
             if self.interpolation == "spline" and name != "delta" and lowest <= 0:
-                raise InvalidArgumentError(f"every {name} must be positive for a spline, which is one of its logarithm")
+                raise InvalidArgumentError(
+                    f'every {name} must be positive for the interpolation "spline", which needs its logarithm'
+                )
             if lowest < 0:
                 raise InvalidArgumentError(f"every {name} must be zero or positive")
         for name, largest in _MAX_PARAMETERS.items():
             if getattr(self, name).max(initial=0.0) > largest:
-                raise InvalidArgumentError(f"no {name} may exceed {largest:g}: values would leave the range of numbers")
+                raise InvalidArgumentError(f"every {name} must be at most {largest:g}: values of a larger one overflow")
         if np.abs(self.center).max(initial=0.0) > MAX_CENTER:
             raise InvalidArgumentError(f"every center must lie between -{MAX_CENTER:g} and {MAX_CENTER:g} radians")
         if np.abs(self.elongation).max(initial=0.0) > _MAX_ELONGATION:
-            raise InvalidArgumentError(f"every elongation must lie between -{_MAX_ELONGATION:g} and its opposite")
+            raise InvalidArgumentError(f"every elongation must be at most {_MAX_ELONGATION:g} in size")
 
     @property
     def n_lobes(self) -> int:
@@ -177,7 +179,7 @@ class DSBRDF(RenderableModel):
         return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
     def __hash__(self) -> int:
-        # Adding 0 turns -0 into 0.
+        # Equal models must have equal hashes: adding 0 turns -0 into 0.
         return hash(tuple((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in self._state().values()))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -201,7 +203,7 @@ class DSBRDF(RenderableModel):
             yield values + delta if angle < CENTER_CUTOFF else values
 
     def parameters_at(self, theta_diff: ArrayLike) -> dict[str, Array]:
-        """Return interpolated parameters.
+        """Return the interpolated parameters at angles theta_diff.
 
         Parameters
         ----------
@@ -222,16 +224,16 @@ class DSBRDF(RenderableModel):
 
     @property
     def pieces(self) -> tuple[Array, Array]:
-        """Return the parameters as P polynomials in theta_diff, without the delta term, for other programs.
+        """Return the parameters as P cubic polynomials in theta_diff, for exports; the delta term is not included.
 
-        The breaks (P + 1,) are where the pieces begin, and where the last one ends [rad]; theta_diff is held within.
-        The terms (4, R, P) are the coefficients of ``(theta_diff - break)**3`` to ``**0``; their R rows are those of
-        `dsbrdf.model.evaluation.Evaluator`.
+        The breaks (P + 1,) are the ends of the pieces [rad]; theta_diff beyond them is clipped. The terms (4, R, P) are
+        the coefficients of ``(theta_diff - break)**3`` to ``**0``; `dsbrdf.model.evaluation.Evaluator` lists the R
+        rows.
         """
         return self._evaluator.pieces
 
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> DSBRDF:
-        """Return the model with only some lobes, with or without the delta term."""
+        """Return a model with only the given lobes, with or without the delta term."""
         names = ("amplitude", "kappa", "gamma", "center", "elongation")
         chosen = {name: getattr(self, name)[..., list(lobes)] for name in names}
         delta = self.delta if with_delta else np.zeros_like(self.delta)

@@ -1,9 +1,10 @@
 """Evaluate a model, quickly at a single point and without large arrays at a million points.
 
 Between two knots every parameter is a cubic polynomial in theta_diff, whose coefficients are computed once for a model.
-A few points look up their coefficients one by one, and all lobes of a kind are evaluated together. Many points are
-sorted, block by block, by their piece between knots; in a piece each coefficient is a single number, and the lobes are
-evaluated in turn, so that intermediate arrays stay in the cache. Both ways do equal operations on every point.
+A few points look up their coefficients one by one, and consecutive lobes of one kind are evaluated together. Many
+points are sorted by their piece between knots, one block of points after another: within a piece, each coefficient is a
+single number. The lobes are then evaluated in turn, so that intermediate arrays stay in the cache. Both ways do equal
+operations on every point.
 """
 
 import itertools
@@ -15,18 +16,19 @@ from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.model.lobes import lobe_values, log_cosine
 from dsbrdf.model.splines import pieces_of
 
-_MAX_LOOKED_UP_POINTS = 512  # More points are sorted, because sorting is then quicker than lookup.
-_SORTED_POINTS = 65536  # Points are sorted in blocks of this size.
+_MAX_LOOKED_UP_POINTS = 512  # More points are sorted by piece, which is then faster than looking up coefficients.
+_SORTED_POINTS = 65536  # Points are sorted in blocks of this size, whose arrays stay in the cache.
 _MAX_TANGENT = 1e15  # tan(theta_half) at pi/2 is clipped to this value.
 
 
 class Evaluator:
     """Evaluate the lobes of a model; safe to use from several threads.
 
-    Each of three `groups` has knots (B,) and control values (D, R) on the scale that runs as a spline or a line.
-    Rows are amplitude (channel, lobe), then kappa, gamma and center (shape, lobe), then elongation (lobe); amplitude,
-    kappa and gamma are logarithms if `spline`, else log1p(amplitude), kappa and gamma. There is one shape if the
-    channels share them, else 3; `is_ring` says which of the K lobes have a center.
+    The three `groups` are amplitude; kappa, gamma and center; and elongation. Each has knots (B,) and control values
+    (D, R). The R rows are amplitude (channel, lobe), then kappa, gamma and center (shape, lobe), then elongation
+    (lobe). If `spline`, amplitude, kappa and gamma are logarithms; otherwise amplitude is log1p(amplitude). There is
+    one shape for all channels, or one for each of 3; `is_ring` is the mask of the lobes (K,) with a center other than
+    0.
     """
 
     def __init__(self, *groups: tuple[Array, Array], n_shapes: int, is_ring: Mask, family: str, spline: bool) -> None:
@@ -72,7 +74,7 @@ class Evaluator:
     def grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         """Yield the values (3, D, P) for each angle theta_half at all pairs of angles (D,) and (P,).
 
-        The parameters and the stretch are computed once for all angles. Round lobes do not depend on phi_diff.
+        Parameters and stretch factors are computed once for all theta_half. Round lobes do not depend on phi_diff.
         """
         shape = (3, theta_diff.size, phi_diff.size)
         phi_diff = phi_diff[:1] if self._round else phi_diff
@@ -93,7 +95,7 @@ class Evaluator:
             yield np.broadcast_to(total.reshape(theta_diff.size, 3, phi_diff.size).transpose(1, 0, 2), shape)
 
     def _fill(self, result: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> None:
-        """Write the values of one block, piece by piece."""
+        """Write the values of one block of points into `result`, piece by piece."""
         piece, step = self._place(theta_diff)
         order = np.argsort(piece.astype(np.uint8 if self._breaks.size < 256 else np.uint16), kind="stable")
         start = 0
@@ -102,25 +104,25 @@ class Evaluator:
             start += count
             if count:
                 steps, angles = step[chosen], theta_diff[chosen]
-                if (angles == angles[0]).all():  # Under one distant light, all angles are equal.
+                if (angles == angles[0]).all():  # For one distant light and one viewer, all theta_diff are equal.
                     steps, angles = steps[:1], angles[:1]
                 rows = self._rows(self._terms[:, :, index : index + 1], steps)
                 result[chosen] = self._sum(rows, squared[chosen], angles, phi_diff[chosen])
 
     def _place(self, theta_diff: Array) -> tuple[Indices, Array]:
-        """Return the piece of each angle, and the distance from the start of the piece."""
+        """Return the index of the piece that contains each angle, and the distance from the start of this piece."""
         breaks = self._breaks
         held = np.minimum(np.maximum(theta_diff, breaks[0]), breaks[-1])
         piece = breaks[1:-1].searchsorted(held, side="right")
         return piece, held - breaks[piece]
 
     def _looked_up(self, theta_diff: Array) -> Array:
-        """Return rows of parameters at each angle, with terms looked up for each angle."""
+        """Return parameters (R, n) at angles (n,), with coefficients looked up for each angle."""
         piece, step = self._place(theta_diff)
         return self._rows(self._terms.take(piece, axis=2), step)
 
     def _rows(self, terms: Array, step: Array) -> Array:
-        """Return parameters from the polynomials' terms (4, R, n or 1), with logarithms converted to values."""
+        """Evaluate polynomials with terms (4, R, n or 1), and convert logarithms to parameters."""
         rows = terms[0] * step
         for term in terms[1:3]:
             rows += term
@@ -131,7 +133,7 @@ class Evaluator:
         return rows
 
     def _sum(self, rows: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the sum of the lobes, shape (n, 3)."""
+        """Return the sum of the lobes (n, 3), from parameters (R, n or 1) and squared tangents (n,)."""
         amplitude, kappa, gamma, center, elongation = map(rows.__getitem__, self._parts)
         k, n_shapes = self._n_lobes, self._n_shapes
         if self._round:
@@ -148,7 +150,7 @@ class Evaluator:
 
 
 def _stretch(elongation: Array, theta_diff: Array, phi_diff: Array) -> Array:
-    """Return the factor of tan(theta_half)**2 by an elongation, see `dsbrdf.model.lobes`."""
+    """Return the factor by which an elongation stretches tan(theta_half)**2, see `dsbrdf.model.lobes`."""
     cos2 = np.square(np.cos(phi_diff))
     ratio = np.exp(elongation * log_cosine(theta_diff))
     return cos2 / ratio + (1.0 - cos2) * ratio

@@ -1,7 +1,8 @@
 """Check that a model conserves energy in a white furnace, and that it is reciprocal.
 
-In a furnace with uniformly bright walls, a surface of albedo rho shows rho times the brightness of the walls; if it
-conserves energy, it is never brighter than the walls. A reciprocal BRDF is equal for swapped directions.
+In a furnace with uniformly bright walls, a surface with the directional albedo rho has rho times the brightness of the
+walls. A surface that conserves energy is never brighter than the walls. A reciprocal BRDF has equal values for swapped
+directions.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dsbrdf.data.geometry import random_directions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.sampling import ANGLES
 
-_FURNACE_THETA_OUT = ANGLES[:-1:2]  # 0 to 87 degrees; a surface is invisible at the horizon.
+_FURNACE_THETA_OUT = ANGLES[:-1:2]  # 0 to 87 degrees, in radians.
 _N_SWAPPED_PAIRS = 4096
 
 
@@ -39,12 +40,12 @@ class FurnaceReport:
 
     @property
     def largest_albedo(self) -> float:
-        """Largest albedo of all angles and channels; at most 1 if energy is conserved."""
+        """Largest albedo over angles and channels; at most 1 if the model conserves energy."""
         return float(self.albedo.max())
 
     @property
     def conserves_energy(self) -> bool:
-        """Whether no direction returns more light than it receives."""
+        """Whether the albedo is at most 1 at all angles and in all channels."""
         return self.largest_albedo <= 1.0
 
     def __str__(self) -> str:

@@ -1,6 +1,6 @@
-"""Define the families of lobes, functions of the offset: the distance of theta' from the center.
+"""Define the families of lobes, as functions of the offset, the distance of theta' from the center.
 
-A family is an entry of `FAMILIES`; `dsbrdf.model.lobes` has the formulas and all code common to the families.
+`FAMILIES` lists the families. `dsbrdf.model.lobes` has their formulas, and the code that they have in common.
 """
 
 from collections.abc import Callable
@@ -12,30 +12,33 @@ import numpy as np
 from dsbrdf.arrays import Array
 
 Family = Literal["hemi_epd", "student"]
-"""Names of the families."""
+"""Names of the families of lobes."""
 MAX_CENTER = 1.57
-"""Maximum distance of a center from the normal [rad]; nearer to pi/2, rounding decides the tangent's sign."""
-_MIN_LOG = -200.0  # Squares of smaller exponentials are slow subnormal numbers.
-_MIN_SINGLE_LOG = -35.0  # This is the limit in single precision.
+"""Maximum distance of a center from the normal [rad]; closer to pi/2, the sign of its tangent is uncertain."""
+_MIN_LOG = -200.0  # Smaller exponents are clipped: squares of their exponentials are slow subnormal numbers.
+_MIN_SINGLE_LOG = -35.0  # In single precision, exponents are clipped here.
 
 Slopes = Callable[[], tuple[Array, Array, Array, Array]]
-"""Returns derivatives in log kappa, log gamma, the offset's squared tangent, and this square at the maximum."""
+"""Returns derivatives in log kappa, log gamma, the squared tangent of the offset, and this square at the top."""
 
 
 @dataclass(frozen=True)
 class LobeFamily:
-    """Define a family of lobes; kappa and gamma are positive, and angles are in radians."""
+    """Define a family of lobes.
 
-    fall_to_half: Callable[[Array], Array]  # gamma times the reach at half height, as a function of kappa
-    slope_of_fall: Callable[[Array], Array]  # derivative of the logarithm of `fall_to_half` in log kappa
-    reach: Callable[[Array], Array]  # the factor of gamma at an offset with a squared tangent
+    gamma multiplies the reach, a function of the offset that each family defines. kappa and gamma are positive, and
+    angles are in radians.
+    """
+
+    fall_to_half: Callable[[Array], Array]  # kappa -> gamma times the reach at half height
+    slope_of_fall: Callable[[Array], Array]  # kappa -> derivative of log(fall_to_half) in log kappa
+    reach: Callable[[Array], Array]  # squared tangent of the offset -> reach
     squared_tangent: Callable[[Array], Array]  # inverse of `reach`
-    slope_of_width: Callable[
-        [Array, Array], Array
-    ]  # derivative of the offset in log reach, from the reach and the tangent
-    largest_tangent: float  # A lobe is constant beyond this tangent of the offset.
-    # The curve returns lobes of height 1 and a function for their derivatives. Its arguments are the offset's squared
-    # tangent, kappa, gamma and, for lobes with their maximum at the normal but not at offset 0, this square there.
+    # (reach, tangent of the offset) -> derivative of the offset in log reach
+    slope_of_width: Callable[[Array, Array], Array]
+    largest_tangent: float  # Larger tangents of the offset are clipped.
+    # Returns lobes of height 1 and a function for their derivatives. The arguments are the squared tangent of the
+    # offset, kappa, gamma and, for cusps, the squared tangent at their top, the normal.
     curve: Callable[[Array, Array, Array, Array | None], tuple[Array, Slopes]]
 
 
@@ -118,4 +121,4 @@ FAMILIES = {
         curve=_student_curve,
     ),
 }
-"""Families by name; a new family also needs a name in `Family`, and formulas in the GLSL and Mitsuba exports."""
+"""Families by name; a new family also needs a name in `Family`, and formulas in the exports."""

@@ -1,13 +1,14 @@
 """Evaluate lobes of height 1 and their derivatives, for fits and for the model.
 
-A lobe of either family is a decreasing function of the distance of ``theta'`` from its center, divided by its largest
-value, so that its amplitude is its height in 1/sr:
+In both families, a lobe is a decreasing function of the distance of ``theta'`` from its center. It is divided by its
+largest value, so that its amplitude is its height in 1/sr:
 
     hemi_epd    s = expm1(kappa cos(theta' - center)**gamma) / expm1(kappa)        (Nishino 2009, eq. 3)
     student     s = (1 + gamma tan(theta' - center)**2)**-kappa                    (Student's t over slopes)
 
-``center = 0`` is the paper's lobe about the normal; ``center > 0`` peaks on a ring; ``center < 0`` is a cusp, largest
-at the normal: the flank of a lobe, moved there by its tangent, which reaches the horizon together with theta':
+A lobe with ``center = 0`` is the paper's, about the normal. With ``center > 0`` its maximum is a ring. With
+``center < 0`` it is a cusp: only the flank of the lobe remains, with its maximum at the normal. For a cusp, the
+distance is defined by tangents, so that it reaches 90 degrees together with theta':
 
     tan(theta' - center) = tan(theta') + tan(-center),    center < 0.
 
@@ -16,13 +17,13 @@ at the normal: the flank of a lobe, moved there by its tangent, which reaches th
     tan(theta')**2 = tan(theta_half)**2 (cos(phi_diff)**2 c**-e + sin(phi_diff)**2 c**e),
     c**4 = cos(theta_diff)**4 + g**4 (1 - cos(theta_diff)**4).
 
-c is the cosine of theta_diff, held above g = `GRAZING_COSINE` (to 75 degrees it differs by less than 0.3 %): with the
-cosine itself the stretch would be infinite at the horizon, and in the last degrees steeper than any measurement tells.
+c is nearly cos(theta_diff), but at least g = `GRAZING_COSINE`; up to 75 degrees it differs from the cosine by less than
+0.3 %. With the cosine itself, the stretch would be infinite at the horizon.
 
-``e = 0`` is the paper's lobe, round about the half vector. Turning phi_diff by half a turn, which swaps the two
-directions, leaves theta' as it is: every lobe is reciprocal.
+A lobe with ``e = 0`` is the paper's, round about the half vector. Swapping the two directions adds pi to phi_diff,
+which does not change theta': every lobe is reciprocal.
 
-All arrays broadcast; the first axis is as a rule the lobe.
+All arrays broadcast; usually the first axis is the lobe.
 """
 
 from collections.abc import Callable
@@ -34,7 +35,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.model.lobe_families import FAMILIES
 
 GRAZING_COSINE = 0.08
-"""Cosine that stretches lobes at theta_diff = 90 degrees, equal to cos(85.4 degrees)."""
+"""Minimum of the cosine c that stretches lobes, equal to cos(85.4 degrees)."""
 
 
 class LobeSlopes(NamedTuple):
@@ -42,45 +43,45 @@ class LobeSlopes(NamedTuple):
 
     by_log_kappa: Array
     by_log_gamma: Array
-    by_center: Array  # per radian; 0 without a center
+    by_center: Array  # derivative per radian; 0 for a lobe without a center
     by_squared_tangent: Array  # derivative in tan(theta')**2
 
 
 def log_cosine(theta_diff: Array) -> Array:
-    """Return the logarithm of the cosine c that stretches lobes, from 0 at normal incidence."""
+    """Return the logarithm of the cosine c that stretches lobes; it is 0 at normal incidence."""
     fourth = GRAZING_COSINE**4
     return np.asarray(0.25 * np.log(fourth + (1.0 - fourth) * np.cos(theta_diff) ** 4))
 
 
 def half_width(kappa: Array, gamma: Array, family: str) -> Array:
-    """Return the angle from the center where a lobe has half its height [rad]."""
+    """Return the distance from the center at which a lobe has half its height [rad]."""
     return width_of_reach(fall_to_half(kappa, family) / gamma, family)
 
 
 def gamma_of_half_width(width: Array, kappa: Array, family: str) -> Array:
-    """Return gamma of a lobe with a half width [rad] and kappa."""
+    """Return the gamma that gives a lobe with kappa a half width [rad]."""
     return fall_to_half(kappa, family) / reach_of_width(width, family)
 
 
 def fall_to_half(kappa: Array, family: str) -> Array:
-    """Return gamma times the reach where a lobe has half its height."""
+    """Return gamma times the reach at which a lobe has half its height."""
     return FAMILIES[family].fall_to_half(kappa)
 
 
 def reach_of_width(width: Array, family: str) -> Array:
-    """Return the reach, a family's factor of gamma, at an angle from the center [rad]."""
+    """Return the reach, the factor of gamma in the formula, at an angle from the center [rad]."""
     return np.asarray(FAMILIES[family].reach(np.tan(width) ** 2))
 
 
 def width_of_reach(reach: Array, family: str) -> Array:
-    """Return the angle from the center [rad] with a reach, the inverse of `reach_of_width`."""
+    """Return the angle from the center [rad] at a reach, the inverse of `reach_of_width`."""
     return np.asarray(np.arctan(np.sqrt(FAMILIES[family].squared_tangent(reach))))
 
 
 def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str) -> Array:
     """Return values of lobes of height 1 in a family of `dsbrdf.model.lobe_families.FAMILIES`.
 
-    The arguments are ``tan(theta')**2``, kappa and gamma, both positive, and the center [rad], None about the normal.
+    The arguments are ``tan(theta')**2``, positive kappa and gamma, and the center [rad], or None for 0.
     """
     return lobe_curves(squared_tangent, kappa, gamma, center, family)[0]
 
@@ -88,7 +89,7 @@ def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Arra
 def lobe_curves(
     squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str
 ) -> tuple[Array, Callable[[], LobeSlopes]]:
-    """Return `lobe_values` with a function that returns their derivatives from intermediate results."""
+    """Return `lobe_values`, and a function that returns their derivatives from intermediate results."""
     known = FAMILIES[family]
     if center is None:
         values, slopes = known.curve(squared_tangent, kappa, gamma, None)
@@ -108,7 +109,7 @@ def lobe_curves(
         by_log_kappa, by_log_gamma, by_square, by_top = slopes()
         by_offset = 2.0 * offset * by_square * (offset < known.largest_tangent)
         by_offset /= below * below
-        # At 0, the derivative in the square is infinite.
+        # At theta' = 0, the derivative in tan(theta')**2 is infinite; it is clipped.
         least = np.sqrt(np.finfo(root.dtype).tiny)
         by_squared_tangent = by_offset * (0.5 + 0.5 * of_ring**2) / np.maximum(root, least)
         by_tangent = 2.0 * of_cusp * by_top - by_offset * (1.0 + squared_tangent * (tangent > 0.0))

@@ -16,13 +16,12 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
 
-_MIN_COSINE_ABOVE_HORIZON = (
-    -1e-12
-)  # A direction with a smaller cosine is below the horizon; the margin allows for rounding.
+# A direction with a smaller cosine to the normal is below the horizon; 0 would fail by rounding.
+_MIN_COSINE_ABOVE_HORIZON = -1e-12
 
 
 class ReflectanceModel(ABC):
-    """Evaluate RGB values at angles and directions by two methods that a model defines."""
+    """Evaluate RGB values at angles and directions; a subclass defines `evaluate_unmasked` and `evaluate_grid`."""
 
     @abstractmethod
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
@@ -40,8 +39,8 @@ class ReflectanceModel(ABC):
         theta_half, theta_diff : array_like
             Angles, 0 to pi/2 [rad].
         phi_diff : array_like, optional
-            Azimuth of the difference direction [rad]; at pi/2, the default, both directions make the same angle with
-            the normal. Where one of them is below the horizon the value is 0.
+            Azimuth of omega_in about the half vector [rad]; at pi/2, the default, both directions have equal angles to
+            the normal. If a direction is below the horizon, the value is 0.
 
         Raises
         ------
@@ -52,9 +51,8 @@ class ReflectanceModel(ABC):
         phi_diff = np.asarray(phi_diff, dtype=float)
         if not np.isfinite(phi_diff).all():
             raise InvalidArgumentError("phi_diff must be finite")
-        if (
-            not theta_half.shape == theta_diff.shape == phi_diff.shape
-        ):  # The broadcast costs as much as the evaluation of a point.
+        # Broadcasting takes as long as the evaluation of a point, so equal shapes skip it.
+        if not theta_half.shape == theta_diff.shape == phi_diff.shape:
             checked = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
             theta_half, theta_diff, phi_diff = np.broadcast_arrays(*checked)
         flat = theta_half.ravel(), theta_diff.ravel(), phi_diff.ravel()
@@ -66,7 +64,7 @@ class ReflectanceModel(ABC):
     def evaluate_directions(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
         """Return RGB values (..., 3) [1/sr] for pairs of unit vectors (..., 3) that broadcast, with normal (0, 0, 1).
 
-        Values are 0 where a direction is below the horizon (z < 0). Raises InvalidArgumentError if a direction is not
+        If a direction is below the horizon (z < 0), the value is 0. Raises InvalidArgumentError if a direction is not
         a unit vector.
         """
         first = check_directions("omega_in", omega_in, below_horizon=True)
@@ -81,8 +79,7 @@ class ReflectanceModel(ABC):
     def tabulate(self) -> Array:
         """Return values at the nodes of the measurement grid, shape (3, 90, 90, 180) [1/sr].
 
-        Nodes below the horizon get the model's value too, so that programs can interpolate in the table without
-        special values.
+        Nodes below the horizon have the value of the formula too, so that programs can interpolate near the horizon.
         """
         grid = np.empty((3, THETA_HALF.size, THETA_DIFF.size, PHI_DIFF.size))
         for row, values in enumerate(self.evaluate_grid(THETA_HALF, THETA_DIFF, PHI_DIFF[:QUARTER])):
@@ -100,7 +97,7 @@ class RenderableModel(ReflectanceModel):
         return np.zeros(0)
 
     def albedo(self, theta_out: ArrayLike) -> Array:
-        """Return the directional albedo, the reflected fraction of light from each direction, by quadrature.
+        """Return the directional albedo, the fraction of light from a direction that is reflected, by quadrature.
 
         Parameters
         ----------
@@ -110,7 +107,7 @@ class RenderableModel(ReflectanceModel):
         Returns
         -------
         ndarray, shape (..., 3)
-            ``integral f cos(theta_in) d omega_in``; at most 1 where the model conserves energy.
+            ``integral f cos(theta_in) d omega_in``; at most 1 if the model conserves energy.
         """
         return directional_albedo(self.evaluate_unmasked, check_angle("theta_out", theta_out), self.kinks)
 
@@ -120,13 +117,13 @@ class RenderableModel(ReflectanceModel):
         Parameters
         ----------
         omega_out : array_like, shape (..., 3)
-            Unit vectors above the horizon; the same one n times is ``np.broadcast_to(omega_out, (n, 3))``.
+            Unit vectors above the horizon; ``np.broadcast_to(omega_out, (n, 3))`` draws n times for one direction.
         rng : numpy.random.Generator
 
         Returns
         -------
         Samples
-            Directions, their density and their weights; see `dsbrdf.model.sampling`.
+            Directions, their probability densities and their weights; see `dsbrdf.model.sampling`.
 
         Raises
         ------
@@ -142,18 +139,18 @@ class RenderableModel(ReflectanceModel):
         return Samples(omega_in.reshape(towards.shape), pdf.reshape(towards.shape[:-1]), weight.reshape(towards.shape))
 
     def pdf(self, omega_in: ArrayLike, omega_out: ArrayLike) -> Array:
-        """Return the density with which `sample` draws omega_in for omega_out.
+        """Return the probability density of omega_in in `sample`, for omega_out.
 
         Parameters
         ----------
         omega_in, omega_out : array_like, shape (..., 3)
-            Unit vectors, the normal being (0, 0, 1); they broadcast together.
+            Unit vectors that broadcast; the normal is (0, 0, 1).
 
         Returns
         -------
         ndarray, shape (...)
-            Per solid angle [1/sr]; 0 where one of the directions is below the horizon. Its integral is the
-            fraction of samples above the horizon.
+            Density per solid angle [1/sr]; 0 if a direction is below the horizon. Its integral is the fraction of
+            samples above the horizon.
 
         Raises
         ------
@@ -166,14 +163,14 @@ class RenderableModel(ReflectanceModel):
 
     @cached_property
     def sampler(self) -> DirectionSampler:
-        """Mixture of densities that `sample` draws from, for programs with their own sampling."""
+        """The mixture of densities that `sample` draws from; exports copy its numbers."""
         return direction_sampler(self.evaluate_unmasked)
 
 
 def check_angle(name: str, angle: ArrayLike) -> Array:
-    """Return angles as an array, or raise `InvalidArgumentError` where one does not lie between 0 and pi/2."""
+    """Return angles as an array; raise InvalidArgumentError if an angle is not between 0 and pi/2."""
     angle = np.asarray(angle, dtype=float)
-    slack = 1e-6  # Conversions to radians and to single precision may round above pi/2.
+    slack = 1e-6  # Conversion to radians or to single precision may round 90 degrees up.
     if not ((angle >= 0.0) & (angle <= np.pi / 2 + slack)).all():
         raise InvalidArgumentError(f"{name} must lie between 0 and 90 degrees (0 and pi/2 radians)")
     return np.minimum(angle, np.pi / 2)

@@ -1,27 +1,29 @@
 """Draw directions roughly in proportion to the reflected light, and compute their exact density.
 
-A direction omega_in is omega_out mirrored at a normal that is drawn from those visible to omega_out of a rough surface,
-GGX with its own roughness along and across the plane of incidence (Walter et al. 2007; Heitz 2018). Or it is drawn in
-proportion to the cosine of its angle to the normal. Only visible normals reflect light upwards at grazing angles too.
-With the sum T = omega_in + omega_out, its length L, and everything in the frame whose first axis is the heading of
-omega_out, the density per solid angle of omega_in is
+A direction omega_in is drawn in one of two ways. Either its density is proportional to the cosine of its angle to the
+normal. Or omega_out is mirrored at a facet of a rough surface, drawn from the facets that omega_out sees (Heitz 2018).
+The surface is GGX with different roughness along and across the plane of incidence (Walter et al. 2007). Visible facets
+reflect most light upwards at grazing angles too.
+
+Let T = omega_in + omega_out, and let L be its length. In a frame whose first axis is the projection of omega_out on the
+surface, the density of omega_in per solid angle is
 
     L**4 / (2 pi a b (T_z**2 + (T_x/a)**2 + (T_y/b)**2)**2 (o_z + sqrt(o_z**2 + (a o_x)**2))),
 
-where a and b are the roughnesses and o is omega_out: the density of visible normals over 4 h . omega_out, free of
-quotients that are undefined at the horizon.
+where a and b are the roughnesses along and across, and o is omega_out. This is the density of visible normals divided
+by 4 h . omega_out, in a form that is defined at the horizon too.
 
-For each theta_out a mixture of `_CANDIDATE_ROUGHNESSES` and the cosine is built, so that the variance of the weights,
+For each theta_out, a mixture of surfaces from `_CANDIDATE_ROUGHNESSES` and of the cosine is chosen for a small variance
+of the weights f cos(theta_in) / pdf, that is of
 
     integral (f cos(theta_in))**2 / pdf d omega_in,
 
-becomes small: the density with the steepest decrease is added, and all fractions are improved by
-w_m <- w_m sqrt(integral (f cos)**2 p_m / pdf**2), whose fixed point has the minimum variance (the function is convex in
-the fractions). The minimum fraction of the cosine, `MIN_COSINE_FRACTION`, bounds the weights
-f cos(theta_in) / pdf.
+Repeatedly, the density that lowers the integral most is added. Then all fractions are improved by the iteration
+w_m <- w_m sqrt(integral (f cos)**2 p_m / pdf**2), whose fixed point has the minimum variance because the integral is
+convex in the fractions. The minimum fraction of the cosine, `MIN_COSINE_FRACTION`, bounds the weights.
 
-The mixtures are tabulated at `ANGLES`; a direction takes the nearest one, in `sample` and in `pdf` alike, so that both
-agree to rounding.
+The mixtures are tabulated at `ANGLES`. Both `sample` and `pdf` use the mixture of the nearest angle, so that they agree
+to rounding.
 """
 
 from dataclasses import dataclass
@@ -36,20 +38,20 @@ from dsbrdf.model.albedo import half_vector_rule
 ANGLES = np.radians(np.arange(0.0, 90.5, 1.5))
 """Angles theta_out to the normal at which the mixture is tabulated [rad]."""
 MIN_COSINE_FRACTION = 0.1
-"""Minimum fraction of the cosine in a mixture, so that no weight exceeds ``pi f / MIN_COSINE_FRACTION``."""
+"""Minimum fraction of the cosine density in a mixture: no weight exceeds ``pi f / MIN_COSINE_FRACTION``."""
 MAX_MIXTURE_ANGLE = np.radians(89.5)
-"""Larger angles use the mixture of this angle [rad]: at 90 degrees, no node of the integral is above the horizon."""
+"""Larger angles use the mixture of this angle [rad], because at 90 degrees all nodes are below the horizon."""
 MIXTURE_PARTS = 6
-"""Number of parts of a mixture beside the cosine."""
+"""Number of densities of a mixture besides the cosine."""
 LOG_STRETCHES = np.array([-1.0, 0.0, 1.0])
-"""Logarithms of the ratio of the roughness along the plane of incidence to the roughness across."""
+"""Logarithms of candidate ratios of the roughness along the plane of incidence to the roughness across it."""
 _CANDIDATE_ROUGHNESSES = np.stack(
     [np.geomspace(1e-3, 1.0, 14)[:, None] * np.exp(sign * LOG_STRETCHES) for sign in (0.5, -0.5)], axis=-1
 ).reshape(-1, 2)
 START_FRACTION = 0.03
-"""Fraction of the mixture that an added part starts with."""
+"""Fraction of an added density before the fractions are improved."""
 FRACTION_ITERATIONS = 20
-"""Iterations that improve the fractions after each part."""
+"""Iterations that improve the fractions after each added density."""
 
 
 class Samples(NamedTuple):
@@ -62,11 +64,11 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DirectionSampler:
-    """Draw from mixtures of M densities and the cosine at the N angles of `ANGLES`; see `direction_sampler`."""
+    """Draw from mixtures of M densities and the cosine at the N angles in `ANGLES`; see `direction_sampler`."""
 
-    along: Array  # roughness of visible normals along the plane of incidence, (N, M)
-    across: Array  # roughness of visible normals across the plane of incidence, (N, M)
-    cumulative: Array  # cumulative sum of the fractions, (N, M + 1); the cosine is last
+    along: Array  # roughness along the plane of incidence, (N, M)
+    across: Array  # roughness across the plane of incidence, (N, M)
+    cumulative: Array  # cumulative sums of the fractions, (N, M + 1); the cosine is last
 
     def sample(self, omega_out: Array, rng: np.random.Generator) -> Array:
         """Draw a direction omega_in for each omega_out, both of shape (n, 3)."""
@@ -84,7 +86,7 @@ class DirectionSampler:
         return omega_in
 
     def pdf(self, omega_in: Array, omega_out: Array) -> Array:
-        """Return the density per solid angle of omega_in for omega_out, both (n, 3); 0 below the horizon."""
+        """Return the density of omega_in per solid angle, for omega_out, both (n, 3); it is 0 below the horizon."""
         result = np.zeros(len(omega_in))
         above = np.flatnonzero((omega_in[:, 2] > 0.0) & (omega_out[:, 2] > 0.0))
         first, second = omega_in[above], omega_out[above]
@@ -98,7 +100,7 @@ class DirectionSampler:
 
 
 def direction_sampler(evaluate: Evaluate) -> DirectionSampler:
-    """Tabulate the mixture for the values of a model."""
+    """Tabulate mixtures that suit the values of a model."""
     along, across = np.ones((2, ANGLES.size, MIXTURE_PARTS))
     share = np.zeros((ANGLES.size, MIXTURE_PARTS + 1))
     for row, theta_out in enumerate(ANGLES):
@@ -110,7 +112,7 @@ def direction_sampler(evaluate: Evaluate) -> DirectionSampler:
 
 
 def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
-    """Return the candidates of the mixture at one angle, and their fractions with the cosine last."""
+    """Return the indices of the candidates in the mixture at one angle, and their fractions; the cosine is last."""
     rule = half_vector_rule(theta_out)
     used = rule.cos_in > 0.0
     theta_half, azimuth, cos_in = rule.theta_half[used], rule.azimuth[used], rule.cos_in[used]
@@ -126,7 +128,7 @@ def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
     parts, share = [len(_CANDIDATE_ROUGHNESSES)], np.ones(1)
     for _ in range(MIXTURE_PARTS):
         rest = (1.0 - START_FRACTION) * (share @ densities[parts])
-        # A single density fits in the processor's cache; all densities together do not.
+        # A loop is faster than one operation on all densities, which do not fit in the cache.
         variance = np.array([squared @ (1.0 / (rest + START_FRACTION * density)) for density in densities])
         variance[parts] = np.inf
         parts.insert(0, int(np.argmin(variance)))
@@ -136,7 +138,7 @@ def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
 
 
 def _improved(share: Array, densities: Array, squared: Array) -> Array:
-    """Return fractions (M,) of densities (M, n) with less variance for the rule's weighted integrand (n,)."""
+    """Improve the fractions (M,) of densities (M, n) for the weighted squares (n,) of the integrand."""
     for _ in range(FRACTION_ITERATIONS):
         share = share * np.sqrt(densities @ (squared / (share @ densities) ** 2))
         share = share / max(share.sum(), 1e-300)
@@ -155,7 +157,7 @@ def _in_plane_of_incidence(omega_in: Array, omega_out: Array) -> tuple[Array, ..
 
 
 def _mirrored_density(seen: tuple[Array, ...], along: Array, across: Array) -> Array:
-    """Return the density per solid angle of omega_in, mirrored at a visible normal, by the module's formula."""
+    """Return the density per solid angle of mirrored directions omega_in, by the module's formula."""
     toward, aside, squared_up, squared_length, height, radius = seen
     slopes = squared_up + (toward / along) ** 2 + (aside / across) ** 2
     visible = height + np.sqrt(height**2 + (along * radius) ** 2)
@@ -165,7 +167,8 @@ def _mirrored_density(seen: tuple[Array, ...], along: Array, across: Array) -> A
 def _visible_normals(omega_out: Array, along: Array, across: Array, uniform: Array) -> Array:
     """Draw normals visible to directions (n, 3) from uniform numbers (2, n), by Dupuy and Benyoub (2023).
 
-    On the unit sphere of the stretched surface, the normals are halfway to points spread evenly over a spherical cap.
+    After the surface is stretched to roughness 1, a normal is the half vector of omega_out and of a point drawn
+    uniformly from a spherical cap.
     """
     x, y = _heading(omega_out)
     seen = np.stack([along * np.hypot(omega_out[:, 0], omega_out[:, 1]), omega_out[:, 2]])
@@ -184,7 +187,7 @@ def _row(omega_out: Array) -> Indices:
 
 
 def _heading(omega: Array) -> tuple[Array, Array]:
-    """Return cosine and sine of the azimuth; 1 and 0 along the normal."""
+    """Return cosine and sine of the azimuth of directions; 1 and 0 for the normal, which has none."""
     radius = np.hypot(omega[:, 0], omega[:, 1])
     safe = np.where(radius > 0.0, radius, 1.0)
     return np.where(radius > 0.0, omega[:, 0] / safe, 1.0), omega[:, 1] / safe

@@ -1,8 +1,8 @@
 """Interpolate the parameters of the model over theta_diff.
 
-A parameter is a clamped cubic B-spline of its control values: between knots it stays within the range of the nearest
-control values, so that a positive parameter stays positive and does not overshoot. Knots B make B + 2 control values; a
-single knot makes a constant. `linear` interpolation, the paper's, has its values at the knots.
+A parameter is a clamped cubic B-spline of its control values. Between two knots it stays within the range of the four
+control values that determine it there: a positive parameter stays positive and does not overshoot. A spline with B
+knots has B + 2 control values; a single knot makes a constant. The paper interpolates linearly between values at knots.
 """
 
 import numpy as np
@@ -15,17 +15,17 @@ SECOND_DIFFERENCE_WEIGHT = 3e-2
 
 
 def n_control_values(n_knots: int) -> int:
-    """Return the number of control values of a spline from its number of knots."""
+    """Return the number of control values of a spline with `n_knots` knots."""
     return 1 if n_knots == 1 else n_knots + DEGREE - 1
 
 
 def knot_vector(knots: Array) -> Array:
-    """Return the knots (B + 6,) of a clamped spline, with both ends repeated."""
+    """Return the knots (B + 6,) of a clamped spline: the first and the last of B knots are there four times."""
     return np.concatenate([np.repeat(knots[0], DEGREE), knots, np.repeat(knots[-1], DEGREE)])
 
 
 def spline_basis(knots: Array, theta_diff: Array) -> Array:
-    """Return the weights (R, D) of the control values at each theta_diff (R,), for knots (B,) [rad].
+    """Return the weights (R, D) of the D control values at each theta_diff (R,), for knots (B,) [rad].
 
     Weights are not negative, and each row sums to 1; theta_diff is clipped to the first and the last knot.
     """
@@ -38,8 +38,8 @@ def spline_basis(knots: Array, theta_diff: Array) -> Array:
 def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Array:
     """Return coefficients (4, P - 1, R) of (theta_diff - break)**3 to **0 on pieces that begin at the breaks (P,).
 
-    The curves are R splines with control values (D, R) on knots (B,), or lines between values (B, R) at the
-    knots. All knots are among the breaks; the last break ends the last piece. Beyond its own knots a curve is constant.
+    The curves are R splines with control values (D, R) on knots (B,), or linear between values (B, R) at the knots.
+    The breaks include all knots, and the last break ends the last piece. Beyond its own knots a curve is constant.
     """
     starts = breaks[:-1]
     if knots.size == 1:
@@ -54,7 +54,7 @@ def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Ar
         return np.stack([np.zeros_like(level), np.zeros_like(level), slope * inside, level])
     all_knots, terms, factor = knot_vector(knots), [_basis(knot_vector(knots), DEGREE, held) @ values], 1.0
     for order in range(1, DEGREE + 1):
-        # The derivative is a spline of one degree less, without the first and the last knot.
+        # The derivative of a spline is a spline of one degree less, whose knots lack the first and the last knot.
         degree = DEGREE - order
         all_knots = all_knots[1:-1]
         spans = all_knots[degree + 1 :] - all_knots[: -degree - 1]
@@ -65,19 +65,19 @@ def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Ar
 
 
 def roughness(n_values: int) -> Array:
-    """Return the quadratic form (D, D) of the squared second differences of control values."""
+    """Return the matrix (D, D) of the sum of squared second differences of D control values."""
     second = np.diff(np.eye(n_values), 2, axis=0) if n_values > 2 else np.zeros((0, n_values))
     return np.asarray(second.T @ second)
 
 
 def smooth_control_values(basis: Array, values: Array) -> Array:
-    """Return control values (D, n) of smooth splines near values (R, n), with the basis (R, D) of their rows."""
+    """Return control values (D, n) of smooth splines that fit values (R, n), with `spline_basis` (R, D) at the rows."""
     ridge = SECOND_DIFFERENCE_WEIGHT * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
     return np.asarray(np.linalg.solve(basis.T @ basis + ridge, basis.T @ values))
 
 
 def _basis(all_knots: Array, degree: int, at: Array) -> Array:
-    """Return values (R, D) of the B-splines at angles (R,) within the knots, by the recursion of Cox and de Boor."""
+    """Return values (R, D) of D B-splines at angles (R,) within the knots, by the recursion of Cox and de Boor."""
     n_values = all_knots.size - degree - 1
     piece = np.clip(all_knots.searchsorted(at, side="right") - 1, degree, n_values - 1)
     local = np.ones((at.size, 1))

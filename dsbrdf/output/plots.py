@@ -44,7 +44,7 @@ def plot(
     if isinstance(model, DSBRDF):
         return parameters_figure(model) if measured is None else plot_fit(model, measured, options)
     if measured is not None:
-        raise InvalidArgumentError("only a model or a fit can be drawn together with what was measured")
+        raise InvalidArgumentError("only a model or a fit can be drawn together with a measurement")
     if isinstance(model, Component):
         return components_figure([model], "")
     if isinstance(model, Measurement):

@@ -151,10 +151,12 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
     except (KeyError, TypeError):
         raise ModelFormatError("The stored components are damaged, or there are none.") from None
     if labels != tuple(label for label in LABELS if label in labels):
-        raise ModelFormatError("The stored components are not in their order.")
+        raise ModelFormatError("The stored components are damaged: their order is wrong.")
     structures = typed(tuple[WeightedLayers, ...], document.get("structures"), "structures")
     if any(len(one.is_diffuse) != len(one.model.layers) for one in structures):
-        raise ModelFormatError("The stored structures do not say of each layer whether it is diffuse.")
+        raise ModelFormatError(
+            "The stored structures are damaged: they do not say for each layer whether it is diffuse."
+        )
     diffuse_range: Range = typed(Range, document.get("diffuse_range"), "diffuse_range")
     return Decomposition(model, structures, labels, ranges, descriptions, diffuse_range), report
 

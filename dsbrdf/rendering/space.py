@@ -81,7 +81,7 @@ def _lightness(name: str, source: Source) -> Array:
     _, mask = sphere_normals(_SPHERE_SIZE_PX)
     rows = [render_sphere(source, lighting=lighting, size=_SPHERE_SIZE_PX)[mask] @ LUMINANCE for lighting in LIGHTINGS]
     if not all(row.mean() > 0.0 for row in rows):
-        raise InvalidArgumentError(f"{name}: the material reflects no light")
+        raise InvalidArgumentError(f"{name}: the material reflects no light; leave it out")
     return np.concatenate([np.cbrt(MEAN_LUMINANCE * row / row.mean()) for row in rows])
 
 

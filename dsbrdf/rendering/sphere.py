@@ -108,7 +108,7 @@ def _evaluator(source: Source) -> Evaluate:
     evaluate = getattr(source, "evaluate", source)
     if not callable(evaluate):
         kind = type(source).__name__
-        raise InvalidArgumentError(f"what is rendered must be a measurement, a model or a function, not {kind}")
+        raise InvalidArgumentError(f"only a measurement, a model or a function can be rendered, not {kind}")
     return evaluate
 
 

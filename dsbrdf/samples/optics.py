@@ -50,7 +50,7 @@ def _zemax_table(text: str) -> TextTable:
     words = {line[0]: line[1] for line in lines[:begin] if len(line) == 2}
     for name, read in _ZEMAX_WORDS.items():
         if words.get(name, read).lower() != read.lower():
-            raise MeasurementFormatError(f"The Zemax BSDF file has {name} {words[name]}; {read} alone is read.")
+            raise MeasurementFormatError(f"The Zemax BSDF file has {name} {words[name]}; only {read} is read.")
     rotation, *angles = (_numbers_after(name, lines[:begin]) for name in _ZEMAX_LISTS)
     if rotation.size != 1:
         raise MeasurementFormatError("The Zemax BSDF file has several sample rotations; a material here is isotropic.")
@@ -79,7 +79,7 @@ def _lighttools_table(text: str) -> TextTable:
     for words, numbers in _LIGHTTOOLS_BLOCK.findall(body):
         state |= dict(line.split()[:2] for line in words.splitlines())
         if "TristimulusValue" in state:
-            raise MeasurementFormatError("The file of LightTools has tristimulus values; Monochrome alone is read.")
+            raise MeasurementFormatError("The file of LightTools has tristimulus values; only Monochrome is read.")
         values = np.array(numbers.split(), dtype=np.float64)
         if values.size == 0 or (state["ScatterType"], state["Side"]) != ("BRDF", "Front"):
             continue
@@ -102,7 +102,7 @@ def fred_table(data: bytes) -> TextTable | None:
     lines = rows_of(decoded(data).splitlines())
     words = dict(re.findall(r"(\w+)=(\S+)", " ".join(line for _, line in lines[:20] if "=" in line)))
     if words.get("bsdf", "value") != "value":
-        raise MeasurementFormatError(f"The file of FRED has bsdf={words['bsdf']}; bsdf=value alone is read.")
+        raise MeasurementFormatError(f"The file of FRED has bsdf={words['bsdf']}; only bsdf=value is read.")
     try:
         scale = float(words.get("scale", 1.0))
     except ValueError:

@@ -72,7 +72,9 @@ class Client:
     ) -> None:
         key = os.environ.get("DSBRDF_KEY") if key is None else key
         if key and not (key.isascii() and key.isprintable() and " " not in key):
-            raise ValueError("the API key has characters that no key has; it is what dsbrdf keys add has printed")
+            raise ValueError(
+                "the API key contains characters that no key has; copy the key that dsbrdf keys add printed"
+            )
         self._timeout = timeout
         self._http = httpx.Client(
             base_url=base_url,

@@ -61,7 +61,7 @@ def _glsl(source: DSBRDF | LayeredModel | Component, extras: Extras) -> str:
 
 def _components(model: DSBRDF | LayeredModel, extras: Extras) -> bytes:
     if isinstance(model, LayeredModel):
-        raise InvalidArgumentError("components are those of a whole model: leave the component out")
+        raise InvalidArgumentError("a table of components needs the whole model: leave the component out")
     psnr = None if extras.report is None else extras.report.metrics.psnr
     return table_csv(component_rows(extras.title, component_documents(model), psnr))
 
@@ -172,8 +172,8 @@ def check_holds_component(file_format: str) -> None:
     if FORMATS[file_format].holds_parameters:
         able = [name for name, kind in FORMATS.items() if not kind.holds_parameters]
         raise InvalidArgumentError(
-            f"{file_format} cannot hold a component, whose values are a share of the model's: take {one_of(able)}, or "
-            "export the layers, a small model that has all components"
+            f"the format {file_format} cannot contain a single component: use {one_of(able)}, or export the layers, a "
+            "small model of all components"
         )
 
 

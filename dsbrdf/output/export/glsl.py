@@ -75,8 +75,8 @@ def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *
     """
     if not re.fullmatch(_NAME_PATTERN, name) or f" {name} " in _RESERVED_WORDS:
         raise InvalidArgumentError(
-            "the name of a GLSL function must begin with a letter, have at most 64 letters and digits with single "
-            f"underscores between them, and be no word of GLSL, unlike {name!r}"
+            f"{name!r} cannot be the name of a GLSL function: it must begin with a letter, have at most 64 letters and "
+            "digits with single underscores between them, and must not be a word of GLSL"
         )
     head = _TEMPLATES["header of sampling"] if sampling else ""
     if isinstance(source, LayeredModel):

@@ -54,7 +54,7 @@ class Access:
         if path in HEALTH:
             return None
         if not self._free:
-            detail = f"{self._places} requests are in progress, the most allowed; ask again later."
+            detail = f"{self._places} requests are in progress, which is the limit; try again later."
             raise ProblemError("overloaded", detail)
         caller = str((scope.get("client") or ("",))[0])
         if not self._is_open(path):
@@ -65,11 +65,11 @@ class Access:
             else:
                 self._check_local(headers)
             if not path.isprintable():  # A route takes a line break for the end of the path.
-                raise ProblemError("not-found", "No path here has control characters; GET /docs lists what there is.")
+                raise ProblemError("not-found", "The path has a control character; GET /docs lists all paths.")
         scope[CALLER_NAME] = caller
         number = self._in_progress[caller]
         if number >= self._free:
-            detail = f"{number} requests of this caller are in progress, the most allowed now; wait for some to end."
+            detail = f"{number} of your requests are in progress, which is the limit now; wait until some have ended."
             raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
         self._in_progress[caller] = number + 1
         self._free -= 1
@@ -95,22 +95,22 @@ class Access:
             raise InvalidKeyError
         if seconds := self._keys.wait(caller):
             rate = f"{caller.requests_per_second:g} requests per second"
-            detail = f"This key may make {rate}; ask again in {seconds:.3g} s."
+            detail = f"This key may make {rate}; try again in {seconds:.3g} s."
             raise ProblemError("rate-limited", detail, {"Retry-After": str(math.ceil(seconds))})
         return caller
 
     def _check_local(self, headers: dict[bytes, bytes]) -> None:
         """Check that the request is the local user's own."""
         if self._needs_key:
-            detail = "An API key is needed here; send it as 'Authorization: Bearer <key>'."
+            detail = "The request has no API key, but this service needs one; send it as 'Authorization: Bearer <key>'."
             raise ProblemError("unauthorized", detail, {"WWW-Authenticate": "Bearer"})
         if not self._local_only:
             return
         host, origin = headers.get(b"host"), headers.get(b"origin")
         if host is not None and not _LOCAL_NAME.fullmatch(host):
-            detail = "Without an API key the service answers to 127.0.0.1, localhost and names without a dot only."
+            detail = "Without an API key, the host in the address must be 127.0.0.1, localhost or a name without a dot."
             raise ProblemError("misdirected", detail)
         from_elsewhere = origin is not None and origin.partition(b"://")[2] != host
         if from_elsewhere or headers.get(b"sec-fetch-site", b"none") not in (b"same-origin", b"none"):
-            detail = "Without an API key the service does not answer to pages of other sites."
+            detail = "Without an API key, pages of other sites cannot use the service; open its own page or send a key."
             raise ProblemError("foreign-origin", detail)

@@ -33,7 +33,7 @@ def main(words: Sequence[str]) -> int:
 
 def _check_name(_: Any, text: str) -> None:
     if not 0 < len(text) <= _MAX_NAME_LENGTH or not text.isprintable() or text.isspace():
-        raise ValueError(f"a name has 1 to {_MAX_NAME_LENGTH} printable characters")
+        raise ValueError(f"the name must have 1 to {_MAX_NAME_LENGTH} printable characters")
 
 
 _Name = Annotated[str, Parameter(validator=_check_name, help="Whose key it is, for the list.")]

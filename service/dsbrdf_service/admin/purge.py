@@ -29,7 +29,7 @@ def main(words: Sequence[str]) -> int:
 
 def _check_age(_: object, age: timedelta | None) -> None:
     if age is not None and age < timedelta():
-        raise ValueError("an age is not negative; it is such as 30d")
+        raise ValueError("the age must not be negative; write it like 30d")
 
 
 def _purge(

@@ -53,7 +53,7 @@ async def get_ready(context: TheContext) -> Health:
 async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
     """Return requests, fits, times and sizes of all keys in Prometheus' text format; only some API keys may read it."""
     if not caller.metrics:
-        raise ProblemError("not-found", "There are no metrics for this key; dsbrdf keys add --metrics makes one.")
+        raise ProblemError("not-found", "This key may not read the metrics; make a key with dsbrdf keys add --metrics.")
     metrics = await run_in_threadpool(context.metrics.exposition, context.store)
     return Response(metrics, media_type=CONTENT_TYPE_PLAIN_0_0_4)
 

@@ -46,7 +46,7 @@ Name = Annotated[str | None, Field(description="The latest name given; no part o
 def _check_plain(given: Any) -> Any:
     """Return what is given; raise ValueError if it is a text that only Python takes for a number."""
     if isinstance(given, str) and ("_" in given or not given.isascii()):
-        raise ValueError(f"{given[:40]!r} is no number")
+        raise ValueError(f"{given[:40]!r} is not a number")
     return given
 
 

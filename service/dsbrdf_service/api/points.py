@@ -162,7 +162,7 @@ def read_npy(data: bytes, allowed: Callable[[tuple[int, ...]], bool], wanted: st
     if not allowed(array.shape):
         raise InvalidArgumentError(f"The array has the shape {array.shape}; it must be {wanted}.")
     if file.tell() != len(data):
-        raise InvalidArgumentError("The body goes on after the array.")
+        raise InvalidArgumentError("The body has more bytes after the array; send the array alone.")
     return array
 
 
@@ -170,7 +170,8 @@ def _points(given: Mapping[str, Any], *, strict: bool) -> Points:
     """Return the points of the form whose name is given first; numbers may be texts unless it is `strict`."""
     form = _FORM_OF.get(next(iter(given), ""))
     if form is None:
-        raise InvalidArgumentError(f"No point is named{f' by {next(iter(given))[:60]!r}' if given else ''}; {_CHOICE}.")
+        fault = f"{next(iter(given))[:60]!r} does not belong to a point" if given else "The request has no point"
+        raise InvalidArgumentError(f"{fault}; {_CHOICE}.")
     try:
         return _READ[form](**vars(form.model_validate(given, strict=strict)))
     except ValidationError as error:
@@ -203,7 +204,9 @@ def _broadcast(columns: Mapping[str, Any]) -> Sequence[Any]:
     several = counts - {1}
     if len(several) > 1:
         parts = [f"{len(column)} values of {name}" for name, column in columns.items() if len(column) != 1]
-        raise InvalidArgumentError(f"There are {' and '.join(parts)}; give as many of each, or one for all.")
+        raise InvalidArgumentError(
+            f"There are {' and '.join(parts)}; give equally many of each, or one for all points."
+        )
     arrays = [np.asarray(column, dtype=float) for column in columns.values()]
     return [np.broadcast_to(array, (*several, *array.shape[1:])) for array in arrays]
 

@@ -184,7 +184,9 @@ async def _points(request: Request, context: Context) -> tuple[Points, str]:
             read = from_npy if media_type == NPY else from_json
             points = await context.computations.run(request, object(), partial(read, body))
     if points.theta_half.size > _MAX_POINTS:
-        detail = f"{points.theta_half.size} points are more than the {_MAX_POINTS} that one request may have."
+        detail = (
+            f"{points.theta_half.size} points are more than the {_MAX_POINTS} of one request; send several requests."
+        )
         raise ProblemError("too-large", detail)
     return points, NPY if prefers(request, NPY, JSON) else JSON
 

@@ -32,8 +32,8 @@ T = TypeVar("T")
 Place = Literal["short", "medium", "long"]
 """Where something is computed, by its time: at most some 50 ms, about a second, or longer."""
 _TOO_COSTLY = {
-    "MemoryLimit": "The computation takes more than the {0.memory_mb} MB that one may use; ask for less at once.",
-    "ProcessorLimit": "The computation takes more than {0.processor_seconds:g} s of a processor; ask for less at once.",
+    "MemoryLimit": "The computation takes more than {0.memory_mb} MB, its limit; ask for fewer values at once.",
+    "ProcessorLimit": "The computation takes more than {0.processor_seconds:g} s, its limit; ask for fewer values.",
 }
 
 
@@ -98,8 +98,8 @@ class Computations:
         if found.type in ("MemoryLimit", "ProcessorLimit"):
             raise ProblemError("too-costly", _TOO_COSTLY[found.type].format(self._limits))
         if found.origin == "system" or found.type == "TimeLimit":
-            raise ProblemError("interrupted", f"The computation was interrupted ({found.type}); ask for it again.")
-        raise ProblemError("internal", f"The answer cannot be computed ({found.type}); the service's log says why.")
+            raise ProblemError("interrupted", f"The computation was interrupted ({found.type}); try again.")
+        raise ProblemError("internal", f"The service failed to compute the answer ({found.type}); its log says why.")
 
     async def make_file(
         self,

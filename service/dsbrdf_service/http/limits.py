@@ -41,11 +41,15 @@ def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
     if too_long:
         limits = f"an address of {_MAX_LINE_BYTES} bytes, and {_MAX_HEADERS} headers of {_MAX_LINE_BYTES} bytes each"
         raise ProblemError(
-            "head-too-long", f"A request has at most {limits}; many points are sent with POST.", _CLOSE_HEADERS
+            "head-too-long", f"The request is longer than {limits}; send many points with POST.", _CLOSE_HEADERS
         )
     twice = len(headers) < len(sent) and any(sum(name == once for name, _ in sent) > 1 for once in _SINGLE_HEADERS)
     if twice or (b"host" not in headers and scope["http_version"] == "1.1"):
-        raise ProblemError("bad-request", "A request has exactly one Host, and at most one Origin.", _CLOSE_HEADERS)
+        raise ProblemError(
+            "bad-request",
+            "The request must have exactly one header Host, and at most one header Origin.",
+            _CLOSE_HEADERS,
+        )
 
 
 class BodyTimeout:

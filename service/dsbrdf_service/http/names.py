@@ -19,8 +19,8 @@ def check_name(text: str) -> str:
     """Return a name; raise InvalidArgumentError if it cannot be the name of a file on any system."""
     if not 0 < len(text) <= MAX_LENGTH or not text.isprintable() or text.strip() != text or re.search(r"[/\\]", text):
         raise InvalidArgumentError(
-            f"A name has 1 to {MAX_LENGTH} printable characters without slashes, and no space at its ends; "
-            f"{text[:60]!r} is none."
+            f"{text[:60]!r} is not a valid name: a name has 1 to {MAX_LENGTH} printable characters, no slash "
+            "and no space at its ends."
         )
     return text
 

@@ -31,7 +31,7 @@ class Problem(BaseModel):
     type: Annotated[str, Field(description="Stable name of the problem, for scripts.")]
     title: str
     status: int
-    detail: Annotated[str, Field(description="One sentence: what is wrong and what would be right.")]
+    detail: Annotated[str, Field(description="One sentence: the mistake and the remedy.")]
     instance: str
 
 
@@ -43,11 +43,11 @@ class Kind(NamedTuple):
     retry_after: int | None = None
 
 
-_FULL = "The service has no disk space left for this request; try again when space has been freed."
+_FULL = "The disk of the service is too full for this request; delete measurements, or try again later."
 _BROKEN = "The service failed at this request; its log says why."
 KINDS: dict[str, Kind] = {
     "bad-request": Kind(400, "The request cannot be understood"),
-    "bad-encoding": Kind(400, "The body does not decode"),
+    "bad-encoding": Kind(400, "The body cannot be decoded"),
     "unauthorized": Kind(401, "A valid API key is needed"),
     "foreign-origin": Kind(403, "The request comes from another site"),
     "storage-quota": Kind(403, "The key's storage is full"),
@@ -62,8 +62,8 @@ KINDS: dict[str, Kind] = {
     "too-large": Kind(413, "The body is too large"),
     "measurement-too-large": Kind(413, "The file is too long"),
     "unsupported-media-type": Kind(415, "The body's type or encoding is not supported"),
-    "head-too-long": Kind(431, "The request's head is too long"),
-    "misdirected": Kind(421, "The service has another name"),
+    "head-too-long": Kind(431, "The request line or the headers are too long"),
+    "misdirected": Kind(421, "The service does not have this host name"),
     "measurement-format": Kind(422, "Not an acceptable measurement"),
     "invalid-argument": Kind(422, "An argument is not acceptable"),
     "too-costly": Kind(422, "The computation takes too much time or memory"),
@@ -121,7 +121,7 @@ def problem_of(request: Request, error: Exception) -> ProblemError:
     if isinstance(error, ProblemError):
         return error
     if isinstance(error, ClientDisconnect):  # seen by the log and the metrics only
-        return ProblemError("bad-request", "The client went away before the end of the body.")
+        return ProblemError("bad-request", "The client disconnected before the end of the body.")
     if isinstance(error, RequestValidationError):
         if any(fault["loc"][0] == "path" for fault in error.errors()):  # an id or label that nothing can have
             return _nothing_at(path)
@@ -139,14 +139,16 @@ def problem_of(request: Request, error: Exception) -> ProblemError:
         if getattr(error, "errno", 0) in _FULL_DISK or getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL:
             return ProblemError("disk-full", _FULL)
         logger.error("%s %s: the data folder cannot be used (%s)", request.method, path, error)
-        detail = "The service cannot use its data folder at present; its log says why, and /health/ready when it can."
+        detail = (
+            "The service cannot use its data folder now; its log says why. Try again when /health/ready answers 200."
+        )
         return ProblemError("not-ready", detail)
     logger.error("%s %s failed", request.method, path, exc_info=error)
     return ProblemError("internal", _BROKEN)
 
 
 def _nothing_at(path: str) -> ProblemError:
-    return ProblemError("not-found", f"There is nothing at {path}; GET /docs lists what there is.")
+    return ProblemError("not-found", f"The service has nothing at {path}; GET /docs lists all paths.")
 
 
 def _methods(request: Request) -> list[str]:

@@ -49,7 +49,7 @@ class Bodies:
                     raise _too_large(limit)
                 if self._held[caller] + len(piece) > _MAX_HELD_BYTES:
                     most = f"{_MAX_HELD_BYTES // 10**6} MB, the most allowed"
-                    detail = f"Bodies of this caller's requests take {most}; wait for some to be answered."
+                    detail = f"The bodies of your requests take {most}; wait until some are answered."
                     raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
                 self._held[caller] += len(piece)
                 content += piece
@@ -68,7 +68,7 @@ async def decoded(request: Request, limit: int) -> AsyncIterator[bytes]:
     names = ",".join(request.headers.getlist("content-encoding")).lower().split(",")
     encoding = ", ".join(name for part in names if (name := part.strip()) not in ("", "identity"))
     if encoding not in ("", "gzip", "x-gzip"):
-        detail = f"The content encoding {encoding[:40]!r} is not supported; send the body as it is, or as gzip."
+        detail = f"The content encoding {encoding[:40]!r} is not supported; send the body uncompressed or as gzip."
         raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": "gzip"})
     member, left = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS), limit + limit // 64 + 1024
     async for piece in request.stream():

@@ -179,7 +179,7 @@ def own_folder(folder: Path) -> Path:
     Raises DataFolderError if there is a file or a symbolic link in its place.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise DataFolderError(f"{folder} is not a folder of the service's own; remove it, or give another data folder")
+        raise DataFolderError(f"{folder} is not a folder of the service; remove it, or give another data folder")
     folder.mkdir(exist_ok=True)
     return folder
 
@@ -203,8 +203,8 @@ def _claim(folder: Path) -> None:
         ours = not size and names <= {FILE_NAME, f"{FILE_NAME}-journal"}
     if names and not ours:
         raise DataFolderError(
-            f"{folder} has files in it, but none of a service, and was left as it is; "
-            "give a data folder that is new, empty or the service's"
+            f"{folder} has files of other programs and was not changed; "
+            "give a data folder that is new, empty or made by the service"
         )
 
 

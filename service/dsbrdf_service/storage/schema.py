@@ -71,7 +71,7 @@ def create_tables(connection: sqlite3.Connection) -> None:
         )
     if n_tables:
         raise DataFolderError(
-            "the database is another program's; give a data folder that is new, empty or the service's"
+            "the database belongs to another program; give a data folder that is new, empty or made by the service"
         )
     connection.executescript(f"BEGIN IMMEDIATE; {_TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
 

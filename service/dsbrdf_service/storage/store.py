@@ -142,10 +142,12 @@ class Store:
             logger.error("the file of the measurement %s is damaged: %s", sha256, error)  # noqa: TRY400 (no traceback)
             raise
         if kind == "grid" and not row.on_grid:
-            detail = "It is a table of scattered samples, of which there is no picture and no value between them."
+            detail = "The measurement is a table of samples, without pictures or values in between; fit it first."
             raise ProblemError("not-found", detail)
         if kind == "samples" and row.on_grid:
-            raise ProblemError("not-found", "It is a measurement on a grid, which has nodes in the place of samples.")
+            raise ProblemError(
+                "not-found", "The measurement is a grid, not a table of samples; read its content instead."
+            )
         return path
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
@@ -203,7 +205,7 @@ class Store:
             check_storage(db, caller, 0)
             (waiting,) = db.execute("SELECT count(*) FROM fits WHERE status = 'accepted'").fetchone()
             if waiting >= queue_limit:
-                detail = f"{waiting} fits are waiting, the most allowed; the measurement is stored, ask again later."
+                detail = f"{waiting} fits are waiting, which is the limit; the measurement is stored, try again later."
                 raise ProblemError("queue-full", detail)
             versions = dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__
             new = (caller.owner, *key, name, sha256, json.dumps(options), *versions, time.time())
@@ -263,11 +265,13 @@ class Store:
             raise FitNotFoundError(key.id)
         status, document, thumbnail, metrics, written = rows[0]
         if status in UNFINISHED:
-            raise ProblemError("fit-not-finished", f"The fit is {status}; its model exists when it has succeeded.")
+            raise ProblemError(
+                "fit-not-finished", f"The fit is {status} and has no model yet; wait until it has succeeded."
+            )
         if document is None:
             raise ProblemError("fit-without-result", f"The fit {status} and has no model; its document says why.")
         if checksum(metrics, document) != written:
-            detail = "The stored result of the fit is damaged; delete the fit and ask for it once more."
+            detail = "The stored result of the fit is damaged; delete the fit and fit the measurement again."
             raise ProblemError("fit-without-result", detail)
         return document, thumbnail
 

@@ -108,7 +108,7 @@ def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
     query = f"SELECT count(*) FROM fits WHERE owner = ? AND {IS_UNFINISHED}"  # noqa: S608
     (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
     if unfinished >= caller.queued_fits:
-        detail = f"{unfinished} fits of this key are unfinished, the most allowed; ask again when one has ended."
+        detail = f"{unfinished} fits of this key are unfinished, which is the limit; try again when one has ended."
         raise ProblemError("queue-quota", detail)
 
 

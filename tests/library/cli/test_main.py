@@ -199,7 +199,7 @@ MISTAKES = {
     "export paint.json --format gltf -o a.glb": "dsbrdf export: --format: must be auto or json or merl",
     "export paint.json -o a.glb": "dsbrdf: a.glb: the file must end in one of .json, .binary, .glsl,",
     "export model.json --format json -o none/model.json": "dsbrdf: none/model.json: No such file or directory\n",
-    "export model.json --component diffuse -o diffuse.json": "dsbrdf: json cannot hold a component",
+    "export model.json --component diffuse -o diffuse.json": "the format json cannot contain a single component",
     "export model.json --component specular_spike -o a.binary": ABSENT,
     "eval paint.json --theta-half ten": "dsbrdf eval: --theta-half: must be a number, not 'ten'",
     "eval paint.json --theta-half=": "dsbrdf eval: --theta-half: must be a number, not ''",
@@ -228,7 +228,7 @@ MISTAKES = {
     "render model.json -o a.png --lighting bad.exr": "bad.exr: A panorama must be an OpenEXR picture; save it as .exr",
     "render model.json -o a.png --lighting room.hdr": "must be three_lights, environment or an .exr file",
     "render cut.bsdf -o a.png": BAD_TENSORS,
-    "render felt.csv -o a.png": "felt.csv: scattered samples are no measurement on a grid",
+    "render felt.csv -o a.png": "felt.csv: the file is a table of samples, not a measurement on a grid",
     # convert
     "convert plastic.binary out.png": "the output must end in .binary, .bsdf or .csv",
     "convert nickel.binary out.bsdf": "dsbrdf: nickel.binary: The data has only 112 bytes",

@@ -159,7 +159,7 @@ def test_from_values_names_the_fault() -> None:
     wrong: list[tuple[Any, Any, str]] = [
         (np.moveaxis(zeros, 0, -1), None, r"have the shape \(.*; a measurement has \(3, 90, 90, 180\)"),
         (ones, np.ones((90, 180, 90), bool), r"valid nodes have the shape \(90, 180, 90\)"),
-        (zeros, None, "0 have a value of at least"),
+        (zeros, None, "have a value of at least"),
         (np.array([["a"]]), None, "must be real numbers"),
         (np.where(np.arange(180) == 7, np.inf, ones), None, "^24300 of the values are NaN"),
     ]

@@ -127,9 +127,9 @@ FAULTS: dict[str, tuple[Make, str]] = {
     ),
     "all zero": (
         lambda _: filled(0.0),
-        "1111430 nodes above the horizon 0 have a value of at least 1e-08/sr at a theta_half above",
+        "0 of the 1111430 nodes above the horizon have a value of at least 1e-08/sr at a theta_half above",
     ),
-    "another unit": (lambda data: scaled(data, 1e-30), "0 have a value of at least 1e-08/sr"),
+    "another unit": (lambda data: scaled(data, 1e-30), "have a value of at least 1e-08/sr"),
     "JSON": (lambda _: json.dumps({"measurement": [1.0] * 1000}).encode(), "The data is JSON"),
     "PNG": (lambda _: b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(1000), "The data is a PNG image"),
     "PDF": (lambda _: b"%PDF-1.7\n%\xe2\xe3\xcf\xd3\n" + bytes(1000), "The data is a PDF document"),
@@ -190,7 +190,7 @@ def test_file_with_hardly_any_valid_nodes_is_refused() -> None:
         values, count = np.ones((3, *GRID_SHAPE)), int(share * index.size)
         values[channel].flat[index[count:]] = -1.0
         sentence = whole(HEADER + values.tobytes())
-        refused = f"of valid ones (not negative) in the {color} channel is {count}; a measurement needs at least 1% of"
+        refused = f"The {color} channel has valid values (not negative) at {count} of the"
         assert (refused in sentence) == bool(color)
 
 
@@ -202,7 +202,7 @@ def test_nodes_below_the_horizon_and_single_ones_are_no_measurement() -> None:
         values[:, 0] = elsewhere  # A fit does not see light at theta_half = 0, which has no solid angle.
         values[2, 1:].flat[np.flatnonzero(above[1:])[:lit]] = 1e-4  # 1.1e-7/sr
         sentence = whole(HEADER + values.tobytes())
-        assert (f"{lit} have a value of at least 1e-08/sr" in sentence) == (lit < count)
+        assert (f"{lit} of the {above.sum()} nodes above the horizon have a value" in sentence) == (lit < count)
 
 
 def test_missing_file_directory_and_pipe_are_refused(tmp_path: Path) -> None:

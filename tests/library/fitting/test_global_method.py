@@ -244,7 +244,7 @@ def test_red_only_material(plastic: Measurement) -> None:
 
 
 def test_nothing_left_is_said(plastic: Measurement, plastic_profiles: Profiles) -> None:
-    with pytest.raises(MeasurementFormatError, match=r"a measurement has light at 0\.1% of them"):
+    with pytest.raises(MeasurementFormatError, match=r"a measurement needs at least 0\.1% of the nodes"):
         edited(plastic, lambda values, _: values.fill(0.0))
     folded, nothing = plastic_profiles.folded, np.zeros_like(plastic_profiles.folded.mean)
     for empty in (replace(folded, mean=nothing), replace(folded, weight=nothing)):

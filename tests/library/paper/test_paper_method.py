@@ -137,7 +137,7 @@ def test_centre_is_not_used_for_the_lobes_and_the_delta_term_is_never_negative(
 @pytest.mark.parametrize(("name", "asked"), [("weighting", "cosine"), ("horizon_cutoff_deg", None), ("robust", True)])
 def test_profiles_must_have_been_made_with_the_same_options(plastic_profiles: Profiles, name: str, asked: Any) -> None:
     with pytest.raises(
-        InvalidArgumentError, match=f"made with {name.removesuffix('_deg')} .*, the options ask for {asked!r}"
+        InvalidArgumentError, match=f"made with {name.removesuffix('_deg')}=.*, but the options have {asked!r}"
     ):
         fit(plastic_profiles, paper(**{name: asked}))
 

@@ -318,7 +318,7 @@ WRONG = [
     ),
     (
         b"SpectralContent XYZ\nScatterRadial 2\n0 9\nDataBegin\n1 2 3 4\n",
-        "The Zemax BSDF file has SpectralContent XYZ; Monochrome alone is read.",
+        "The Zemax BSDF file has SpectralContent XYZ; only Monochrome is read.",
     ),
     (b"TIS 1\nScatterRadial\n# DataBegin\n", "begins with 'TIS 1' and has no line that names its columns"),
     (b"! ASTM E1392-96\nBSDF of mirror 3\n1 2 3\n", "The data is a file of ASTM E1392, which is not read"),

@@ -115,7 +115,9 @@ def test_metrics_of_samples_are_those_of_a_loop(cutoff: float | None) -> None:
 def test_what_is_for_one_kind_of_data_is_refused_for_the_other(matte: dsbrdf.Measurement) -> None:
     with pytest.raises(InvalidArgumentError, match="cannot be fitted with method 'paper'"):
         dsbrdf.fit(scattered_samples(TRUTH, 60), method="paper")
-    with pytest.raises(InvalidArgumentError, match="with cosine a table in a file is read: give its path, or leave"):
+    with pytest.raises(
+        InvalidArgumentError, match="cosine applies to a table in a file: give the path of the table, or leave"
+    ):
         dsbrdf.fit(matte, cosine="in")
     with pytest.raises(InvalidArgumentError, match="as FitOptions or by name, not both"):
         dsbrdf.fit(matte, FitOptions(), n_lobes=1)

@@ -14,8 +14,8 @@ from dsbrdf_service.api.points import from_json
 @pytest.mark.parametrize(
     ("read", "body", "said"),
     [
-        (from_json, b"{}", "No point is named; give theta_half_deg and theta_diff_deg, or"),
-        (from_json, b'{"theta_half": 1}', "No point is named by 'theta_half'; give theta_half_deg and"),
+        (from_json, b"{}", "The request has no point; give theta_half_deg and theta_diff_deg, or"),
+        (from_json, b'{"theta_half": 1}', "'theta_half' does not belong to a point; give theta_half_deg and"),
         (from_json, b'{"phi_diff_deg": 1}', "theta_half_deg is missing; theta_diff_deg is missing."),
         (from_json, b"[", "The body is not JSON: EOF while parsing a list at line 1 column 1."),
         (from_json, b"null", "The body must be an object; give theta_half_deg"),

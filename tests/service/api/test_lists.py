@@ -58,7 +58,7 @@ def test_invalid_names_are_refused_and_nothing_is_stored(server: Server, name: s
     before = server.files()
     for noun in ("fits", "measurements"):
         answer = server.http.post(f"/v1/{noun}", params={"name": name}, content=b"not even a measurement")
-        assert "A name has 1 to 100" in assert_problem(answer, 422, "invalid-argument")
+        assert "a name has 1 to 100" in assert_problem(answer, 422, "invalid-argument")
     assert server.files() == before
 
 

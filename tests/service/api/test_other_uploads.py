@@ -165,7 +165,7 @@ def with_count(bsdf: bytes, count: int) -> bytes:
 
 ATTACKS: dict[str, tuple[str, Callable[[bytes], bytes], int, str]] = {
     "a count beyond the file": ("a.bsdf", lambda bsdf: with_count(bsdf, 1 << 60), 422, "a field lies outside of it"),
-    "a wrong count": ("a.bsdf", lambda bsdf: with_count(bsdf, 3), 422, "do not fit together"),
+    "a wrong count": ("a.bsdf", lambda bsdf: with_count(bsdf, 3), 422, "have inconsistent shapes"),
     "cut off": ("a.bsdf", lambda bsdf: bsdf[: len(bsdf) // 2], 422, "damaged or cut off"),
     "NaN": ("a.bsdf", lambda bsdf: changed(bsdf, sigma=np.full((2, 2), np.nan, "f4")), 422, "NaN or infinite"),
     "anisotropic": ("a.bsdf", lambda bsdf: changed(bsdf, phi_i=np.arange(8, dtype="f4")), 422, "has 8 azimuths"),

@@ -23,7 +23,7 @@ TARGETS += [
     ("{fit}/export?component=ring&format=json", "'diffuse'"),
     ("{fit}/export?format=obj", "'json'"),
     ("{fit}/export", "format"),
-    ("{fit}/export?name=flat&format=glsl&sampling=true", "no word of GLSL"),
+    ("{fit}/export?name=flat&format=glsl&sampling=true", "must not be a word of GLSL"),
     ("{fit}/export?name=paint&format=merl&sampling=true", "options of the format glsl"),
     ("{fit}/figures/sphere.png?size=1000", "256"),
     ("{fit}/figures/sphere.png?lighting=moon", "'environment'"),

@@ -67,7 +67,7 @@ def test_owners_share_only_the_file_of_a_measurement(store: Store) -> None:
     store.start_fit(of_b)
     store.complete_fit(of_b, "of b", {})
     assert store.fit(of_a).status == "accepted"
-    with pytest.raises(ProblemError, match="when it has succeeded"):
+    with pytest.raises(ProblemError, match="wait until it has succeeded"):
         store.result(of_a)
     assert store.remove_measurement("b", sha256)  # a's fit of it is unfinished, b's is not
     assert store.blobs.path(sha256).exists()
@@ -84,7 +84,9 @@ def test_damaged_result_is_not_returned(store: Store) -> None:
     store.complete_fit(key, "document", {"male": 0.5})
     with store.database.transaction() as db:
         db.execute("UPDATE fits SET result = 'docunent'")
-    with pytest.raises(ProblemError, match="result of the fit is damaged; delete the fit and ask for it once more"):
+    with pytest.raises(
+        ProblemError, match="result of the fit is damaged; delete the fit and fit the measurement again"
+    ):
         store.result(key)
     with store.database.transaction() as db:
         db.execute("UPDATE fits SET options = '{'")
@@ -168,9 +170,9 @@ def test_a_caller_stores_and_queues_no_more_than_is_allowed(store: Store) -> Non
         asked = [pool.submit(store.add_fit, other, sha256, {"mask": number}, 10) for number in range(6)]
     accepted = [one.result()[0] for one in asked if one.exception() is None]
     refused = [str(one.exception()) for one in asked if one.exception() is not None]
-    assert refused == ["2 fits of this key are unfinished, the most allowed; ask again when one has ended."] * 4
+    assert refused == ["2 fits of this key are unfinished, which is the limit; try again when one has ended."] * 4
     assert store.add_fit(other, sha256, accepted[0].options, 10) == (accepted[0], False)
     store.cancel_fit(accepted[0].key)
     assert store.add_fit(other, sha256, {"mask": 9}, 10)[1]
-    with pytest.raises(ProblemError, match="2 fits are waiting, the most allowed"):
+    with pytest.raises(ProblemError, match="2 fits are waiting, which is the limit"):
         store.add_fit(caller, sha256, {}, 2)

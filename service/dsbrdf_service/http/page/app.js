@@ -6,7 +6,7 @@ const STORED = `key of ${root.href}`;
 const MOST_TRIES = 5;
 const UNREACHABLE = "The service cannot be reached. Check the connection, then try again.";
 
-/** A refusal in the words of the service; the status is 0 if there is no answer. */
+/** An error with the words of the service; the status is 0 if there is no answer. */
 export class Problem extends Error {
   /** @param {string} detail @param {string} [title] @param {number} [status] */
   constructor(detail, title = "The service does not answer", status = 0) {
@@ -62,7 +62,7 @@ export async function askArray(path, options) {
 export const openapi = () => json("openapi.json");
 /** The schema of each option of a fit. @param {any} document @returns {Record<string, any>} */
 export const optionsOf = (document) => document.components.schemas.FitRequest.properties.options.properties;
-/** Rewrites a description of the API in the words of the form. @param {string} description */
+/** Replaces API words in a description by words of the form. @param {string} description */
 export const sentenceOf = (description) => description.replaceAll("`", "").replaceAll("None", "none");
 
 export const pause = (/** @type {number} */ milliseconds) => new Promise((resolve) => { setTimeout(resolve, milliseconds); });
@@ -117,7 +117,7 @@ export function template(id, texts = {}, paths = {}) {
   return copy;
 }
 
-/** Writes texts to elements by `data-text`, and addresses to elements by `data-link`. @param {ParentNode} part @param {Record<string, string>} texts @param {Record<string, string>} [paths] */
+/** Writes texts to elements with `data-text`, and addresses to elements with `data-link`. @param {ParentNode} part @param {Record<string, string>} texts @param {Record<string, string>} [paths] */
 export function fill(part, texts, paths = {}) {
   for (const [name, text] of Object.entries(texts)) for (const place of part.querySelectorAll(`[data-text="${name}"]`)) place.textContent = text;
   for (const [name, path] of Object.entries(paths)) for (const place of part.querySelectorAll(`[data-link="${name}"]`)) place.setAttribute("href", new URL(path, root).href);
@@ -146,7 +146,7 @@ export function whenSeen(element, call) {
   }).observe(element);
 }
 
-/** Calls a function whenever a folded box is opened. @param {HTMLElement} part of the box @param {() => Promise<unknown>} show */
+/** Calls a function whenever the details element around a part is opened. @param {HTMLElement} part of the box @param {() => Promise<unknown>} show */
 export function whenOpened(part, show) {
   const details = /** @type {HTMLDetailsElement} */ (part.closest("details"));
   details.addEventListener("toggle", () => details.open && show());
@@ -161,7 +161,7 @@ export async function showPicture(image, path) {
   await image.decode().catch(() => undefined);
 }
 
-/** Saves a file of the service under its name. @param {string} path */
+/** Downloads a file of the service under its name. @param {string} path */
 export async function download(path) {
   const answer = await request(path);
   const [, name] = /filename\*?=(?:UTF-8''|")([^;"]+)/.exec(answer.headers.get("Content-Disposition") ?? "") ?? [];
@@ -174,7 +174,7 @@ export async function download(path) {
 export async function share() {
   await pause(250); // By then the address contains the state of the view.
   const copied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
-  say(copied ? "The link is copied; it shows this view." : `The link is the address of this page: ${location.href}`);
+  say(copied ? "The link to this view is copied." : `The browser did not allow copying. The link is the address of this page: ${location.href}`);
 }
 
 /** Deletes after a confirmation, and goes to the list. @param {string} path @param {string} question @param {() => unknown} [then] */
@@ -195,7 +195,7 @@ export function progressOf(lead) {
 }
 
 /** @param {Fit} fit @param {() => unknown} [then] */
-export const removeFit = (fit, then) => remove(`v1/fits/${fit.id}?only=delete`, `Delete this fit of ${nameOf(fit)}? Its measurement stays.`, then);
+export const removeFit = (fit, then) => remove(`v1/fits/${fit.id}?only=delete`, `Delete this fit of ${nameOf(fit)}? Its measurement is kept.`, then);
 
 /** Yields the states of a fit until it has ended. @param {Fit} fit @returns {AsyncGenerator<Fit>} */
 export async function* follow(fit) {
@@ -231,7 +231,7 @@ export async function open() {
   try {
     // All modules of these views are fetched in parallel.
     if (name) for (const part of ["address", "light", "said", "sphere", "shader"]) document.head.append(make("link", { rel: "modulepreload", href: new URL(`page/${part}.js`, root) }));
-    if (!view) throw new Problem(`There is nothing at ${location.pathname}.`, "There is no such page", 404);
+    if (!view) throw new Problem(`The service has no page at ${location.pathname}. Start from the list of fits.`, "This page does not exist", 404);
     await (await import(`./${view}.js`)).show(main, id);
   } catch (error) {
     const { title, message } = error instanceof Problem ? error : { title: "Something is wrong with this page", message: String(error) };

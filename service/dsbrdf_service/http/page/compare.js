@@ -10,7 +10,7 @@ const COLOURS = Array.from({ length: 256 }, (_, level) => colourOf(level / 255).
 /** @param {HTMLElement} main */
 export async function show(main) {
   const ids = new URLSearchParams(location.search).getAll("fit");
-  if (ids.length !== 2) throw new Problem(`Two fits are compared at a time; this address names ${ids.length}. Tick two in the list.`, "Nothing to compare");
+  if (ids.length !== 2) throw new Problem(`Two fits can be compared at a time, but this address names ${ids.length}. Tick two fits in the list.`, "Nothing to compare");
   main.replaceChildren(template("compare", { names: "Two fits" }));
   /** @type {Fit[]} */
   const fits = await Promise.all(ids.map((id) => json(`v1/fits/${id}`)));
@@ -50,7 +50,7 @@ function compare([first, second]) {
     const seen = data.filter((_, i) => i % 4 < 3 && data[i - (i % 4) + 3] === 255);
     const sum = seen.reduce((total, value) => total + value * value, 0);
     const text = sum ? `${(10 * Math.log10((255 * 255 * seen.length) / sum)).toFixed(1)} dB` : "no difference";
-    find(document, "#likeness").textContent = `As the two spheres are shown above: ${text}${sum ? " peak signal-to-noise ratio" : ""}.`;
+    find(document, "#likeness").textContent = `Difference of the two spheres above: ${text}${sum ? " peak signal-to-noise ratio" : ""}.`;
     for (let i = 0; i < data.length; i += 4) data.set(COLOURS[Math.max(data[i], data[i + 1], data[i + 2])], i);
     context.putImageData(picture, 0, 0);
   };

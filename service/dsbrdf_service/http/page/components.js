@@ -1,10 +1,10 @@
-// Tables of the components of one fit, or of two side by side, and of the surfaces that reflect their light.
+// Shows tables of the components of one fit, or of two fits side by side, and of the surfaces of these components.
 import { fill, find, make, nameOf, openapi, template, whenOpened, words } from "./app.js";
 import { LABELS } from "./sphere.js";
 
 const [two, three] = [2, 3].map((digits) => (/** @type {number} */ value) => String(Number(value.toPrecision(digits))));
 
-// Rows of a component, then rows of a surface: property, title, format of a value.
+// Rows of the table of components, then columns of the table of surfaces: property, title, format of a value.
 /** @type {[string, string, (value: number) => string][]} */
 const OF_COMPONENTS = [
   ["light_share", "light", (value) => `${Math.round(100 * value)} %`],
@@ -16,13 +16,13 @@ const OF_COMPONENTS = [
 /** @type {[string, string, (value: number) => string][]} */
 const OF_SURFACES = [["alpha", "alpha", three], ["tail_exponent", "tail", three], ["f0", "F0", two], ["f90", "F90", two]];
 
-/** Makes a row of a table with a head as first cell, or a row of heads. @param {(Node | string | number)[]} cells @param {boolean} [heads] */
+/** Makes a table row whose first cell, or every cell with `heads`, is a header. @param {(Node | string | number)[]} cells @param {boolean} [heads] */
 export const tableRow = (cells, heads = false) => make("tr", {}, ...cells.map((cell, i) => {
   const isHead = cell !== "" && (heads || i === 0);
   return make(isHead ? "th" : "td", isHead ? { scope: heads ? "col" : "row" } : {}, cell instanceof Node ? cell : String(cell));
 }));
 
-/** Shows a number with its range below; several ranges appear under the pointer. @param {number | null} value @param {Interval | null | undefined} range @param {number} several @param {(value: number) => string} write */
+/** Shows a number with its range below; if there are several numbers, a tooltip shows the range of each. @param {number | null} value @param {Interval | null | undefined} range @param {number} several @param {(value: number) => string} write */
 function numberCell(value, range, several, write) {
   if (value === null) return "–";
   const rounded = write === three ? two : write;
@@ -30,7 +30,7 @@ function numberCell(value, range, several, write) {
   return make("span", { title: text && `${text} with a probability of 90 %` }, write(value), ...(text && several === 1 ? [make("small", {}, text)] : []));
 }
 
-/** The values of a property with their ranges. @param {Record<string, any> | undefined} owner a component or a surface, if there is one @param {string} property @param {(value: number) => string} write */
+/** Shows the values of a property with their ranges. @param {Record<string, any> | undefined} owner a component or a surface, if there is one @param {string} property @param {(value: number) => string} write */
 function cellOf(owner, property, write) {
   const values = [owner?.[property] ?? null].flat();
   const ranges = [owner?.ranges?.[property]].flat(values.length > 1 ? 1 : 0);
@@ -50,7 +50,7 @@ export function showComponents(box, fits) {
   const [components, surfaces] = [find(box, ".components"), find(box, ".surfaces")];
   const rows = OF_COMPONENTS.map(([property, title, write]) => [title, ...shown.map(({ part }) => cellOf(part && { ...part, height: part.lobe.height[0] }, property, write))]);
   if (shown.length) components.append(tableRow(["", ...shown.map(headOf)], true), ...rows.map((cells) => tableRow(cells)));
-  else components.append(tableRow(["There are none: the fit is black."]));
+  else components.append(tableRow(["There are no components: the fit is black."]));
   const all = shown.flatMap((one) => (one.part?.surfaces ?? []).map((surface) => ({ ...surface, ranges: { alpha: surface.alpha_range, f0: surface.f0_range } })).map((surface) => tableRow([headOf(one), ...OF_SURFACES.map(([property, , write]) => cellOf(surface, property, write))])));
   surfaces.append(tableRow(["surface", ...OF_SURFACES.map(([, title]) => title)], true), ...all);
   find(box, ".of-surfaces").hidden = !all.length;

@@ -22,7 +22,7 @@ export async function showDownloads(list, path) {
   }));
 }
 
-/** Makes a button that downloads a file. @param {string} text @param {string} path @param {string} [more] words for who does not see the row */
+/** Makes a button that downloads a file. @param {string} text @param {string} path @param {string} [more] additional words for screen readers */
 function button(text, path, more = "") {
   const made = make("button", { className: "button", type: "button" }, text, make("span", { className: "sr" }, more));
   made.onclick = () => {

@@ -7,7 +7,7 @@ import { place, showSide, showSpheres, storedOf, subjectOf } from "./said.js";
 const FAULTS = {
   input: "The measurement or the options do not allow a fit.",
   compute: "The computation failed or met a limit of the service.",
-  system: "The process of the fit was lost. Fit the measurement again.",
+  system: "The process of the fit ended unexpectedly. Fit the measurement again.",
 };
 const STATES = /** @type {Record<string, string>} */ ({ accepted: "Waiting for its turn", running: "Fitting", cancelled: "This fit was cancelled.", failed: "This fit failed." });
 
@@ -15,7 +15,7 @@ const STATES = /** @type {Record<string, string>} */ ({ accepted: "Waiting for i
 export async function show(main, id) {
   const path = `v1/fits/${id}`;
   const asked = json(path);
-  const shader = request(`${path}/export?format=glsl`).then((answer) => answer.text(), () => undefined); // A failed request is repeated on use.
+  const shader = request(`${path}/export?format=glsl`).then((answer) => answer.text(), () => undefined); // If this request fails, the first use of the shader repeats it.
   main.replaceChildren(template("fit", { name: "A fit" }));
   showActions(main, path, asked);
   const figure = place(main, path);
@@ -32,7 +32,7 @@ export async function show(main, id) {
 function showResult(main, fit, stored) {
   const name = nameOf(fit);
   setTitle(name);
-  fill(main, { name, about: `Fitted ${dateOf(fit.created)}. ${stored ? "" : "Its measurement was deleted: the fit is shown alone."}` }, { measurement: `measurements/${fit.measurement}` });
+  fill(main, { name, about: `Fitted ${dateOf(fit.created)}. ${stored ? "" : "Its measurement was deleted, so only the fit is shown."}` }, { measurement: `measurements/${fit.measurement}` });
   showSide(find(main, ".side"), fit);
   showComponents(find(main, ".side"), [fit]);
   find(main, "a[data-link=measurement]").hidden = find(main, "#figures").hidden = !stored;
@@ -41,26 +41,26 @@ function showResult(main, fit, stored) {
   if (!stored?.valid_nodes) find(main, "#lobes").closest("figure")?.remove(); // Only a gridded measurement has a figure of lobes.
 }
 
-/** Gives the buttons their actions before the fit has arrived: no click is lost. @param {HTMLElement} main @param {string} path @param {Promise<Fit>} asked */
+/** Gives the buttons their actions before the fit has arrived, so that no click is lost. @param {HTMLElement} main @param {string} path @param {Promise<Fit>} asked */
 function showActions(main, path, asked) {
   act(main, "share", share);
   act(main, "delete", async () => removeFit(await asked));
   act(main, "compare", async () => compareWith(await asked));
   act(main, "rename", async () => {
-    const wanted = prompt("The fit's new name", find(main, "h1").textContent ?? "")?.trim();
+    const wanted = prompt("New name of the fit", find(main, "h1").textContent ?? "")?.trim();
     if (!wanted) return;
     await json(path, "PATCH", { name: wanted });
     fill(main, { name: wanted });
     setTitle(wanted);
-    say("The fit is renamed.");
+    say("The fit has its new name.");
   });
 }
 
-/** Asks for a second fit, and opens the comparison. @param {Fit} fit */
+/** Lets the user choose a second fit, and opens the comparison. @param {Fit} fit */
 async function compareWith(fit) {
   /** @type {Fit[]} */
   const others = (await json("v1/fits?limit=200&status=succeeded")).items.filter((/** @type {Fit} */ { id }) => id !== fit.id);
-  if (!others.length) return say("There is no other fit yet. Fit a second material, then compare the two.");
+  if (!others.length) return say("There is no other fit to compare with. Fit a second material first.");
   const [dialog, choice] = [find(document, "#compare-with", HTMLDialogElement), find(document, "#other-fit", HTMLSelectElement)];
   fill(dialog, { name: nameOf(fit) });
   choice.replaceChildren(...others.map((other) => make("option", { value: other.id }, `${nameOf(other)}, ${dateOf(other.created)}`)));
@@ -68,7 +68,7 @@ async function compareWith(fit) {
   dialog.showModal();
 }
 
-/** Follows a fit to its end, and shows a failure. @param {HTMLElement} main @param {Fit} fit */
+/** Shows the progress of a fit until its end, then its result or its failure. @param {HTMLElement} main @param {Fit} fit */
 async function watch(main, fit) {
   const path = `v1/fits/${fit.id}`;
   setTitle(`${nameOf(fit)}: ${fit.status}`);
@@ -85,7 +85,7 @@ async function watch(main, fit) {
     bar.value = progress;
     fault.hidden = !error;
     fault.textContent = error?.message ?? "";
-    const note = unfinished ? "The result appears here when the fit is done. You may leave: the fit goes on." : "";
+    const note = unfinished ? "The result appears here when the fit is done. You may leave this page: the fit continues." : "";
     fill(main, { state: status === "running" ? words(progress) : STATES[status] ?? "", note: error ? FAULTS[error.origin] : note }, { measurement: `measurements/${fit.measurement}` });
     if (status === "succeeded") await show(main, fit.id);
   }

@@ -1,4 +1,4 @@
-// Shows a measurement, also before its fit: sphere, profiles and values, or the summary of a table; its fits, and a form to fit it.
+// Shows a measurement (sphere, plots and values, or the summary of a table), its fits, and a form to fit it.
 import { act, dateOf, download, find, json, make, remove, request, root, setTitle, share, sizeOf, stateOf, template, whenOpened } from "./app.js";
 import { chosen, fitStored, showForm } from "./options.js";
 import { place, showPlots, showSpheres } from "./said.js";
@@ -11,14 +11,14 @@ export async function show(main, sha256) {
   const name = known.name ?? `${sha256.slice(0, 12)}…`;
   const onGrid = known.valid_nodes > 0;
   setTitle(name);
-  const kind = onGrid ? `${known.valid_nodes.toLocaleString("en")} values on the grid of MERL` : "a table of samples";
+  const kind = onGrid ? `${known.valid_nodes.toLocaleString("en")} values on the MERL grid` : "a table of samples";
   main.replaceChildren(template("measurement", { name, about: `${kind} · ${sizeOf(known)} · ${dateOf(known.created)}` }));
   act(main, "download", () => download(`${path}/content`));
   act(main, "share", share);
-  act(main, "delete", () => remove(path, `Delete the measurement ${name}? Its fits stay, but can no longer be compared with it.`));
+  act(main, "delete", () => remove(path, `Delete the measurement ${name}? Its fits are kept, but can no longer be compared with it.`));
   const options = find(main, ".options");
   whenOpened(options, () => showForm(options, true));
-  find(main, "#its-fits").append(...(known.fits.length ? known.fits.map(fitLink) : [make("li", { className: "note" }, "There is none yet.")]));
+  find(main, "#its-fits").append(...(known.fits.length ? known.fits.map(fitLink) : [make("li", { className: "note" }, "This measurement has no fit yet.")]));
   find(main, "#fit-it").onsubmit = async (event) => {
     event.preventDefault();
     const { id } = await fitStored(known.name, sha256, chosen(options));

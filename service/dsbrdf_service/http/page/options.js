@@ -2,14 +2,14 @@
 import { make, openapi, optionsOf, json, sentenceOf, words } from "./app.js";
 
 // Titles of common options; the other options are behind "More".
-const COMMON = /** @type {Record<string, string>} */ ({ columns: "Which column is which", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Which samples count most", robust: "Give outliers less weight" });
+const COMMON = /** @type {Record<string, string>} */ ({ columns: "Meaning of columns", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Weights of the samples", robust: "Give outliers less weight" });
 const OTHERS = /** @type {Record<string, string>} */ ({
-  cosine: "Values are multiplied by a cosine", phi: "How phi is counted", ring_lobes: "Lobes that are rings", horizon_cutoff_deg: "Samples near the horizon",
-  variation: "Change with theta_diff", lobe: "Family of the lobes", method: "Method", knots_deg: "Knots", mask: "Mask of the paper", em_iterations: "Iterations of the paper's method",
+  cosine: "Cosine contained in the values", phi: "Meaning of phi", ring_lobes: "Number of ring lobes", horizon_cutoff_deg: "Horizon cutoff",
+  variation: "Variation with theta_diff", lobe: "Family of the lobes", method: "Method", knots_deg: "Knots", mask: "Mask of the paper", em_iterations: "Iterations of the paper's method",
 });
 const VALUES = /** @type {Record<string, string>} */ ({ true: "yes", false: "no", auto: "automatic", none: "not set" });
 
-/** Fills a box with the form: the options of a table of samples first, then those of the fit; a grid has no table. @param {HTMLElement} box @param {boolean} [onGrid] */
+/** Fills a box with the form: first the options of a table of samples, except for a measurement on a grid, then the options of the fit. @param {HTMLElement} box @param {boolean} [onGrid] */
 export async function showForm(box, onGrid = false) {
   if (box.childElementCount) return;
   const document = await openapi();
@@ -28,7 +28,7 @@ export async function showForm(box, onGrid = false) {
   }
 }
 
-/** The options of a table, which are parameters of a query, with their defaults. @param {any} document */
+/** Returns the options of a table, which are query parameters, with their defaults. @param {any} document */
 function tableOptionsOf(document) {
   const declared = document.paths["/v1/tables"].post.parameters.filter((/** @type {any} */ one) => one.in === "query");
   return Object.fromEntries(declared.map((/** @type {any} */ { name, description, schema }) => {
@@ -37,7 +37,7 @@ function tableOptionsOf(document) {
   }));
 }
 
-/** Makes a field for the values of a schema, as a list for enumerations. @param {string} name @param {any} schema */
+/** Makes a select for a schema with few values, and otherwise a text field. @param {string} name @param {any} schema */
 function fieldOf(name, schema) {
   const usual = String(schema.default ?? "none");
   /** @type {string[][]} */
@@ -49,7 +49,7 @@ function fieldOf(name, schema) {
   return make("select", { name, "data-usual": usual }, ...choices.flat().map((word) => make("option", { value: word, selected: word === usual }, VALUES[word] ?? word)));
 }
 
-/** Returns the chosen options as text. @param {HTMLElement} box @param {string} [which] a selector @returns {[string, string][]} */
+/** Returns the options that differ from their defaults, as text. @param {HTMLElement} box @param {string} [which] a selector @returns {[string, string][]} */
 export function chosen(box, which = "[name]") {
   const fields = /** @type {NodeListOf<HTMLInputElement>} */ (box.querySelectorAll(which));
   return [...fields].filter(({ value, dataset }) => value.trim() && value.trim() !== dataset.usual).map(({ name, value }) => [name, value.trim()]);

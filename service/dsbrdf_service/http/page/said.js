@@ -1,4 +1,4 @@
-// Describes a fit beside its sphere: verdict, warnings, metrics, options; and places spheres and plots.
+// Describes a fit beside its sphere (verdict, warnings, metrics, options), and inserts spheres and plots into views.
 import { find, json, make, nameOf, openapi, optionsOf, sentenceOf, showPicture, stateOf, template, whenOpened, whenSeen } from "./app.js";
 import { readAddress } from "./address.js";
 import { row, tableRow } from "./components.js";
@@ -9,21 +9,21 @@ const percent = (/** @type {number} */ share) => `${Number((100 * share).toPreci
 // Name, title, format and meaning of each metric, the most important first.
 /** @type {[string, string, (value: number) => string, string][]} */
 const METRICS = [
-  ["psnr", "picture", (value) => `${value.toFixed(1)} dB`, "Peak signal-to-noise ratio of spheres of fit and measurement under three lights."],
-  ["relative_rms", "values", percent, "Root mean square error of the values, relative to their size."],
-  ["relative_rms_left_out", "values left out", percent, "The same error at samples that were held out of the fit."],
-  ["albedo_error", "albedo", percent, "Mean relative error of the reflected light."],
-  ["symmetric_floor", "reciprocal floor", percent, "The error of the best model that obeys reciprocity."],
-  ["floor", "bivariate floor", percent, "The error of the best model without φ_diff."],
-  ["excess", "values / floor", (value) => value.toFixed(3), "Error of the values divided by the bivariate floor; below 1, the fit is better than any model without φ_diff."],
-  ["male", "logarithm", (value) => value.toFixed(4), "Mean absolute logarithmic error, which counts dark parts as well."],
-  ["ssim", "structure", (value) => value.toFixed(4), "Structural similarity of the two spheres; 1 is equal."],
+  ["psnr", "picture", (value) => `${value.toFixed(1)} dB`, "Peak signal-to-noise ratio between spheres of the fit and of the measurement, under three lights."],
+  ["relative_rms", "values", percent, "Root mean square error of the values, relative to their root mean square."],
+  ["relative_rms_left_out", "held-out values", percent, "Relative root mean square error at samples that the fit did not use."],
+  ["albedo_error", "albedo", percent, "Mean relative error of the total reflected light."],
+  ["symmetric_floor", "reciprocal floor", percent, "Smallest error of any model that obeys reciprocity."],
+  ["floor", "bivariate floor", percent, "Smallest error of any model that ignores φ_diff."],
+  ["excess", "values / floor", (value) => value.toFixed(3), "Error of the values divided by the bivariate floor; below 1, the fit is better than any model that ignores φ_diff."],
+  ["male", "logarithm", (value) => value.toFixed(4), "Mean absolute logarithmic error, in which dark values count as much as bright values."],
+  ["ssim", "structure", (value) => value.toFixed(4), "Structural similarity of these two spheres; 1 means equal."],
 ];
 
-/** Sentences that matter before a fit is used. @param {string[]} sentences */
+/** Makes a paragraph of each warning. @param {string[]} sentences */
 export const warningsOf = (sentences) => sentences.map((sentence) => make("p", { className: "warning" }, sentence));
 
-/** The measurement of a fit, if it is still stored. @param {Fit} fit @returns {Promise<Measurement | null>} */
+/** Returns the measurement of a fit, or null if it was deleted. @param {Fit} fit @returns {Promise<Measurement | null>} */
 export const storedOf = ({ measurement }) => json(`v1/measurements/${measurement}`).catch((error) => (error.status === 404 ? null : Promise.reject(error)));
 
 /** Returns the subject of spheres and plots for a fit. @param {Fit} fit @param {Measurement | null} stored @returns {Subject} */
@@ -32,7 +32,7 @@ export function subjectOf(fit, stored) {
   return { name: nameOf(fit), fit: fit.id, measured: onGrid ? fit.measurement : null, samples: stored && !onGrid ? `v1/fits/${fit.id}/samples.npy?` : null, parts: fit.components };
 }
 
-/** A sphere's place in a part of a view, with the picture of a fit or a measurement meanwhile. @param {HTMLElement} part @param {string} [path] */
+/** Inserts a sphere into a view; until it is drawn, it shows the picture of a fit or a measurement. @param {HTMLElement} part @param {string} [path] */
 export function place(part, path) {
   find(part, ".place").prepend(template("sphere"));
   if (path) showPicture(find(part, ".fallback", HTMLImageElement), `${path}/figures/sphere.png`).catch(() => undefined);
@@ -44,11 +44,11 @@ export const PLOTS = [{
   id: "profiles", name: "theta-diff", lead: "", title: "Profiles", axis: "θ_diff", line: "Values over θ_half, averaged over φ_diff.",
   slider: { max: 89, step: 1, defaultValue: 0 }, along: "half", start: 0, about: "over theta_half at theta_diff",
 }, {
-  id: "plane", name: "theta-in", lead: "polar-", title: "Plane of incidence", axis: "θ_in", line: "The dashed line is where the light comes from.",
+  id: "plane", name: "theta-in", lead: "polar-", title: "Plane of incidence", axis: "θ_in", line: "The dashed line is the direction of the light.",
   slider: { max: 85, step: 5, defaultValue: 45 }, along: "out", start: -90, about: "in the plane of incidence for light at",
 }];
 
-/** Puts plots into a view, as the address says, and draws them when they are about to be seen. @param {HTMLElement} main @param {Subject[]} subjects one, or two with one plot */
+/** Inserts plots into a view with the choices in the address, and draws them when they are scrolled into view. @param {HTMLElement} main @param {Subject[]} subjects one, or two with one plot */
 export function showPlots(main, subjects) {
   const box = find(main, "#plots");
   box.replaceChildren();
@@ -65,7 +65,7 @@ export function showPlots(main, subjects) {
   whenSeen(box, async () => (await import("./plots.js")).startPlots(box, subjects));
 }
 
-/** Shows spheres in their places, which share the light, and their plots. @param {HTMLElement} main @param {HTMLElement[]} figures @param {Subject[]} subjects @param {Promise<string | undefined>} [source] GLSL of the fit that is on its way */
+/** Shows spheres under a common light, and their plots. @param {HTMLElement} main @param {HTMLElement[]} figures @param {Subject[]} subjects @param {Promise<string | undefined>} [source] GLSL of the fit, already requested */
 export async function showSpheres(main, figures, subjects, source) {
   find(main, "#seen").append(template("sphere-controls"));
   const spheres = figures.map((figure, i) => new Sphere(figure, subjects[i], source)); // The address also holds the boxes of the spheres.

@@ -76,7 +76,7 @@ export class Sphere {
   }
 
   async start() { // This throws without WebGL 2.
-    if (!this.gl) throw new Error("This browser has no WebGL 2: the picture is the service's, its light is fixed.");
+    if (!this.gl) throw new Error("This browser has no WebGL 2. The service draws the sphere, and its light cannot be moved.");
     for (const unit of [0, 1, 2]) setTexture(this.gl, unit, [1, 1, 1], new Uint16Array(3));
     await Promise.all([this.load("glsl"), this.lookAround(look(), null)]);
     this.canvas.hidden = false;
@@ -86,7 +86,7 @@ export class Sphere {
   /** Requests data of a picture once, and again after a failure. @param {string} name */
   load(name) {
     if (!this.loaded.has(name)) {
-      this.work(name === "measured" ? "Loading the measurement, 9 MB…" : name.startsWith("environment") || name.startsWith("panorama") ? "Computing the light from all around…" : "Preparing the sphere…");
+      this.work(name === "measured" ? "Loading the measurement, 9 MB…" : name.startsWith("environment") || name.startsWith("panorama") ? "Computing the reflection of the surroundings…" : "Preparing the sphere…");
       const asked = this.fetch(name);
       this.loaded.set(name, asked);
       asked.catch(() => this.loaded.delete(name));

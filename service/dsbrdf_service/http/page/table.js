@@ -20,7 +20,7 @@ export async function showTable(box, file, options, { fit, understood }) {
   button.onclick = fit ?? null;
   const show = async () => {
     button.disabled = fault.hidden = true;
-    fill(box, { about: "The table is being read…" });
+    fill(box, { about: "Reading the table…" });
     const query = new URLSearchParams(chosen(options, ".of-table"));
     try {
       const headers = { "Content-Type": "text/plain" };
@@ -33,7 +33,7 @@ export async function showTable(box, file, options, { fit, understood }) {
     } catch (error) {
       fill(box, { about: "" });
       fault.textContent = /** @type {Error} */ (error).message;
-      showColumns(box, options, await namesIn(file), "as its name says");
+      showColumns(box, options, await namesIn(file), "read by its name");
     }
     fault.hidden = !button.disabled;
     find(box, ".understood").hidden = button.disabled;
@@ -51,7 +51,7 @@ async function namesIn(file) {
 
 /** Shows the meaning of each column, which the user can change. @param {HTMLElement} box @param {HTMLElement} options @param {Table["columns"]} columns @param {string} otherwise words for a column without a choice */
 function showColumns(box, options, columns, otherwise) {
-  const field = /** @type {HTMLInputElement | null} */ (options.querySelector("[name=columns]")); // a table that is stored has none
+  const field = /** @type {HTMLInputElement | null} */ (options.querySelector("[name=columns]")); // A stored table has no such field.
   const given = Object.fromEntries((field?.value ?? "").split(",").map((pair) => pair.split("=").reverse()));
   const rows = columns.map(({ name, read_as, unit }) => {
     const meaning = read_as ?? given[name] ?? "";
@@ -70,7 +70,7 @@ function showColumns(box, options, columns, otherwise) {
 
 /** @param {HTMLElement} box @param {Table} table */
 function describe(box, table) {
-  const light = table.angles_of_incidence_deg ? `The light comes at ${table.angles_of_incidence_deg.join("°, ")}°.` : "";
+  const light = table.angles_of_incidence_deg ? `The angles of incidence are ${table.angles_of_incidence_deg.join("°, ")}°.` : "";
   const plane = `${Math.round(100 * table.in_plane_of_incidence)} % of the samples lie in the plane of incidence.`;
   fill(box, { about: `${table.n_rows} rows, ${table.n_samples} samples. ${light} ${plane}` });
   find(box, ".warnings").replaceChildren(...warningsOf(table.warnings));

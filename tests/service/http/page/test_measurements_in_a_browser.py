@@ -23,7 +23,7 @@ def test_newcomer_tries_an_example_and_sees_its_samples(visit: Visit, guarded: G
     page = visit("/", header=guarded.new_key("newcomer"), webgl=False).page
     page.get_by_text("Options").click()
     page.get_by_text("More for fits").click()
-    for title, value in (("Number of lobes", "3"), ("Lobes that are rings", "0")):
+    for title, value in (("Number of lobes", "3"), ("Number of ring lobes", "0")):
         page.get_by_label(title).select_option(value)
     page.get_by_role("button", name="Try an example").click()
     page.wait_for_url("**/fits/*")
@@ -68,12 +68,14 @@ def test_table_is_understood_before_it_is_sent(visit: Visit, guarded: Guarded, t
     page.get_by_label("Read signal as").select_option("value")
     expect(button).to_be_enabled()
     page.get_by_text("Options").click()
-    expect(page.get_by_label("Which column is which")).to_have_value("value=signal")
+    expect(page.get_by_label("Meaning of columns")).to_have_value("value=signal")
     page.get_by_label("Multiply all values by").fill("0.01")
     page.get_by_label("Multiply all values by").blur()
     expect(page.get_by_label("Read AOI as")).to_have_value("theta_in")
     expect(shown.locator(".samples tr").filter(has_text="Largest")).to_contain_text("1.1")
-    expect(shown).to_contain_text("99 rows, 99 samples. The light comes at 0°, 30°, 60°. 100 % of the samples lie in")
+    expect(shown).to_contain_text(
+        "99 rows, 99 samples. The angles of incidence are 0°, 30°, 60°. 100 % of the samples lie in"
+    )
     assert guarded.server.http.get("/v1/measurements", headers=header).json()["items"] == []
     expect(button).to_be_enabled()
     button.click()
