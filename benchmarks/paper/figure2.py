@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.paper.materials import Computed, Material, Numbers, choose
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
-from dsbrdf.paper.lobe_selection import LARGEST_AUTOMATIC
+from dsbrdf.paper.lobe_selection import MAX_AUTOMATIC_LOBES
 from dsbrdf.rendering import exposure, sphere_likeness, sphere_normals
 
 __all__ = ["FIGURE"]
@@ -24,7 +24,7 @@ def _choose(materials: Sequence[Material]) -> list[Material]:
 
 def _measure(material: Material) -> Numbers:
     """Spheres and errors of the fits with 1 to 5 lobes and, last, of the default fit; which number was chosen."""
-    fits = [material.fit(method="paper", n_lobes=count) for count in range(1, LARGEST_AUTOMATIC + 1)]
+    fits = [material.fit(method="paper", n_lobes=count) for count in range(1, MAX_AUTOMATIC_LOBES + 1)]
     chosen = material.fit(method="paper").model.n_lobes
     fits.append(material.fit())
     measured = sphere(material.measurement, _SIZE)
@@ -40,7 +40,7 @@ def _measure(material: Material) -> Numbers:
 
 
 def _names() -> list[str]:
-    lobes = [f"{count} lobe{'s' if count > 1 else ''}" for count in range(1, LARGEST_AUTOMATIC + 1)]
+    lobes = [f"{count} lobe{'s' if count > 1 else ''}" for count in range(1, MAX_AUTOMATIC_LOBES + 1)]
     return [*lobes, "default fit"]
 
 

@@ -1,21 +1,21 @@
 """Algorithm 1 of Nishino 2009 on a batch of slices: expectation-maximisation for mixtures of hemi-EPDs.
 
-A slice is the profile of one channel at one theta_diff. The E-step computes the responsibility of every lobe for the
-data,
+A slice is the profile of one channel at one theta_diff: the mean L_n over phi_diff at each theta_half. The E-step
+computes the responsibility of each lobe k for the data,
 
     q_k(theta) = l_k(theta) / sum_j l_j(theta),
 
-and the M-step fits each lobe alone to its part q_k L of the data by Levenberg-Marquardt,
+and the M-step fits each lobe to its part q_k L of the data, separately and by Levenberg-Marquardt,
 
     argmin over (kappa, gamma)_k of  sum_n w_n (q_k(theta_n) L_n - l(theta_n; kappa, gamma))**2,
 
 where l = exp(kappa cos(theta)**gamma) - 1 is the paper's lobe, the hemispherical exponential power distribution without
-its normalisation (eqs. 3 and 5): gamma = 0 is a constant, a Lambertian lobe, gamma -> infinity a mirror.
+its normalisation (eqs. 3 and 5). With gamma = 0 it is constant, a Lambertian lobe; with gamma -> infinity, a mirror.
 
-Because q depends on theta_half only, the sums over the raw samples and over the profile differ by a constant, so that
-the algorithm runs exactly on `Profiles`. All slices, channels and lobes iterate together. Each Levenberg-Marquardt step
-solves a 2 x 2 system in (log kappa, log gamma) for each of them. The lobe is not that of `dsbrdf.model.lobes`, which is
-divided by its height and would cost four more derivatives.
+Because q depends on theta_half only, sums over all samples and sums over the profile differ by a constant, so that the
+algorithm runs exactly on `Profiles`. All slices, channels and lobes are iterated together. Each Levenberg-Marquardt
+step solves a 2 x 2 system in (log kappa, log gamma) for each lobe. `dsbrdf.model.lobes` is not used, because its lobes
+are divided by their height, which would need four more derivatives.
 """
 
 from collections.abc import Callable
@@ -27,21 +27,21 @@ from numpy.typing import ArrayLike, NDArray
 from dsbrdf.arrays import Array, Mask
 
 EM_KAPPA_BOUNDS = (1e-9, 40.0)
-"""Values above 1e8 / sr are not accepted, and log(1 + 1e8) = 18.4: twice that leaves room to extrapolate."""
+"""Measured values are at most 1e8/sr, so that kappa is at most log(1 + 1e8) = 18.4; twice this allows extrapolation."""
 EM_GAMMA_BOUNDS = (1e-4, 1e7)
-"""Half widths from a flat lobe to a fiftieth of a degree."""
+"""Half widths from a constant lobe to 0.02 degrees."""
 _LOWER_LOG_BOUNDS = np.log([EM_KAPPA_BOUNDS[0], EM_GAMMA_BOUNDS[0]])
 _UPPER_LOG_BOUNDS = np.log([EM_KAPPA_BOUNDS[1], EM_GAMMA_BOUNDS[1]])
 
 EM_TOLERANCE = 1e-4
-"""Change of a slice's curve in one iteration, relative to the norm of the data, below which the slice has converged."""
+"""A slice has converged if an iteration changes its curve by a smaller fraction of the norm of the data."""
 M_STEP_TOLERANCE = 1e-9
 M_STEP_ITERATIONS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class SliceFits:
-    """Mixtures fitted to a batch of slices."""
+    """Hold mixtures fitted to a batch of slices."""
 
     kappa: Array  # (slices, lobes)
     gamma: Array  # (slices, lobes)
@@ -60,12 +60,12 @@ def fit_slices(
     largest_kappa: ArrayLike = np.inf,
     on_iteration: Callable[[int], None] | None = None,
 ) -> SliceFits:
-    """Fit a mixture of ``n_lobes`` hemi-EPDs to each slice, of angles (N,) [rad].
+    """Fit a mixture of ``n_lobes`` hemi-EPDs to each slice, at angles theta_half (N,) [rad].
 
-    `mean` and `weight` (slices, N) are the data [1/sr] and their weights, 0 for what is not to be used; every slice
-    needs some weight. The EM `iterations` are bounded. A `robust` fit weights large residuals of each M-step down
-    (Huber's weights about the mixture of the last iteration). `largest_kappa` (slices,) keeps a lobe from growing
-    where there are no samples. `on_iteration` is called with the number of each iteration.
+    `mean` and `weight` (slices, N) are the data [1/sr] and their weights; data with the weight 0 are ignored, and every
+    slice needs a positive weight. `iterations` is the maximum number of EM iterations. A `robust` fit reduces the
+    weights of large residuals (Huber's weights, from the mixture before each M-step). `largest_kappa` (slices,) bounds
+    the lobes where there are no samples. `on_iteration` is called with the number of each iteration.
     """
     log_cos = np.log(np.cos(theta_half))
     upper = np.tile(_UPPER_LOG_BOUNDS, (len(mean), 1))
@@ -73,7 +73,7 @@ def fit_slices(
     parameters = np.minimum(initialize(theta_half, mean, weight, n_lobes), upper[:, None])
     used = np.zeros(len(mean), np.int64)
     converged = np.zeros(len(mean), bool)
-    # Lobes at the lower bound of kappa stand for nothing: a slice of zeros must not wait until they stop moving.
+    # A slice of zeros has converged when its lobes are at the lower bound of kappa, even if gamma still changes.
     still = EM_TOLERANCE * np.sqrt(np.sum(weight * mean**2, axis=1)) + EM_KAPPA_BOUNDS[0] * np.sqrt(weight.sum(axis=1))
     active = np.arange(len(mean))
     for iteration in range(1, iterations + 1):
@@ -99,9 +99,9 @@ def fit_slices(
 
 
 def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> Array:
-    """Return starting log-parameters (slices, lobes, 2): one lobe from all data, halved for each further lobe.
+    """Return start values (slices, lobes, 2) of log kappa and log gamma; each lobe has half of the previous lobe's.
 
-    Kappa comes from the peak, gamma from the angle at which the data fall to half of it.
+    The kappa of the first lobe comes from the peak of the data, its gamma from the angle at which they fall to half.
     """
     data = np.where(weight > 0, mean, 0.0)
     peak = np.maximum(data.max(axis=1), np.expm1(EM_KAPPA_BOUNDS[0]))
@@ -117,16 +117,16 @@ def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> A
 
 
 def _half_width(kappa: Array) -> Array:
-    """Solution of ``exp(kappa cos(theta)) - 1 = (exp(kappa) - 1) / 2`` [rad]."""
-    # log1p(expm1(kappa) / 2) without overflow for a large kappa.
+    """Solve ``exp(kappa cos(theta)) - 1 = (exp(kappa) - 1) / 2`` for theta [rad]."""
+    # This is log(log1p(expm1(kappa) / 2) / kappa), without overflow for a large kappa.
     log_cos = np.log((kappa + np.log1p(np.exp(-kappa)) - np.log(2.0)) / kappa)
     log_cos = np.where(kappa < 1e-3, np.log(0.5) + np.log1p(kappa / 4.0), log_cos)
-    # arccos(exp(x)) through the sine, which keeps narrow lobes exact.
+    # This is arccos(exp(log_cos)), computed with the sine because arccos loses digits of small angles.
     return np.arctan2(np.sqrt(-np.expm1(2.0 * log_cos)), np.exp(log_cos))
 
 
 def lobe_curves(log_cos: Array, parameters: Array) -> Array:
-    """Evaluate lobes (..., N) with log-parameters (..., 2) at the angles with these log-cosines (N,)."""
+    """Evaluate lobes (..., N) with parameters (..., 2), log kappa and log gamma, at angles with log-cosines (N,)."""
     kappa, gamma = np.exp(parameters[..., 0, None]), np.exp(parameters[..., 1, None])
     return np.expm1(kappa * np.exp(gamma * log_cos))
 
@@ -134,24 +134,24 @@ def lobe_curves(log_cos: Array, parameters: Array) -> Array:
 def e_step(curves: Array) -> Array:
     """Compute responsibilities (slices, lobes, N), which sum to 1 over the lobes (Nishino 2009, Algorithm 1).
 
-    Where every lobe has underflowed to zero, all responsibilities are equal.
+    If all lobes underflow to zero at an angle, all responsibilities are equal there.
     """
     total = curves.sum(axis=1, keepdims=True)
     return np.where(total > 0, curves / np.where(total > 0, total, 1.0), 1.0 / curves.shape[1])
 
 
 def huber_weights(residual: Array, weight: Array) -> Array:
-    """Return Huber's weights of residuals (slices, N); the scale comes from the median of |residual|."""
+    """Return Huber's weights of residuals (slices, N), with a scale from the median of their absolute values."""
     size = np.abs(residual)
     scale = 1.345 * 1.4826 * np.nanmedian(np.where(weight > 0, size, np.nan), axis=1, keepdims=True)
     return np.where(size <= scale, 1.0, scale / np.where(size > 0, size, 1.0))
 
 
 def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: Array) -> Array:
-    """Fit every lobe alone to `targets` (slices, lobes, N), its part q_k L of the data, from log-parameters `start`.
+    """Fit each lobe separately to its part q_k L of the data, `targets` (slices, lobes, N).
 
-    Start and result have the shape (slices, lobes, 2); `upper` (slices, 2) bounds both log-parameters. The samples have
-    log-cosines `log_cos` (N,) and `weights` (slices, N).
+    `start` and the result are log kappa and log gamma (slices, lobes, 2), with upper bounds `upper` (slices, 2). The
+    data have log-cosines `log_cos` (N,) and `weights` (slices, N).
     """
     slices, lobes, n = targets.shape
     upper = np.repeat(upper, lobes, axis=0)
@@ -192,10 +192,11 @@ def _residuals(log_cos: Array, target: Array, root: Array, parameters: Array) ->
 
 
 def _damped_step(jacobian: Array, residual: Array, damping: Array, at_bound: Mask) -> Array:
-    """Levenberg-Marquardt steps (problems, 2), each the solution of its 2 x 2 system in closed form.
+    """Return Levenberg-Marquardt steps (problems, 2), each from a 2 x 2 system in closed form.
 
-    A parameter that stands at a bound (lower or upper: ``at_bound``, (2, problems, 2)) and would leave it is held, and
-    the other one steps alone: clipping the joint step instead would make the other one creep.
+    ``at_bound`` (2, problems, 2) marks parameters at their lower and at their upper bound. A parameter whose step would
+    cross its bound is fixed, and the step of the other parameter is computed alone: if the joint step were clipped
+    instead, the other parameter would converge slowly.
     """
     normal = jacobian @ np.swapaxes(jacobian, 1, 2)
     gradient = np.einsum("pin,pn->pi", jacobian, residual)

@@ -1,27 +1,30 @@
-r"""The paper's number of lobes: the smallest that Williams' step-down test does not find worse than the largest.
+r"""Choose the number of lobes by Williams' test: the smallest that is not significantly worse than the largest.
 
-For K = 1, 2, ... lobes and each block, a slice of a channel (Nishino 2009, section 5), smaller is better of
+The error of K lobes in one block, a slice of a channel (Nishino 2009, section 5), is
 
     E_p = - sum_n v_n L_n log p(theta_n) / sum_n v_n L_n,
 
-where p is the mixture normalised over the nodes that the slice has, L_n the data and v_n the solid angle of node n; a
-hundredth of a uniform density is mixed into p, so that a tail in which a fit has underflowed does not decide alone.
+where p is the mixture normalised over the nodes of the slice, L_n the data, and v_n the solid angle of node n. A
+uniform density with the weight 0.01 is mixed into p, because otherwise the logarithm of a tail that underflows would
+dominate the error.
 
-The largest K is the control; dose i = 1 ... k takes i lobes away, which can only make E_p larger. With means X over r
-blocks (Williams 1971, Biometrics 27:103-117; 1972, Biometrics 28:519-531),
+In the terms of the test, the largest K is the control, and dose i = 1 ... k removes i lobes, which can only increase
+E_p. Let X_i be the mean of E_p at dose i over r blocks. Then (Williams 1971, Biometrics 27:103-117; 1972, Biometrics
+28:519-531)
 
     M_i = max_{u <= i} min_{v >= i} mean(X_u, ..., X_v),    t_i = (M_i - X_0) / sqrt(2 s^2 / r),
 
-s^2 being the residual mean square after removing row and block effects. The largest dose is tested first, and dose i,
-against the critical value of i doses, only if every larger one was significant.
+where s^2 is the residual mean square after removing row and block effects. The largest dose is tested first. Dose i is
+tested, against the critical value of i doses, only if every larger dose was significant.
 
-Critical values are exact. Under the null let z_i be independent standard normal: M_k <= c says that the random walk
-with the steps z_k - c, z_(k-1) - c, ... stays at or below 0, of which the probability is (Spitzer 1956, Trans. AMS
-82:323-339)
+Critical values are exact. Under the null hypothesis, let z_i be independent standard normal variables. M_k <= c is
+equivalent to this: the random walk with the steps z_k - c, z_(k-1) - c, ... stays at or below 0. The probability is
+(Spitzer 1956, Trans. AMS 82:323-339)
 
     H_0 = 1,    H_k(c) = (1/k) sum_{j=1..k} Phi(c sqrt(j)) H_{k-j}(c).
 
-What is left is the mean of 1 - H_k(x + sqrt(2) t s) over the control's normal x and over s with df s^2 ~ chi^2_df.
+The probability of exceeding t is the mean of 1 - H_k(x + sqrt(2) t s) over the normal variable x of the control and
+over s, where df s^2 has a chi-squared distribution with df degrees of freedom.
 """
 
 import math
@@ -38,20 +41,20 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.fitting.report import SelectionStep
 from dsbrdf.paper import em
 
-# The trapezium rule converges faster than any power on an entire integrand with Gaussian decay: at this step
-# its error is at rounding level for up to 7 doses.
+# Nodes of a trapezium rule over x. Because the integrand is smooth and decays like a Gaussian, the error of the rule is
+# at rounding level for up to 7 doses.
 _CONTROL = np.linspace(-9.0, 9.0, 91)
 _CONTROL_WEIGHT = np.exp(-0.5 * _CONTROL**2) * (0.2 / math.sqrt(2.0 * math.pi))
 _LEGENDRE_NODES, _LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(80)
-# Probability that is cut off at either end of the distribution of s.
+# The integral over s leaves out this probability at either end.
 _CUT_OFF_PROBABILITY = 1e-18
-# Beyond this value of c, 1 - H averaged over the control is below 1e-30.
+# Beyond this value of c, the mean of 1 - H over x is below 1e-30 and is left out.
 _CERTAIN_CRITICAL_VALUE = 18.0
 
 
 @dataclass(frozen=True)
 class WilliamsRow:
-    """Result of the test for one number of lobes.
+    """Hold the result of the test for one number of lobes.
 
     Attributes
     ----------
@@ -60,12 +63,12 @@ class WilliamsRow:
     mean : float
         Mean of the statistic over the blocks.
     t : float or None
-        Test statistic; None for the control, and where the residual variance is zero.
+        Test statistic; None for the control, and if the residual variance is zero.
     critical_value : float or None
         Critical value for t; None for the control, and without degrees of freedom.
     significant : bool
-        Whether the number is significantly worse than the control. After the first number that is not, the procedure
-        ends, and all further numbers are False.
+        Whether this number of lobes is significantly worse than the control. The procedure ends at the first number
+        that is not; all larger numbers are False.
     """
 
     n_lobes: int
@@ -76,18 +79,18 @@ class WilliamsRow:
 
 
 def williams_test(statistic: ArrayLike, alpha: float = 0.01) -> tuple[WilliamsRow, ...]:
-    """Compare every number of lobes with the largest; the first that is not significant is the choice.
+    """Compare every number of lobes with the largest number, the control.
 
-    Row ``K - 1`` of the statistic (n_lobes_max, n_blocks) has E_p of the fit with K lobes in each block, `alpha` is the
-    level of the one-sided test. Without residual variance, up to rounding, as with a single block, the means count as
-    exact: a K whose isotonic mean is above the control's by more than rounding is worse.
+    Row ``K - 1`` of the statistic (n_lobes_max, n_blocks) has E_p with K lobes in each block. `alpha` is the level of
+    the one-sided test. The chosen number is the first that is not significant. If the residual variance is zero up to
+    rounding, as for a single block, a mean that exceeds the mean of the control by more than rounding is significant.
     """
     values = np.asarray(statistic, dtype=np.float64)
     n_groups, n_blocks = values.shape
     degrees_of_freedom = (n_groups - 1) * (n_blocks - 1)
     rounding = 8.0 * float(np.finfo(np.float64).eps) * float(np.abs(values).max())
-    # Differences from the block means are all that the test depends on; they keep their digits better.
-    # From here on, row i is dose i, and row 0 the control.
+    # The test depends only on differences from the block means, which have smaller rounding errors.
+    # From here on, row i is dose i, and row 0 is the control.
     centred = (values - values.mean(axis=0))[::-1]
     means = centred.mean(axis=1)
     variance = float(np.sum((centred - means[:, np.newaxis]) ** 2)) / max(degrees_of_freedom, 1)
@@ -107,12 +110,13 @@ def williams_test(statistic: ArrayLike, alpha: float = 0.01) -> tuple[WilliamsRo
 
 @lru_cache(maxsize=256)
 def williams_critical_value(n_doses: int, degrees_of_freedom: float, alpha: float = 0.01) -> float:
-    """Value that the statistic of the largest of so many doses beside the control exceeds with probability `alpha`.
+    """Return the value that the statistic t of the largest of `n_doses` doses exceeds with probability `alpha`.
 
-    It is one-sided, with equal group sizes (Williams 1971) and no effect of any dose; alpha is 1e-6 to below 0.5.
+    The test is one-sided with equal group sizes (Williams 1971); under the null hypothesis, no dose has an effect.
+    `alpha` must be at least 1e-6 and below 0.5.
     """
-    # The largest dose alone is Student's t, a lower bound; no trailing mean has a larger variance, so that
-    # Bonferroni's inequality gives an upper bound. Both are widened for rounding.
+    # The quantile of Student's t for the largest dose alone is a lower bound. Means over several doses have smaller
+    # variances, so that Bonferroni's inequality gives an upper bound. Both bounds are widened for rounding.
     lower = -float(stdtrit(degrees_of_freedom, alpha)) * 0.999 - 1e-3
     upper = -float(stdtrit(degrees_of_freedom, alpha / n_doses)) * 1.001 + 1e-3
     log_alpha = math.log(alpha)
@@ -124,11 +128,11 @@ def williams_critical_value(n_doses: int, degrees_of_freedom: float, alpha: floa
 
 
 def _exceedance(t: float, n_doses: int, degrees_of_freedom: float) -> float:
-    """Probability that the statistic of the largest dose exceeds `t` under the null."""
+    """Return the probability that the statistic of the largest dose exceeds `t` under the null hypothesis."""
     half = 0.5 * degrees_of_freedom
     first = math.sqrt(float(gammaincinv(half, _CUT_OFF_PROBABILITY)) / half)
     last = math.sqrt(float(gammainccinv(half, _CUT_OFF_PROBABILITY)) / half)
-    # With few degrees of freedom and a large t, only small s contribute.
+    # For a large t, only small s contribute: larger ones are left out.
     if t > 0:
         last = min(last, max(_CERTAIN_CRITICAL_VALUE / (math.sqrt(2.0) * t), 2.0 * first))
     s = first + 0.5 * (last - first) * (1.0 + _LEGENDRE_NODES)
@@ -141,8 +145,8 @@ def _exceedance(t: float, n_doses: int, degrees_of_freedom: float) -> float:
 
 
 def _leaves_half_line(c: Array, n_steps: int) -> Array:
-    """``1 - H_k(c)`` by Spitzer's identity, written for the complements so that small tails keep digits."""
-    # Each is 1 - Phi(c sqrt(j)).
+    """Return ``1 - H_k(c)`` by Spitzer's identity, in a form that has small rounding errors for small results."""
+    # Entry j - 1 is 1 - Phi(c sqrt(j)).
     single = [ndtr(-math.sqrt(j) * c) for j in range(1, n_steps + 1)]
     leaves = [np.zeros_like(c)]
     for k in range(1, n_steps + 1):
@@ -151,10 +155,10 @@ def _leaves_half_line(c: Array, n_steps: int) -> Array:
     return leaves[n_steps]
 
 
-LARGEST_AUTOMATIC = 5
-"""Upper bound of the automatic number of lobes (Nishino 2009, section 5)."""
-BACKGROUND = 0.01
-"""Weight of the uniform density that is mixed into the probability."""
+MAX_AUTOMATIC_LOBES = 5
+"""The test chooses among 1 to this number of lobes (Nishino 2009, section 5)."""
+UNIFORM_FRACTION = 0.01
+"""Weight of the uniform density that is mixed into the normalised mixture."""
 
 
 def choose_n_lobes(
@@ -164,13 +168,13 @@ def choose_n_lobes(
     within: Array,
     fit_slices: Callable[[int], em.SliceFits],
 ) -> tuple[int, tuple[SelectionStep, ...]]:
-    """Fit every number of lobes and choose one; return it, and a row for 1, 2, ... lobes.
+    """Fit 1, 2, ... lobes and choose a number by Williams' test; return it with a row for each number.
 
-    The slices have profiles mean, weight and within (slices, N) at nodes theta_half (N,) [rad]; `within` is the squared
-    error that no mixture can avoid. `fit_slices` fits them with a number of lobes.
+    The profiles of the slices are `mean`, `weight` and `within` (slices, N) at nodes theta_half (N,) [rad]; `within` is
+    the squared error that every mixture has. `fit_slices` fits the slices with a given number of lobes.
     """
-    # More lobes than half of the nodes of a slice would fit anything.
-    largest = int(np.clip(np.count_nonzero(weight, axis=1).min() // 2, 1, LARGEST_AUTOMATIC))
+    # A lobe has two parameters: with more lobes than half of the nodes, a slice would be fitted exactly.
+    largest = int(np.clip(np.count_nonzero(weight, axis=1).min() // 2, 1, MAX_AUTOMATIC_LOBES))
     log_cos, errors, statistic = np.log(np.cos(theta_half)), [], []
     for n_lobes in range(1, largest + 1):
         found = fit_slices(n_lobes)
@@ -189,9 +193,9 @@ def choose_n_lobes(
 
 
 def expected_negative_log_probability(theta_half: Array, mean: Array, used: Mask, curves: Array) -> Array:
-    """E_p of each slice, shape (slices,); 0 for slices of zeros.
+    """Return E_p of each slice, shape (slices,); it is 0 for slices of zeros.
 
-    Data and mixtures are of shape (slices, N) [1/sr]; the nodes `used` of each slice count.
+    `mean` and `curves` are data and mixtures (slices, N) [1/sr]; only the nodes in the mask `used` count.
     """
     solid_angle = used * np.sin(theta_half) * np.gradient(theta_half)
     light = solid_angle * mean
@@ -199,5 +203,5 @@ def expected_negative_log_probability(theta_half: Array, mean: Array, used: Mask
     area, total = (
         np.maximum(np.sum(part, axis=1, keepdims=True), tiny) for part in (solid_angle, solid_angle * curves)
     )
-    probability = (1.0 - BACKGROUND) * curves / total + BACKGROUND / area
+    probability = (1.0 - UNIFORM_FRACTION) * curves / total + UNIFORM_FRACTION / area
     return np.asarray(-np.sum(light * np.log(probability), axis=1) / np.maximum(light.sum(axis=1), tiny))

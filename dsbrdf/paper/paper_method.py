@@ -1,7 +1,8 @@
-"""The paper's procedure: Algorithm 1 on each of 18 slices of theta_diff, 5 degrees apart (Nishino 2009, section 6).
+"""Fit a model by the paper's procedure: Algorithm 1 on each of 18 slices of theta_diff (Nishino 2009, section 6).
 
-The lobes are matched across slices by sorting on kappa; kappa and gamma run linearly between slices; a delta term takes
-what is left where theta_half < 1 degree. The number of lobes, if it is not given, is chosen by Williams' test.
+The slices are 5 degrees apart. In each slice, lobes are sorted by kappa; lobes with equal positions belong together,
+and their kappa and gamma are linear between slices. A delta term is added where theta_half < 1 degree: the part of the
+data that the lobes lack. If the number of lobes is "auto", Williams' test chooses it.
 """
 
 from collections.abc import Callable
@@ -20,19 +21,19 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport, SelectionStep
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.paper import em
-from dsbrdf.paper.lobe_selection import LARGEST_AUTOMATIC, choose_n_lobes
+from dsbrdf.paper.lobe_selection import MAX_AUTOMATIC_LOBES, choose_n_lobes
 
 PAPER_SLICES = np.radians(np.arange(0.0, 90.0, 5.0))
-"""The 18 slices of the paper, 0 to 85 degrees [rad]."""
+"""Angles theta_diff of the 18 slices of the paper, 0 to 85 degrees [rad]."""
 _ANGLES = THETA_HALF[OUTSIDE_CENTER]
-# Fraction of the progress that the choice of the number of lobes takes.
+# Fraction of the progress at which the number of lobes has been chosen.
 _SELECTION_PROGRESS = 0.8
 
 
 def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> FoundModel:
-    """Fit all slices of all channels in one batch, for each number of lobes if it has to be found.
+    """Fit all slices of all channels in one batch; if the number of lobes is "auto", once for each number.
 
-    `progress` is called with the share of the work done. Raises FitError if the options leave no data to fit.
+    `progress` is called with the completed fraction. Raises FitError if the options leave no data to fit.
     """
     rows = np.searchsorted(THETA_DIFF, PAPER_SLICES - 1e-9)
     kept = (THETA_HALF <= np.pi / 2 - options.resolved_mask * PAPER_SLICES[:, None] + 1e-9)[:, OUTSIDE_CENTER]
@@ -41,7 +42,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     largest_kappa, n_nodes = _largest_kappa(data, rows), np.count_nonzero(weight, axis=2)
 
     def fit(chosen: Mask, n_lobes: int, done: float, share: float) -> em.SliceFits:
-        """Run Algorithm 1 on chosen slices (3, D); `share` is its fraction of the progress after `done`."""
+        """Run Algorithm 1 on chosen slices (3, D); the progress rises from `done` by `share`."""
         return em.fit_slices(
             _ANGLES,
             mean[chosen],
@@ -55,11 +56,12 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
 
     n_lobes, selection, done = options.n_lobes, tuple[SelectionStep, ...](), 0.0
     if n_lobes == "auto":
-        # On the slices that have enough nodes for any number; else on all that have nodes.
-        compared = n_nodes >= 2 * LARGEST_AUTOMATIC
+        # Compare on slices with enough nodes for every number of lobes; if a channel has none, on slices with any
+        # nodes.
+        compared = n_nodes >= 2 * MAX_AUTOMATIC_LOBES
         if not compared.any(axis=1).all():
             compared = n_nodes >= 2
-        n_lobes, done, share = 1, _SELECTION_PROGRESS, _SELECTION_PROGRESS / LARGEST_AUTOMATIC
+        n_lobes, done, share = 1, _SELECTION_PROGRESS, _SELECTION_PROGRESS / MAX_AUTOMATIC_LOBES
         if compared.any():
             n_lobes, selection = choose_n_lobes(
                 _ANGLES,
@@ -68,7 +70,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
                 within[compared],
                 lambda number: fit(compared, number, (number - 1) * share, share),
             )
-    # A slice with fewer nodes than parameters has nothing to say about them.
+    # A slice with fewer nodes than parameters does not determine the parameters.
     fitted = n_nodes >= 2 * n_lobes
     if not fitted.any(axis=1).all():
         raise FitError(
@@ -86,10 +88,10 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
 
 
 def _largest_kappa(data: Profiles, rows: Indices) -> Array:
-    """Return the kappa (3, D) of a lobe that peaks at twice the largest value of the slice.
+    """Return for each slice the kappa (3, D) of a lobe whose height is twice the largest value of the slice.
 
-    Below 1 degree the lobes are not fitted: without this bound a lobe that falls steeply just outside could reach any
-    height there. A slice without its centre has no bound.
+    It is an upper bound of kappa. Data below 1 degree are not fitted, so that without a bound a steep lobe could have
+    any height there. A slice without data below 1 degree has no bound.
     """
     centre_seen = np.any(data.weight[:, rows][:, :, ~OUTSIDE_CENTER] > 0, axis=2)
     return np.where(centre_seen, np.log1p(2.0 * data.mean[:, rows].max(axis=2)), np.inf)
@@ -103,22 +105,22 @@ def _nearest_fitted(fitted: Mask) -> Indices:
 
 
 def _spread(values: NDArray[Any], fitted: Mask, nearest: Indices) -> NDArray[Any]:
-    """Spread values (fitted slices, ...) over all slices (3, D, ...); a slice without data takes the nearest value."""
+    """Copy values of fitted slices to all slices (3, D, ...); other slices have the value of the nearest fitted slice."""
     full = np.zeros((*fitted.shape, *values.shape[1:]), values.dtype)
     full[fitted] = values
     return full[np.arange(len(fitted))[:, None], nearest]
 
 
 def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
-    """Return the mean residual by solid angle where theta_half < 1 degree, shape (3, D).
+    """Return the mean residual where theta_half < 1 degree, weighted by solid angle, shape (3, D).
 
-    The residual is never negative: subtracting a term would make the model negative between the nodes. A slice without
-    data takes the value of the nearest slice.
+    A negative mean becomes 0, because subtracting it could make the model negative between nodes. A slice without data
+    has the value of the nearest slice.
     """
     center = np.flatnonzero(~OUTSIDE_CENTER)
     solid_angle = np.diff(-np.cos(interval_ends(THETA_HALF[center], CENTER_CUTOFF)))
     weight = data.weight[:, rows][:, :, center] * solid_angle
-    # This form keeps the digits of small angles.
+    # np.log(np.cos(...)) would lose the digits of small angles.
     log_cos = 0.5 * np.log1p(-(np.sin(THETA_HALF[center]) ** 2))
     lobes = np.expm1(kappa[..., None] * np.exp(gamma[..., None] * log_cos)).sum(axis=2)
     total = weight.sum(-1)
@@ -127,7 +129,7 @@ def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
 
 
 def _bounds_hit(slices: em.SliceFits, largest_kappa: Array) -> Mask:
-    """Return whether any lobe of a slice stands at a bound; lower bounds, of vanishing or flat lobes, do not count."""
+    """Return for each slice whether kappa or gamma of any lobe is at a bound."""
     low = (slices.kappa <= em.EM_KAPPA_BOUNDS[0] * (1 + 1e-9)) | (slices.gamma <= em.EM_GAMMA_BOUNDS[0] * (1 + 1e-9))
     highest = np.minimum(largest_kappa, em.EM_KAPPA_BOUNDS[1])[:, None]
     high = (slices.kappa >= highest * (1 - 1e-9)) | (slices.gamma >= em.EM_GAMMA_BOUNDS[1] * (1 - 1e-9))

@@ -1,4 +1,4 @@
-"""Render lit spheres, read environments, and compare images."""
+"""Render lit spheres, read environments, compare images, and map the space of materials."""
 
 from dsbrdf.rendering.environment import THREE_LIGHTS, EnvironmentMap, read_environment
 from dsbrdf.rendering.image_metrics import displayed, exposure, psnr, ssim

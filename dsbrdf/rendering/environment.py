@@ -1,6 +1,6 @@
-"""Define the light on a sphere: distant lights, a sky with a window above a ground, or a user's panorama.
+"""Define the light on a sphere: distant lights, a built-in environment of sky, ground and window, or a panorama.
 
-The view looks along -z; x is to the right and y up.
+The viewer looks along -z; x is to the right and y up.
 """
 
 from __future__ import annotations
@@ -20,41 +20,41 @@ from dsbrdf.extras import require
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance of linear sRGB."""
-MAX_RADIANCE = 1e10  # A brighter pixel is refused, because sums would lose the light of other pixels.
-_MAX_PICTURE_WIDTH_PX = 2048  # Wider pictures are averaged.
-_MIN_LIGHT_RATIO = 16.0  # Small spots brighter than this multiple of the mean become distant lights.
-_MAX_LIGHT_SIZE_SR = np.radians(5.0) ** 2  # Larger spots stay in the picture.
+MAX_RADIANCE = 1e10  # A brighter pixel is refused, because in sums with it, other pixels are lost by rounding.
+_MAX_PICTURE_WIDTH_PX = 2048  # Wider panoramas are averaged to this width.
+_MIN_LIGHT_RATIO = 16.0  # Small spots brighter than this multiple of the mean luminance become distant lights.
+_MAX_LIGHT_SIZE_SR = np.radians(5.0) ** 2  # Larger spots stay in the panorama.
 _MAX_LIGHTS = 8
 
 
 @dataclass(frozen=True)
 class Light:
-    """Hold a distant light: unit vector towards it, and RGB irradiance of a surface that faces it."""
+    """Hold a distant light: the unit vector towards the light, and the RGB irradiance of a surface facing it."""
 
     direction: tuple[float, ...]
     irradiance: tuple[float, ...]
 
 
 def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
-    """Make a white light at an angle from the view and an azimuth from the right [degrees]."""
+    """Make a white light at an angle to the viewer's direction and an azimuth from the x axis [degrees]."""
     return Light(tuple(spherical(*np.radians((from_view, azimuth))).tolist()), (irradiance,) * 3)
 
 
 THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
-"""Key light from the upper left, fill light from the right, rim light from behind: theta_diff 20, 40 and 70 degrees."""
+"""A key light from the upper left, a fill light from the right and a rim light from behind (theta_diff 20, 40, 70)."""
 SUN = _light(55.0, 132.0, 3.0 * np.pi)
-"""Sun of the environment, a distant light because the sun is narrower than any measurable lobe."""
+"""Sun of the built-in environment; it is a distant light, because it is narrower than any measurable lobe."""
 
 
 def _axes(towards: Array) -> Array:
-    """Return unit vectors to the right of, up from and along a viewing direction, in rows."""
+    """Return a frame of unit vectors (3, 3), in rows: to the right, up, and along the given direction."""
     towards = towards / np.sqrt(towards @ towards)
     across = np.cross(towards, (0.0, 1.0, 0.0))
     across /= np.linalg.norm(across)
     return np.array([across, np.cross(across, towards), towards])
 
 
-# All widths and edges, in radians or slopes, are wider than the spacing of the integral's nodes.
+# Widths are in radians or in slopes. They exceed the spacing of the map of directions, so that edges are resolved.
 _ZENITH_COLOR = np.array([0.25, 0.45, 0.9])
 _HORIZON_COLOR = np.array([0.9, 0.95, 1.0])
 _GROUND_COLOR = np.array([0.22, 0.19, 0.16])
@@ -66,7 +66,7 @@ _WINDOW_EDGE_WIDTH = 0.02
 
 
 def environment_radiance(direction: Array) -> Array:
-    """Return the linear RGB radiance (..., 3) of the environment's sky, ground and window, without its sun.
+    """Return the linear RGB radiance (..., 3) of sky, ground and window of the built-in environment.
 
     The directions (..., 3) are unit vectors towards the light; y is up.
     """
@@ -74,7 +74,7 @@ def environment_radiance(direction: Array) -> Array:
     sky = _HORIZON_COLOR + (_ZENITH_COLOR - _HORIZON_COLOR) * np.clip(up, 0.0, 1.0)[..., np.newaxis] ** 0.6
     above = _logistic(up / _HORIZON_WIDTH)
     radiance = above * sky + (1.0 - above) * _GROUND_COLOR
-    # The window is a rectangle on the plane at distance 1, at right angles to its direction.
+    # The window is a rectangle in a plane at distance 1, whose normal points to the sphere.
     across, upward, along = np.moveaxis(direction @ _WINDOW_AXES.T, -1, 0)
     ahead = np.maximum(along, 1e-3)
     window = np.where(along > 0.0, 1.0, 0.0)[..., np.newaxis]
@@ -84,20 +84,20 @@ def environment_radiance(direction: Array) -> Array:
 
 
 def _logistic(x: Array) -> Array:
-    """Return a smooth step from 0 to 1, with an axis for the channels."""
+    """Return a smooth step from 0 to 1, with an additional last axis for the channels."""
     return (0.5 + 0.5 * np.tanh(0.5 * x))[..., np.newaxis]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnvironmentMap:
-    """Light a sphere by a panorama; made by `from_pixels` or `read_environment`.
+    """Light a sphere by a panorama; use `from_pixels` or `read_environment` to make one.
 
     Attributes
     ----------
     pixels : ndarray, shape (height, width, 3)
         Linear RGB radiance, without the distant lights; see `from_pixels` for the directions.
     lights : tuple of Light
-        The brightest spots.
+        The brightest spots, as distant lights.
     """
 
     pixels: Array
@@ -110,19 +110,19 @@ class EnvironmentMap:
 
     @classmethod
     def from_pixels(cls, pixels: ArrayLike) -> EnvironmentMap:
-        """Return the environment of a panorama.
+        """Make an environment from the pixels of a panorama.
 
         Parameters
         ----------
         pixels : array_like, shape (height, 2 height, 3)
-            Linear RGB radiance in latitude and longitude: the first row is straight up, and the middle column is what
-            the view looks at behind the sphere, so that the sphere mirrors the columns near the left and right edges.
-            Small spots brighter than 16 times the mean, such as the sun, are taken out of it as distant lights.
+            Linear RGB radiance in latitude and longitude. The first row is straight up. The middle column lies behind
+            the sphere, in the direction in which the viewer looks. Small spots brighter than 16 times the mean, such as
+            the sun, are converted to distant lights.
 
         Raises
         ------
         ImageFormatError
-            If the shape is another, a value is negative or above 1e10, or the picture is black.
+            If the shape is wrong, a value is negative or above 1e10, or all pixels are black.
         """
         image = np.asarray(pixels, dtype=np.float64)
         if image.ndim != 3 or image.shape[2] != 3 or not 0 < 2 * image.shape[0] == image.shape[1]:
@@ -137,7 +137,7 @@ class EnvironmentMap:
         return cls(*_without_lights(averaged(image, _MAX_PICTURE_WIDTH_PX)))
 
     def radiance(self, direction: Array) -> Array:
-        """Return the radiance (..., 3) from unit vectors (..., 3), interpolated between pixel centres."""
+        """Return the radiance (..., 3) from directions (..., 3), unit vectors, interpolated between pixel centres."""
         height, width, _ = self.pixels.shape
         up = np.arccos(np.clip(direction[..., 1], -1.0, 1.0))
         turn = np.arctan2(direction[..., 0], -direction[..., 2])
@@ -164,7 +164,7 @@ def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
     Raises
     ------
     ImageFormatError
-        If the file is no such picture, or not one of 360 by 180 degrees; one sentence.
+        If the file is not an OpenEXR picture, or not twice as wide as high.
     MissingExtraError
         If the extra ``exr`` is not installed.
     OSError
@@ -188,7 +188,7 @@ def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
 
 
 def averaged(image: Array, width: int) -> Array:
-    """Return a picture with at most `width` columns, by mean radiance over larger pixels."""
+    """Reduce a panorama to at most `width` columns; each new pixel has the mean radiance of its area."""
     if image.shape[1] <= width:
         return image
     for axis, count in ((0, width // 2), (1, width)):
@@ -203,7 +203,7 @@ def averaged(image: Array, width: int) -> Array:
 
 
 def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
-    """Turn small bright spots into distant lights, and lower their pixels to the level of their surroundings."""
+    """Convert small bright spots into distant lights, and lower their pixels to the threshold of brightness."""
     height, width, _ = image.shape
     up, turn = (np.arange(height) + 0.5) * np.pi / height, ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * np.pi
     area = (np.sin(up) * np.pi / height * 2.0 * np.pi / width)[:, np.newaxis] * np.ones(width)

@@ -1,14 +1,15 @@
-"""Integrate light from all directions, for every pixel of a sphere.
+"""Integrate the light of an environment, for every pixel of a sphere.
 
     radiance(normal) = integral f(omega_in, view) L(omega_in) cos(theta_in) d omega_in,
     d omega_in = 4 cos(theta_diff) d omega_half,
 
-is taken over half vectors, with nodes that crowd towards theta_half = 0 about each normal, where a narrow lobe is.
+is integrated over half vectors. The nodes are dense near theta_half = 0, where narrow lobes are.
 
-The material is isotropic. Normals at one angle to the view are a ring of the sphere. They see the material under the
-same angles; only the environment is turned about the view from one to the next. So f is evaluated for one normal of
-each ring, the weighted values are spread over a map of directions in polar coordinates about the view, and the radiance
-of the whole ring is the circular correlation of that map with the environment's.
+Normals with equal angles to the direction of the viewer form a ring of the sphere. Because the material is isotropic,
+all normals of a ring need f at equal angles; only the environment is rotated about the direction of the viewer. So f is
+evaluated for one normal of each ring. The weighted values are added to a map of directions omega_in, in polar
+coordinates about the direction of the viewer. The radiance of the whole ring is the circular correlation of this map
+with the environment.
 """
 
 from collections.abc import Callable
@@ -22,19 +23,19 @@ from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.model.albedo import last_azimuth
 
 _NODE_SPACING = np.radians(3.5)
-"""Distance of the nodes in half vectors; an image of the environment agrees with an image of finer nodes to 57 dB."""
+"""Distance of neighbouring half vectors; images agree to 57 dB with images from finer nodes."""
 _MIN_AZIMUTHS = 8
-_RINGS_PER_PASS = 16  # The maps of so many rings fit in the processor's cache.
+_RINGS_PER_PASS = 16  # The maps of this number of rings fit in the processor's cache.
 
 
 def map_shape(size: int) -> tuple[int, int]:
-    """Return the numbers of polar angles and azimuths of the map of directions for an image size."""
+    """Return the numbers of polar angles and of azimuths in the map of directions, for an image size."""
     azimuths = 128 if size <= 64 else 256
     return azimuths // 2 + 1, azimuths
 
 
 def map_directions(size: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Return directions (P, A, 3) of the map's nodes in the world, shifted by fractions of their spacing."""
+    """Return the directions (P, A, 3) of the nodes of the map, shifted by fractions of their spacing."""
     polar_angles, azimuths = map_shape(size)
     polar = ((np.arange(polar_angles) + shift[0]) * np.pi / (polar_angles - 1))[:, np.newaxis]
     azimuth = (np.arange(azimuths) + shift[1]) * 2.0 * np.pi / azimuths
@@ -42,10 +43,10 @@ def map_directions(size: int, shift: tuple[float, float] = (0.0, 0.0)) -> Array:
 
 
 def environment_rings(normals: Array, size: int) -> Callable[[Evaluate, Array], Array]:
-    """Prepare the images of normals (N, 3), z > 0, one for each pixel of a sphere.
+    """Prepare the rendering of normals (N, 3), z > 0, one for each pixel of a sphere.
 
-    The larger the image, `size` pixels along a side, the finer the R rings. The function that is returned takes the
-    values of a material, and the radiance (3, P, A) of an environment at the nodes of the map. It returns the radiance
+    An image with `size` pixels along a side has 3/4 `size` rings. The returned function takes the function that
+    evaluates a material, and the radiance (3, P, A) of an environment at the nodes of the map. It returns the radiance
     of the pixels (N, 3).
     """
     shape = map_shape(size)
@@ -78,16 +79,16 @@ def environment_rings(normals: Array, size: int) -> Callable[[Evaluate, Array], 
 
 
 def _spread(nodes: list[Array], shape: tuple[int, int]) -> sparse.csc_array:
-    """Return the weights (rings * P * A, nodes) of values at the nodes of some rings in each ring's map."""
+    """Return the matrix (rings * P * A, nodes) that adds values at the nodes of some rings to the map of each ring."""
     ring = np.repeat(np.arange(len(nodes)), [node.shape[1] for node in nodes])
     _, theta_diff, _, azimuth, weight = np.concatenate(nodes, axis=1)
-    # The angle between light and view is twice theta_diff.
+    # The polar angle of omega_in about the direction of the viewer is twice theta_diff.
     cells, shares = _bilinear(2.0 * theta_diff * (shape[0] - 1) / np.pi, azimuth * shape[1] / (2.0 * np.pi), shape)
     return _gathering(cells + ring * shape[0] * shape[1], shares * weight, len(nodes) * shape[0] * shape[1]).T
 
 
 def _gathering(cells: Indices, shares: Array, count: int) -> sparse.csr_array:
-    """Return a matrix (N, count) whose row n sums ``cells[:, n]`` with weights."""
+    """Return a matrix (N, count) whose row n has the weights ``shares[:, n]`` in the columns ``cells[:, n]``."""
     each, points = cells.shape
     starts = np.arange(points + 1) * each
     return sparse.csr_array((shares.T.ravel(), cells.T.ravel(), starts), (points, count))
@@ -96,10 +97,10 @@ def _gathering(cells: Indices, shares: Array, count: int) -> sparse.csr_array:
 def _ring_nodes(tilt: float) -> Array:
     """Return the nodes (5, n) of the integral for the normal (sin(tilt), 0, cos(tilt)).
 
-    Rows are theta_half, theta_diff, phi_diff, azimuth of omega_in about the view, and weight, which includes the cosine
-    and the solid angle.
+    The rows are theta_half, theta_diff, phi_diff, the azimuth of omega_in about the direction of the viewer, and the
+    weight, which includes cos(theta_in) and the solid angle.
     """
-    largest = 0.5 * (np.pi / 2 + tilt)  # At this theta_half, omega_in is at the horizon for every azimuth.
+    largest = 0.5 * (np.pi / 2 + tilt)  # Beyond this theta_half, omega_in is below the horizon at every azimuth.
     count = int(np.ceil(2.0 * largest / _NODE_SPACING))
     s = (np.arange(count) + 0.5) / count
     theta_half, step = largest * s * s, largest * 2.0 * s / count  # Nodes are dense near 0.
@@ -111,13 +112,13 @@ def _ring_nodes(tilt: float) -> Array:
     theta_half, area = theta_half[row], (step * np.sin(theta_half) * 2.0 * last / number)[row]
 
     sin_tilt, cos_tilt = np.sin(tilt), np.cos(tilt)
-    # The frame has the normal as z axis and the view in the half plane y = 0, x >= 0.
+    # The frame has the normal as z axis and the direction of the viewer in the half plane y = 0, x >= 0.
     half = spherical(theta_half, around)
     omega_out = np.array([sin_tilt, 0.0, cos_tilt])
     cos_diff = half @ omega_out
     omega_in = 2.0 * cos_diff[:, np.newaxis] * half - omega_out
     _, theta_diff, phi_diff = half_difference(omega_in, omega_out)
-    # The normal is tilted towards the world's x axis.
+    # Return to the frame of the viewer, in which the normal is tilted towards the x axis.
     world_x = sin_tilt * omega_in[:, 2] - cos_tilt * omega_in[:, 0]
     azimuth = np.arctan2(-omega_in[:, 1], world_x)
     weight = 4.0 * cos_diff * np.maximum(omega_in[:, 2], 0.0) * area
@@ -125,7 +126,7 @@ def _ring_nodes(tilt: float) -> Array:
 
 
 def _bilinear(row: Array, column: Array, shape: tuple[int, int]) -> tuple[Indices, Array]:
-    """Return flat indices and weights (4, N) of the four neighbours of each point; the columns are periodic."""
+    """Return flat indices and weights (4, N) of the four nodes around each point; columns are periodic."""
     low = np.clip(row.astype(np.intp), 0, shape[0] - 2)
     left = np.floor(column).astype(np.intp)
     down, right = row - low, column - left

@@ -1,6 +1,6 @@
 """Compare two rendered images by exposure, tone curve, PSNR and SSIM.
 
-All images are linear RGB radiance of shape (height, width, 3) until `displayed` turns them into values of a screen.
+Images have the shape (height, width, 3). They are linear RGB radiance; `displayed` converts them to values of a screen.
 """
 
 import numpy as np
@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from dsbrdf.arrays import Array, Mask
 
-_EXPOSURE_QUANTILE = 0.99  # An exposure takes this quantile of a sphere's pixels to 1.
+_EXPOSURE_QUANTILE = 0.99  # An exposure scales this quantile of the pixels to 1.
 # The window of Wang et al. (2004) has 11 x 11 pixels.
 _WINDOW_SIGMA_PX = 1.5
 _WINDOW_RADIUS_PX = 5
@@ -16,16 +16,16 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 def exposure(image: Array, mask: Mask) -> float:
-    """Return the factor that takes the 99th percentile of the masked pixels, channels pooled, to 1; 1 if it is black.
+    """Return the factor that scales the 99th percentile of the masked values of all channels to 1; 1 if they are black.
 
-    The image usually shows the measurement; images compared with it get the same exposure.
+    The image usually shows the measurement; images that are compared with it are scaled by the same factor.
     """
     bright = float(np.quantile(image[mask], _EXPOSURE_QUANTILE))
     return 1.0 / bright if bright > 0.0 else 1.0
 
 
 def displayed(image: Array, factor: float = 1.0) -> Array:
-    """Return displayed values of radiance (..., 3): times `factor`, clipped to [0, 1], with the sRGB curve."""
+    """Convert radiance (..., 3) to values of a screen: multiply by `factor`, clip to [0, 1], apply the sRGB curve."""
     linear = np.clip(image * factor, 0.0, 1.0)
     curve = 1.055 * np.maximum(linear, 0.0031308) ** (1.0 / 2.4) - 0.055
     return np.where(linear <= 0.0031308, 12.92 * linear, curve)
@@ -44,8 +44,8 @@ def ssim(reference: Array, image: Array, mask: Mask) -> float:
     """Return the structural similarity (Wang et al. 2004) of two displayed images; 1 for equal images.
 
     Means, variances and covariance are weighted by a Gaussian window of 11 x 11 pixels, sigma 1.5, in each channel,
-    with the constants 0.01**2 and 0.03**2. Windows are averaged whose centres are in the mask; they see all pixels,
-    and beyond its border an image is black.
+    with the constants 0.01**2 and 0.03**2. The result is the mean over all windows whose centre is in the mask. Beyond
+    its border an image is black.
     """
     mean_a, mean_b = _windowed(reference), _windowed(image)
     variances = _windowed(reference**2) + _windowed(image**2) - mean_a**2 - mean_b**2

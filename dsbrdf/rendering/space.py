@@ -1,10 +1,10 @@
 """Map the space of materials by their visual distances (Nishino 2009, section 7).
 
-The paper embeds parameters, which needs equal numbers of lobes and equal slices. Here the distance of two materials is
-the distance of their lit spheres, under three lights and under a sky: any models and measurements can be compared, and
-invisible parameters have no effect. As in the paper, whose coordinates are the shapes of lobes, colour and brightness
-have no effect: a sphere's luminance is divided by its mean. Lightness is the cube root of luminance, as in CIE L*, so
-that neither highlights nor dark parts dominate.
+The paper maps materials by their parameters, which requires equal numbers of lobes and equal slices. Here the distance
+of two materials is the difference of their lit spheres, under three lights and under a sky. Therefore any models and
+measurements can be compared, and invisible parameters have no effect. Colour and brightness have no effect either, as
+in the paper, which maps the shapes of lobes: the luminance of a sphere is divided by its mean. The cube root of this
+luminance, similar to CIE L*, is compared, so that neither highlights nor dark parts dominate.
 """
 
 from collections.abc import Mapping
@@ -19,24 +19,24 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.rendering.sphere import LIGHTINGS, Source, render_sphere, sphere_normals
 
 MEAN_LUMINANCE = 0.2
-"""Mean luminance of a sphere relative to white, about the luminance of a white sphere under three lights."""
+"""Every sphere is scaled to this mean luminance, about the mean of a white sphere under three lights."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _SPHERE_SIZE_PX = 48
 _MIN_NEIGHBORS = 7  # The graph of Isomap has at least this number of edges at each material.
-_MIN_EDGE_LENGTH = 1e-6  # SciPy ignores edges shorter than 1e-8.
+_MIN_EDGE_LENGTH = 1e-6  # Shorter edges are lengthened, because SciPy ignores edges shorter than 1e-8.
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialSpace:
-    """Hold materials, their distances and their places on a map.
+    """Hold materials, their distances and their coordinates on a map.
 
     Attributes
     ----------
     names : tuple of str
     distance : ndarray, shape (n, n)
-        Root mean square of the difference of the spheres' lightness, relative to white.
+        Root mean square difference in lightness between the spheres of two materials; white has lightness 1.
     places : ndarray, shape (n, 2)
-        Coordinates on a map that keeps distances along chains of neighbours; the first grows with gloss.
+        Coordinates on a map that preserves distances along chains of neighbours; the first increases with gloss.
     """
 
     names: tuple[str, ...]
@@ -44,7 +44,7 @@ class MaterialSpace:
     places: Array
 
     def nearest(self, name: str, count: int = 3) -> list[tuple[str, float]]:
-        """Return the materials nearest to a material, each with its likeness [dB]; a difference of 0.1 is 20 dB.
+        """Return the `count` nearest materials with their likeness [dB], which is 20 dB for a distance of 0.1.
 
         Raises InvalidArgumentError if the space has no such name.
         """
@@ -57,7 +57,7 @@ class MaterialSpace:
 
 
 def space(models: Mapping[str, Source]) -> MaterialSpace:
-    """Compare materials by their lit spheres, and map them.
+    """Compare materials by their lit spheres, and compute a map of the materials.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def space(models: Mapping[str, Source]) -> MaterialSpace:
 
 
 def _lightness(name: str, source: Source) -> Array:
-    """Return the lightness of a material's spheres under all lightings, shape (pixels,)."""
+    """Return the lightness of a material's spheres, those of all lightings in one array (pixels,)."""
     _, mask = sphere_normals(_SPHERE_SIZE_PX)
     rows = [render_sphere(source, lighting=lighting, size=_SPHERE_SIZE_PX)[mask] @ LUMINANCE for lighting in LIGHTINGS]
     if not all(row.mean() > 0.0 for row in rows):
@@ -89,7 +89,7 @@ def _places(distance: Array, gloss: Array) -> Array:
     """Return the map (n, 2) of Isomap (Tenenbaum, de Silva and Langford 2000): classical scaling of shortest paths."""
     count = len(distance)
     places = np.zeros((count, 2))
-    for neighbors in range(min(_MIN_NEIGHBORS, count - 1), count):  # More neighbours connect islands.
+    for neighbors in range(min(_MIN_NEIGHBORS, count - 1), count):  # Until the graph is connected.
         farthest = np.sort(distance, axis=1)[:, neighbors, np.newaxis]
         graph = np.where(distance <= farthest, np.maximum(distance, _MIN_EDGE_LENGTH), 0.0)
         if connected_components(graph, directed=False)[0] == 1:
@@ -99,6 +99,6 @@ def _places(distance: Array, gloss: Array) -> Array:
     sizes, axes = np.linalg.eigh(-0.5 * centered)
     found = (axes * np.sqrt(np.maximum(sizes, 0.0)))[:, ::-1][:, :2]
     places[:, : found.shape[1]] = found
-    # The sign of an eigenvector is arbitrary.
+    # The signs of eigenvectors are arbitrary: choose them by gloss and by order.
     reference = np.stack([gloss - gloss.mean(), np.arange(count) - (count - 1) / 2.0], axis=1)
     return places * np.where(np.sum(places * reference, axis=0) < 0.0, -1.0, 1.0)

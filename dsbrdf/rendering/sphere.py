@@ -1,7 +1,7 @@
 """Render a lit unit sphere of one material, seen along -z in parallel projection, x to the right and y up.
 
-The viewer's direction is (0, 0, 1) at every pixel. The angles at which f is evaluated depend only on lighting and size.
-They are cached, so that an image costs one call of ``evaluate`` and sparse products.
+The direction to the viewer is (0, 0, 1) at every pixel. The angles at which the material is evaluated depend only on
+lighting and size. They are cached, so that an image needs one call of ``evaluate`` and sparse matrix products.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LIGHTINGS = ("three_lights", "environment")
 SIZES = (8, 1024)
 """Smallest and largest number of pixels along a side."""
 _VIEW_DIRECTION = np.array([0.0, 0.0, 1.0])
-_MAX_PIXELS_PER_NODE = 4  # A finer panorama is averaged to this number of pixels per node of the map, on each axis.
+_MAX_PIXELS_PER_NODE = 4  # A finer panorama is averaged to this number of pixels per node of the map, along each axis.
 
 
 Source = Measurement | Reflectance | Evaluate
@@ -37,19 +37,19 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
     Parameters
     ----------
     source : Measurement, FitResult, model or callable
-        The material: a measurement, which is interpolated, an object with
-        ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``, such as the result of a fit or a component of
-        `decompose`, or such a function.
+        The material: a measurement, which is interpolated; an object with the method
+        ``evaluate(theta_half, theta_diff, phi_diff) -> (..., 3)``, such as a model, the result of a fit or a component;
+        or a function with these arguments.
     lighting : {"three_lights", "environment"} or EnvironmentMap
         Three distant lights, a sky with sun, ground and window, or an environment from `read_environment`.
     size : int
-        Pixels along a side, 8 to 1024; the sphere touches the border.
+        Number of pixels along a side, 8 to 1024; the sphere touches the border.
 
     Returns
     -------
     ndarray, shape (size, size, 3)
-        Linear RGB radiance, the first row at the top; 0 beside the sphere. The functions
-        `dsbrdf.rendering.image_metrics.exposure` and `displayed` turn it into values of a screen.
+        Linear RGB radiance, with the first row at the top; 0 beside the sphere. The functions
+        `dsbrdf.rendering.image_metrics.exposure` and `displayed` convert it to values of a screen.
 
     Raises
     ------
@@ -81,8 +81,8 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
 def sphere_likeness(reference: Array, image: Array) -> tuple[float, float]:
     """Return PSNR [dB] and SSIM of two displayed spheres of `render_sphere`; PSNR is infinite for equal spheres.
 
-    Both get the exposure that takes the 99th percentile of the reference's sphere to 1, are clipped to [0, 1] and get
-    the sRGB curve. Only the sphere's pixels count; see `dsbrdf.rendering.image_metrics`.
+    Both spheres are scaled by the exposure of the reference and displayed, see `dsbrdf.rendering.image_metrics`. Pixels
+    beside the spheres do not count.
     """
     _, mask = sphere_normals(len(reference))
     factor = exposure(reference, mask)
@@ -92,7 +92,7 @@ def sphere_likeness(reference: Array, image: Array) -> tuple[float, float]:
 
 @lru_cache(maxsize=8)
 def sphere_normals(size: int) -> tuple[Array, Mask]:
-    """Return the normals (N, 3) of the sphere's pixels, row by row, and the mask (size, size) of the pixels."""
+    """Return the normals (N, 3) at the pixels of the sphere, row by row, and the mask (size, size) of these pixels."""
     across = (np.arange(size) + 0.5) * 2.0 / size - 1.0
     x, y = np.meshgrid(across, -across)
     square = x * x + y * y
@@ -128,8 +128,9 @@ def _lit(size: int, lights: tuple[Light, ...]) -> tuple[tuple[Array, Array, Arra
 def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:
     """Return the pixels (n,) that a light reaches, their angles (3, n) and their irradiance (n, 3).
 
-    Light and view are constant over the sphere, and so are their half vector and theta_diff. The polar coordinates of
-    the normal about the half vector are theta_half, and phi_diff from the plane of light and view.
+    The directions to light and viewer are constant over the sphere, and so are their half vector and theta_diff. In
+    polar coordinates about the half vector, theta_half is the polar angle of the normal, and phi_diff its azimuth from
+    the plane of light and viewer.
     """
     direction = np.array(light.direction)
     cosine = normals @ direction
@@ -138,7 +139,7 @@ def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:
     cos_diff = float(direction @ half)
     across = np.cross(_VIEW_DIRECTION, half) if cos_diff < 1.0 - 1e-12 else np.array([1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
-    # phi_diff starts at this axis: towards the light, at right angles to the half vector.
+    # The first axis points towards the light, at right angles to the half vector; phi_diff is measured from it.
     frame = np.stack([np.cross(across, half), across, half])
     along, aside, height = frame @ normals[lit].T
     theta_half, phi_diff = np.arctan2(np.hypot(along, aside), height), np.arctan2(aside, -along)
@@ -153,13 +154,13 @@ def _rings(size: int) -> Callable[[Evaluate, Array], Array]:
 
 @lru_cache(maxsize=2)
 def _map_of_sky(size: int) -> Array:
-    """Return the radiance (3, P, A) of the library's environment at the nodes of the map of directions."""
+    """Return the radiance (3, P, A) of the built-in environment at the nodes of the map of directions."""
     return np.moveaxis(environment_radiance(map_directions(size)), -1, 0)
 
 
 @lru_cache(maxsize=2)
 def _map_of_picture(size: int, environment: EnvironmentMap) -> Array:
-    """Return the mean radiance (3, P, A) of a picture about the nodes of the map of directions."""
+    """Return the mean radiance (3, P, A) of a panorama around each node of the map of directions."""
     columns = map_shape(size)[1]
     picture = replace(environment, pixels=averaged(environment.pixels, _MAX_PIXELS_PER_NODE * columns))
     fine = -(-picture.pixels.shape[1] // columns)

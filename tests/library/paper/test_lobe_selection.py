@@ -11,7 +11,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_HALF
 from dsbrdf.fitting import OUTSIDE_CENTER, SelectionStep
 from dsbrdf.paper import WilliamsRow, em, williams_critical_value, williams_test
-from dsbrdf.paper.lobe_selection import BACKGROUND, choose_n_lobes, expected_negative_log_probability
+from dsbrdf.paper.lobe_selection import UNIFORM_FRACTION, choose_n_lobes, expected_negative_log_probability
 from tests.support.known_models import plain_lobe
 
 ANGLES = THETA_HALF[OUTSIDE_CENTER]
@@ -73,7 +73,7 @@ def test_expected_negative_log_probability_is_that_of_a_loop() -> None:
     total = sum(area * curve for area, curve in zip(areas, curves[0], strict=True))
     light = logs = 0.0
     for area, value, curve in zip(areas, mean[0], curves[0], strict=True):
-        logs -= area * value * np.log((1.0 - BACKGROUND) * curve / total + BACKGROUND / sum(areas))
+        logs -= area * value * np.log((1.0 - UNIFORM_FRACTION) * curve / total + UNIFORM_FRACTION / sum(areas))
         light += area * value
     found = expected_negative_log_probability(ANGLES, mean, used[None], curves)
     assert found == pytest.approx(logs / light, rel=1e-12)
