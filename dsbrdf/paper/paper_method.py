@@ -105,7 +105,7 @@ def _nearest_fitted(fitted: Mask) -> Indices:
 
 
 def _spread(values: NDArray[Any], fitted: Mask, nearest: Indices) -> NDArray[Any]:
-    """Copy values of fitted slices to all slices (3, D, ...); other slices have the value of the nearest fitted slice."""
+    """Copy values of fitted slices to all slices (3, D, ...); others have the nearest fitted slice's value."""
     full = np.zeros((*fitted.shape, *values.shape[1:]), values.dtype)
     full[fitted] = values
     return full[np.arange(len(fitted))[:, None], nearest]
