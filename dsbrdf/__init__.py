@@ -7,15 +7,16 @@
 
 Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
 
-Wings, each calling only those to its left: arrays, errors, version, extras, process_settings, notebook_display, data,
-model, rendering, fitting, paper, components, samples, report_warnings, pipeline, output, engines, cli.
+Subpackages and modules, each importing only those to its left: arrays, errors, version, extras, process_settings,
+notebook_display, data, model, rendering, fitting, paper, components, samples, report_warnings, pipeline, output,
+engines, cli.
 """
 
 from importlib import import_module
 
 from dsbrdf.notebook_display import register as _register_with_notebook
 
-# The stub `__init__.pyi` lists the public names, as type checkers read it. A name is imported when it is first used,
+# The stub `__init__.pyi`, which type checkers read, lists the public names. A name is imported when it is first used,
 # so that `import dsbrdf` and the commands that compute nothing do not wait for NumPy and SciPy.
 with open(f"{__file__}i", encoding="utf-8") as _stub:  # noqa: PTH123 (pathlib takes long to import)
     _MODULE_OF = {line.split()[3]: line.split()[1] for line in _stub if line.startswith("from ")}

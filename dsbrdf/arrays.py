@@ -1,4 +1,4 @@
-"""Types of the arrays that the library computes with."""
+"""Define the types of arrays."""
 
 from collections.abc import Callable
 
@@ -9,4 +9,4 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 Evaluate = Callable[[Array, Array, Array], Array]
-"""Values (n, 3) [1/sr] of the angles theta_half, theta_diff and phi_diff (n,) [rad]."""
+"""Function that returns values (n, 3) [1/sr] at the angles theta_half, theta_diff and phi_diff (n,) [rad]."""

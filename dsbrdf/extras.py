@@ -1,16 +1,16 @@
-"""Optional dependencies: a clear error when an extra that a function needs is not installed."""
+"""Check optional dependencies: raise a clear error if an extra that a function needs is not installed."""
 
 from importlib.util import find_spec
 
 
 class MissingExtraError(ImportError):
-    """An optional dependency is not installed; the message says in one sentence how to install it."""
+    """Raised if an optional dependency is not installed; the message contains the command that installs it."""
 
 
 def require(extra: str, *modules: str, purpose: str) -> None:
-    """Raise a `MissingExtraError` unless the modules of an extra of ``pyproject.toml`` are installed.
+    """Raise MissingExtraError unless the modules of an extra in ``pyproject.toml`` are installed.
 
-    It names the missing modules, what needs them (`purpose`), and the command that installs them.
+    The message contains the missing modules, their `purpose`, and the command that installs them.
     """
     missing = [module for module in modules if find_spec(module) is None]
     if missing:

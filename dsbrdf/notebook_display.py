@@ -1,4 +1,4 @@
-"""Registration of the library's classes with a notebook, which then shows their objects as HTML."""
+"""Register the classes of the library with a notebook, so that it shows their objects as HTML."""
 
 import sys
 from importlib import import_module
@@ -11,11 +11,11 @@ SHOWN_CLASSES = {
     "dsbrdf.fitting.report": ("FitReport", "FitResult"),
     "dsbrdf.model.dsbrdf": ("DSBRDF",),
 }
-"""Names of the classes by the module that defines them; IPython imports no module for it."""
+"""Names of the classes, by module; IPython needs only the names, so that no module is imported."""
 
 
 def register() -> None:
-    """Register the HTML of the library's classes with the running notebook, if there is one."""
+    """Register the HTML of the classes with the running notebook, if there is one."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     if shell is None:

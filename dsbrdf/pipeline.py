@@ -1,4 +1,4 @@
-"""From a measurement, or its profiles, to a model and a report."""
+"""Fit a measurement, its profiles or scattered samples: return a model and a report."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ from dsbrdf.samples.units import sample_doubts
 from dsbrdf.version import versions
 
 FEW_SAMPLES = 200
-"""Fewer scattered samples than this are fitted by layers."""
-# Each fit of samples at their own angles improves the model that moves them to whole degrees of theta_diff.
+"""With fewer scattered samples, the model is only fitted to a predicted table, and not refined at the samples."""
+# Number of refinements at the samples; each moves the samples to whole degrees of theta_diff by the latest model.
 REFINEMENT_ROUNDS = 3
-# A random choice of this size is refined where there are more samples.
+# If there are more samples, a random subset of this size is used for refinement.
 MAX_REFINED_SAMPLES = 30_000
 
 
@@ -61,37 +61,37 @@ def fit(
     progress: Callable[[float], None] | None = None,
     **choices: Any,
 ) -> FitResult:
-    """Fit the model to a measurement; read it first if it is in a file.
+    """Fit the model to a measurement, which may be an object, an array or a file.
 
     Parameters
     ----------
     measurement : Measurement, Profiles, ScatteredSamples, path-like or ndarray
-        A path names a file that `dsbrdf.read_measurement` reads; an array has the shape (3, 90, 90, 180), see
-        `Measurement.from_values`. Of scattered samples, which are fitted without a grid in between, only relative_rms
-        and male are known. Profiles must have been made with the options' horizon cutoff, weighting and robustness;
-        the metrics need the samples and are None then, see `add_sample_metrics`.
+        A path must name a file that `dsbrdf.read_measurement` reads. An array must have the shape (3, 90, 90, 180), see
+        `Measurement.from_values`. Scattered samples are fitted without a grid. Profiles must have been made with the
+        horizon cutoff, the weighting and the robustness of the options; their metrics are None, because metrics need
+        the samples, see `add_sample_metrics`.
     options : FitOptions, optional
         Defaults to ``FitOptions()``.
     progress : callable, optional
-        Called with the fraction of the work done, 0 to 1, at least once an iteration. An exception that it
-        raises ends the fit and reaches the caller.
+        Called with the completed fraction, 0 to 1, at least once in each iteration. If it raises an exception, the fit
+        ends with this exception.
     **choices
-        Single options by name, such as ``n_lobes=2``, instead of ``options``, and those of a table in a file, such as
-        ``scale=0.01``, with which it is read; the other parameters below.
+        Single options by name instead of ``options``, such as ``n_lobes=2``, and options with which a table in a file
+        is read, such as ``scale=0.01``. All are listed below.
 
     Raises
     ------
     FitError
         If the options leave no data to fit.
     InvalidArgumentError
-        If profiles do not agree with the options, or an option is unknown or given twice.
+        If profiles were made with other options, or an option is unknown or given twice.
     MeasurementFormatError
         If a file or an array is not an acceptable measurement.
 
     Warns
     -----
     ConvergenceWarning
-        If the fit, or slices of it, stopped at the bound on the iterations. The report's `warnings` have this one too.
+        If the fit, or slices of it, stopped at the maximum number of iterations. The report contains this warning too.
     """
     of_table = {name: choices.pop(name) for name in TABLE_OPTIONS if name in choices}
     if options is not None and choices:
@@ -145,7 +145,7 @@ fit.__doc__ = (inspect.getdoc(fit) or "").replace(
 def _result(
     found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock, *, is_unit_wrong: bool = False
 ) -> FitResult:
-    """Model and report, without the metrics."""
+    """Return model and report, without metrics."""
     model, knots = found.model, found.knots
     albedo = DirectionalAlbedo(tuple(ALBEDO_ANGLES.tolist()), tuple(map(tuple, model.albedo(ALBEDO_ANGLES).tolist())))
     clock.lap("albedo")
@@ -170,11 +170,11 @@ def _result(
 def _fit_samples(
     samples: ScatteredSamples, options: FitOptions, progress: Callable[[float], None], clock: _Clock
 ) -> FitResult:
-    """Predict a table from samples and fit it; then, if samples are not few, fit the table and the samples together."""
+    """Fit a table predicted from samples; if there are at least FEW_SAMPLES, fit the table and the samples together."""
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
     doubts = sample_doubts(samples)
-    used = replace(samples, values=samples.values * doubts.factor)  # The model gets the unit of the samples again.
+    used = replace(samples, values=samples.values * doubts.factor)  # The amplitudes are divided by this factor below.
     if options.robust:
         used = without_outliers(used)
     known = thinned(used)
@@ -197,7 +197,7 @@ def _fit_samples(
     pairs = pairs_to_measure(prediction, found.model) if expected > MAX_EXPECTED_ERROR else ()
     clock.lap("left out")
     amplitude = found.model.amplitude / doubts.factor
-    if np.all(samples.values == samples.values[:, :1]):  # grey, to the last bit
+    if np.all(samples.values == samples.values[:, :1]):  # The samples are grey, so the model must be exactly grey too.
         amplitude = np.broadcast_to(amplitude.mean(axis=0), amplitude.shape).copy()
     found = replace(found, model=replace(found.model, amplitude=amplitude))
     result = _result(found, table, options, clock, is_unit_wrong=doubts.factor != 1.0)
@@ -222,11 +222,11 @@ def _fit_samples(
 
 
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:
-    """Return the profiles of a measurement that a fit with these options works on.
+    """Return the profiles that a fit with these options needs.
 
-    Raises InvalidArgumentError if profiles are given that were made with other options.
+    Raises InvalidArgumentError if `measurement` is profiles that were made with other options.
     """
-    # The method "global" weighs the folded bins, which are never weighted before.
+    # The method "global" applies its weighting to the folded bins later.
     weighting = options.resolved_weighting if options.method == "paper" else "plain"
     wanted: dict[str, Any] = {
         "horizon_cutoff": options.horizon_cutoff,
@@ -245,9 +245,9 @@ def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Pr
 
 
 def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult:
-    """Complete the report of a `fit` of the profiles of a measurement with what only its samples can tell.
+    """Add the metrics, and the warnings about them, to a fit of profiles, from the samples of the measurement.
 
-    The result is the same as a fit of the measurement itself, apart from the timings.
+    The result equals a fit of the measurement itself, except for the timings.
     """
     clock, model, report = _Clock(), result.model, result.report
     sums = sample_errors(model, measurement, report.options.horizon_cutoff)
@@ -266,7 +266,7 @@ def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult
 
 
 class _Clock:
-    """Seconds between laps."""
+    """Measure the seconds between laps."""
 
     def __init__(self) -> None:
         self.laps: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""Settings of a process: cores, threads of BLAS, whether freed memory is kept for reuse, and when the process ends."""
+"""Configure a process: cores, threads of BLAS, freed memory, and its end together with its parent."""
 
 import _thread
 import ctypes
@@ -17,16 +17,16 @@ _R = TypeVar("_R")
 ONE_BLAS_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
-"""Environment variables that limit BLAS to one thread; they count when NumPy is imported, not later.
+"""Environment variables that limit BLAS to one thread, if they are set before NumPy is imported.
 
-The matrices of a fit are so small that several threads are slower than one, on a busy machine up to ten times.
-`one_blas_thread` does the same in a process that has NumPy already.
+The matrices of a fit are so small that several threads are slower than one thread, on a busy machine up to ten times.
+`one_blas_thread` limits BLAS after NumPy has been imported.
 """
 _blas_lock = threading.Lock()
-# First the limiter, which remembers the number of threads before it, then an entry for each running computation.
+# The first entry is the limiter, which stores the former number of threads; each running computation adds an entry.
 _blas_limits: list[Any] = []
 
-# The BLAS libraries of NumPy and SciPy reserve 64 MB together.
+# The BLAS libraries of NumPy and of SciPy reserve 32 MB each; the rest is for small buffers beside them.
 _BLAS_MEMORY_BYTES = 96 << 20
 _THREAD_START_TIMEOUT_S = 10.0
 
@@ -42,7 +42,10 @@ def core_count() -> int:
 
 
 def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Decorate a function to compute with one BLAS thread; the last concurrent call restores the former number."""
+    """Decorate a function to compute with one BLAS thread.
+
+    At the end of the last concurrent call, the former number of threads is restored.
+    """
 
     @wraps(compute)
     def limited(*args: _P.args, **kwargs: _P.kwargs) -> _R:
@@ -63,16 +66,16 @@ def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
 
 @cache
 def _blas() -> Any:
-    # Imported at the first computation, so that commands start at once.
+    # This import is slow; commands that do not compute do without it.
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
 def end_with_parent() -> None:
-    """Kill this process as soon as its parent has ended, however that happened.
+    """Start a thread that kills this process as soon as its parent has ended, for whatever reason.
 
-    Raises MemoryError if there is not enough memory for the thread that watches.
+    Raises MemoryError if there is not enough memory for the thread.
     """
     from multiprocessing import connection, parent_process
 
@@ -87,7 +90,7 @@ def end_with_parent() -> None:
         connection.wait([sentinel])
         os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
 
-    # `Thread.start` would wait for ever for a thread that has no memory to begin.
+    # `Thread.start` would wait for ever if the new thread has too little memory to begin.
     _thread.start_new_thread(watch, ())
     if not begun.acquire(timeout=_THREAD_START_TIMEOUT_S):
         raise MemoryError("the thread that watches the parent process could not begin")
@@ -95,12 +98,12 @@ def end_with_parent() -> None:
 
 @one_blas_thread
 def reserve_blas_memory() -> None:
-    """Let the BLAS libraries of NumPy and SciPy take their working memory now, before a limit is set.
+    """Make the BLAS libraries of NumPy and SciPy allocate their working memory now, before a memory limit is set.
 
-    OpenBLAS allocates this memory with the first operation that needs it, keeps it, and waits for ever if there is
-    none.
+    OpenBLAS allocates this memory in the first operation that needs it, and keeps it. If the memory cannot be
+    allocated, OpenBLAS waits for ever.
 
-    Raises MemoryError if a limit that is set already leaves too little.
+    Raises MemoryError if an existing limit leaves too little memory.
     """
     import numpy as np
     from scipy.linalg import lapack
@@ -115,22 +118,22 @@ def reserve_blas_memory() -> None:
 
 
 def keep_freed_memory() -> None:
-    """Let the C library keep freed memory for the next request: a fit needs arrays of the same sizes again and again.
+    """Make the C library keep freed memory for reuse, because a fit allocates arrays of equal sizes many times.
 
-    By default, glibc returns large buffers to the system, and every page of a new one costs a page fault: a tenth of
-    the time of a fit. Other C libraries have no such setting.
+    By default, glibc returns large buffers to the system, and every page of a new buffer causes a page fault. This
+    takes a tenth of the time of a fit. Other C libraries have no such setting.
     """
     _mallopt({_MMAP_THRESHOLD: 1 << 25, _TRIM_THRESHOLD: 1 << 30})
 
 
 def return_freed_memory() -> None:
-    """Let the C library return large buffers when they are freed.
+    """Make the C library return large buffers to the system when they are freed.
 
-    By default, glibc raises its threshold when large buffers are freed and then keeps them, so that the process grows
-    as long as it works; a threshold that is set stays. It also gives nearly each thread a heap of its own, and memory
-    that is free in one cannot be used by another; two are enough. Other C libraries have neither parameter.
+    By default, glibc raises its threshold when large buffers are freed, and then keeps them, so that a long-running
+    process grows. A threshold set here is fixed. By default, glibc also gives almost every thread its own heap, whose
+    free memory other threads cannot use; two heaps are enough. Other C libraries have neither parameter.
     """
-    # Without a trim threshold, the C library would ask the system anew for each large buffer.
+    # Without a trim threshold, the C library would request memory from the system for each large buffer.
     _mallopt({_MMAP_THRESHOLD: 1 << 20, _TRIM_THRESHOLD: 2 << 20, _ARENA_MAX: 2})
 
 
@@ -142,6 +145,6 @@ def _mallopt(settings: dict[int, int]) -> None:
 
 
 def trim_memory() -> None:
-    """Return free memory between small buffers, which the C library would keep, to the system; takes milliseconds."""
+    """Return free memory between small buffers to the system, which the C library would keep; it takes milliseconds."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

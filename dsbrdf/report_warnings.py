@@ -1,7 +1,7 @@
-"""Warnings about a fitted model, one sentence each.
+"""Write warnings about a fitted model, one sentence each.
 
-The limits were chosen on 70 reference materials, 8 of the RGL database and 62 stand-ins for MERL's, so that only the
-material with the worst fit exceeds one: the comment of each limit says how far the other materials go.
+The limits were chosen on 70 reference materials, 8 of the RGL database and 62 stand-ins for MERL, so that only the
+material with the worst fit exceeds a limit. The comment of each limit has the largest value of the other materials.
 """
 
 from collections.abc import Iterator
@@ -14,15 +14,15 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# Data that end beyond this angle leave a thin line of a sphere; the data of all materials reach 88 degrees.
+# If data end at a larger angle, only a thin rim of a sphere is missing; the data of all materials reach 88 degrees.
 _COMPLETE_ANGLE = np.radians(85.0)
-# Three digits round an albedo up to this one to 1; the materials reach 0.93.
+# A smaller albedo is printed as 1.000 with three decimals; the materials reach 0.93.
 _MAX_ALBEDO = 1.0 + 5e-4
-# Noise of 20 % on each sample causes an asymmetry of this size; the materials have up to 0.11.
+# Noise of 20 % on each sample causes this asymmetry; the materials have up to 0.11.
 _MAX_RELATIVE_ASYMMETRY = 0.15
-# The diffuse part hardly changes relative_rms, but the albedo; the materials have up to 0.06.
+# Errors of the diffuse part show in the albedo, hardly in relative_rms; the materials have up to 0.06.
 _MAX_ALBEDO_ERROR = 0.15
-# Relative to the signal; one of the materials, chm_mint, has 0.15, the others up to 0.05.
+# Misfit relative to the signal; the material chm_mint has 0.15, the others have up to 0.05.
 _MAX_RELATIVE_MISFIT = 0.1
 
 
@@ -34,10 +34,10 @@ def fit_warnings(
     in_slices: bool = False,
     is_unit_wrong: bool = False,
 ) -> Iterator[str]:
-    """Sentences about the course of a fit, of slices or of all rows at once, the extent of its data and its albedo.
+    """Yield warnings about the convergence of a fit, missing data and a too large albedo.
 
-    Remarks on components are those of `dsbrdf.decompose`.
-    If `is_unit_wrong`, `dsbrdf.samples.units` has already warned about the unit, and the albedo is not mentioned.
+    If `is_unit_wrong`, `dsbrdf.samples.units` has already warned about the unit, and there is no warning about the
+    albedo. Warnings about components are in `dsbrdf.components.decomposition`.
     """
     if not np.all(knots.converged):
         yield convergence_sentence(knots, in_slices=in_slices)
@@ -60,7 +60,7 @@ def fit_warnings(
 
 
 def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:
-    """Return the sentence about a fit, or slices of it, that stopped before convergence."""
+    """Return the warning about a fit, or some of its slices, that stopped before convergence."""
     stopped = np.logical_not(knots.converged)
     bound, count = np.array(knots.iterations)[stopped].max(), np.count_nonzero(stopped)
     several = in_slices and count > 1
@@ -72,7 +72,7 @@ def convergence_sentence(knots: KnotReport, *, in_slices: bool) -> str:
 
 
 def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
-    """Sentences about the errors of a fit; none where they are not known."""
+    """Yield warnings about large errors of a fit; none if the metrics are None."""
     error, floor, albedo_error = metrics.relative_rms, metrics.symmetric_floor, metrics.albedo_error
     if error is None or floor is None or albedo_error is None:
         return
@@ -82,7 +82,7 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
             "isotropic material has equal values there. The measurement is noisy, or the material sparkles or is "
             "anisotropic; no model of this kind can be more accurate."
         )
-    # Two samples make a folded mean, so that independent noise gives relative_rms = sqrt(2) symmetric_floor.
+    # symmetric_floor compares means of two samples: independent noise alone causes relative_rms = sqrt(2) of it.
     misfit = np.sqrt(max(error**2 - 2.0 * floor**2, 0.0))
     if misfit > _MAX_RELATIVE_MISFIT:
         yield (
@@ -97,18 +97,18 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
 
 
 MAX_EXPECTED_ERROR = 0.1
-"""Expected error over all directions beyond which a report says where to measure next."""
-# Product of the sines of both polar angles and of the azimuth between them; below it, directions share a plane.
+"""If the expected error over all directions is larger, a report lists directions to measure next."""
+# The product of the sines of both polar angles and of the azimuth between them; smaller ones count as in one plane.
 _MIN_OUT_OF_PLANE_SINE = 0.02
 _MAX_SAMPLE_MISFIT = 0.3
-# The error at samples left out is reported if it is this many times the error at the samples of the fit ...
+# The error at held-out samples is reported if it is at least this multiple of the error at the samples of the fit,
+# and if it is at least `_MIN_REPORTED_ERROR`.
 _REPORTED_ERROR_RATIO = 2.0
-# ... and at least so large.
 _MIN_REPORTED_ERROR = 0.05
 
 
 def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str, few: int) -> Iterator[str]:
-    """Sentences about how far a fit of samples is from the material; `structure` is what explains them best."""
+    """Yield warnings about the accuracy of a fit of samples; `structure` names their most probable layers."""
     here, left_out, expected = metrics.relative_rms, metrics.relative_rms_left_out, metrics.relative_rms_expected
     if here is None or left_out is None or expected is None:
         return

@@ -1,4 +1,4 @@
-"""Versions of the library, of its algorithm and of the software that it uses."""
+"""Define the versions of the library, of its algorithm and of the software that it uses."""
 
 import platform
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ from importlib.metadata import version
 __version__ = version("dsbrdf")
 
 ALGORITHM_VERSION = "9"
-"""Changed whenever the same measurement and options may give another model; part of the identity of a fit."""
+"""Changes whenever equal measurements and options may result in another model; part of the identity of a fit."""
 
 
 @dataclass(frozen=True)
 class Versions:
-    """All versions that can affect the result of a fit."""
+    """Hold all versions that can affect the result of a fit."""
 
     algorithm: str
     dsbrdf: str

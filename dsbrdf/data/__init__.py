@@ -1,4 +1,4 @@
-"""Measured reflectance: the angles, the grid, the file format and the exact reduction to profiles."""
+"""Hold measured reflectance: the angles, the grid, file formats, interpolation and the reduction to profiles."""
 
 from dsbrdf.data.geometry import above_horizon, directions, half_difference, incident_cosines, spherical
 from dsbrdf.data.grid import (

@@ -1,4 +1,4 @@
-"""Writing files atomically, and recognising kinds of files by their first bytes."""
+"""Write files atomically, and recognise kinds of files by their first bytes."""
 
 import os
 from collections.abc import Iterable
@@ -7,18 +7,18 @@ from secrets import token_hex
 
 
 def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memoryview]) -> None:
-    """Write the parts of a file atomically, so that no process ever sees half of it.
+    """Write the parts of a file atomically: other processes see the old file or the whole new file.
 
-    The parts are first written to a temporary file in the same folder, which then replaces an existing
-    one. After an error, `path` is unchanged and the temporary file is removed; an OSError names `path`.
+    The parts are written to a temporary file in the same folder, which then replaces `path`. After an error, `path` is
+    unchanged and the temporary file is removed; an OSError names `path`.
     """
     target = Path(path)
-    # Fifty characters, of four bytes at most, do not make the name longer than a file system allows.
+    # Fifty characters have at most 200 bytes, so that the whole name stays below the limit of 255.
     temporary = target.parent / f".{target.name[:50]}.{token_hex(8)}.part"
     try:
         file = temporary.open("xb")
     except OSError as error:
-        error.filename = str(target)  # The caller does not know the temporary name.
+        error.filename = str(target)  # The caller does not know the name of the temporary file.
         raise
     try:
         with file:
@@ -30,7 +30,7 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
         raise
 
 
-# None of these begins a MERL file, an RGL .bsdf file or a table of samples.
+# First bytes of other files that users may confuse with measurements.
 _KINDS = {
     b"\x89PNG": "a PNG image",
     b"\xff\xd8\xff": "a JPEG image",
@@ -49,5 +49,5 @@ _KINDS = {
 
 
 def known_kind(start: bytes) -> str | None:
-    """Return the kind of file that begins with these bytes, such as "a PNG image", or None."""
+    """Return the kind of a file from its first bytes, such as "a PNG image"; None if it is unknown."""
     return next((kind for magic, kind in _KINDS.items() if start.startswith(magic)), None)

@@ -1,17 +1,17 @@
-"""Directions and the half/difference angles (Rusinkiewicz 1998; Nishino 2009, section 2).
+"""Convert between directions and half and difference angles (Rusinkiewicz 1998; Nishino 2009, section 2).
 
-A pair of unit directions ``omega_in``, ``omega_out`` above a surface with normal (0, 0, 1) is described by
-the polar angle ``theta_half`` of the half vector ``h ~ omega_in + omega_out``, and by the angles
-``theta_diff``, ``phi_diff`` of ``omega_in`` in the frame whose pole is ``h``. With ``s = +1`` for
-``omega_in`` and ``s = -1`` for ``omega_out``::
+Let ``omega_in`` and ``omega_out`` be unit vectors above a surface with the normal (0, 0, 1). Their half vector ``h``
+is proportional to ``omega_in + omega_out`` and has the polar angles ``theta_half`` and ``phi_half``. In the frame whose
+pole is ``h``, ``omega_in`` has the polar angles ``theta_diff`` and ``phi_diff``. The directions are, with ``s = +1``
+for ``omega_in`` and ``s = -1`` for ``omega_out``::
 
     Rz(phi_half) Ry(theta_half) (s sin(theta_diff) cos(phi_diff),
                                  s sin(theta_diff) sin(phi_diff),
                                  cos(theta_diff))
 
-An isotropic BRDF does not depend on ``phi_half``. All angles are in radians. Every angle is computed with
-``atan2`` of a sum and a difference, which is accurate where ``arccos`` loses half of the digits: at normal
-incidence, at ``omega_in = omega_out`` and at the horizon.
+An isotropic BRDF does not depend on ``phi_half``. All angles are in radians. Every angle is computed by ``atan2`` from
+the sum and the difference of the directions. This is accurate at normal incidence, at ``omega_in = omega_out`` and at
+the horizon, where ``arccos`` loses half of the digits.
 """
 
 import numpy as np
@@ -21,18 +21,18 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.errors import InvalidArgumentError
 
 _UNIT_TOLERANCE = 1e-6
-# Cosines closer than this to a bound count as equal to it, so that rounding does not decide about nodes that lie
-# exactly on the horizon.
+# Cosines closer than this to a bound count as equal to the bound; otherwise, rounding would decide whether nodes
+# exactly on the horizon are above it.
 _COSINE_ROUNDING = 1e-12
-# A sum of two unit vectors that is shorter than this is only rounding error.
+# A shorter sum of two unit vectors is rounding error: the directions are opposite.
 _SUM_ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 
 def half_difference(omega_in: ArrayLike, omega_out: ArrayLike) -> tuple[Array, Array, Array]:
     """Return theta_half, theta_diff and phi_diff (...) [rad] of unit vectors (..., 3) that broadcast.
 
-    ``phi_diff`` is in [0, 2 pi). Opposite directions, possible only at the horizon, have no half vector; the normal is
-    used instead. Where the half vector is the normal, ``phi_diff`` is the azimuth of ``omega_in``.
+    ``phi_diff`` is in [0, 2 pi). Opposite directions, possible only at the horizon, have no half vector; the normal
+    replaces it. If the half vector is the normal, ``phi_diff`` is the azimuth of ``omega_in``.
     """
     first, second = _vectors("omega_in", omega_in), _vectors("omega_out", omega_out)
     total = first + second
@@ -48,11 +48,11 @@ def half_difference(omega_in: ArrayLike, omega_out: ArrayLike) -> tuple[Array, A
         sin_phi = np.where(radius > 0.0, total[..., 1] / radius, 0.0)
     along = cos_phi * difference[..., 0] + sin_phi * difference[..., 1]
     across = cos_phi * difference[..., 1] - sin_phi * difference[..., 0]
-    # Adding 0.0 turns -0.0 into 0.0, whose atan2 is 0 and not pi.
+    # Adding 0.0 turns -0.0 into 0.0: atan2(0, -0.0) would be pi.
     tangent = np.cos(theta_half) * along - np.sin(theta_half) * difference[..., 2] + 0.0
     phi_diff = np.arctan2(across + 0.0, tangent)
     phi_diff = np.where(phi_diff < 0.0, phi_diff + 2.0 * np.pi, phi_diff)
-    # A tiny negative angle is rounded to 2 pi, which is the angle 0.
+    # A tiny negative angle plus 2 pi is rounded to 2 pi.
     phi_diff = np.where(phi_diff >= 2.0 * np.pi, 0.0, phi_diff)
     return theta_half, theta_diff, phi_diff
 
@@ -60,9 +60,9 @@ def half_difference(omega_in: ArrayLike, omega_out: ArrayLike) -> tuple[Array, A
 def directions(
     theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, phi_half: ArrayLike = 0.0
 ) -> tuple[Array, Array]:
-    """Return omega_in and omega_out, unit vectors (..., 3), with given angles [rad]; the inverse of `half_difference`.
+    """Return the unit vectors omega_in and omega_out (..., 3) with given angles [rad]; inverse of `half_difference`.
 
-    One of them may lie below the horizon: see `above_horizon`.
+    One of the directions may lie below the horizon, see `above_horizon`.
     """
     half, diff, phi, azimuth = checked_angles(
         theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff, phi_half=phi_half
@@ -90,7 +90,7 @@ def spherical(theta: ArrayLike, phi: ArrayLike) -> Array:
 
 
 def random_directions(generator: np.random.Generator, cosine: Array) -> Array:
-    """Return unit vectors (..., 3) with given cosines to the normal, in any azimuth."""
+    """Draw unit vectors (..., 3) with given cosines to the normal, and with random azimuths."""
     turn, sine = generator.uniform(0.0, 2.0 * np.pi, cosine.shape), np.sqrt(1.0 - cosine**2)
     return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
 
@@ -108,10 +108,10 @@ def incident_cosines(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: Arr
 
 
 def above_horizon(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, cutoff: float = np.pi / 2) -> Mask:
-    """Return whether both directions lie above the horizon and within `cutoff` [rad] of the normal.
+    """Return whether both directions are above the horizon, and at most `cutoff` [rad] from the normal.
 
-    The cutoff, in (0, pi/2], is itself inside; the horizon is not. Raises InvalidArgumentError if the cutoff is out of
-    range.
+    A direction exactly at the cutoff counts, a direction exactly at the horizon does not. Raises InvalidArgumentError
+    if the cutoff is out of range.
     """
     check_horizon_cutoff(cutoff)
     cosine = np.minimum(*incident_cosines(theta_half, theta_diff, phi_diff))
@@ -128,10 +128,10 @@ def check_horizon_cutoff(cutoff: float | None) -> None:
 
 
 def check_directions(name: str, omega: ArrayLike, *, below_horizon: bool = False) -> Array:
-    """Return directions (..., 3) scaled to exact unit length; error messages call them by `name`.
+    """Check directions (..., 3) and scale them to exact unit length; error messages contain `name`.
 
-    Raises InvalidArgumentError if the shape is another, a number is not finite, a length differs from 1 by more than
-    1e-6, or a direction points below the horizon (z < 0) and that is not accepted.
+    Raises InvalidArgumentError if the shape is wrong, a number is not finite, a length differs from 1 by more than
+    1e-6, or a direction is below the horizon (z < 0) without `below_horizon`.
     """
     vectors = _vectors(name, omega)
     if not np.isfinite(vectors).all():
@@ -159,7 +159,7 @@ def _vectors(name: str, omega: ArrayLike) -> Array:
 def checked_angles(**named: ArrayLike) -> tuple[Array, ...]:
     """Return angles as arrays; raise InvalidArgumentError if they are not numeric or do not broadcast."""
     arrays = tuple(_numbers(name, value) for name, value in named.items())
-    # Equal shapes need no check, and the check takes as long as the evaluation of one point.
+    # Equal shapes are not checked, because the check takes as long as the evaluation of one point.
     if len({array.shape for array in arrays}) == 1:
         return arrays
     try:

@@ -1,8 +1,8 @@
-"""The angular grid of the MERL database: its axes, the nodes above the horizon, and the cutoff angles.
+"""Define the angular grid of the MERL database: its axes, the nodes above the horizon, and cutoff angles.
 
-The grid is (theta_half, theta_diff, phi_diff) with 90 x 90 x 180 nodes. A node is at the lower edge of its
-bin; ``theta_half`` is spaced quadratically, so that most rows are in the highlight. ``phi_diff`` covers 180
-degrees: the other half follows from reciprocity.
+The grid has 90 x 90 x 180 nodes over (theta_half, theta_diff, phi_diff). A node is at the lower edge of its bin.
+``theta_half`` is spaced quadratically, so that most rows are in the highlight. ``phi_diff`` covers 180 degrees; values
+of the other 180 degrees are equal by reciprocity.
 """
 
 from functools import lru_cache
@@ -15,9 +15,9 @@ from dsbrdf.data.geometry import above_horizon
 CHANNELS = ("red", "green", "blue")
 GRID_SHAPE = (90, 90, 180)
 DEFAULT_HORIZON_CUTOFF = float(np.radians(80.0))
-"""Samples with a direction further than this from the normal are left out by default [rad]."""
+"""By default, samples with a direction further from the normal are left out [rad]."""
 CENTER_CUTOFF = float(np.radians(1.0))
-"""The paper's procedure and metrics leave out samples with theta_half below this [rad] (Nishino 2009, section 6)."""
+"""The paper's procedure and the metrics leave out samples with a smaller theta_half [rad] (Nishino 2009, section 6)."""
 
 
 def _read_only(array: Array) -> Array:
@@ -29,7 +29,7 @@ THETA_HALF = _read_only(np.deg2rad(np.arange(90) ** 2 / 90.0))
 THETA_DIFF = _read_only(np.deg2rad(np.arange(90.0)))
 PHI_DIFF = _read_only(np.deg2rad(np.arange(180.0)))
 QUARTER = PHI_DIFF.size // 2 + 1
-"""Nodes of phi_diff from 0 to 90 degrees: a model is the same at phi_diff and pi - phi_diff."""
+"""Number of nodes of phi_diff from 0 to 90 degrees; models have equal values at phi_diff and pi - phi_diff."""
 
 
 @lru_cache(maxsize=4)
@@ -39,7 +39,7 @@ def nodes_above_horizon(cutoff: float = np.pi / 2) -> Mask:
     The mask is read-only and cached; see `dsbrdf.data.geometry.above_horizon`.
     """
     above = np.empty(GRID_SHAPE, dtype=np.bool_)
-    # The whole grid at once would need 50 MB.
+    # A loop over rows, because arrays for the whole grid would need 50 MB.
     for row, theta_half in enumerate(THETA_HALF):
         above[row, :, :QUARTER] = above_horizon(theta_half, THETA_DIFF[:, np.newaxis], PHI_DIFF[:QUARTER], cutoff)
     above[:, :, QUARTER:] = above[:, :, QUARTER - 2 : 0 : -1]

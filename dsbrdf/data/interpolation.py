@@ -1,11 +1,11 @@
-"""A measurement at any angles: linear interpolation of its logarithm between the nodes of the grid.
+"""Evaluate a measurement at any angles: interpolate its logarithm linearly between the nodes of the grid.
 
-The axes are the grid's own: ``sqrt(theta_half)``, in which the rows are evenly spaced, ``theta_diff`` and ``phi_diff``,
-which is periodic with period pi because reciprocity makes column 180 the column 0. The logarithm follows highlights,
-which fall by orders of magnitude from node to node, far better than the value does.
+The interpolation is linear in ``sqrt(theta_half)``, in which the rows are evenly spaced, in ``theta_diff`` and in
+``phi_diff``. The period of ``phi_diff`` is pi by reciprocity. The logarithm is interpolated because highlights fall by
+orders of magnitude from node to node.
 
-A node without a value takes that of the nearest one along theta_diff, along which reflectance changes slowest.
-Every node then has one value, so the interpolation has no steps, not even beside invalid nodes.
+A node without a value gets the value of the nearest node along theta_diff, along which reflectance changes most slowly.
+Then every node has a value, and the interpolation is continuous, also beside invalid nodes.
 """
 
 from collections.abc import Iterator
@@ -21,14 +21,14 @@ from dsbrdf.data.geometry import checked_angles
 from dsbrdf.data.grid import GRID_SHAPE
 from dsbrdf.errors import InvalidArgumentError
 
-# Added before the logarithm, so that 0 has one; far below any visible reflectance.
+# Added to values before the logarithm, so that 0 has a logarithm; it is far below any visible reflectance.
 _LOG_OFFSET_PER_SR = 1e-6
-# The corners of a block of points stay in the processor's cache.
+# Points are evaluated in blocks of this size, whose arrays stay in the processor's cache.
 _POINTS_PER_BLOCK = 65536
 
 
 class Grid(Protocol):
-    """Attributes of `dsbrdf.Measurement` that the interpolation reads."""
+    """Declare the attributes of `dsbrdf.Measurement` that the interpolation reads."""
 
     @property
     def stored(self) -> Array: ...  # noqa: D102
@@ -40,19 +40,19 @@ class Grid(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class InterpolatedMeasurement:
-    """Values of a measurement at any angles; see `interpolate`.
+    """Evaluate a measurement at any angles; `interpolate` makes it.
 
-    `source` has for each node the flat index of the node whose value it takes: its own where it has one. C = 3 if some
-    node has values in some channels only, else 1.
+    `source` has for each node the flat index of the node whose value it has: its own index if its value was measured.
+    C = 3 if a node has values in some channels only, otherwise C = 1.
     """
 
     measurement: Grid
     source: NDArray[np.int32]  # (C, 90, 90, 180)
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
-        """BRDF values (..., 3) [1/sr] at half and difference angles (...) that broadcast [rad]; never negative.
+        """Return values (..., 3) [1/sr] at half and difference angles (...) that broadcast [rad]; never negative.
 
-        Beyond the last row of the grid its value is held; below the horizon values continue those above it.
+        Beyond the last row of the grid, values are those of this row. Below the horizon, values are extrapolated.
         """
         named = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
         angles = np.broadcast_arrays(*named)
@@ -66,7 +66,7 @@ class InterpolatedMeasurement:
         return values.reshape(*angles[0].shape, 3)
 
     def is_measured(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Mask:
-        """Whether one of the nodes that a value lies between was measured; angles as for `evaluate`, shape (...)."""
+        """Return a mask (...) of the angles with at least one valid node among those of the interpolation."""
         angles = np.broadcast_arrays(*checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff))
         found = np.zeros(angles[0].shape, dtype=bool)
         for weight, node in _corners(*angles):
@@ -74,7 +74,7 @@ class InterpolatedMeasurement:
         return found
 
     def _values(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values at N points, shape (3, N)."""
+        """Return values (3, N) [1/sr] at N points."""
         stored = self.measurement.stored.reshape(3, -1)
         scale = self.measurement.scale[:, np.newaxis]
         logarithm = np.zeros((3, theta_half.size))
@@ -88,7 +88,7 @@ class InterpolatedMeasurement:
 def _corners(
     theta_half: Array, theta_diff: Array, phi_diff: Array
 ) -> Iterator[tuple[Array, tuple[Indices, Indices, Indices]]]:
-    """Yield the weight and the node of each of the eight corners of the cell that holds each point."""
+    """Yield weights and nodes of the eight corners of the grid cell around each point."""
     rows = np.sqrt(90.0 * np.clip(np.degrees(theta_half), 0.0, 90.0))
     row, row_share = _cells(rows, GRID_SHAPE[0])
     diff, diff_share = _cells(np.clip(np.degrees(theta_diff), 0.0, 90.0), GRID_SHAPE[1])
@@ -106,7 +106,7 @@ def _corners(
 
 
 def interpolate(measurement: Grid) -> InterpolatedMeasurement:
-    """Continue a measurement between its nodes: equal to it where it has values, continuous everywhere."""
+    """Return a continuous function that equals the measurement at its valid nodes."""
     if not measurement.valid.any():
         raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")
     known = measurement.valid & (measurement.stored >= 0.0)
@@ -116,7 +116,7 @@ def interpolate(measurement: Grid) -> InterpolatedMeasurement:
 
 
 def _cells(position: Array, count: int) -> tuple[Indices, Array]:
-    """Return the cell below each position, and the weight of its upper node; beyond the last node the weight is 1."""
+    """Return the index of the node below each position, and the interpolation weight of the next node, at most 1."""
     lower = np.minimum(position.astype(np.intp), count - 2)
     return lower, np.minimum(position - lower, 1.0)
 
@@ -124,8 +124,8 @@ def _cells(position: Array, count: int) -> tuple[Indices, Array]:
 def _nearest_valid(valid: Mask) -> NDArray[np.int32]:
     """Return for each node the flat index of the nearest node with a value.
 
-    The search goes towards theta_diff = 0 first, farther above the horizon; then in the other direction; then to the
-    nearest (theta_half, phi_diff) that has a valid node.
+    The search first goes towards theta_diff = 0, away from the horizon, then in the other direction along theta_diff,
+    and finally to the nearest (theta_half, phi_diff) with a valid node.
     """
     steps = np.arange(GRID_SHAPE[1], dtype=np.int8)[:, np.newaxis]
     diff = np.maximum.accumulate(np.where(valid, steps, np.int8(-1)), axis=1)

@@ -1,4 +1,4 @@
-"""A measured isotropic BRDF on the angular grid of the MERL database."""
+"""Define a measurement: an isotropic BRDF on the angular grid of the MERL database."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dsbrdf.errors import MeasurementFormatError
 
 @dataclass(frozen=True, repr=False)
 class Measurement:
-    """One measured material; two are equal if their bytes and their names are.
+    """Hold the measurement of one material; measurements with equal bytes and names are equal.
 
     Attributes
     ----------
@@ -27,9 +27,9 @@ class Measurement:
     scale : ndarray, shape (3,)
         Factor of each channel from ``stored`` to the BRDF in 1/sr.
     valid : ndarray of bool, shape (90, 90, 180)
-        Nodes with a value, one >= 0, in some channel, and both directions strictly above the horizon, read-only. A
-        negative number means no value in its channel only: a saturated yellow can be darker than the noise in blue, and
-        still have values in red and green.
+        Nodes with both directions above the horizon and a stored number >= 0 in at least one channel, read-only. A
+        negative number marks a missing value in its own channel only: a saturated yellow can be darker than the noise
+        in blue, and still have values in red and green.
     name : str
         The material's name, by default that of its file.
     sha256 : str
@@ -46,7 +46,7 @@ class Measurement:
         return f"<Measurement: {self.name!r}, sha256 {self.sha256[:12]}>"
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
-        """Return values between the nodes, interpolated as for lit spheres; see `dsbrdf.data.interpolation`.
+        """Interpolate values between the nodes, see `dsbrdf.data.interpolation`.
 
         Parameters
         ----------
@@ -56,12 +56,12 @@ class Measurement:
         Returns
         -------
         ndarray, shape (..., 3)
-            The BRDF in 1/sr, NaN where no node beside the angles was measured, as below the horizon.
+            The BRDF in 1/sr; NaN if none of the nodes around the angles is valid, as below the horizon.
 
         Raises
         ------
         InvalidArgumentError
-            If an angle is not finite, or the measurement has no value at all.
+            If an angle is not finite, or the measurement has no valid node.
         """
         values = self.interpolated.evaluate(theta_half, theta_diff, phi_diff)
         values[~self.interpolated.is_measured(theta_half, theta_diff, phi_diff)] = np.nan
@@ -69,38 +69,38 @@ class Measurement:
 
     @cached_property
     def interpolated(self) -> InterpolatedMeasurement:
-        """The interpolated measurement, which has a value everywhere, also where nothing was measured."""
+        """The measurement as a function that has values at all angles, extrapolated where nodes are not valid."""
         return interpolate(self)
 
     def known(self, row: int) -> Mask:
-        """Return a mask of the values of each channel in a theta_half row, shape (3, 90 theta_diff, 180 phi_diff)."""
+        """Return the mask (3, 90 theta_diff, 180 phi_diff) of measured values in a theta_half row."""
         return self.valid[row] & (self.stored[:, row] >= 0.0)
 
     @property
     def values(self) -> Array:
-        """The BRDF in 1/sr, shape (3, 90, 90, 180); a new array (35 MB) at every call.
+        """The BRDF in 1/sr, shape (3, 90, 90, 180); every access makes a new array of 35 MB.
 
-        Only the nodes in ``valid`` have a measured value, in the channels where it is not negative.
+        Values are measured at the nodes in ``valid``, in the channels in which they are not negative.
         """
         return self.stored * self.scale[:, np.newaxis, np.newaxis, np.newaxis]
 
     @classmethod
     def from_values(cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement") -> Measurement:
-        """Return the measurement with the given values, as if they had been written to a file and read back.
+        """Make a measurement from values, as if they had been written to a file and read back.
 
         Parameters
         ----------
         values : array_like, shape (3, 90, 90, 180)
-            The BRDF in 1/sr, axes (channel, theta_half, theta_diff, phi_diff); negative means no value.
+            The BRDF in 1/sr, axes (channel, theta_half, theta_diff, phi_diff); a negative value is missing.
         valid : array_like of bool, shape (90, 90, 180), optional
-            Nodes that have a value; the values of the others are replaced by -1.
+            Nodes with a value; values at all other nodes are replaced by -1.
         name : str
             The material's name.
 
         Returns
         -------
         Measurement
-            Its ``sha256`` is that of the encoded bytes; its ``values`` equal the given ones up to rounding.
+            Its ``sha256`` is the digest of the file with these values; its ``values`` equal `values` up to rounding.
 
         Raises
         ------
@@ -119,7 +119,7 @@ def merl_pieces(stored: Array) -> Iterator[bytes | memoryview]:
 
 
 def stored_numbers(values: ArrayLike, valid: ArrayLike | None) -> Array:
-    """Return the numbers to store: values [1/sr] divided by the scale, -1 where there is no value."""
+    """Divide values [1/sr] by the scale of each channel; nodes outside the mask `valid` become -1."""
     try:
         brdf = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):

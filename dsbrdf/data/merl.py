@@ -1,4 +1,4 @@
-"""The MERL ``.binary`` format: bytes <-> `Measurement` (Matusik et al. 2003).
+"""Read and write the MERL ``.binary`` format: bytes <-> `Measurement` (Matusik et al. 2003).
 
 A file is three little-endian int32 dimensions (90, 90, 180) followed by 3 x 90 x 90 x 180 little-endian
 float64 values, axes (channel, theta_half, theta_diff, phi_diff). A stored value times the channel's ``SCALE``
@@ -28,7 +28,7 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "measurement") 
     Parameters
     ----------
     data : bytes-like
-        The whole file. Immutable bytes are used without a copy.
+        Content of a whole file; immutable bytes are not copied.
     name : str
         The material's name.
 
@@ -69,15 +69,15 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
         check_header(file.read(HEADER_SIZE))
         check_length(status.st_size)
         file.seek(0)
-        # One byte more than needed shows whether the file has grown since.
+        # Reading one more byte shows whether the file has grown since its length was checked.
         data = file.read(FILE_SIZE + 1)
     return parse_merl(data, source.stem)
 
 
 def map_merl(path: str | os.PathLike[str], sha256: str) -> Measurement:
-    """Return the measurement in a file that was validated before, as a memory map without another check.
+    """Map a file that was validated before into memory, and return its measurement without another check.
 
-    The file, whose digest is `sha256`, must not change as long as the measurement is used. Raises ValueError if the
+    `sha256` is the digest of the file, which must not change while the measurement is in use. Raises ValueError if the
     file is shorter than a measurement.
     """
     source = Path(path)
@@ -90,20 +90,20 @@ def map_merl(path: str | os.PathLike[str], sha256: str) -> Measurement:
 
 
 def encode_merl(measurement: Measurement | ArrayLike) -> bytes:
-    """Return the bytes of a MERL file; `write_merl` writes them."""
+    """Return the bytes that `write_merl` writes to a file."""
     return b"".join(_pieces(measurement))
 
 
 def write_merl(path: str | os.PathLike[str], measurement: Measurement | ArrayLike) -> None:
-    """Write a MERL ``.binary`` file, completely or not at all.
+    """Write a MERL ``.binary`` file; after an error, no file is left and an existing file is unchanged.
 
     Parameters
     ----------
     path : path-like
         The file to write; an existing one is replaced.
     measurement : Measurement or array_like, shape (3, 90, 90, 180)
-        A measurement is written bit for bit as it was read; an array is the BRDF in 1/sr, where negative
-        means no value.
+        The numbers of a measurement are written unchanged. An array has values in 1/sr; a negative value marks a node
+        without a measurement.
 
     Raises
     ------

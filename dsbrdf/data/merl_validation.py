@@ -1,7 +1,7 @@
-"""Validation of a MERL ``.binary`` file piece by piece while it arrives.
+"""Check a MERL ``.binary`` file piece by piece, while it arrives.
 
-Whatever the pieces, the header is checked before the length and the length before the values, so that the same
-file always gives the same error message. `dsbrdf.data.merl` describes the format.
+The header is checked before the length, and the length before the values, so that the error message of a file does not
+depend on the sizes of the pieces. `dsbrdf.data.merl` describes the format.
 """
 
 import hashlib
@@ -20,16 +20,16 @@ NODES = 90 * 90 * 180
 FILE_SIZE = HEADER_SIZE + 3 * NODES * 8
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
 SCALE.flags.writeable = False
-LARGEST_VALUE = 1e8  # [1/sr]; far larger than any BRDF value
-SMALLEST_PEAK = 1e-8  # [1/sr]; a material that reflects less at every angle is darker than any.
-SMALLEST_VALID_SHARE = 0.01
-MIN_LIT_FRACTION = 0.001  # Fewer lit nodes are noise: no angle of theta_half has a profile.
+MAX_VALUE = 1e8  # A file with a larger value is refused, because no BRDF is so large [1/sr].
+MIN_NONZERO_VALUE = 1e-8  # Smaller values count as zero, because every real material is brighter [1/sr].
+MIN_VALID_FRACTION = 0.01  # A channel with a smaller fraction of valid nodes is refused.
+MIN_NONZERO_FRACTION = 0.001  # A file with a smaller fraction of nonzero nodes is refused, because they are noise.
 
 _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 SHAPE = (len(CHANNELS), *GRID_SHAPE)
 _PIECE_BYTES = 1 << 20
 _AXES = ("theta_half", "theta_diff", "phi_diff")
-_MAX_LIKELY_SIZE = 100_000  # A larger number in a header is part of something else than dimensions.
+_MAX_LIKELY_SIZE = 100_000  # Larger numbers are not the dimensions of a grid: the file is of another kind.
 _NOT_FINITE = "NaN or infinite; every value must be finite."
 _UNIT = "Stored values are the BRDF in 1/sr times 1500 / (1, 1.15, 1.66)."
 _TOO_LARGE = f"1e8/sr, which no reflectance has. {_UNIT}"
@@ -62,7 +62,7 @@ def check_header(header: bytes | bytearray | memoryview) -> None:
 
 
 def _other_kind(start: bytes) -> str:
-    """Return a sentence about data that begin with a text, or with nothing that is known."""
+    """Return an error message for a file that is a text or of an unknown kind."""
     text = start.decode("utf-8", "ignore")
     if len(text) > HEADER_SIZE - 4 and all(letter.isprintable() or letter.isspace() for letter in text):
         return f"The data is a text that begins with {text.split(chr(10))[0]!r}, and no MERL measurement."
@@ -75,7 +75,7 @@ def check_length(n_bytes: int) -> None:
         return
     right = f"a MERL measurement has exactly {FILE_SIZE} bytes (12 + 3 x 90 x 90 x 180 x 8)"
     if n_bytes > FILE_SIZE:
-        # The message must not depend on whether the whole length is known.
+        # The message has no length: during an upload, the length is not known yet.
         raise MeasurementFormatError(f"The data is longer than {FILE_SIZE} bytes; {right}.")
     if n_bytes == 0:
         raise MeasurementFormatError(f"The data is empty; {right}.")
@@ -89,30 +89,30 @@ def check_length(n_bytes: int) -> None:
 class MerlChecker:
     """Check the bytes of a MERL file piece by piece, in bounded memory.
 
-    Pass all bytes in order to `update`, then call `finish`. Only two bits per node are kept, 0.4 MB, so that many
-    uploads can be checked at the same time. `n_bytes` is the number of bytes so far.
+    Pass all bytes in order to `update`, then call `finish`. The checker stores only two bits per node, 0.6 MB, so that
+    many uploads can be checked at the same time. `n_bytes` is the number of bytes so far.
     """
 
     def __init__(self) -> None:
         self.n_bytes = 0
         self._header = b""
-        # The next piece continues this incomplete group of eight values, which fill one byte of bits.
+        # The last bytes of a piece that do not fill a group of eight values; eight values fill a byte of bits.
         self._rest = b""
         self._n_values = 0
-        # A bit for each node: some channel is not negative, or at least `SMALLEST_PEAK`.
+        # Bits of the nodes at which a channel is not negative, and at which a channel is at least `MIN_NONZERO_VALUE`.
         self._measured = np.zeros(NODES // 8, dtype=np.uint8)
-        self._lit = np.zeros(NODES // 8, dtype=np.uint8)
+        self._nonzero = np.zeros(NODES // 8, dtype=np.uint8)
         # For each channel, the number of nodes above the horizon that are not negative.
         self._n_measured = [0] * len(CHANNELS)
         self._above = nodes_above_horizon().reshape(-1)
-        # For each fault, the number of values that have it and the place of the first one.
+        # For each fault, the number of faulty values and the position of the first one.
         self._faults: dict[str, tuple[int, str]] = {}
 
     def update(self, piece: bytes | bytearray | memoryview) -> None:
         """Check the next bytes, of any length.
 
-        Raises MeasurementFormatError as soon as the header is wrong or there are too many bytes. Wrong values are
-        reported by `finish`, because the message contains their number.
+        Raises MeasurementFormatError as soon as the header is wrong or there are too many bytes. `finish` reports wrong
+        values, because the message contains their number.
         """
         view = memoryview(piece).cast("B")
         self.n_bytes += len(view)
@@ -131,12 +131,12 @@ class MerlChecker:
         self._rest = bytes(view[whole:])
 
     def finish(self) -> Mask:
-        """Return the valid nodes (90, 90, 180), after the last byte: above the horizon, with a value in some channel.
+        """Return the mask (90, 90, 180) of valid nodes: above the horizon and not negative in at least one channel.
 
-        Raises MeasurementFormatError if the length is wrong, a value is NaN or infinite or above 1e8/sr, a channel is
-        negative at more than 99 % of the nodes above the horizon, or hardly any node has light.
+        Call it after the last byte. Raises MeasurementFormatError if the length is wrong, a value is NaN, infinite or
+        above 1e8/sr, a channel is negative at more than 99 % of the nodes above the horizon, or almost all are zero.
         """
-        # `update` has checked the header unless there are fewer bytes than it has.
+        # `update` checks the header only if it is complete.
         check_header(self._header)
         check_length(self.n_bytes)
         for fault, (verb, verb_of_many) in (_NOT_FINITE, ("is", "are")), (_TOO_LARGE, ("exceeds", "exceed")):
@@ -150,39 +150,40 @@ class MerlChecker:
         valid &= self._above
         n_above = int(self._above.sum())
         fewest = int(np.argmin(self._n_measured))
-        if self._n_measured[fewest] < SMALLEST_VALID_SHARE * n_above:
+        if self._n_measured[fewest] < MIN_VALID_FRACTION * n_above:
             raise MeasurementFormatError(
                 f"The {CHANNELS[fewest]} channel has valid values (not negative) at {self._n_measured[fewest]} of the "
-                f"{n_above} nodes above the horizon; every channel needs at least {SMALLEST_VALID_SHARE:.0%}."
+                f"{n_above} nodes above the horizon; every channel needs at least {MIN_VALID_FRACTION:.0%}."
             )
-        # Nodes at theta_half = 0 have no solid angle: a fit would not see their light.
-        n_lit = int(np.bitwise_count(np.packbits(valid) & self._lit)[NODES // 90 // 8 :].sum())
-        if n_lit < MIN_LIT_FRACTION * n_above:
+        # Nodes at theta_half = 0 do not count, because they have no solid angle.
+        n_nonzero = int(np.bitwise_count(np.packbits(valid) & self._nonzero)[NODES // 90 // 8 :].sum())
+        if n_nonzero < MIN_NONZERO_FRACTION * n_above:
             raise MeasurementFormatError(
-                f"{n_lit} of the {n_above} nodes above the horizon have a value of at least {SMALLEST_PEAK:g}/sr at a "
-                f"theta_half above 0; a measurement needs at least {MIN_LIT_FRACTION:.1%} of the nodes. {_UNIT}"
+                f"{n_nonzero} of the {n_above} nodes above the horizon have a value of at least "
+                f"{MIN_NONZERO_VALUE:g}/sr at a theta_half above 0; a measurement needs at least "
+                f"{MIN_NONZERO_FRACTION:.1%} of the nodes. {_UNIT}"
             )
         return valid.reshape(GRID_SHAPE)
 
     def _check_values(self, values: Array) -> None:
-        """Check values of one or several channels, a multiple of eight."""
+        """Check consecutive values, a multiple of eight; they may begin in one channel and end in another."""
         while values.size:
             channel, node = divmod(self._n_values, NODES)
             part, values = values[: NODES - node], values[NODES - node :]
             self._n_values += part.size
             nodes, octets = slice(node, node + part.size), slice(node // 8, (node + part.size) // 8)
-            # NumPy warns when it compares a signalling NaN.
+            # NumPy would warn about comparisons with signalling NaN.
             with np.errstate(invalid="ignore"):
-                largest, smallest, limit = part.max(), part.min(), LARGEST_VALUE / SCALE[channel]
+                largest, smallest, limit = part.max(), part.min(), MAX_VALUE / SCALE[channel]
                 if not (np.isfinite(largest) and np.isfinite(smallest)):
                     self._record(_NOT_FINITE, ~np.isfinite(part), channel, node)
-                # A maximum of NaN is not greater, and is reported before.
+                # This is false if the maximum is NaN, which has been recorded above.
                 if largest > limit:
                     self._record(_TOO_LARGE, (part > limit) & self._above[nodes], channel, node)
                 measured = part >= 0.0
                 self._n_measured[channel] += int(np.count_nonzero(measured & self._above[nodes]))
                 self._measured[octets] |= np.packbits(measured)
-                self._lit[octets] |= np.packbits(part >= SMALLEST_PEAK / SCALE[channel])
+                self._nonzero[octets] |= np.packbits(part >= MIN_NONZERO_VALUE / SCALE[channel])
 
     def _record(self, fault: str, where: Mask, channel: int, start: int) -> None:
         found = np.flatnonzero(where)
@@ -194,9 +195,9 @@ class MerlChecker:
 
 
 def checked_values(data: bytes | memoryview) -> tuple[Array, Mask, str]:
-    """Check a whole file; return its numbers (3, 90, 90, 180), its valid nodes (90, 90, 180), and its sha256.
+    """Check a whole file; return its numbers (3, 90, 90, 180), its mask of valid nodes, and its sha256.
 
-    The numbers are a read-only view of the data. A MeasurementFormatError says what is wrong and what would be right.
+    The numbers are a read-only view of the data. Raises MeasurementFormatError if the file is faulty.
     """
     view = memoryview(data).cast("B")
     checker, digest = MerlChecker(), hashlib.sha256()

@@ -1,19 +1,19 @@
-"""The exact reduction of a measurement to profiles: sums over phi_diff, or over bins of phi_diff.
+"""Reduce a measurement to profiles: sums over phi_diff, or over bins of phi_diff.
 
-The model does not depend on phi_diff, so the squared error of any such model ``m`` splits, for every
-(channel, theta_diff, theta_half), into
+Let m be the value of a model that does not depend on phi_diff. For every (channel, theta_diff, theta_half), its squared
+error is
 
     sum_phi w (f - m)**2 = W (mean - m)**2 + within,
 
-with ``W`` the summed weight, ``mean`` the weighted mean and ``within`` a constant of the data. A fit on the
-`Profiles` is therefore a fit on all 4.4 million samples, and the sum of ``within`` is the **bivariate floor**
-that no model of this kind can go below.
+where W is the summed weight, ``mean`` the weighted mean of f over phi_diff, and ``within`` the weighted squared
+deviation from this mean, which does not depend on the model. A fit to `Profiles` is therefore exactly a fit to all 4.4
+million samples. The sum of ``within`` is the **bivariate floor**, the smallest error of any such model.
 
-A reciprocal isotropic material is the same at phi_diff, -phi_diff and pi - phi_diff, and so is the model with
-elongated lobes. For it phi_diff is folded into a quarter turn and summed in `N_BINS` bins, in which a model counts at
-the mean of cos(phi_diff)**2.
+The values of a reciprocal isotropic material, and of a model with elongated lobes, are equal at phi_diff, -phi_diff and
+pi - phi_diff. Therefore phi_diff is folded: mapped to the equivalent angle from 0 to 90 degrees. The samples are summed
+in `N_BINS` bins of the folded phi_diff. The value of a model in a bin is its value at the mean of cos(phi_diff)**2.
 
-This is the only place that decides which samples count, and how much.
+Only this module decides which samples count, and with which weight.
 """
 
 from __future__ import annotations
@@ -29,55 +29,56 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 
 N_BINS = 10
-"""Bins of the folded phi_diff: nine of 10 degrees each, and 90 degrees alone.
+"""Number of bins of the folded phi_diff: nine of 10 degrees each, and 90 degrees alone.
 
-A lobe that is stretched far across the plane of incidence can be a needle at 90 degrees which no wider bin shows.
+A lobe that is stretched far across the plane of incidence can be a narrow peak at 90 degrees, which a wider bin would
+hide.
 """
 WEIGHTINGS = ("plain", "cosine", "log")
-"""The known weightings of the samples, see `profiles`."""
+"""Names of the weightings of samples, see `profiles`."""
 
 
 _BIN_OF = np.minimum(np.arange(180), 180 - np.arange(180)) // 10
 IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)
-"""Membership of each phi_diff of the grid in each bin, 1 or 0, shape (180, 10)."""
+"""1 if a phi_diff of the grid belongs to a bin, otherwise 0, shape (180, 10)."""
 SAMPLES_IN_BIN = IN_BIN[:QUARTER] * np.where(np.arange(QUARTER) % (QUARTER - 1) == 0, 1.0, 2.0)[:, None]
-"""Number of grid samples, mirrored ones included, that each phi_diff up to 90 degrees represents, shape (91, 10)."""
+"""Number of grid samples that each phi_diff up to 90 degrees stands for, in the column of its bin, shape (91, 10)."""
 _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
 _BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(N_BINS))
 OUTLIER = 6.0
-"""Distance from the median, in standard deviations, beyond which weights fall; at twice this distance they are 0."""
+"""Weights of samples further from the median fall, to 0 at twice this distance [standard deviations]."""
 NORMAL_QUARTILE = 1.1503
-"""Third quartile of the absolute deviation of a normal distribution, in standard deviations."""
-# With fewer samples, half of a bin may be outliers: the bins beside it are used too.
+"""Third quartile of the absolute deviation of a normal variable [standard deviations]."""
+# In a bin with fewer samples, half of them may be outliers: the samples of the neighbouring bins are used too.
 _MIN_SAMPLES_FOR_MEDIAN = 5
 
 
 @dataclass(frozen=True, eq=False)
 class FoldedProfiles:
-    """Samples up to the horizon, summed over bins of the folded phi_diff.
+    """Hold samples up to the horizon, summed over bins of the folded phi_diff.
 
-    `mean` [1/sr] and `weight`, the number of samples, are those of each (channel, theta_diff, theta_half, bin); samples
-    far from the others of their bin count less if the reduction is robust.
+    For each (channel, theta_diff, theta_half, bin), `mean` is the mean value [1/sr] and `weight` the number of samples.
+    In a robust reduction, samples far from the others of their bin have less weight.
     """
 
     mean: Array  # (3, 90, 90, 10)
     weight: Array  # (3, 90, 90, 10)
-    cos2_phi: Array  # mean of cos(phi_diff)**2 over the samples, (90, 90, 10)
+    cos2_phi: Array  # mean of cos(phi_diff)**2 over the samples of a bin, (90, 90, 10)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Profiles:
-    """Sufficient summary of a measurement for bivariate models.
+    """Hold the sums over phi_diff that a fit needs of a measurement.
 
     Attributes
     ----------
     mean, weight, within : ndarray, shape (3, 90, 90)
         Weighted mean [1/sr], summed weight, and summed weighted squared deviation from the mean [1/sr^2] over
-        phi_diff, for each (channel, theta_diff, theta_half). Where ``weight`` is 0 the others are 0.
+        phi_diff, for each (channel, theta_diff, theta_half). If ``weight`` is 0, the others are 0.
     folded : FoldedProfiles
-        The same samples with their phi_diff, and those beyond the cutoff too.
+        Sums over bins of phi_diff, also of samples beyond the horizon cutoff; they are not weighted.
     horizon_cutoff, weighting, robust
-        The options of `profiles`; ``folded`` is not weighted.
+        The options of `profiles`.
     name, sha256 : str
         Name and digest of the measurement.
     """
@@ -104,20 +105,19 @@ def profiles(
     weighting: str = "plain",
     robust: bool = False,
 ) -> Profiles:
-    """Reduce the samples f of a measurement to its profiles over (theta_diff, theta_half).
+    """Reduce the samples f of a measurement to profiles over (theta_diff, theta_half).
 
     Parameters
     ----------
     measurement : Measurement
     horizon_cutoff : float or None, optional
-        Samples with a direction further than this from the normal are left out [rad]; None keeps all samples above
-        the horizon.
+        Samples with a direction further from the normal [rad] are left out; None keeps all samples above the horizon.
     weighting : {"plain", "cosine", "log"}, optional
-        ``plain`` counts every sample alike (the paper); ``cosine`` weighs by cos(theta_in)**2, the squared error of
-        reflected radiance; ``log`` weighs by (cos_in / (1 + mean cos_in))**2, which to first order is the squared
-        error of log(1 + f cos_in).
+        ``plain`` gives all samples equal weights, as in the paper. ``cosine`` has the weights cos(theta_in)**2, so that
+        the error is that of reflected radiance. ``log`` has the weights (cos_in / (1 + mean cos_in))**2, so that the
+        error is to first order that of log(1 + f cos_in).
     robust : bool, optional
-        Down-weight samples that lie far from the median over phi_diff.
+        Reduce the weights of samples far from the median over phi_diff.
 
     Raises
     ------
@@ -146,13 +146,13 @@ def profiles(
 
 
 def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
-    """Return a mask (3, 90 theta_diff, 180 phi_diff) of the samples of the theta_half row ``i`` that are used."""
+    """Return the mask (3, 90 theta_diff, 180 phi_diff) of the used samples in the theta_half row ``i``."""
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     return measurement.known(i) & nodes_above_horizon(cutoff)[i]
 
 
 def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust: bool) -> None:
-    """Write the samples (3, 90, 180) of the theta_half row ``i`` into the folded profiles."""
+    """Sum the samples (3, 90, 180) of the theta_half row ``i`` into the folded profiles, in place."""
     weights, valid = known.astype(float), known.any(axis=0)
     if robust:
         weights = _trusted_in_bins(samples, known)
@@ -164,9 +164,9 @@ def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust
 
 
 def _trusted_in_bins(samples: Array, known: Mask) -> Array:
-    """Return weights of samples (3, 90, 180), low where a sample lies far from the others of its bin.
+    """Return weights of samples (3, 90, 180), low for a sample far from the other samples of its bin.
 
-    A bin of a few samples cannot tell which of them are outliers, and takes in the samples of the bins beside it.
+    If a bin has too few samples to find outliers, they are compared with the samples of the neighbouring bins too.
     """
     weights = np.zeros(samples.shape)
     for members, beside in zip(_MEMBERS, _BESIDE, strict=True):
@@ -181,7 +181,7 @@ def _trusted_in_bins(samples: Array, known: Mask) -> Array:
 
 
 def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
-    """Return the weighted mean, summed weight and within-sum over the last axis; zeros where the weight is 0."""
+    """Return weighted mean, summed weight and weighted squared deviation over the last axis; 0 without weight."""
     total = weights.sum(-1)
     mean = np.einsum("...p,...p->...", weights, samples) / np.where(total > 0, total, 1.0)
     deviation = samples - mean[..., None]
@@ -189,20 +189,20 @@ def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
 
 
 def _outlier_weights(samples: Array, used: Mask) -> Array:
-    """Return weights that are 1 near the median over phi_diff and fall to 0 far from it.
+    """Return weights of samples: 1 near the median over phi_diff, falling to 0 far from it; 1 without outliers.
 
-    The samples of a bin often lie in two groups, phi_diff and 180 degrees - phi_diff: the median of the deviations
-    would see the larger group alone and take the other one for outliers. Without outliers all weights are 1.
+    The samples of a bin often form two groups, at phi_diff and at 180 degrees - phi_diff. The scale is the third
+    quartile of the deviations, because their median would take the smaller group for outliers.
     """
     count = used.sum(axis=-1, keepdims=True)
     masked = np.where(used, samples, np.nan)
-    # NaN sorts last.
+    # Unused samples are NaN, which sorts last.
     ordered = np.sort(masked, axis=-1)
     lower = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=-1)
     median = np.where(count > 0, 0.5 * (lower + np.take_along_axis(ordered, count // 2, axis=-1)), 0.0)
     deviations = np.sort(np.abs(masked - median), axis=-1)
     scale = np.take_along_axis(deviations, 3 * np.maximum(count - 1, 0) // 4, axis=-1) / NORMAL_QUARTILE
-    # A row of equal samples has no spread: what differs from it by more than some per cent is an outlier.
+    # If all samples are equal, the scale would be 0: a minimum of 1 % of the median replaces it.
     scale = np.maximum(np.where(count > 0, scale, 0.0), 1e-2 * np.abs(median) + 1e-12)
     relative = np.where(used, np.abs(samples - median) / (OUTLIER * scale), 0.0)
     return np.clip(2.0 - relative, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Tensor files and warps, of which the files of the RGL material database consist (Dupuy and Jakob 2018, section 4).
+"""Read and write the tensor files and the warps of the RGL material database (Dupuy and Jakob 2018, section 4).
 
 A tensor file stores named arrays one after the other, with little-endian numbers:
 
@@ -6,8 +6,8 @@ A tensor file stores named arrays one after the other, with little-endian number
     length of the name (uint16), name, number of axes (uint16), type (uint8), offset of the data (uint64),
     length of each axis (uint64); the data follow.
 
-A warp is a table of a density on the unit square, bilinear between its nodes, that maps uniform samples to points with
-that density: the row first, by its marginal, then the column within it.
+A warp maps uniform samples of the unit square to points with a given density: first the row, by the marginal density,
+then the column, by the conditional density of the row. The density is a table with bilinear interpolation.
 """
 
 import struct
@@ -25,15 +25,15 @@ from dsbrdf.errors import MeasurementFormatError
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """One warp, or T of them with one parameter, between which everything is linear."""
+    """Hold one warp, or T warps for increasing values of a parameter, interpolated linearly in between."""
 
     density: Array  # (..., H, W)
-    conditional: Array  # (..., H, W)
-    marginal: Array  # (..., H)
+    conditional: Array  # integral of the density along each row, up to each node, (..., H, W)
+    marginal: Array  # integral of the density over all rows up to each row, (..., H)
 
     @classmethod
     def of(cls, table: ArrayLike) -> "Warp":
-        """Return the warp of a table (..., H, W) of zero or positive values, not all of them 0."""
+        """Make the warp of a density table (..., H, W), whose values are not negative and not all 0."""
         density = np.asarray(table, dtype=np.float64)
         height, width = density.shape[-2:]
         conditional = _running(density) / (width - 1)
@@ -42,7 +42,7 @@ class Warp:
         return cls(density / total, conditional / total, marginal / total[..., 0])
 
     def sample(self, columns: Array, rows: Array) -> tuple[Array, Array]:
-        """Points (x, y) that one warp maps uniform samples to, along the columns and rows; all of shape (n,)."""
+        """Map uniform samples (columns, rows) to points (x, y) by a single warp; all arrays are (n,)."""
         height, width = self.density.shape
         row = np.clip(np.searchsorted(self.marginal, rows, side="right") - 1, 0, height - 2)
         ends = self.conditional[:, -1]
@@ -58,9 +58,10 @@ class Warp:
         return (column + across) / (width - 1), (row + down) / (height - 1)
 
     def invert(self, lower: Indices, share: Array, x: Array, y: Array) -> tuple[Array, Array]:
-        """Uniform samples (columns, rows) that several warps map to points (x, y); all of shape (n,).
+        """Return the uniform samples (columns, rows) that a stack of warps maps to points (x, y); all arrays are (n,).
 
-        The point n belongs to the warp that lies a ``share`` of the way from the warp ``lower`` to the next.
+        The warp of each point is interpolated between the warps ``lower`` and ``lower + 1``, with the weights
+        ``1 - share`` and ``share``.
         """
         upper = np.minimum(lower + 1, len(self.density) - 1)
         height, width = self.density.shape[1:]
@@ -87,7 +88,7 @@ class Warp:
 def bilinear(table: Array, x: Array, y: Array, of: Indices | None = None) -> Array:
     """Interpolate a table (..., H, W) at points (n,) of the unit square, x along the columns.
 
-    If ``of`` is given, the table is a stack of tables, and point n is looked up in the table ``of[n]``.
+    With ``of``, the table is a stack of tables, and point n is interpolated in the table ``of[n]``.
     """
     row, down = _cell(y, table.shape[-2])
     column, across = _cell(x, table.shape[-1])
@@ -98,13 +99,13 @@ def bilinear(table: Array, x: Array, y: Array, of: Indices | None = None) -> Arr
 
 
 def _cell(position: Array, count: int) -> tuple[Indices, Array]:
-    """Return the cell below each position, 0 to 1, and the interpolation weight of its upper node."""
+    """Return the index of the node below each position from 0 to 1, and the interpolation weight of the next node."""
     lower = np.clip((position * (count - 1)).astype(np.intp), 0, count - 2)
     return lower, position * (count - 1) - lower
 
 
 def _running(values: Array) -> Array:
-    """Integrate along the last axis from the first node to each; nodes are 1 apart, values linear in between."""
+    """Integrate along the last axis from the first node to each node; nodes are 1 apart, with linear interpolation."""
     steps = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]), axis=-1)
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), steps], axis=-1)
 
@@ -113,13 +114,13 @@ def _invert_linear(start: Array, end: Array, area: Array) -> Array:
     """Return the fraction of a cell at which the integral of a linear density from start to end reaches an area."""
     slope = end - start
     root = np.sqrt(np.maximum(start * start + 2.0 * area * slope, 0.0))
-    # The stable form of (root - start) / slope.
+    # This is (root - start) / slope in a form without cancellation.
     below = start + root
     return np.clip(np.where(below > 0.0, 2.0 * area / np.where(below > 0.0, below, 1.0), 0.0), 0.0, 1.0)
 
 
 _MAGIC = b"tensor_file\0\x01\x00"
-# The number of a type in the file is its place here, counted from 1.
+# The code of a type in the file is its position in this tuple, counted from 1.
 _TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8")
 _ALIGNMENT_BYTES = 8
 _MAX_FIELDS = 64
@@ -127,7 +128,7 @@ _MAX_AXES = 8
 
 
 def encode_tensors(fields: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the bytes of a tensor file with arrays by their names."""
+    """Return the bytes of a tensor file with named arrays."""
     names = {name: name.encode() for name in fields}
     arrays = {name: np.asarray(array, array.dtype.newbyteorder("<"), order="C") for name, array in fields.items()}
     offset = len(_MAGIC) + 4 + sum(2 + len(names[name]) + 2 + 1 + 8 + 8 * arrays[name].ndim for name in fields)
@@ -152,7 +153,7 @@ def parse_tensors(data: bytes) -> dict[str, NDArray[Any]]:
         raise MeasurementFormatError("The file is not a tensor file of version 1.0, as an RGL .bsdf file must be.")
     try:
         return _fields(data)
-    # NumPy raises the last two if an array is longer than the data.
+    # NumPy raises ValueError or OverflowError if an array is longer than the data.
     except (struct.error, ValueError, OverflowError):
         raise MeasurementFormatError("The tensor file is damaged or cut off: a field lies outside of it.") from None
 

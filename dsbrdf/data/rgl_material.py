@@ -1,13 +1,13 @@
-"""RGL ``.bsdf`` files of isotropic materials: bytes -> values at any directions -> `Measurement`.
+"""Read RGL ``.bsdf`` files of isotropic materials: bytes -> values at any directions -> `Measurement`.
 
-The file is a tensor file with, for each angle theta_i of the first direction, a warp ``vndf`` of the unit square and
-values ``rgb`` on a regular grid over the square that it is warped from. With u, v the half vector in the square, and
-(x, y) what the warp takes there,
+The file is a tensor file. For each angle theta_i of the first direction, it has a warp ``vndf`` of the unit square, and
+values ``rgb`` on a regular grid over the square of the uniform samples. Let (u, v) be the point of the half vector, and
+let (x, y) be the uniform sample that the warp maps to it. Then
 
     f cos(theta_out) = rgb(x, y) ndf(u, v) / (4 sigma(theta_i)),
     theta_half = pi/2 u**2,    azimuth of the half vector from the first direction = (2 v - 1) pi
 
-(Dupuy and Jakob 2018, section 4). Between two theta_i everything is linear, as in Mitsuba 3.
+(Dupuy and Jakob 2018, section 4). Tables are interpolated linearly between two theta_i, as in Mitsuba 3.
 """
 
 import os
@@ -28,7 +28,7 @@ from dsbrdf.data.rgl_file import Warp, bilinear, parse_tensors
 from dsbrdf.errors import MeasurementFormatError
 
 _AXES = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "rgb": 5}
-# The files of the RGL data base have at most 100 MB.
+# Larger files are refused; the files of the RGL database have at most 100 MB.
 _MAX_FILE_BYTES = 1 << 28
 _POINTS_PER_BLOCK = 32768
 # Random pairs of directions, at most 75 degrees from the normal, at which reciprocity is tested.
@@ -38,7 +38,7 @@ _MIN_RECIPROCITY_COSINE = float(np.cos(np.radians(75.0)))
 
 @dataclass(frozen=True, eq=False)
 class RglMaterial:
-    """An isotropic material of the RGL data base, see the top of this file; `theta_i` ascends, of shape (T,) [rad]."""
+    """Hold an isotropic material of the RGL database, see the top of this file; `theta_i` (T,) [rad] increases."""
 
     theta_i: Array
     ndf: Array  # (H, W)
@@ -48,9 +48,9 @@ class RglMaterial:
     name: str
 
     def evaluate_directions(self, omega_in: Array, omega_out: Array) -> Array:
-        """RGB values (n, 3) [1/sr] of pairs of unit vectors (n, 3); 0 where a direction is not above the horizon.
+        """Return RGB values (n, 3) [1/sr] for pairs of unit vectors (n, 3); 0 if a direction is not above the horizon.
 
-        The file's first direction is omega_in.
+        The first direction of the file is omega_in.
         """
         first = check_directions("omega_in", omega_in, below_horizon=True)
         second = check_directions("omega_out", omega_out, below_horizon=True)
@@ -62,15 +62,15 @@ class RglMaterial:
         return values
 
     def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """BRDF values (..., 3) at angles (...) [rad]; phi_diff + pi is the other order of the two directions."""
+        """Return RGB values (..., 3) at angles (...) [rad]; adding pi to phi_diff swaps the two directions."""
         first, second = directions(theta_half, theta_diff, phi_diff)
         return self.evaluate_directions(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape)
 
     def non_reciprocity(self) -> float:
-        """Return the median relative difference of the values when the two directions are exchanged.
+        """Return the median relative difference of values between both orders of the directions.
 
-        Directions are spread evenly over the hemisphere, up to 75 degrees from the normal; one of a pair in four is
-        near the mirror direction.
+        Directions are drawn uniformly, up to 75 degrees from the normal. In every fourth pair, the second direction is
+        near the mirror direction of the first.
         """
         generator = np.random.default_rng(0)
         first, second = random_directions(
@@ -109,8 +109,9 @@ class RglMaterial:
     def measurement(self) -> Measurement:
         """Return the values at the nodes of the MERL grid.
 
-        A value is the mean of both orders of the two directions, as a reciprocal material has one; beyond the last
-        ``theta_i`` only that order counts whose first direction is within it, and where none is the node is invalid.
+        A value is the mean over both orders of the two directions, so that the result is reciprocal. If the first
+        direction of an order is beyond the last ``theta_i``, this order does not count; a node without any order is
+        invalid.
         """
         above = np.argwhere(nodes_above_horizon())
         values, valid = np.full((3, *GRID_SHAPE), -1.0), np.zeros(GRID_SHAPE, dtype=np.bool_)
@@ -131,7 +132,7 @@ class RglMaterial:
 def read_rgl(path: str | os.PathLike[str]) -> RglMaterial:
     """Read an RGL ``.bsdf`` file of an isotropic material in RGB; its stem becomes the name.
 
-    A MeasurementFormatError says in one sentence what is wrong and what would be right.
+    Raises MeasurementFormatError if the file is not such a material.
     """
     source = Path(path)
     with source.open("rb") as file:
@@ -142,9 +143,9 @@ def read_rgl(path: str | os.PathLike[str]) -> RglMaterial:
 
 
 def parse_rgl(data: bytes, name: str = "measurement") -> RglMaterial:
-    """Return the material in the bytes of a ``.bsdf`` file; errors are those of `read_rgl`."""
+    """Return the material in the bytes of a ``.bsdf`` file; raises the errors of `read_rgl`."""
     if not data.startswith(b"tensor_file") and (kind := known_kind(data[:16])) is not None:
-        raise MeasurementFormatError(f"The data is {kind}; a material of the RGL data base is a .bsdf file.")
+        raise MeasurementFormatError(f"The data is {kind}; a material of the RGL database is a .bsdf file.")
     fields = parse_tensors(data)
     _check(fields)
     tables = {key: np.asarray(fields[key], dtype=np.float64) for key in ("theta_i", "ndf", "sigma")}
@@ -153,7 +154,7 @@ def parse_rgl(data: bytes, name: str = "measurement") -> RglMaterial:
 
 
 def _check(fields: Mapping[str, NDArray[Any]]) -> None:
-    """Raise an error unless the arrays are an isotropic material in RGB."""
+    """Raise MeasurementFormatError unless the arrays are an isotropic material in RGB."""
     if "rgb" not in fields and "spectra" in fields:
         raise MeasurementFormatError("The .bsdf file has spectra; use the file of the same material that ends in _rgb.")
     for name, axes in _AXES.items():

@@ -1,6 +1,6 @@
-"""Analytic measurements: a microfacet material with known parameters, or a model, on the full MERL grid.
+"""Make measurements of analytic materials and of models, on the full MERL grid.
 
-The material is the sum of a GGX microfacet lobe (Walter et al. 2007) with height-correlated Smith shadowing
+The analytic material is the sum of a GGX microfacet lobe (Walter et al. 2007) with height-correlated Smith shadowing
 and Schlick's Fresnel term, and of the diffuse term of Ashikhmin and Shirley (2000), which decreases where the
 surface reflection increases. The sum is reciprocal and conserves energy.
 """
@@ -19,7 +19,7 @@ _Triple = tuple[float, float, float]
 
 
 class Reflectance(Protocol):
-    """A model with RGB values of the three angles, such as `dsbrdf.DSBRDF`."""
+    """Declare a model with RGB values at half and difference angles, such as `dsbrdf.DSBRDF`."""
 
     def evaluate(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return values in 1/sr, shape (..., 3), at angles in radians."""
@@ -40,13 +40,13 @@ def synthetic_measurement(
     Parameters
     ----------
     roughness : float
-        Width of the GGX distribution of slopes (its ``alpha``), in [0.005, 1].
+        Roughness ``alpha`` of the GGX distribution, in [0.005, 1].
     diffuse, specular : tuple of float
         RGB albedo of the diffuse term, and RGB reflectance of the surface at normal incidence (``F0``), in [0, 1].
     noise : float
-        Relative standard deviation of independent log-normal noise of mean 1 on every value, in [0, 1].
+        Standard deviation of the log-normal factor with mean 1 that multiplies every value, in [0, 1].
     seed : int
-        Seed of the noise: the same arguments give the same bytes.
+        Seed of the noise; equal arguments give equal bytes.
     name : str
         The material's name.
 
@@ -79,10 +79,10 @@ def synthetic_measurement(
 
 
 def model_measurement(model: Reflectance, *, noise: float = 0.0, seed: int = 0, name: str = "model") -> Measurement:
-    """Return a measurement with the values of a model at all nodes, those below the horizon being marked invalid.
+    """Return a measurement with the values of a model at all nodes above the horizon.
 
-    Noise, seed and name are as for `synthetic_measurement`. Raises MeasurementFormatError if the model's values are
-    not an acceptable measurement, such as NaN.
+    `noise`, `seed` and `name` are as in `synthetic_measurement`. Raises MeasurementFormatError if the values of the
+    model are not an acceptable measurement, such as NaN.
     """
     above = nodes_above_horizon()
     values = np.full((3, *above.shape), -1.0)
@@ -95,7 +95,7 @@ def model_measurement(model: Reflectance, *, noise: float = 0.0, seed: int = 0, 
 def _ggx(cos_half: Array, cos_in: Array, cos_out: Array, alpha: float) -> Array:
     """Return the GGX distribution times the shadowing of both directions, divided by 4 cos_in cos_out."""
     square = alpha * alpha
-    # 1 + (square - 1) cos^2 = sin^2 + square cos^2, without the cancellation at cos = 1.
+    # This is 1 + (square - 1) cos^2, in a form without cancellation at cos = 1.
     slope = (1.0 - cos_half) * (1.0 + cos_half) + square * cos_half**2
     distribution = square / (np.pi * slope**2)
     smith_in = cos_out * np.sqrt(square + (1.0 - square) * cos_in**2)
@@ -113,7 +113,7 @@ def _noisy(values: Array, noise: float, seed: int) -> Array:
     factor = np.random.default_rng(seed).standard_normal(values.shape)
     factor *= np.sqrt(variance)
     factor -= variance / 2
-    # In place: new memory for 35 MB takes longer than the arithmetic.
+    # All operations are in place, because new arrays of 35 MB take longer than the arithmetic.
     np.exp(factor, out=factor)
     factor *= values
     return factor

@@ -1,19 +1,19 @@
-"""Weights of the bins of samples in the fit of all rows.
+"""Compute the weights of bins of samples for the fit of all rows.
 
 ``plain``
-    Every sample within the horizon cutoff counts alike: the paper's squared error of f. Beyond the cutoff, where
-    measurements cannot be trusted, samples count with the eighth power of the cosine to the horizon, and where
-    theta_half < 1 degree, where nodes crowd, by their solid angle, and all together no more than the others: the peak
-    of a mirror-like coat would leave nothing to them.
+    All samples within the horizon cutoff have equal weights, as in the paper. Beyond the cutoff, where measurements are
+    unreliable, weights fall with the eighth power of the smaller cosine to the normal. Where theta_half < 1 degree,
+    nodes are dense, so that their weight is their solid angle. All these nodes together weigh at most as much as all
+    others: otherwise the fit of a mirror-like coat would consider only its peak.
 ``cosine``
-    As ``plain``, times cos(theta_in) cos(theta_out): the squared error of reflected radiance.
+    ``plain`` times cos(theta_in) cos(theta_out): the squared error of reflected radiance.
 ``log``
-    As ``cosine``, divided by (1 + mean)**2: about the squared error of log(1 + f).
+    ``cosine`` divided by (1 + mean)**2: about the squared error of log(1 + f).
 ``balanced``
-    The sum of two errors, each in units of what the best model without phi_diff would have: ``plain``, and 1.75 times
-    the error that a lit sphere shows. There a node counts by its solid angle and by
-    cos(theta_in) cos(theta_out), and a screen shows about f**0.4 of radiance f, so that errors count relative to
-    f**1.2. The first alone leaves the diffuse part to chance, the second alone the height of grazing highlights.
+    The sum of two errors, each divided by the error of the best model that ignores phi_diff: the ``plain`` error, and
+    1.75 times the error that a lit sphere shows. In the latter, the weight of a node is its solid angle times
+    cos(theta_in) cos(theta_out), and errors are relative to f**1.2, because a screen shows radiance f as about f**0.4.
+    The first error alone does not determine the diffuse part, the second alone not the height of grazing highlights.
 """
 
 import numpy as np
@@ -23,26 +23,26 @@ from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
 
 SEEN_FACTOR = 1.75
-"""Weight of the error that a lit sphere shows, in ``balanced``: 1 costs 0.4 dB of psnr, 3 some 3 % of excess."""
+"""Weight of the sphere's error in ``balanced``; with 1, psnr is 0.4 dB lower, with 3, excess is some 3 % larger."""
 SEEN_POWER = 1.2
-"""Errors count relative to f to this power."""
+"""The errors that a lit sphere shows are relative to this power of f."""
 DARK_VALUE_FRACTION = 0.02
-"""Fraction of a typical value below which the errors of values count as those of this fraction."""
-# Relative to the squared signal; the floor of a material that does not depend on phi_diff is nearly 0.
+"""Smaller values than this fraction of a typical value have the weight of a value of this fraction."""
+# Minimum of the floor relative to the squared signal; without it, a floor near 0 would make weights infinite.
 _MIN_RELATIVE_FLOOR = 1e-4
 _TRUST_POWER = 8
 TINY = 1e-300
-"""Keeps a sum of weights from being 0."""
-# The solid angle of a node at theta_half = 0 is nearly 0, but its value is the peak.
+"""Added to sums of weights that are divisors, so that they are not 0."""
+# Minimum weight of nodes near theta_half = 0: their solid angle is nearly 0, but they have the peak value.
 _MIN_RELATIVE_SOLID_ANGLE = 1e-3
 
 
 def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | None) -> Array:
-    """Return weights of the bins, shape (3, 90 theta_diff, 90 theta_half, 10).
+    """Return the weights of bins, shape (3, 90 theta_diff, 90 theta_half, 10).
 
-    Samples beyond the cutoff, an angle to the normal [rad], get smaller weights; with None all are trusted alike.
+    Samples with a direction beyond the cutoff, an angle to the normal [rad], have smaller weights, except with None.
     """
-    # Both cosines to the normal are level -/+ swing cos(phi_diff).
+    # The cosines of the directions to the normal are level -/+ swing cos(phi_diff).
     level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
     swing = np.sin(THETA_DIFF)[:, None, None] * np.sin(THETA_HALF)[:, None]
     lowest = np.maximum(level - swing * np.sqrt(folded.cos2_phi), 0.0)
@@ -66,7 +66,7 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
 
 
 def _floor(folded: FoldedProfiles, weight: Array) -> float:
-    """Return the weighted squared error of the mean over phi_diff, at least a small fraction of the squared signal."""
+    """Return the weighted squared deviation from the mean over phi_diff, plus 1e-4 of the squared signal."""
     mean = _over_phi(folded.mean, weight)[..., None]
     scatter = float(np.sum(weight * (folded.mean - mean) ** 2))
     signal = float(np.sum(weight * folded.mean**2))
@@ -79,22 +79,25 @@ def _over_phi(values: Array, weight: Array) -> Array:
 
 
 def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
-    """Return 1 within the cutoff, falling to 0 at the horizon, for the smaller of the two cosines to the normal."""
+    """Return a factor of weights: 1 within the cutoff, falling to 0 at the horizon.
+
+    `lowest` is the smaller of the two cosines to the normal.
+    """
     if horizon_cutoff is None or np.cos(horizon_cutoff) < 1e-9:
         return np.ones_like(lowest)
     return np.asarray(np.minimum(lowest / np.cos(horizon_cutoff), 1.0) ** _TRUST_POWER)
 
 
 def seen_weight(lit: Array, mean: Array, typical: float, power: float = SEEN_POWER) -> Array:
-    """Turn weights of errors of radiance into weights of errors as a screen shows them."""
+    """Divide weights of errors of radiance by a power of the values, so that errors count as on a screen."""
     return np.asarray(lit / (mean + DARK_VALUE_FRACTION * typical + 1e-12) ** power)
 
 
 def center_share(theta_half: Array) -> Array:
-    """Return the solid angle of the nodes below 1 degree in units of a node at 1 degree; 1 beyond."""
+    """Return the solid angle of nodes below 1 degree, relative to a node at 1 degree; 1 for all other nodes."""
     return np.asarray(np.minimum((theta_half / CENTER_CUTOFF) ** 1.5 + _MIN_RELATIVE_SOLID_ANGLE, 1.0))
 
 
 def interval_ends(nodes: Array, last: float = np.pi / 2) -> Array:
-    """Return the ends (n + 1,) of the intervals that ascending angles (n,) represent, from 0 to the last angle."""
+    """Return the ends (n + 1,) of intervals around increasing angles (n,), from 0 to `last` [rad]."""
     return np.concatenate([[0.0], 0.5 * (nodes[1:] + nodes[:-1]), [last]])

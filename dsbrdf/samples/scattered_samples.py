@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import spherical
-from dsbrdf.data.merl_validation import LARGEST_VALUE, SMALLEST_PEAK
+from dsbrdf.data.merl_validation import MAX_VALUE, MIN_NONZERO_VALUE
 from dsbrdf.errors import MeasurementFormatError
 
 MIN_SAMPLES = 50
@@ -145,14 +145,14 @@ class ScatteredSamples:
         _refuse("is negative", "values", arrays["values"].min(axis=1) < 0.0, "no reflectance is")
         brightest = arrays["values"].max()
         too_bright = f"no reflectance is; if {brightest:g} stands for what is missing, set missing to it"
-        _refuse("is above 1e8/sr", "values", arrays["values"].max(axis=1) > LARGEST_VALUE, too_bright)
+        _refuse("is above 1e8/sr", "values", arrays["values"].max(axis=1) > MAX_VALUE, too_bright)
         weights = arrays["weight"]
         _refuse("is not positive", "weight", weights <= 0.0, "leave out what must not count")
         extreme = (weights < 1.0 / MAX_WEIGHT) | (weights > MAX_WEIGHT)
         _refuse("is not from 1e-12 to 1e12", "weight", extreme, "weights say how much samples count among each other")
         if not arrays["values"].any():
             raise MeasurementFormatError("Every sample is zero in all channels; a measurement has positive values.")
-        if (largest := arrays["values"].max()) < SMALLEST_PEAK:
+        if (largest := arrays["values"].max()) < MIN_NONZERO_VALUE:
             raise MeasurementFormatError(
                 f"The largest value is {largest:.3g}/sr, darker than any material; the values of a BRDF are in 1/sr."
             )

@@ -1,7 +1,7 @@
 """The HTTP service: takes measurements, returns fitted DSBRDF models, their values and their components.
 
-Wings, each calling only those to its left: errors, settings, log, storage, access, queue, compute, http, api, app,
-admin, client, client_engine, __main__.
+Subpackages and modules, each importing only those to its left: errors, settings, log, storage, access, queue, compute,
+http, api, app, admin, client, client_engine, __main__.
 """
 
 DEFAULT_DATA_DIR = "dsbrdf-data"

@@ -1,4 +1,4 @@
-"""Rules on the source tree: which wing may import which, what is public, what must not be in a file."""
+"""Rules on the source tree: which subpackage may import which, what is public, what must not be in a file."""
 
 import ast
 import importlib
@@ -129,22 +129,22 @@ def imports_of(module: str, path: Path, modules: Collection[str]) -> set[str]:
 
 
 def wings_of(package: str) -> list[str]:
-    """The wings in their order, as the package's docstring gives it."""
+    """Return the subpackages and modules in the order of the package's docstring."""
     docstring = " ".join((importlib.import_module(package).__doc__ or "").split())
-    listed = re.search(r"Wings, each calling only those to its left: ([\w, ]+)\.", docstring)
-    assert listed, f"the docstring of {package} must list its wings"
+    listed = re.search(r"Subpackages and modules, each importing only those to its left: ([\w, ]+)\.", docstring)
+    assert listed, f"the docstring of {package} must list its subpackages"
     return listed[1].split(", ")
 
 
 def wing_of(module: str) -> str:
-    """Name of the wing, or of the module at the top of the package; empty for the package itself."""
+    """Return the name of the subpackage, or of the module at the top of the package; empty for the package itself."""
     return module.partition(".")[2].partition(".")[0]
 
 
 @package
 def test_wings_are_those_that_exist_and_contributing_describes(package: str) -> None:
     existing = {wing_of(module) for module in modules_of(package)} - {""}
-    table = (ROOT / "CONTRIBUTING.md").read_text().partition(f"| wing of `{package}` |")[2].partition("\n\n")[0]
+    table = (ROOT / "CONTRIBUTING.md").read_text().partition(f"| subpackage of `{package}` |")[2].partition("\n\n")[0]
     described = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", table, flags=re.MULTILINE)
     names = [name for cell in described for name in re.findall(r"`(\w+)`", cell)]
     assert sorted(names) == sorted(existing) == sorted(wings_of(package))
@@ -154,7 +154,7 @@ def test_wings_are_those_that_exist_and_contributing_describes(package: str) -> 
 def test_wing_imports_only_wings_to_its_left_and_no_two_modules_each_other(package: str) -> None:
     modules = modules_of(package)
     graph = {module: imports_of(module, path, modules) for module, path in modules.items()}
-    # A package whose own file imports nothing, only defines constants, is to the left of all wings; else to the right.
+    # If the package's own file imports no module, it is to the left of all subpackages, otherwise to the right.
     top = len(modules) if graph[package] else -1
     order = {"": top} | {name: position for position, name in enumerate(wings_of(package))}
     pairs = [(module, imported) for module, found in graph.items() for imported in found]
