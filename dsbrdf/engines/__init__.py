@@ -1,4 +1,4 @@
-"""Where fits run: in this process, in processes of this machine, or on a Dask cluster."""
+"""Run fits: in this process, in processes of this machine, or on a Dask cluster."""
 
 from dsbrdf.engines.batch import FileFit, fit_files
 from dsbrdf.engines.dask import DaskEngine

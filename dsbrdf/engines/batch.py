@@ -1,4 +1,4 @@
-"""Fits of many files: several at once, one bad file does not stop the others, and an interrupted run resumes."""
+"""Fit many files, several at once; a faulty file does not stop the others, and an interrupted run resumes."""
 
 import os
 import time
@@ -21,23 +21,23 @@ from dsbrdf.samples.reading import read_samples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.version import ALGORITHM_VERSION
 
-_CLUSTER_TIMEOUT_S = 15.0  # A cluster without a usable worker by then is refused.
+_CLUSTER_TIMEOUT_S = 15.0  # A cluster that has no usable worker for longer is refused.
 
 
 @dataclass(frozen=True)
 class FileFit:
-    """The fit of one file, or why it failed."""
+    """Hold the fit of one file, or the reason why it failed."""
 
     file: Path
-    output: Path | None = None  # the model's file, if it was fitted
-    result: FitResult | None = None  # None if it failed
-    error: str | None = None  # one sentence that says why it failed
-    lost: bool = False  # Its process died, or the disk could not be read: the measurement may be good.
-    resumed: bool = False  # taken from an earlier run
+    output: Path | None = None  # file of the model; None if the fit failed
+    result: FitResult | None = None  # None if the fit failed
+    error: str | None = None  # one sentence with the reason why the fit failed
+    lost: bool = False  # The process died, or the disk could not be read: the measurement may be good.
+    resumed: bool = False  # whether the fit is from an earlier run
 
 
 def measurement_files(paths: Sequence[Path]) -> list[Path]:
-    """Replace every folder by the ``.binary`` files in it; an InvalidArgumentError names one that contains none."""
+    """Replace each folder by its ``.binary`` files; raise InvalidArgumentError for a folder without any."""
     files: list[Path] = []
     for path in paths:
         inside = sorted(path.glob("*.binary")) if path.is_dir() else [path]
@@ -57,18 +57,18 @@ def fit_files(
     force: bool = False,
     progress: OnProgress = lambda _: None,
 ) -> Generator[FileFit, None, None]:
-    """Yield the fit of each file when it is done; closing the iterator closes the engine, and ends its processes.
+    """Yield the fit of each file as soon as it is done; closing the iterator closes the engine and ends its processes.
 
-    A single file is fitted in this process where the engine is that of this machine. Every model is written completely
-    or not at all to ``NAME.json`` in the `folder`, or beside its measurement without one, where a file that is no fit
-    is never replaced. Tables are read with the options in `table`. Without `force` an earlier fit is kept if it is
-    newer than its measurement and was made of the same samples with the same options by the same version of the
-    algorithm. `progress` is called, in other threads too, with the number of finished files, fractions included.
+    A single file is fitted in this process if the engine is a `LocalEngine`. Each model is written atomically to
+    ``NAME.json`` in the `folder`, or beside its measurement without a folder; there, a file that is not a fit is never
+    replaced. Tables are read with the options in `table`. Without `force`, an earlier fit is kept if it is newer than
+    its measurement, and has equal samples, options and algorithm version. `progress` is called, also in other threads,
+    with the number of finished files, including fractions of unfinished files.
 
-    Raises InvalidArgumentError if two files would be written to the same output, OSError if an output cannot be written
-    or no worker of the cluster can be reached.
+    Raises InvalidArgumentError if two files would have the same output, and OSError if an output cannot be written or
+    no worker of the cluster can be reached.
     """
-    is_single = len(files) == 1 and isinstance(engine, LocalEngine)  # a process takes time to start
+    is_single = len(files) == 1 and isinstance(engine, LocalEngine)  # This saves the start of a process.
     shares, in_turn = [0.0] * len(files), Lock()
 
     def tell(number: int, share: float) -> None:
@@ -101,9 +101,10 @@ def fit_files(
 
 
 def _unreadable(file: Path) -> FileFit | None:
-    """Return why a file cannot be opened, or None."""
+    """Return a failed fit if a file cannot be opened, otherwise None."""
     try:
-        os.close(os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)))  # else a pipe without writer blocks
+        # With O_NONBLOCK, a pipe without a writer does not block.
+        os.close(os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)))
     except OSError as error:
         return FileFit(file, error=error.strerror or str(error), lost=not isinstance(error, WRONG_PATH_ERRORS))
     return None
@@ -121,7 +122,7 @@ def _wait_until_ready(engine: Engine) -> None:
 
 
 def _file_fit(file: Path, output: Path, outcome: Outcome) -> FileFit:
-    """Return the fit of a file, after writing it to its output, which replaces nothing but a fit beside the file."""
+    """Write the outcome of a fit to its output, and return it; beside a measurement, only fits are replaced."""
     if isinstance(outcome, Fault):
         lost = outcome.origin != "input"
         advice = "; run the command again, with fewer --jobs if memory was short" if lost else ""
@@ -155,7 +156,7 @@ def _is_fit(file: Path) -> bool:
 
 
 def _earlier_fit(file: Path, output: Path, options: FitOptions, table: TableOptions) -> FileFit | None:
-    """Return the fit in ``output`` if a new fit would give the same."""
+    """Return the fit in ``output`` if a new fit would be equal, otherwise None."""
     try:
         if output.stat().st_mtime < file.stat().st_mtime:
             return None
@@ -170,7 +171,7 @@ def _earlier_fit(file: Path, output: Path, options: FitOptions, table: TableOpti
 
 
 def _digest(file: Path, table: TableOptions) -> str | None:
-    """Return the digest of the samples in a file; None if they cannot be read, of which a new fit says why."""
+    """Return the digest of the samples in a file; None if they cannot be read, because a new fit reports the reason."""
     try:
         return read_samples(file, table).sha256
     except DSBRDFError:

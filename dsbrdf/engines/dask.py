@@ -1,9 +1,9 @@
-"""Fits on the workers of a Dask cluster.
+"""Run fits on the workers of a Dask cluster.
 
-A process of this machine reads and reduces the measurement, and completes the report; the fit runs in a child process
-of a Dask worker. Only the profiles are sent, some 5 MB, or scattered samples as they are. Dask decides where a fit
-runs, and runs it again when its worker is lost; after the loss of the scheduler it is sent again. Workers need the same
-versions of the software as this machine and permission to start child processes; others are not used.
+A process of this machine reads the measurement, reduces it to profiles, and completes the report. The fit runs in a
+child process of a Dask worker. Only the profiles (5 MB) or the scattered samples are sent. Dask chooses the worker of a
+fit, and runs the fit again if its worker is lost. If the scheduler is lost, the fit is sent again. Workers need equal
+versions of all software and permission to start child processes; other workers are not used.
 
 Anyone who can connect to a Dask cluster can run any code on it, unless TLS is set up in Dask's configuration.
 """
@@ -32,37 +32,37 @@ from dsbrdf.pipeline import add_sample_metrics, profiles_for
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.version import versions
 
-# Workers send {key of a fit: fraction that is done} to this topic of Dask.
+# Workers send {key of a fit: completed fraction} to this topic of Dask.
 _PROGRESS_TOPIC = "dsbrdf-progress"
-_CANCEL_POLL_INTERVAL_S = 0.1  # A worker notices within it that its fit has been cancelled.
+_CANCEL_POLL_INTERVAL_S = 0.1  # Workers check at this interval whether their fit has been cancelled.
 _CLUSTER_POLL_INTERVAL_S = 0.5
 _SCHEDULER_TIMEOUT_S = 2.5
-_START_TIMEOUT_S = 60.0  # Workers start the server of their child processes within it.
-_CLUSTER_CHECK_LIFETIME_S = 5.0  # A cluster that was good is not checked again before.
-_LOST_WORKER_TIMEOUT_S = 5.0  # The scheduler tells within it that the fit of a lost worker has ended.
+_START_TIMEOUT_S = 60.0  # Beyond it, a worker that has not started its fork server counts as unreachable.
+_CLUSTER_CHECK_LIFETIME_S = 5.0  # The result of a successful check is used for this time.
+_LOST_WORKER_TIMEOUT_S = 5.0  # Time for the scheduler to report that the fit of a lost worker has ended.
 
 logger = logging.getLogger(__name__)
 
 
 class DaskEngine(Processes):
-    """Engine whose fits run on a Dask cluster, of which it gets at most `count` at once.
+    """Run fits on a Dask cluster, which receives at most `count` fits at once.
 
-    A `count` above the number of the workers' threads lets them begin the next fit without waiting. The `limits` are
-    those of the processes of the workers. Raises MissingExtraError if Dask distributed is not installed.
+    If `count` exceeds the number of threads of all workers, they can begin the next fit without waiting. The `limits`
+    apply to the child processes of the workers. Raises MissingExtraError if Dask distributed is not installed.
     """
 
     def __init__(self, scheduler: str, count: int, limits: FitLimits = NO_LIMITS) -> None:
         require("dask", "distributed", purpose="fits on a Dask cluster")
-        super().__init__(count)  # without limits: they wait for the cluster as long as it takes
+        super().__init__(count)  # These processes have no time limit, because they wait for the cluster.
         self._scheduler, self._fit_limits = scheduler, limits
         self._good_at = float("-inf")
 
     def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
-        """Compute a task; when cancelled, the child process on the Dask worker is ended within a second."""
+        """Compute a task; after `Future.cancel`, the child process on the Dask worker ends within a second."""
         return self.call(compute_on_cluster, task, self._scheduler, self._fit_limits, on_progress=on_progress)
 
     def check(self) -> None:
-        """Raise OSError if the cluster has no worker that can run fits, or no measurement can be read."""
+        """Raise OSError if the cluster has no usable worker, or if this machine cannot start processes."""
         if time.monotonic() - self._good_at > _CLUSTER_CHECK_LIFETIME_S:
             asyncio.run(_try(self._scheduler))
             self._good_at = time.monotonic()
@@ -71,9 +71,9 @@ class DaskEngine(Processes):
 
 @asynccontextmanager
 async def _cluster(scheduler: str) -> AsyncIterator[tuple[Any, set[str]]]:
-    """Connect to a cluster; yield the client and the addresses of the workers that can run fits, at least one."""
-    distributed: Any = import_module("distributed")  # only partly typed
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it logs a lost connection with pages of traces
+    """Connect to a cluster; yield the client and the addresses of the usable workers, at least one."""
+    distributed: Any = import_module("distributed")  # Its type annotations are incomplete.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # It logs every lost connection with long tracebacks.
     client = distributed.Client(
         scheduler, timeout=_SCHEDULER_TIMEOUT_S, asynchronous=True, set_as_default=False, name="dsbrdf"
     )
@@ -85,9 +85,10 @@ async def _cluster(scheduler: str) -> AsyncIterator[tuple[Any, set[str]]]:
 
 
 async def _usable(client: Any, scheduler: str) -> set[str]:
-    """Return the addresses of the workers that can run fits, after connecting."""
+    """Connect the client, and return the addresses of the workers that can run fits."""
     try:
-        async with asyncio.timeout(2 * _SCHEDULER_TIMEOUT_S):  # Dask waits for ever for a scheduler that hangs
+        # Dask itself would wait for ever for a scheduler that hangs.
+        async with asyncio.timeout(2 * _SCHEDULER_TIMEOUT_S):
             await client
         async with asyncio.timeout(_START_TIMEOUT_S):
             answers = await client.run(unusable_because, asdict(versions()), on_error="return")
@@ -115,7 +116,7 @@ async def _try(scheduler: str) -> None:
 
 
 def compute_on_cluster(task: FitTask, scheduler: str, limits: FitLimits, on_progress: OnProgress) -> Outcome:
-    """Fit the measurement of a task on a cluster; wait as long as there is none."""
+    """Fit the measurement of a task on a cluster; wait while no cluster can be reached."""
     measurement = measurement_of(task)
     begin = time.perf_counter()
     reduced = profiles_for(measurement, task.options) if isinstance(measurement, Measurement) else measurement
@@ -161,7 +162,7 @@ async def _answer(future: Any) -> FitResult | Fault:
     except KilledWorker as error:
         count = error.allowed_failures + 1
         return Fault("system", "WorkerLost", f"{count} workers of the Dask cluster were lost while they ran this fit.")
-    except CancelledError:  # as the scheduler is lost
+    except CancelledError:  # The scheduler is lost: the caller sends the fit again.
         raise
     except Exception as error:
         logger.exception("a fit could not run on the Dask cluster")
@@ -172,19 +173,19 @@ _REMEDY = "start it with --no-nanny, or with DASK_DISTRIBUTED__WORKER__DAEMON=fa
 
 
 async def unusable_because(theirs: dict[str, str]) -> str | None:
-    """Return why the Dask worker that calls this cannot run fits for who has `theirs`, its versions; None if it can."""
+    """Return why this Dask worker cannot run fits of a client with the versions `theirs`, or None if it can."""
     mine = asdict(versions())
     other = [f"{name} {found}, not {theirs.get(name)}" for name, found in mine.items() if found != theirs.get(name)]
     if other:
         return f"has {' and '.join(other)}"
     if multiprocessing.current_process().daemon:
         return f"may not start child processes: {_REMEDY}"
-    await asyncio.to_thread(start_fork_server)  # takes longer than many fits; now the first one need not wait for it
+    await asyncio.to_thread(start_fork_server)  # Starting it now saves time in the first fit.
     return None
 
 
 def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, limits: FitLimits) -> FitResult | Fault:
-    """Fit what is reduced in a child process of the Dask worker that calls this; end it if the task is cancelled."""
+    """Fit profiles or samples in a child process of this Dask worker; end the process if the task is cancelled."""
     from distributed import get_worker
     from distributed.core import Status
 
@@ -192,12 +193,12 @@ def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, lim
     key = worker.get_current_task()
 
     def stopped() -> bool:
-        # Dask does not stop a running task when it is cancelled, its client has gone or the worker closes.
+        # Dask itself does not stop a running task when it is cancelled, its client is lost or the worker closes.
         state = worker.state.tasks.get(key)
         return state is None or state.state != "executing" or worker.status in (Status.closing, Status.closed)
 
     memory: int | None = worker.memory_manager.memory_limit
-    if memory is not None:  # the fit's share of it: all threads of the worker use it
+    if memory is not None:  # All threads of the worker divide its memory among their fits.
         share = memory // worker.state.nthreads >> 20
         limits = replace(limits, memory_mb=share if limits.memory_mb is None else min(share, limits.memory_mb))
     with closing(Processes(1, limits)) as here:

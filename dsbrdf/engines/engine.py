@@ -1,8 +1,8 @@
-"""Where fits run.
+"""Define the common interface of engines, which run fits.
 
-An engine turns tasks, which name files of this machine, into outcomes; it knows nothing of database rows, requests or
-output files. That of this machine and that of a Dask cluster give the same result for the same task, a fit that fails
-does not affect the others, and no process outlives its engine.
+An engine turns a task, which names a file of this machine, into an outcome; it does not use a database, requests or
+output files. Every engine returns the same result for the same task. A fit that fails does not affect other fits, and
+no process outlives its engine.
 """
 
 import errno
@@ -21,20 +21,20 @@ from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 logger = logging.getLogger(__name__)
 
 OnProgress = Callable[[float], None]
-"""Called with the finished share of a fit, 0 to 1."""
+"""Function that is called with the completed fraction of a fit, 0 to 1."""
 
 NOT_STARTED = "ProcessNotStarted"
-"""Type of the fault when no process could be started: the fit itself has not been tried."""
+"""Type of the fault if no process could be started, so that the fit was not attempted."""
 
 
 @dataclass(frozen=True)
 class FitLimits:
-    """Limits of one fit."""
+    """Hold the limits of one fit."""
 
-    seconds: float = math.inf  # time [s]
-    memory_mb: int | None = None  # address space of its process [MB]; None sets no limit
-    niceness: int = 0  # added to the nice value of its process, where the system has one
-    processor_seconds: float = math.inf  # time of the processor, which other work does not lengthen [s]
+    seconds: float = math.inf  # elapsed time [s]
+    memory_mb: int | None = None  # address space of the process [MB]; None sets no limit
+    niceness: int = 0  # increase of the nice value of the process, if the system has nice values
+    processor_seconds: float = math.inf  # processor time [s], which does not depend on the load of the machine
 
 
 NO_LIMITS = FitLimits()
@@ -42,35 +42,35 @@ NO_LIMITS = FitLimits()
 
 @dataclass(frozen=True)
 class FitTask:
-    """One fit to compute."""
+    """Describe one fit to compute."""
 
-    fit_id: str  # for names and logs
-    path: Path  # the measurement's file
+    fit_id: str  # identifies the fit in names and logs
+    path: Path  # file of the measurement
     options: FitOptions
-    table: TableOptions = AS_WRITTEN  # how a table in the file is read
-    sha256: str | None = None  # digest of the file, if it has been checked before: a table is one of samples then
+    table: TableOptions = AS_WRITTEN  # options for reading a table in the file
+    sha256: str | None = None  # digest of a file that was checked before, a MERL file or a canonical file of samples
     with_thumbnail: bool = False
 
 
 @dataclass(frozen=True)
 class FitDocument:
-    """A fit that has succeeded: what is stored of it."""
+    """Hold the stored form of a fit that has succeeded."""
 
-    text: str  # the JSON of `to_json`, with the components
+    text: str  # JSON from `to_json`, with the components
     metrics: dict[str, float | None]  # The keys are the names in `Metrics`.
-    thumbnail: bytes | None = None  # PNG, if the task asks for one
+    thumbnail: bytes | None = None  # PNG, if the task requests a thumbnail
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fit that failed.
+    """Describe why a fit failed.
 
     ``input``: the measurement or the options do not allow a fit. ``compute``: the computation failed, or reached its
     time or memory limit. ``system``: the process was lost for a reason outside of the fit.
     """
 
     origin: Literal["input", "compute", "system"]
-    type: str  # stays the same between releases, for scripts
+    type: str  # name for scripts, which does not change between releases
     message: str  # one sentence
 
 
@@ -80,23 +80,23 @@ DISK_FULL = Fault("system", "DiskFull", "There is no space left on the disk.")
 
 
 class Engine(Protocol):
-    """What every engine offers."""
+    """Declare the methods of every engine."""
 
     def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
-        """Compute a task, when those before it leave room; `on_progress` is called in a thread, with rising shares.
+        """Compute a task when there is room for it; `on_progress` is called in a thread with increasing fractions.
 
-        `Future.cancel` stops the fit also while it runs. The future is done when the fit's process has ended.
+        `Future.cancel` also stops a running fit. The future is done when the process of the fit has ended.
         """
 
     def check(self) -> None:
-        """Get ready to run fits; raise OSError with one sentence if none can run now."""
+        """Prepare for fits; raise OSError with one sentence if no fit can run now."""
 
     def close(self) -> None:
         """Stop all fits, and return when their processes have ended."""
 
 
 def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a step of a fit; every failure of the fit is returned as a `Fault`, not raised."""
+    """Call a step of a fit; return every failure of the fit as a `Fault` instead of raising it."""
     try:
         return step(*arguments)
     except DSBRDFError as error:
@@ -104,11 +104,11 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
     except MemoryError:
         return MEMORY_LIMIT
     except OSError as error:
-        if error.errno == errno.ENOMEM:  # a file that is mapped, not read, is refused memory in this way
+        if error.errno == errno.ENOMEM:  # Mapping a file into memory fails with this error.
             return MEMORY_LIMIT
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return DISK_FULL
-        reason = error.strerror or type(error).__name__  # for example, it was deleted meanwhile
+        reason = error.strerror or type(error).__name__  # For example, the file was deleted in the meantime.
         logger.warning("a measurement could not be read: %s", reason)
         return Fault("system", "MeasurementUnreadable", f"The stored measurement could not be read: {reason}.")
     except Exception as error:

@@ -1,7 +1,7 @@
-"""The server from which worker processes are forked, with the library loaded; this process starts it once.
+"""Start the fork server, a process with the library loaded from which worker processes are forked.
 
-They do not share memory or connections with the process that asks for them. Without fork servers each is a new
-interpreter, which takes longer.
+Worker processes share neither memory nor connections with this process. On systems without fork servers, each worker is
+a new interpreter, which takes longer to start.
 """
 
 import multiprocessing
@@ -13,30 +13,30 @@ from pathlib import Path
 from typing import Any
 
 START_LOCK = threading.Lock()
-"""Held while a process is started or its exit code is collected: each start collects those of others too."""
+"""Held while a process starts or its exit code is collected, because each start collects exit codes of others too."""
 
 
 def context() -> Any:
-    """Return the context of `multiprocessing` whose processes are workers."""
+    """Return the context of `multiprocessing` that starts worker processes."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     forking = multiprocessing.get_context("forkserver")
-    # Every worker would import these.
+    # The server imports these modules once; otherwise, every worker would.
     forking.set_forkserver_preload(["dsbrdf.engines.fork_server_preload", *({"distributed"} & sys.modules.keys())])
     return forking
 
 
 def start_fork_server() -> None:
-    """Start the server, unless it runs or this system has none; Ctrl-C reaches neither it nor what it forks.
+    """Start the fork server, unless it runs or the system has none; Ctrl-C does not reach it or its workers.
 
-    Raises OSError if it cannot be started, or be reached because its socket has been removed.
+    Raises OSError if the server cannot be started, or if its socket has been removed.
     """
     if context().get_start_method() != "forkserver":
         return
     from multiprocessing import forkserver
 
     with START_LOCK:
-        resource_tracker.ensure_running()  # starting it later, with the server, would unblock interrupts
+        resource_tracker.ensure_running()  # If the server started the tracker, interrupts would be unblocked.
         signals = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             forkserver.ensure_running()

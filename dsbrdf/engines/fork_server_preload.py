@@ -1,4 +1,4 @@
-"""Imported once by the server from which worker processes are forked, so that every worker finds its imports done."""
+"""Import all modules of workers once, in the fork server, so that workers start with them loaded."""
 
 import atexit
 import os
@@ -10,15 +10,15 @@ from dsbrdf.process_settings import ONE_BLAS_THREAD
 
 os.environ.update(ONE_BLAS_THREAD)  # NumPy reads it when it is imported.
 
-import dsbrdf.engines.local  # noqa: F401 (what workers run)
+import dsbrdf.engines.local  # noqa: F401 (workers run its functions)
 from dsbrdf.data.grid import nodes_above_horizon
 
-nodes_above_horizon()  # the result is cached, and the workers share its memory
+nodes_above_horizon()  # The result is cached, and workers share its memory.
 
 
 @atexit.register
 def _remove_socket() -> None:
-    """Remove the server's socket and its folder: the process that made them cannot do so after a kill -9."""
+    """Remove the socket of the server and its folder; after kill -9, the process that made them cannot do so."""
     with suppress(OSError):
         socket = Path(forkserver._forkserver._forkserver_address)  # type: ignore[attr-defined]
         socket.unlink()

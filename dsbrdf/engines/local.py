@@ -1,4 +1,4 @@
-"""What runs in the processes of fits, and the engine of this machine."""
+"""Define the steps that run in the processes of fits, and the engine of this machine."""
 
 import warnings
 from concurrent.futures import Future
@@ -20,14 +20,14 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 
 def compute(task: FitTask, on_progress: OnProgress) -> FitDocument:
-    """Fit the measurement of a task."""
+    """Fit the measurement of a task, and return its document."""
     measurement = measurement_of(task)
     result = fit_quietly(measurement, task.options, on_progress)
     return document_of(result, measurement if task.with_thumbnail else None)
 
 
 def measurement_of(task: FitTask) -> Measurement | ScatteredSamples:
-    """Return what is in the file of a task."""
+    """Read the file of a task."""
     if task.sha256 is None:
         return read_measurement(task.path, task.table)
     return open_checked(task.path, task.sha256)
@@ -36,15 +36,15 @@ def measurement_of(task: FitTask) -> Measurement | ScatteredSamples:
 def fit_quietly(
     measurement: Measurement | Profiles | ScatteredSamples, options: FitOptions, on_progress: OnProgress
 ) -> FitResult:
-    """Fit without a Python warning: the report has them."""
+    """Fit without a ConvergenceWarning, because the report contains it."""
     with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         return fit(measurement, options, progress=on_progress)
 
 
 def document_of(result: FitResult, drawn: Measurement | ScatteredSamples | None = None) -> FitDocument:
-    """Return what is stored of a fit; the thumbnail shows it with the measurement, if that is given.
+    """Return the stored form of a fit; with `drawn`, its thumbnail shows measurement and fit.
 
-    The warnings are those of the fit, then the remarks on the components.
+    The remarks of the components are added to the warnings of the report.
     """
     parts = decompose(result.model)
     report = replace(result.report, warnings=(*result.report.warnings, *parts.remarks))
@@ -53,8 +53,8 @@ def document_of(result: FitResult, drawn: Measurement | ScatteredSamples | None 
 
 
 class LocalEngine(Processes):
-    """Engine with at most so many fits at once on this machine, each in a worker process with the limits."""
+    """Run fits on this machine, each in a worker process with limits; at most `count` fits run at once."""
 
     def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
-        """Compute a task in a new process."""
+        """Compute a task in a new worker process."""
         return self.call(compute, task, on_progress=on_progress)

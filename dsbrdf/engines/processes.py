@@ -1,7 +1,7 @@
-"""Computations in processes of their own: the side that starts, hears and ends them, in a thread for each.
+"""Run computations in worker processes: start a process, receive its messages and end it, in one thread for each.
 
-A process may be killed, crash, hang or run out of memory: that is the outcome of its computation and affects no other.
-`dsbrdf.engines.worker` is the side that computes.
+If a process is killed, crashes, hangs or runs out of memory, only its own computation fails. `dsbrdf.engines.worker`
+runs in the worker process.
 """
 
 import logging
@@ -23,17 +23,17 @@ from dsbrdf.engines.engine import MEMORY_LIMIT, NO_LIMITS, NOT_STARTED, Fault, F
 from dsbrdf.engines.fork_server import START_LOCK, context, start_fork_server
 from dsbrdf.engines.worker import OUT_OF_MEMORY, run_in_worker
 
-_EXIT_TIMEOUT_S = 5.0  # A process that has sent its outcome and runs on is killed then.
-_UNKNOWN_EXIT_CODE = 255  # `multiprocessing` reports it when the fork server is gone.
-# What an operator or the kernel does to a process, so that another attempt may succeed.
+_EXIT_TIMEOUT_S = 5.0  # A process that still runs this long after it sent its outcome is killed.
+_UNKNOWN_EXIT_CODE = 255  # `multiprocessing` reports this code if the fork server is gone.
+# Ends of a process that an operator or the kernel causes, so that another attempt may succeed.
 _FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", f"exit code {_UNKNOWN_EXIT_CODE}")
-_NOTHING = object()  # instead of the outcome of a process that has died
+_NOTHING = object()  # stands for the outcome of a process that died without sending one
 
 logger = logging.getLogger(__name__)
 
 
 class Processes:
-    """At most `count` processes at once, each with the limits; further calls wait."""
+    """Run at most `count` worker processes at once, each with limits; further calls wait."""
 
     def __init__(self, count: int, limits: FitLimits = NO_LIMITS) -> None:
         self._limits = limits
@@ -43,23 +43,23 @@ class Processes:
     def call(
         self, step: Callable[..., Any], *arguments: Any, on_progress: OnProgress = lambda _: None
     ) -> "Future[Any]":
-        """Call ``step(*arguments, on_progress)`` in a new process; the future gets what it returns, or a `Fault`.
+        """Call ``step(*arguments, on_progress)`` in a new process; the future gets its result, or a `Fault`.
 
-        The step is importable, and its arguments can be pickled. `Future.cancel` ends the process; the future is done
-        when it has ended.
+        The step must be importable, and its arguments must be picklable. `Future.cancel` ends the process; the future
+        is done when the process has ended.
         """
         call = _Call(self._limits, on_progress, step, arguments)
         self._unfinished.add(call)
         call.add_done_callback(self._unfinished.discard)
         try:
             self._threads.submit(copy_context().run, call.settle)
-        except RuntimeError:  # no thread can be started; another takes what waits
+        except RuntimeError:  # No new thread can be started, but an existing thread would still take this call.
             call.cancel()
             raise
         return call
 
     def check(self) -> None:
-        """Start the server from which processes are forked, unless it runs; OSError if it cannot be started."""
+        """Start the fork server, unless it runs; raise OSError if it cannot be started."""
         start_fork_server()
 
     def close(self) -> None:
@@ -70,7 +70,7 @@ class Processes:
 
 
 class _Call(Future[Any]):
-    """What a process computes; when it is cancelled, the process ends, and then the future is done."""
+    """Represent a computation in a process; `cancel` ends the process, and then the future is done."""
 
     def __init__(self, limits: FitLimits, on_progress: OnProgress, step: Callable[..., Any], arguments: Any) -> None:
         super().__init__()
@@ -80,35 +80,35 @@ class _Call(Future[Any]):
 
     def cancel(self) -> bool:
         self._is_stopped = True
-        if super().cancel():  # it has not been begun
+        if super().cancel():  # The computation has not begun.
             return True
-        with suppress(OSError):  # it has ended
+        with suppress(OSError):  # The process may have ended already.
             self._stop()
         return False
 
     def settle(self) -> None:
-        """Start the process, and give the future its outcome."""
+        """Run the process, and set the result or the exception of the future."""
         if not self.set_running_or_notify_cancel():
             return
         try:
             outcome = self._run()
             if self._is_stopped:
-                raise CancelledError  # noqa: TRY301 (as any error)
-        except BaseException as error:  # the arguments cannot be sent, or who is told the progress fails
+                raise CancelledError  # noqa: TRY301 (handled like any error)
+        except BaseException as error:  # The arguments cannot be pickled, or the progress callback fails.
             self.set_exception(error)
         else:
             self.set_result(outcome)
 
     def _run(self) -> Any:
-        """Start a process; hear it until its outcome comes, it dies or its time is up; return when it has ended."""
+        """Start a process, receive messages until its outcome, its death or its time limit, and end it."""
         ours, its = socket.socketpair()
         arguments = its, self._limits, self._step, self._arguments
         process = context().Process(target=run_in_worker, args=arguments, name="dsbrdf-fit", daemon=True)
-        self._stop = partial(ours.shutdown, socket.SHUT_RDWR)  # Nothing more is heard then.
+        self._stop = partial(ours.shutdown, socket.SHUT_RDWR)  # It ends the reading of messages.
         with ours:
             try:
                 with its:
-                    # A cancel that came before `_stop` was set could not end anything.
+                    # `cancel` may have been called before `_stop` was set.
                     if self._is_stopped:
                         return _NOTHING
                     start_fork_server()
@@ -130,7 +130,7 @@ class _Call(Future[Any]):
 
 
 def _outcome(pipe: socket.socket, seconds: float, on_progress: OnProgress) -> Any:
-    """Receive messages until the outcome comes, or nothing more; raise TimeoutError after so many seconds."""
+    """Receive messages until the outcome or the end of the stream; raise TimeoutError after `seconds`."""
     deadline = time.monotonic() + seconds
     with pipe.makefile("rb") as stream:
         while True:
@@ -139,7 +139,7 @@ def _outcome(pipe: socket.socket, seconds: float, on_progress: OnProgress) -> An
                 raise TimeoutError
             pipe.settimeout(left if math.isfinite(left) else None)
             try:
-                kind, content = pickle.load(stream)  # noqa: S301 (of a process of ours) # nosec B301
+                kind, content = pickle.load(stream)  # noqa: S301 (the sender is a process of this program) # nosec B301
             except (EOFError, ConnectionError, pickle.UnpicklingError):
                 return _NOTHING
             if kind == "outcome":
@@ -151,7 +151,7 @@ def _outcome(pipe: socket.socket, seconds: float, on_progress: OnProgress) -> An
 
 
 def _end(process: Any, patience: float) -> int | None:
-    """Return the exit code of a process when it has ended; one that takes longer than some seconds is killed."""
+    """Wait for the end of a process and return its exit code; after `patience` seconds, the process is killed."""
     if not connection.wait([process.sentinel], patience):
         _kill(process)
         connection.wait([process.sentinel])
@@ -164,7 +164,7 @@ def _end(process: Any, patience: float) -> int | None:
 
 
 def _kill(process: Any) -> None:
-    with suppress(ProcessLookupError):  # not `Process.kill`, which does nothing without the fork server
+    with suppress(ProcessLookupError):  # `Process.kill` does nothing if the fork server is gone.
         os.kill(process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
 
 

@@ -1,7 +1,7 @@
-"""What a worker process does: set its limits, call a step, send what comes of it.
+"""Run in a worker process: set its limits, call a step, and send the outcome.
 
-It uses one BLAS thread, see `dsbrdf.process_settings`, and ends when the process that started it ends, however that
-happens.
+A worker process uses one BLAS thread, see `dsbrdf.process_settings`. It ends when the process that started it ends, for
+whatever reason.
 """
 
 import logging
@@ -21,39 +21,41 @@ from dsbrdf.process_settings import end_with_parent, keep_freed_memory, reserve_
 
 try:
     import resource
-except ImportError:  # pragma: no cover (no such limits outside POSIX)
+except ImportError:  # pragma: no cover (only POSIX has this module)
     resource = None  # type: ignore[assignment]
 
 OUT_OF_MEMORY = 75
-"""Exit code of a process that could not send its outcome."""
+"""Exit code of a process that had too little memory to send its outcome."""
 
 _MIN_PROGRESS_INTERVAL_S = 0.05
-_MIN_FREE_MEMORY_BYTES = 4 << 20  # With less, a step is not begun.
+_MIN_FREE_MEMORY_BYTES = 4 << 20  # With less memory, a step does not begin.
 
 
 def run_in_worker(pipe: socket.socket, limits: FitLimits, step: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    """Run a step; send its progress, log records and, last, the outcome, each as a pair of its kind and itself."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal reaches all processes; the parent handles it
+    """Run a step; send its progress, log records and finally the outcome, as pairs (kind, content)."""
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C reaches all processes of a terminal, but only the parent handles it.
 
     def send(kind: str, content: object) -> None:
         try:
             pipe.sendall(pickle.dumps((kind, content)))
-        except ConnectionError:  # nobody wants the outcome any more, and this process is about to be killed
+        except ConnectionError:  # The parent has closed the connection and will kill this process.
             os._exit(0)
 
     try:
         _prepare(limits)
         logging.basicConfig(handlers=[_LogToParent(send)], level=logging.INFO, force=True)
         send("outcome", run_step(step, *arguments, _rising(partial(send, "progress"))))
-    except (MemoryError, RuntimeError) as error:  # there is not even enough to begin, or to send the outcome
+    except (MemoryError, RuntimeError) as error:  # There is too little memory to begin, or to send the outcome.
         limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
-        if isinstance(error, MemoryError) or limited:  # else a thread is refused for another reason
+        if isinstance(error, MemoryError) or limited:  # A RuntimeError without a memory limit has another reason.
             os._exit(OUT_OF_MEMORY)
         raise
 
 
 def _rising(on_progress: OnProgress) -> OnProgress:
-    """Return a function that passes on shares which rise, of those that come soon after another only the last, 1."""
+    """Throttle progress: forward increasing fractions, at most one every 50 ms, and always the final 1."""
     last, then = 0.0, -math.inf
 
     def filtered(share: float) -> None:
@@ -67,9 +69,9 @@ def _rising(on_progress: OnProgress) -> OnProgress:
 
 
 def _prepare(limits: FitLimits) -> None:
-    """Set the limits, that of memory unless a narrower one was set from outside; MemoryError if hardly any is left.
+    """Set the limits of this process; a stricter memory limit from outside is kept.
 
-    What goes wrong without memory need not be an exception, as the stack cannot grow either.
+    Raises MemoryError if hardly any memory is left, because a step without memory may crash without an error.
     """
     end_with_parent()
     if limits.niceness and hasattr(os, "nice"):
@@ -91,13 +93,15 @@ def _prepare(limits: FitLimits) -> None:
 
 
 class _LogToParent(logging.Handler):
-    """Sends log records to the parent process, whose logging is configured."""
+    """Send log records to the parent process, whose logging is configured."""
 
     def __init__(self, send: Callable[[str, object], None]) -> None:
         super().__init__()
         self._send = send
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.format(record)  # sets its message and the text of its traceback, which cannot be pickled
+        self.format(
+            record
+        )  # This sets the message and the text of the traceback; a traceback itself cannot be pickled.
         record.msg, record.args, record.exc_info = record.message, None, None
         self._send("log", record)
