@@ -36,24 +36,25 @@ class ComponentRangesDocument(BaseModel):
 class SurfaceDocument(BaseModel):
     """One rough surface of a component; a parameter that does not describe the component is null."""
 
-    alpha: Annotated[float | None, Field(description="Roughness: that of GGX or of Beckmann's distribution.")]
+    alpha: Annotated[float | None, Field(description="Roughness, as in the GGX and Beckmann distributions.")]
     tail_exponent: Annotated[
-        float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller one falls slower.")
+        float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller number has longer tails.")
     ]
     f0: Annotated[Rgb | None, Field(description="Reflectance of its facets at normal incidence.")]
     f90: Annotated[float | None, Field(description="Reflectance of its facets at grazing incidence.")]
-    alpha_range: Annotated[Range | None, Field(description="Where alpha lies with a probability of 90 %.")]
-    f0_range: Annotated[_RgbRange | None, Field(description="Where F0 lies with a probability of 90 %.")]
+    alpha_range: Annotated[Range | None, Field(description="Interval that contains alpha with a probability of 90 %.")]
+    f0_range: Annotated[_RgbRange | None, Field(description="Interval that contains F0 with a probability of 90 %.")]
 
 
 class MisfitDocument(BaseModel):
     """Distance of a component's own layers from its values."""
 
-    peak: Annotated[float | None, Field(description="Factor of the height at theta_half = 0, less 1.")]
-    color: Annotated[float, Field(description="Largest difference of a channel, over the largest channel.")]
-    half_width: Annotated[float | None, Field(description="Factor of the half width, less 1.")]
+    peak: Annotated[float | None, Field(description="Ratio of the heights at theta_half = 0, minus 1.")]
+    color: Annotated[float, Field(description="Largest difference of a channel, relative to the largest channel.")]
+    half_width: Annotated[float | None, Field(description="Ratio of the half widths, minus 1.")]
     albedo: Annotated[
-        float, Field(description="Largest difference of the albedo at 0 and 45 degrees, over the largest.")
+        float,
+        Field(description="Largest difference of the albedo at 0 and 45 degrees, relative to the largest albedo."),
     ]
 
 
@@ -65,18 +66,25 @@ class ComponentDocument(BaseModel):
 
     label: Label
     structure: Annotated[str, Field(description="The most probable structure of layers that has the component.")]
-    light_share: Annotated[Share, Field(description="Share of all light that it reflects, at normal incidence.")]
+    light_share: Annotated[
+        Share, Field(description="Fraction of the reflected light that belongs to the component, at normal incidence.")
+    ]
     albedo: Annotated[Rgb, Field(description="Directional albedo at normal incidence.")]
-    color: Annotated[Rgb, Field(description="The albedo over its largest channel.")]
+    color: Annotated[Rgb, Field(description="The albedo divided by its largest channel.")]
     half_width_deg: Annotated[
-        float | None, Field(description="theta_half at which slopes of its surfaces are half as frequent as at 0.")
+        float | None,
+        Field(description="theta_half at which the facets of its surfaces are half as frequent as at theta_half = 0."),
     ]
     layers: Annotated[
-        list[dict[str, Any]], Field(description="Layers fitted to its values, as the export of layers writes them.")
+        list[dict[str, Any]],
+        Field(description="Layers fitted to the values of the component, in the form of the export of layers."),
     ]
     surfaces: Annotated[list[SurfaceDocument], Field(description="Its rough surfaces, at most two.", max_length=2)]
     misfit: MisfitDocument
-    remarks: Annotated[list[str], Field(description="Sentences about parameters that do not describe it.")]
+    remarks: Annotated[
+        list[str],
+        Field(description="Sentences about parameters that are null, because they do not describe the component."),
+    ]
     lobe: ComponentLobe
     ranges: ComponentRangesDocument
 
