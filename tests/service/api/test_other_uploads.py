@@ -113,7 +113,7 @@ def test_samples_of_a_table_are_given_all_or_some(server: Server, table: bytes, 
     some = np.load(BytesIO(server.http.get(f"{places[0]}/samples.npy?most=40").content))
     assert len(np.unique(some, axis=0)) == 40
     assert np.isin(some[:, 0], expected[:, 0].astype(np.float32)).all()
-    assert "on a grid" in assert_problem(server.http.get(f"{places[1]}/samples.npy"), 404)
+    assert "is a grid" in assert_problem(server.http.get(f"{places[1]}/samples.npy"), 404)
 
 
 def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
@@ -142,7 +142,7 @@ def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
         f"/v1/measurements/{fit['measurement']}/figures/sphere.png",
         f"/v1/measurements/{fit['measurement']}/table.npy",
     ):
-        assert "scattered samples, of which there is no picture" in assert_problem(server.http.get(path), 404)
+        assert "a table of samples, without pictures" in assert_problem(server.http.get(path), 404)
     for figure in ("profiles", "residual", "parameters"):
         assert b"felt" in server.http.get(f"/v1/fits/{fit['id']}/figures/{figure}.svg").content, figure
     lobes = server.http.get(f"/v1/fits/{fit['id']}/figures/lobes.svg")

@@ -210,7 +210,7 @@ async def test_only_what_may_succeed_is_to_be_asked_for_again(
     for address in (EXPORT, SPHERE):
         answer = await running.ask(address, key).end()
         assert answer.status == status
-        assert ("retry-after" in answer.headers) == (b"ask for it again" in answer.body) == asks_again
+        assert ("retry-after" in answer.headers) == (b"try again" in answer.body) == asks_again
 
 
 async def test_an_export_is_made_once_for_all_to_whom_it_is_being_sent(

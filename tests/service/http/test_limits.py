@@ -137,7 +137,7 @@ def test_no_caller_can_take_all_places(own_server: Callable[..., Server], data: 
     with ExitStack() as stack:
         assert follow_until_refused(stack, server, path, alice) == 4
         refused = server.http.get("/v1/fits", headers=alice)
-        assert "4 requests of this caller" in assert_problem(refused, 429, "too-many-at-once")
+        assert "4 of your requests" in assert_problem(refused, 429, "too-many-at-once")
         assert refused.headers["retry-after"] == "5"
         for _ in range(10):
             assert server.http.get("/v1/fits", headers=bob).status_code == 200
