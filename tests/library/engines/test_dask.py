@@ -2,6 +2,7 @@
 
 import gc
 import os
+import platform
 import random
 import signal
 import time
@@ -12,7 +13,9 @@ from contextlib import closing, suppress
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy
 import pytest
+import scipy
 
 from dsbrdf.engines import DaskEngine, Fault, FitDocument, FitTask, dask
 from dsbrdf.version import Versions, versions
@@ -173,17 +176,8 @@ def test_scheduler_that_hangs_is_a_fault_until_it_answers(own_cluster: DaskClust
 
 
 def test_versions_are_those_of_what_computes() -> None:
-    import platform
-
-    import numpy
-    import scipy
-
-    found = versions()
-    assert (found.numpy, found.scipy, found.python) == (
-        numpy.__version__,
-        scipy.__version__,
-        platform.python_version(),
-    )
+    expected = numpy.__version__, scipy.__version__, platform.python_version()
+    assert (versions().numpy, versions().scipy, versions().python) == expected
 
 
 def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import closing
@@ -66,6 +67,7 @@ def test_process_that_stops_while_it_sends_holds_up_no_other() -> None:
         stopped = processes.call(stop_itself)
         while not stopped.done():
             assert processes.call(do_nothing).result(PATIENCE) is None
+            time.sleep(0.1)
         fault = stopped.result()
     assert (fault.origin, fault.type) == ("compute", "TimeLimit")
 
