@@ -17,8 +17,12 @@ SPIKE_HALF_WIDTH = float(np.radians(3.0))
 """A highlight with a smaller half width is a spike, otherwise a lobe [rad of theta_half]."""
 HALO = float(np.tan(np.radians(30.0))) ** 2
 """Within this tan(theta_half)**2, most light that the layers lack belongs to the highlight."""
-_LACKING_LIGHT_POWER = 3
-"""Parts divide the light that the layers lack by this power of their fractions of the layers."""
+EXCESS_HALO = HALO / 4.0
+"""Within this tan(theta_half)**2, light that the layers have too much is mostly taken from the highlight."""
+SPIKE_HALO = HALO / 25.0
+"""Within this tan(theta_half)**2, differences between a highlight and its layers belong to the spike."""
+_DIFFERENCE_POWER = 3
+"""Parts divide the difference between values and layers by this power of their fractions of the layers."""
 _MIN_LAYER_LIGHT = 1e-300  # Less light of the layers is replaced, to avoid a division by zero [1/sr].
 _MAX_VALUE_RATIO = 1e100  # Larger ratios of model to layers are clipped; the square still fits in double precision.
 
@@ -98,16 +102,20 @@ class WeightedLayers:
         narrow, wide, diffuse = (layers[place == label].sum(axis=0) for label in range(3))
         specular = narrow + wide + _MIN_LAYER_LIGHT
         total = specular + diffuse
-        beyond, missed = (points.squared_tangent / HALO) ** 2, _ratio(values, total) - 1.0
-        taken = (diffuse / total) ** _LACKING_LIGHT_POWER * np.where(missed > 0.0, beyond / (1.0 + beyond), 1.0)
+        missed = _ratio(values, total) - 1.0
+        outside = _outside(points, np.where(missed > 0.0, HALO, EXCESS_HALO))
         # A ground alone would take all values; near the mirror direction, light far above the ground is a highlight.
-        most = 1.0 + missed * taken if (place < 2).any() else 2.0 + beyond
+        most = (
+            1.0 + missed * outside * (diffuse / total) ** _DIFFERENCE_POWER
+            if (place < 2).any()
+            else 2.0 + (points.squared_tangent / HALO) ** 2
+        )
         ground = np.minimum(values, diffuse * most)
         rest = values - ground
         if not (place == 0).any():
             return np.stack([np.zeros_like(rest), rest, ground])
-        lobe = wide * (1.0 + (_ratio(rest, specular) - 1.0) * (wide / specular) ** _LACKING_LIGHT_POWER)
-        lobe = np.minimum(rest, lobe)
+        missed = (_ratio(rest, specular) - 1.0) * _outside(points, SPIKE_HALO)
+        lobe = np.minimum(rest, wide * (1.0 + missed * (wide / specular) ** _DIFFERENCE_POWER))
         return np.stack([rest - lobe, lobe, ground])
 
     def kinds_of(self, label: str) -> set[type[Layer]]:
@@ -124,6 +132,11 @@ class WeightedLayers:
     def _light(self) -> Array:
         """Light that each layer reflects at normal incidence, channels added, shape (layers,)."""
         return np.asarray(np.sum(self.model.layer_values(NORMAL.points) @ NORMAL.weight, axis=1))
+
+
+def _outside(points: Points, halo: Array | float) -> Array:
+    """Return how far points are outside a halo, from 0 at the mirror direction to 1."""
+    return np.asarray(1.0 - 1.0 / (1.0 + (points.squared_tangent / halo) ** 2))
 
 
 def _ratio(values: Array, total: Array) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 from dsbrdf.components.decomposition import Component, Decomposition
 from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, tail_norm
 from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
-from dsbrdf.components.shares import HALO, LABELS, WeightedLayers
+from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS, SPIKE_HALO, WeightedLayers
 from dsbrdf.output.export.single_precision import literal
 from dsbrdf.output.export.templates import filled, sections
 
@@ -53,6 +53,7 @@ def shares_function(component: Component) -> str:
     parts = "\n    + ".join(map(_divided, whole.structures))
     heirs = ", ".join(f"shown.{'xyz'[place]}" for place in _receivers(whole))
     words: dict[str, str | int] = {"PARTS": parts, "RECEIVERS": heirs, "HALO": literal(HALO)}
+    words |= {"NEAR": literal(HALO / EXCESS_HALO), "CORE": literal(HALO / SPIKE_HALO)}
     return layer_functions(layers) + filled(_TEMPLATES["division of model"], words)
 
 

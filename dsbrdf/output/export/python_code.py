@@ -13,7 +13,7 @@ from typing import Any
 import numpy
 
 from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
-from dsbrdf.components.shares import HALO
+from dsbrdf.components.shares import EXCESS_HALO, HALO, SPIKE_HALO
 from dsbrdf.data.grid import CENTER_CUTOFF
 from dsbrdf.model.lobes import GRAZING_COSINE
 
@@ -132,18 +132,18 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
 
 def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: bool) -> list[Any]:
     """Divide the model's values among spike, lobe and diffuse part, by the logarithms of the layers of each."""
-    q2, (narrow, wide, diffuse) = (xp.clip(tan2, None, MAX_TAN2)[..., None] / HALO) ** 2, layers
+    tan2, (narrow, wide, diffuse) = xp.clip(tan2, None, MAX_TAN2)[..., None], layers
     if not has_highlight:  # Much brighter light than the ground near the mirror direction is a highlight.
-        ground = xp.minimum(whole, xp.exp(diffuse) * (2.0 + q2))
+        ground = xp.minimum(whole, xp.exp(diffuse) * (2.0 + (tan2 / HALO) ** 2))
         return [0.0 * whole, whole - ground, ground]
     specular, ground = xp.logaddexp(narrow, wide), xp.exp(diffuse)
     odds, missed = xp.exp(xp.clip(specular - diffuse, -60.0, 60.0)), whole - xp.exp(specular) - ground
-    s, beyond = 1.0 / (1.0 + odds), xp.where(missed > 0.0, q2 / (1.0 + q2), 1.0 + 0.0 * q2)
-    rest = odds * s * (whole + missed * beyond * s * (1.0 + s * (1.0 + s))) + missed * (1.0 - beyond) * s
-    rest, v = xp.clip(rest, 0.0, None), xp.exp(wide - specular)
-    narrower = rest * (1.0 + v) * (1.0 + v**2) - xp.exp(wide) * (1.0 + v + v**2)
-    spike = xp.minimum(xp.clip(xp.exp(narrow - specular) * narrower, 0.0, None), rest)
-    return [spike, rest - spike, xp.minimum(whole, ground * (1.0 - beyond * s**3) + whole * beyond * s**4)]
+    s, halo = 1.0 / (1.0 + odds), 1.0 / (1.0 + xp.where(missed > 0.0, tan2 / HALO, tan2 / EXCESS_HALO) ** 2)
+    rest = odds * s * (whole + missed * (1.0 - halo) * s * (1.0 + s * (1.0 + s))) + missed * halo * s
+    rest, v, core = xp.clip(rest, 0.0, None), xp.exp(wide - specular), 1.0 / (1.0 + (tan2 / SPIKE_HALO) ** 2)
+    narrower = xp.exp(narrow - specular) * (rest * (1.0 + v) * (1.0 + v**2) - xp.exp(wide) * (1.0 + v + v**2))
+    spike = xp.minimum(xp.clip(narrower + core * (rest - xp.exp(wide) - narrower), 0.0, None), rest)
+    return [spike, rest - spike, xp.minimum(whole, ground + (whole * s - ground) * (1.0 - halo) * s**3)]
 
 
 # An exported file defines these names for its model.

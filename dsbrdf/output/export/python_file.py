@@ -20,7 +20,7 @@ from dsbrdf.version import __version__
 
 _TEMPLATES = sections("python_file.txt")
 _CONSTANTS = (
-    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO"),
+    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO", "EXCESS_HALO", "SPIKE_HALO"),
     *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE"),
 )
 _LOBE_FUNCTIONS = {"hemi_epd": code._hemi_epd, "student": code._student}

@@ -91,12 +91,13 @@ vec3 dsbrdf_both(vec3 first, vec3 second) {
 mat3 dsbrdf_divided(float tangent2, vec3 whole, vec3 narrow, vec3 wide, vec3 diffuse) {
   vec3 specular = dsbrdf_both(narrow, wide), odds = exp(clamp(specular - diffuse, -60.0, 60.0));
   vec3 s = 1.0 / (1.0 + odds), ground = exp(diffuse), missed = whole - exp(specular) - ground;
-  float q = tangent2 / HALO;
-  vec3 halo = vec3(greaterThan(missed, vec3(0.0))) / (1.0 + q * q), beyond = 1.0 - halo, taken = beyond * s * s * s;
+  float q = tangent2 / HALO, core = CORE * q;
+  vec3 scaled = q * mix(vec3(NEAR), vec3(1.0), vec3(greaterThan(missed, vec3(0.0))));
+  vec3 halo = 1.0 / (1.0 + scaled * scaled), beyond = 1.0 - halo, taken = beyond * s * s * s;
   vec3 highlight = whole + missed * beyond * s * (1.0 + s * (1.0 + s));
   vec3 rest = max(odds * s * highlight + missed * halo * s, 0.0), v = exp(wide - specular);
   vec3 spike = exp(narrow - specular) * (rest * (1.0 + v) * (1.0 + v * v) - exp(wide) * (1.0 + v * (1.0 + v)));
-  spike = clamp(spike, vec3(0.0), rest);
+  spike = clamp(mix(spike, rest - exp(wide), 1.0 / (1.0 + core * core)), vec3(0.0), rest);
   return mat3(spike, rest - spike, min(whole, ground * (1.0 - taken) + whole * taken * s));
 }
 
