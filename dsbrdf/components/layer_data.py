@@ -35,6 +35,9 @@ _OWN_MODEL_ERROR = 0.08  # A second surface must explain a larger relative error
 _PEAK_ERROR_WEIGHT = 1.5  # Weight of errors at a highlight's peak, as a fraction of all other weight.
 _RENDERED_PEAK_ERROR_WEIGHT = 0.5  # Weight of peak errors if all components are fitted together.
 _FULL_WEIGHT_THETA_DIFF = np.radians(50.0)  # At a larger theta_diff, the weight of a peak falls.
+_AROUND_PEAK = int(np.searchsorted(_THETA_HALF, np.radians(60.0)))  # index of theta_half around a peak
+_MIN_PEAK_HEIGHT = 0.05  # A lower peak counts as this fraction of its top above the values around it.
+_RENDERED_TRUST_POWER = 0.06  # Power of the trust near the horizon if a sphere's rim counts.
 _MIN_LOG_SCALE_THETA_HALF = np.radians(0.05)  # Below this angle, the scale of theta_half is linear.
 _BAND_WEIGHT = 6.0  # Weight of the errors of the light in bands, as a fraction of all other weight.
 _RENDERED_BAND_WEIGHT = 1.0  # Weight of band errors if all components are fitted together.
@@ -56,7 +59,9 @@ class _Grid(NamedTuple):
     above : Mask
         Whether a pair is above the horizon (R, C, P).
     lit, plain : Array
-        Weight of a pair in a lit sphere, and its plain weight, (R, C, P).
+        Weight of a pair in a lit sphere, and its plain weight, (R, C, P); untrusted pairs near the horizon have little.
+    rendered : Array
+        Weight of a pair in a lit sphere with its rim, (R, C, P).
     """
 
     angles: tuple[Array, Array, Array]
@@ -64,6 +69,7 @@ class _Grid(NamedTuple):
     above: Mask
     lit: Array
     plain: Array
+    rendered: Array
 
 
 def grid_values(model: ReflectanceModel) -> Array:
@@ -81,7 +87,7 @@ def material_data(values: Array) -> LayerData | None:
     if not values.any():
         return None
     grid, mean = _grid(), _on_grid(values)
-    seen = _seen(mean, LAYER_POWER)
+    seen = _seen(mean, grid.lit, LAYER_POWER)
     weight = seen / np.sum(seen * mean**2) + PLAIN_ERROR_WEIGHT / np.sum(grid.plain * mean**2) * grid.plain
     return LayerData.of(grid.points, values, weight[:, grid.above])
 
@@ -90,27 +96,28 @@ def component_data(values: Array, *, has_peak: bool) -> LayerData | None:
     """Weigh the values (3, N) of a component, with or without a highlight's peak; None if it has no light."""
     if not values.any():
         return None
-    grid, mean = _grid(), _on_grid(values)
-    seen = _seen(mean, _OWN_POWER)
-    weight = seen / np.sum(seen * mean**2)
-    if has_peak:
-        peak = _peak_weight(mean.mean(axis=0))
-        weight = weight + _PEAK_ERROR_WEIGHT / np.sum(peak * mean**2) * peak
-    data = LayerData.of(grid.points, values, weight[:, grid.above])
-    sums = _band_sums(values, data.root_weight, _BAND_WEIGHT)
-    return replace(data, n_samples=_N_OWN_SAMPLES, model_error=_OWN_MODEL_ERROR, sums=sums)
+    seen = _seen(_on_grid(values), _grid().lit, _OWN_POWER)
+    data = _described_data(values, seen, _PEAK_ERROR_WEIGHT if has_peak else 0.0, _BAND_WEIGHT)
+    return replace(data, model_error=_OWN_MODEL_ERROR)
 
 
 def renderer_data(values: Array) -> LayerData | None:
     """Weigh the values (3, N) of a whole material as lit spheres and highlights show them; None if it has no light."""
     if not values.any():
         return None
+    seen = _seen(_on_grid(values), _grid().rendered, LAYER_POWER)
+    return _described_data(values, seen, _RENDERED_PEAK_ERROR_WEIGHT, _RENDERED_BAND_WEIGHT)
+
+
+def _described_data(values: Array, seen: Array, peak_weight: float, band_weight: float) -> LayerData:
+    """Add the errors of a peak and of the light in bands to errors with the weights (3, R, C, P)."""
     grid, mean = _grid(), _on_grid(values)
-    weight = _seen(mean, LAYER_POWER)
-    peak = _peak_weight(mean.mean(axis=0))
-    weight = weight / np.sum(weight * mean**2) + _RENDERED_PEAK_ERROR_WEIGHT / np.sum(peak * mean**2) * peak
+    weight = seen / np.sum(seen * mean**2)
+    if peak_weight:
+        peak = _peak_weight(mean.mean(axis=0))
+        weight = weight + peak_weight / np.sum(peak * mean**2) * peak
     data = LayerData.of(grid.points, values, weight[:, grid.above])
-    return replace(data, n_samples=_N_OWN_SAMPLES, sums=_band_sums(values, data.root_weight, _RENDERED_BAND_WEIGHT))
+    return replace(data, n_samples=_N_OWN_SAMPLES, sums=_band_sums(values, data.root_weight, band_weight))
 
 
 def peak_half_width(values: Array) -> float:
@@ -130,21 +137,25 @@ def _on_grid(values: Array) -> Array:
     return mean
 
 
-def _seen(mean: Array, power: float) -> Array:
+def _seen(mean: Array, lit: Array, power: float) -> Array:
     """Return weights (3, R, C, P) by visibility on a lit sphere."""
-    lit = _grid().lit
     over_phi = np.sum(lit * mean, axis=3) / np.maximum(lit.sum(axis=2), 1e-300)
     typical = float(np.sum(lit * mean) / (3.0 * lit.sum()))
     return seen_weight(lit, over_phi[..., np.newaxis], typical, power)
 
 
 def _peak_weight(mean: Array) -> Array:
-    """Return weights (R, C, P) of relative errors in a highlight's peak, even on a logarithmic scale of theta_half."""
-    top = mean.max(axis=1, keepdims=True)
-    inside = np.clip((mean / np.maximum(top, 1e-300) - 0.1) / 0.3, 0.0, 1.0)
+    """Return weights (R, C, P) of errors in a highlight's peak, even on a logarithmic scale of theta_half.
+
+    Errors are relative to the height above the values around the peak, where the half width is read.
+    """
+    top, around = mean.max(axis=1, keepdims=True), mean[:, _AROUND_PEAK : _AROUND_PEAK + 1]
+    height = np.maximum(top - around, np.maximum(_MIN_PEAK_HEIGHT * top, 1e-100))
+    fraction = (mean - around) / height
+    inside = np.clip((fraction - 0.1) / 0.3, 0.0, 1.0) / np.maximum(fraction, 0.2) ** 2
     rows = np.minimum(np.cos(_THETA_DIFF) / np.cos(_FULL_WEIGHT_THETA_DIFF), 1.0) ** 8
     columns = np.gradient(np.log(_THETA_HALF + _MIN_LOG_SCALE_THETA_HALF))
-    weight = rows[:, np.newaxis, np.newaxis] * columns[:, np.newaxis] * inside / np.maximum(mean, 1e-100) ** 2
+    weight = rows[:, np.newaxis, np.newaxis] * columns[:, np.newaxis] * inside / height**2
     return np.where(_grid().above, weight, 0.0)
 
 
@@ -167,11 +178,18 @@ def _grid() -> _Grid:
     level = np.cos(theta_diff) * np.cos(theta_half)
     swing = np.sin(theta_diff) * np.sin(theta_half) * np.cos(phi_diff)
     lowest = np.maximum(level - swing, 0.0)
-    trusted = trust(lowest, DEFAULT_HORIZON_CUTOFF) * np.diff(interval_ends(_THETA_DIFF))[:, np.newaxis, np.newaxis]
+    trusted = trust(lowest, DEFAULT_HORIZON_CUTOFF)
+    interval = np.diff(interval_ends(_THETA_DIFF))[:, np.newaxis, np.newaxis]
     solid_angle = -np.diff(np.cos(interval_ends(_THETA_HALF)))[:, np.newaxis] * (np.sin(2.0 * theta_diff) + 0.1)
+    lit = lowest * (level + swing) * solid_angle * interval
     center = center_share(_THETA_HALF) * np.gradient(np.sqrt(_THETA_HALF))
     above = lowest > _MIN_COSINE
     angles = theta_half[above], theta_diff[above], phi_diff[above]
     return _Grid(
-        angles, Points.at(*angles), above, trusted * lowest * (level + swing) * solid_angle, trusted * center[:, None]
+        angles=angles,
+        points=Points.at(*angles),
+        above=above,
+        lit=trusted * lit,
+        plain=trusted * interval * center[:, np.newaxis],
+        rendered=trusted**_RENDERED_TRUST_POWER * lit,
     )
