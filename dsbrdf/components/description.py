@@ -6,7 +6,7 @@ surfaces, and a diffuse part has a ground with or without sheen. The misfit is t
 component; a parameter with too large a misfit is None.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,7 +81,7 @@ class Surface:
     f0 : tuple of float or None
         Reflectance at normal incidence, RGB.
     f90 : float or None
-        Reflectance at grazing incidence.
+        Reflectance at grazing incidence, extrapolated from smaller angles; None if it would be above 1.
     alpha_range, f0_range : tuple or None
         Intervals with 90 % probability.
     """
@@ -111,14 +111,22 @@ class Description:
 
     def remarks(self, label: str) -> tuple[str, ...]:
         """Return sentences about withheld parameters."""
+        label = label.replace("_", " ")
+        return (*self._misfit_remark(label), *self._grazing_remark(label))
+
+    def _misfit_remark(self, label: str) -> Iterator[str]:
         misses, withheld = _misses(self.misfit), _withheld(self.misfit)
         names = [name for name, is_withheld in zip(("alpha", "F0"), withheld, strict=True) if is_withheld]
-        if not self.surfaces or not names:
-            return ()
-        missed = f"{', '.join(misses[:-1])} and {misses[-1]}" if len(misses) > 1 else misses[0]
-        return (
-            f"No {' or '.join(names)} describes the {label.replace('_', ' ')}: the nearest surfaces miss {missed}.",
-        )
+        if self.surfaces and names:
+            missed = f"{', '.join(misses[:-1])} and {misses[-1]}" if len(misses) > 1 else misses[0]
+            yield f"No {' or '.join(names)} describes the {label}: the nearest surfaces miss {missed}."
+
+    def _grazing_remark(self, label: str) -> Iterator[str]:
+        if any(surface.f0 is not None and surface.f90 is None for surface in self.surfaces):
+            yield (
+                f"F90 of the {label} is not known: its reflectance rises so steeply towards grazing angles that it "
+                "would exceed 1."
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +314,7 @@ def _surfaces(best: FittedStructure, misfit: Misfit, spread: SurfaceSpread) -> t
             None if no_alpha else layer.alpha,
             None if no_alpha else layer.tail_exponent,
             None if no_f0 else layer.f0,
-            None if no_f0 else layer.f90,
+            None if no_f0 or layer.grazing_reflectance > 1.0 else layer.grazing_reflectance,
             None if no_alpha else alpha,
             None if no_f0 else (red, green, blue),
         )

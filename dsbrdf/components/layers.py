@@ -56,7 +56,7 @@ class SpecularLayer:
     f0 : tuple of float
         Reflectance of its facets at normal incidence, RGB.
     f90 : float
-        Reflectance of its facets at grazing incidence.
+        Reflectance of its facets at grazing incidence, before the deviation from glass.
     alpha, tail_exponent : float
         Roughness, and tau: 2 is GGX, less is a longer tail.
     rise : tuple of float
@@ -84,6 +84,11 @@ class SpecularLayer:
     def reflectance(self) -> Array:
         """F0 as seen through the coat, if any, RGB, shape (3,)."""
         return np.array(self.f0) * (1.0 - COAT_F0) ** (2.0 * self.under_coat)
+
+    @property
+    def grazing_reflectance(self) -> float:
+        """Reflectance of its facets at grazing incidence."""
+        return float(self.f90 * np.exp(sum(self.rise)))
 
     @property
     def half_width(self) -> float:

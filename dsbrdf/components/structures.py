@@ -79,7 +79,7 @@ _LOG_F0_BOUNDS = (-12.0, np.log(3.0))
 _RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # The axes are `_RISE_AXES`.
 # Bounds of F90, q1, q2, alpha, tau, masking and under_coat.
 _SPECULAR_BOUNDS = (
-    (-5.0, 0.7), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
+    (-5.0, 0.0), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
     (-0.5, 1.5), (-0.5, 2.0),
 )  # fmt: skip
 
@@ -167,7 +167,7 @@ OWN_PRIORS: dict[type[Layer], LayerPrior] = {
         ),
         (
             _LOG_F0_BOUNDS,
-            (np.log(0.02), 0.7),
+            (np.log(0.02), 0.0),
             (-3.0, 3.0),
             (-3.0, 3.0),
             (np.log(0.001), np.log(0.9)),

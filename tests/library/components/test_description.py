@@ -87,3 +87,12 @@ def test_sentences_name_the_misfit() -> None:
         "No alpha or F0 describes the specular lobe: the nearest surfaces miss its peak by a factor of 1.50, its half "
         "width by a factor of 1.40, its colour by 20% of the brightest channel and its albedo by 20%."
     )
+
+
+def test_f90_is_a_reflectance_or_is_withheld_with_a_sentence() -> None:
+    steep = SpecularLayer((0.03,) * 3, 1.0, 0.15, 2.0, (1.5, 0.5), 0.5, 0.0)
+    (lobe,) = [part for part in decomposed(steep, GROUND) if part.label == "specular_lobe"]
+    assert [found.f90 for found in lobe.surfaces] == [None]
+    assert [sentence.split(":")[0] for sentence in lobe.remarks] == ["F90 of the specular lobe is not known"]
+    flat = decomposed(surface(GREEN, 0.12), GROUND)["specular_lobe"].surfaces[0]
+    assert flat.f90 == pytest.approx(0.9, abs=0.1)
