@@ -63,7 +63,7 @@ class DrawnLayers(NamedTuple):
         drawn = [
             WeightedLayers(one.structure.name, float(weight), layers, one.structure.is_diffuse)
             for one, weight in zip(found, structure_weights(found), strict=True)
-            for layers in (one.model, *one.draw(generator, _N_DRAWS_PER_STRUCTURE))
+            for layers in (one.model, *one.draw(generator, _N_DRAWS_PER_STRUCTURE, temperature=1.0))
         ]
         albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])
         return cls(drawn, np.array([one.weight for one in drawn]), albedos)
