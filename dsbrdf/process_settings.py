@@ -26,7 +26,7 @@ _blas_lock = threading.Lock()
 # The first entry is the limiter, which stores the former number of threads; each running computation adds an entry.
 _blas_limits: list[Any] = []
 
-# The BLAS libraries of NumPy and of SciPy reserve 32 MB each; the rest is for small buffers beside them.
+# The BLAS libraries of NumPy and of SciPy reserve 32 MB each; 32 MB are a margin for small buffers.
 _BLAS_MEMORY_BYTES = 96 << 20
 _THREAD_START_TIMEOUT_S = 10.0
 

@@ -37,7 +37,7 @@ _PROGRESS_TOPIC = "dsbrdf-progress"
 _CANCEL_POLL_INTERVAL_S = 0.1  # Workers check at this interval whether their fit has been cancelled.
 _CLUSTER_POLL_INTERVAL_S = 0.5
 _SCHEDULER_TIMEOUT_S = 2.5
-_START_TIMEOUT_S = 60.0  # Beyond it, a worker that has not started its fork server counts as unreachable.
+_START_TIMEOUT_S = 60.0  # A worker whose fork server has not started by then counts as unreachable.
 _CLUSTER_CHECK_LIFETIME_S = 5.0  # The result of a successful check is used for this time.
 _LOST_WORKER_TIMEOUT_S = 5.0  # Time for the scheduler to report that the fit of a lost worker has ended.
 
@@ -73,7 +73,7 @@ class DaskEngine(Processes):
 async def _cluster(scheduler: str) -> AsyncIterator[tuple[Any, set[str]]]:
     """Connect to a cluster; yield the client and the addresses of the usable workers, at least one."""
     distributed: Any = import_module("distributed")  # Its type annotations are incomplete.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # It logs every lost connection with long tracebacks.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # Dask logs every lost connection with long tracebacks.
     client = distributed.Client(
         scheduler, timeout=_SCHEDULER_TIMEOUT_S, asynchronous=True, set_as_default=False, name="dsbrdf"
     )
@@ -180,7 +180,7 @@ async def unusable_because(theirs: dict[str, str]) -> str | None:
         return f"has {' and '.join(other)}"
     if multiprocessing.current_process().daemon:
         return f"may not start child processes: {_REMEDY}"
-    await asyncio.to_thread(start_fork_server)  # Starting it now saves time in the first fit.
+    await asyncio.to_thread(start_fork_server)  # The first fit then starts sooner.
     return None
 
 

@@ -104,7 +104,7 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
     except MemoryError:
         return MEMORY_LIMIT
     except OSError as error:
-        if error.errno == errno.ENOMEM:  # Mapping a file into memory fails with this error.
+        if error.errno == errno.ENOMEM:  # Without memory, mapping a file fails with this error.
             return MEMORY_LIMIT
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return DISK_FULL

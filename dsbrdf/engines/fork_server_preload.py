@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dsbrdf.process_settings import ONE_BLAS_THREAD
 
-os.environ.update(ONE_BLAS_THREAD)  # NumPy reads it when it is imported.
+os.environ.update(ONE_BLAS_THREAD)  # NumPy reads these variables at its import.
 
 import dsbrdf.engines.local  # noqa: F401 (workers run its functions)
 from dsbrdf.data.grid import nodes_above_horizon

@@ -13,14 +13,15 @@ surface, the density of omega_in per solid angle is
 where a and b are the roughnesses along and across, and o is omega_out. This is the density of visible normals divided
 by 4 h . omega_out, in a form that is defined at the horizon too.
 
-For each theta_out, a mixture of surfaces from `_CANDIDATE_ROUGHNESSES` and of the cosine is chosen for a small variance
-of the weights f cos(theta_in) / pdf, that is of
+Each theta_out has a mixture of surfaces from `_CANDIDATE_ROUGHNESSES` and of the cosine. The variance of the weights
+f cos(theta_in) / pdf is, up to a constant,
 
-    integral (f cos(theta_in))**2 / pdf d omega_in,
+    integral (f cos(theta_in))**2 / pdf d omega_in.
 
-Repeatedly, the density that lowers the integral most is added. Then all fractions are improved by the iteration
-w_m <- w_m sqrt(integral (f cos)**2 p_m / pdf**2), whose fixed point has the minimum variance because the integral is
-convex in the fractions. The minimum fraction of the cosine, `MIN_COSINE_FRACTION`, bounds the weights.
+To build a mixture, the density that lowers this integral most is added repeatedly. Each time, all fractions are
+improved by the iteration w_m <- w_m sqrt(integral (f cos)**2 p_m / pdf**2), whose fixed point has the minimum variance
+because the integral is convex in the fractions. The minimum fraction of the cosine, `MIN_COSINE_FRACTION`, bounds the
+weights.
 
 The mixtures are tabulated at `ANGLES`. Both `sample` and `pdf` use the mixture of the nearest angle, so that they agree
 to rounding.
@@ -187,7 +188,7 @@ def _row(omega_out: Array) -> Indices:
 
 
 def _heading(omega: Array) -> tuple[Array, Array]:
-    """Return cosine and sine of the azimuth of directions; 1 and 0 for the normal, which has none."""
+    """Return cosine and sine of the azimuth of directions; 1 and 0 for the normal, which has no azimuth."""
     radius = np.hypot(omega[:, 0], omega[:, 1])
     safe = np.where(radius > 0.0, radius, 1.0)
     return np.where(radius > 0.0, omega[:, 0] / safe, 1.0), omega[:, 1] / safe

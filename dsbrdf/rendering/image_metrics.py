@@ -1,6 +1,6 @@
 """Compare two rendered images by exposure, tone curve, PSNR and SSIM.
 
-Images have the shape (height, width, 3). They are linear RGB radiance; `displayed` converts them to values of a screen.
+Images (height, width, 3) have linear RGB radiance, which `displayed` converts to values of a screen.
 """
 
 import numpy as np
