@@ -42,10 +42,7 @@ def core_count() -> int:
 
 
 def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Decorate a function to compute with one BLAS thread.
-
-    At the end of the last concurrent call, the former number of threads is restored.
-    """
+    """Decorate a function to compute with one BLAS thread; the last concurrent call restores the former number."""
 
     @wraps(compute)
     def limited(*args: _P.args, **kwargs: _P.kwargs) -> _R:

@@ -79,10 +79,7 @@ def _over_phi(values: Array, weight: Array) -> Array:
 
 
 def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
-    """Return a factor of weights: 1 within the cutoff, falling to 0 at the horizon.
-
-    `lowest` is the smaller of the two cosines to the normal.
-    """
+    """Return 1 within the cutoff, falling to 0 at the horizon, from the `lowest` of both cosines to the normal."""
     if horizon_cutoff is None or np.cos(horizon_cutoff) < 1e-9:
         return np.ones_like(lowest)
     return np.asarray(np.minimum(lowest / np.cos(horizon_cutoff), 1.0) ** _TRUST_POWER)

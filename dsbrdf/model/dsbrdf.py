@@ -7,8 +7,7 @@ angle theta_half stretched by elongation_k. All channels have the same shapes, s
 colour. In the paper's model, each channel has its own shapes. The paper's lobe exp(kappa cos(theta_half)**gamma) - 1
 has the amplitude expm1(kappa) (Nishino 2009, eqs. 3 and 5); the delta term is from section 6 of the paper.
 
-The model is non-negative, and continuous except for the delta term. Swapping the two directions does not change its
-values.
+The model is non-negative, continuous except for the delta term, and equal for both orders of the directions.
 """
 
 from __future__ import annotations

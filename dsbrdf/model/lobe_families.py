@@ -24,11 +24,7 @@ Slopes = Callable[[], tuple[Array, Array, Array, Array]]
 
 @dataclass(frozen=True)
 class LobeFamily:
-    """Define a family of lobes.
-
-    gamma multiplies the reach, a function of the offset that each family defines. kappa and gamma are positive, and
-    angles are in radians.
-    """
+    """Define a family of lobes by positive kappa and gamma; gamma multiplies the reach, a function of the offset."""
 
     fall_to_half: Callable[[Array], Array]  # kappa -> gamma times the reach at half height
     slope_of_fall: Callable[[Array], Array]  # kappa -> derivative of log(fall_to_half) in log kappa
