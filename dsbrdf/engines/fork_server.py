@@ -12,6 +12,8 @@ from multiprocessing import resource_tracker, util
 from pathlib import Path
 from typing import Any
 
+# Every worker imports the modules among these that this process has imported, so the server imports them once.
+_IMPORTED_BY_WORKERS = {"dsbrdf.cli.main", "distributed", "dsbrdf_service.compute.steps"}
 START_LOCK = threading.Lock()
 """Held while a process starts or its exit code is collected, because each start collects exit codes of others too."""
 
@@ -21,8 +23,8 @@ def context() -> Any:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     forking = multiprocessing.get_context("forkserver")
-    # The server imports these modules once; otherwise, every worker would.
-    forking.set_forkserver_preload(["dsbrdf.engines.fork_server_preload", *({"distributed"} & sys.modules.keys())])
+    imported_here = _IMPORTED_BY_WORKERS & sys.modules.keys()
+    forking.set_forkserver_preload(["dsbrdf.engines.fork_server_preload", *sorted(imported_here)])
     return forking
 
 

@@ -8,13 +8,14 @@ from pydantic import BaseModel, Field
 from starlette.requests import Request
 
 from dsbrdf.output.table_summary import ANGLE_NAMES
+from dsbrdf.samples.measurement_files import START_BYTES
 
 from ..compute.steps import understood_step
 from ..http import openapi
 from ..http.request_body import media_type_of
 from .context import CHECKED_QUERY, TheCaller, TheContext, TheTableOptions
 from .fields import Range, Share
-from .uploads import CONTENT, MAX_CONVERTED_BYTES, TABLE_PARAMETERS, TABLES, read_table
+from .uploads import CONTENT, MAX_CONVERTED_BYTES, TABLE_PARAMETERS, TABLES, place_of_table, read_table
 
 
 class ColumnDocument(BaseModel):
@@ -62,5 +63,6 @@ async def describe_table(
     media_type_of(request, *TABLES)
     async with context.bodies.received(request, MAX_CONVERTED_BYTES) as content:
         key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
-        found = await read_table(request, context, key, understood_step, content, options)
+        place = place_of_table(content[:START_BYTES], len(content))
+        found = await read_table(request, context, key, understood_step, content, options, place=place)
     return TableDocument(**found)

@@ -15,6 +15,7 @@ from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from dsbrdf.samples.measurement_files import START_BYTES, measurement_kind
 from dsbrdf.samples.table_options import TableOptions
 
+from ..compute.computations import Place
 from ..compute.steps import conversion_step
 from ..errors import ProblemError
 from ..http import openapi
@@ -53,6 +54,8 @@ OPTION_PARAMETERS, TABLE_PARAMETERS = (
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
 _PIECE_BYTES = 1 << 16  # Every open upload holds a piece.
+_MAX_SHORT_TEXT_BYTES = 1 << 16  # A text of this size takes at most about a second, and a spreadsheet much longer.
+_ZIP = b"PK"  # Every spreadsheet begins so.
 MAX_CONVERTED_BYTES = 1 << 23
 """Limit of an RGL file or a table, because reading one takes up to 70 times as much memory."""
 
@@ -79,8 +82,8 @@ async def receive_upload(
                 await _receive_merl(request, start, pieces, incoming)
             else:
                 await _write_bounded(start, pieces, incoming)
-                key = "upload", incoming.path
-                found = await read_table(request, context, key, conversion_step, incoming.path, options, place="long")
+                key, place = ("upload", incoming.path), place_of_table(start, incoming.size)
+                found = await read_table(request, context, key, conversion_step, incoming.path, options, place=place)
                 incoming.sha256, incoming.size, incoming.valid_nodes = found
             return await in_thread(context.store.add_measurement, caller, incoming, name)
 
@@ -117,6 +120,12 @@ async def _write_bounded(start: bytes, pieces: AsyncIterator[bytes], incoming: I
         await in_thread(incoming.write, piece)
         piece = await anext(pieces, b"")
     await in_thread(incoming.close)
+
+
+def place_of_table(start: bytes, size: int) -> Place:
+    """Return where a table of a `size` that begins with some bytes is read: a short text waits for no other file."""
+    is_short_text = size <= _MAX_SHORT_TEXT_BYTES and measurement_kind(start) == "samples" and start[:2] != _ZIP
+    return "medium" if is_short_text else "long"
 
 
 async def read_table(request: Request, context: Context, *arguments: Any, **named: Any) -> Any:

@@ -8,7 +8,7 @@ import asyncio
 import errno
 from collections.abc import Awaitable, Callable, Hashable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeVar, get_args
 from weakref import WeakValueDictionary
@@ -50,13 +50,15 @@ class Computations:
     """Computes one thing at a time in each place; callers take turns there.
 
     What is computed is given up when the last request that waits for it has been given up by its client: a process is
-    ended, a call in a thread keeps its turn until it has ended. The processes have `limits` of their own.
+    ended, a call in a thread keeps its turn until it has ended. The processes have `limits` of their own; long
+    computations alone give way to all others by their niceness.
     """
 
     def __init__(self, limits: FitLimits) -> None:
         self._turns = {place: FairTurns() for place in get_args(Place)}
         self._limits = limits
-        self._processes = Processes(len(self._turns), limits)
+        at_once = replace(limits, niceness=0)
+        self._processes = {"medium": Processes(1, at_once), "long": Processes(1, limits)}
         self._in_progress: dict[Hashable, _Computation] = {}
         # Files that somebody still reads, by what they are.
         self._files: WeakValueDictionary[Hashable, OpenFile] = WeakValueDictionary()
@@ -85,10 +87,10 @@ class Computations:
         `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`. Raises
         InvalidArgumentError too if the arguments do not allow it, and ProblemError if it could not be computed.
         """
-        return await self._wait(request, key, partial(self._called, step, *arguments), place)
+        return await self._wait(request, key, partial(self._called, place, step, *arguments), place)
 
-    async def _called(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        found = await result_of(self._processes.call(step, *arguments))
+    async def _called(self, place: Place, step: Callable[..., Any], *arguments: Any) -> Any:
+        found = await result_of(self._processes[place].call(step, *arguments))
         if not isinstance(found, Fault):
             return found
         if found.origin == "input":
@@ -120,7 +122,7 @@ class Computations:
 
         async def work() -> OpenFile:
             async with writing.answer(request.scope[CALLER], max_bytes) as (file, path):
-                await self._called(step, *arguments, path)
+                await self._called(place, step, *arguments, path)
             self._files[key] = file
             return file
 
@@ -133,7 +135,8 @@ class Computations:
         for computation in unfinished:
             computation.scope.cancel()
         await asyncio.gather(*(computation.task for computation in unfinished), return_exceptions=True)
-        await asyncio.to_thread(self._processes.close)
+        for processes in self._processes.values():
+            await asyncio.to_thread(processes.close)
 
     async def _wait(self, request: Request, key: Hashable, work: Callable[[], Awaitable[Any]], place: Place) -> Any:
         """Return the result of `work`, or of what is being computed with this key already."""

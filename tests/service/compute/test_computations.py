@@ -119,11 +119,13 @@ async def test_one_picture_is_drawn_once_for_all_who_wait_for_it(running: Applic
 
 async def test_a_long_computation_holds_up_no_other(running: Application, key: str, block: Block) -> None:
     blocked = block(uploads, "conversion_step")
-    upload = running.ask("/v1/measurements", key, "POST", b"a table", "text/csv")
+    upload = running.ask("/v1/measurements", key, "POST", b"a table".ljust(1 << 17), "text/csv")
     await blocked.until_called()
     others = [running.ask(target, key) for target in (EXPORT, SPHERE)]
     others.append(running.ask(f"{FIT_PATH}/brdf", key, "POST", LONG_BATCH))
-    assert [(await one.end()).status for one in others] == [200] * 3
+    short = "theta_in,theta_out,value\n" + "".join(f"{at % 60},{at},0.1\n" for at in range(80))
+    others.append(running.ask("/v1/tables", key, "POST", short.encode(), "text/csv"))
+    assert [(await one.end()).status for one in others] == [200] * 4
     blocked.may_return.set()
     assert (await upload.end()).status == 422
 
