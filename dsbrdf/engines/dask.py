@@ -21,7 +21,7 @@ from typing import Any
 
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles
-from dsbrdf.engines.engine import NO_LIMITS, Fault, FitLimits, FitTask, OnProgress, Outcome
+from dsbrdf.engines.engine import MIN_FIT_MEMORY_MB, NO_LIMITS, Fault, FitLimits, FitTask, OnProgress, Outcome
 from dsbrdf.engines.fork_server import start_fork_server
 from dsbrdf.engines.local import document_of, fit_quietly, measurement_of
 from dsbrdf.engines.processes import Processes
@@ -172,16 +172,28 @@ async def _answer(future: Any) -> FitResult | Fault:
 _REMEDY = "start it with --no-nanny, or with DASK_DISTRIBUTED__WORKER__DAEMON=false in its environment"
 
 
-async def unusable_because(theirs: dict[str, str]) -> str | None:
-    """Return why this Dask worker cannot run fits of a client with the versions `theirs`, or None if it can."""
+async def unusable_because(theirs: dict[str, str], dask_worker: Any) -> str | None:
+    """Return why this Dask worker cannot run fits of a client with the versions `theirs`, or None if it can.
+
+    `Client.run` of Dask adds the argument `dask_worker`.
+    """
     mine = asdict(versions())
     other = [f"{name} {found}, not {theirs.get(name)}" for name, found in mine.items() if found != theirs.get(name)]
     if other:
         return f"has {' and '.join(other)}"
     if multiprocessing.current_process().daemon:
         return f"may not start child processes: {_REMEDY}"
+    memory = _memory_of_fit(dask_worker)
+    if memory is not None and memory < MIN_FIT_MEMORY_MB:
+        return f"has {memory} MB for a fit, which needs {MIN_FIT_MEMORY_MB} MB: start it with a higher --memory-limit"
     await asyncio.to_thread(start_fork_server)  # The first fit then starts sooner.
     return None
+
+
+def _memory_of_fit(worker: Any) -> int | None:
+    """Return the memory limit of a fit on a Dask worker [MB], an equal part for each thread; None without a limit."""
+    memory: int | None = worker.memory_manager.memory_limit
+    return None if memory is None else memory // worker.state.nthreads >> 20
 
 
 def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, limits: FitLimits) -> FitResult | Fault:
@@ -197,10 +209,9 @@ def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, lim
         state = worker.state.tasks.get(key)
         return state is None or state.state != "executing" or worker.status in (Status.closing, Status.closed)
 
-    memory: int | None = worker.memory_manager.memory_limit
-    if memory is not None:  # All threads of the worker divide its memory among their fits.
-        share = memory // worker.state.nthreads >> 20
-        limits = replace(limits, memory_mb=share if limits.memory_mb is None else min(share, limits.memory_mb))
+    memory = _memory_of_fit(worker)
+    if memory is not None:
+        limits = replace(limits, memory_mb=memory if limits.memory_mb is None else min(memory, limits.memory_mb))
     with closing(Processes(1, limits)) as here:
         fit = here.call(
             fit_quietly, reduced, options, on_progress=lambda share: worker.log_event(_PROGRESS_TOPIC, {key: share})

@@ -38,6 +38,8 @@ class FitLimits:
 
 
 NO_LIMITS = FitLimits()
+MIN_FIT_MEMORY_MB = 768
+"""With less address space, every fit fails [MB]."""
 
 
 @dataclass(frozen=True)

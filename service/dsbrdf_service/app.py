@@ -8,6 +8,7 @@ from functools import cache, partial
 
 from anyio import to_thread
 from fastapi import FastAPI
+from fastapi.middleware.asyncexitstack import AsyncExitStackMiddleware
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
@@ -27,7 +28,7 @@ from .api.measurements import MeasurementDetails
 from .api.points import FORMS
 from .compute.computations import Computations
 from .compute.models import ModelCache
-from .http import openapi, problems
+from .http import openapi
 from .http.metrics import Metrics
 from .http.readiness import Readiness
 from .http.request_body import Bodies
@@ -116,8 +117,9 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     app.state.settings, app.state.store, app.state.metrics, app.state.keys = settings, store, metrics, keys
     app.openapi = cache(partial(openapi.document_of, app, _REFERENCED))  # type: ignore[method-assign]
     access = Access(settings, keys, metrics.requests_in_progress, is_open)
-    app.add_middleware(RequestLogMiddleware, access=access, settings=settings, metrics=metrics)
-    problems.install(app)
+    # All of the stack: what Starlette and FastAPI add to it would answer errors a second time.
+    stack = AsyncExitStackMiddleware(app.router)  # FastAPI's routes need it.
+    app.middleware_stack = RequestLogMiddleware(stack, access, settings, metrics)
     # Routes are tried in this order, so the fast ones come first. They are the application's own: in routers that it
     # includes, each would be looked for twice.
     of_fits = (values.router, fits.router, components.router, exports.router, pictures.router)

@@ -7,11 +7,13 @@ from typing import Literal
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from dsbrdf.engines.engine import MIN_FIT_MEMORY_MB
 from dsbrdf.process_settings import core_count
 
 from . import DEFAULT_DATA_DIR
 
 PREFIX = "DSBRDF_"
+_MAX_LIMIT = 10**12  # The database cannot store any greater limit.
 
 
 class Settings(BaseSettings):
@@ -27,8 +29,12 @@ class Settings(BaseSettings):
     key_requests_per_second: float = Field(
         default=100.0, ge=0.001, description="Maximum rate of requests with one API key."
     )
-    key_stored_mb: int = Field(default=10_000, ge=0, description="Maximum size of data stored with one API key [MB].")
-    key_queued_fits: int = Field(default=100, ge=0, description="Maximum number of unfinished fits of one API key.")
+    key_stored_mb: int = Field(
+        default=10_000, ge=0, lt=_MAX_LIMIT, description="Maximum size of data stored with one API key [MB]."
+    )
+    key_queued_fits: int = Field(
+        default=100, ge=0, lt=_MAX_LIMIT, description="Maximum number of unfinished fits of one API key."
+    )
 
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         default="info", description="Lowest level of log lines; debug also logs successful GET and HEAD requests."
@@ -51,8 +57,10 @@ class Settings(BaseSettings):
     queue_limit: int = Field(
         default=1000, ge=1, description="Maximum number of waiting fits; beyond it, requests get 503."
     )
-    fit_seconds: float = Field(default=600.0, gt=0, description="Time limit of one fit [s].")
-    fit_memory_mb: int = Field(default=4096, ge=768, description="Address space limit of one fit's process [MB].")
+    fit_seconds: float = Field(default=600.0, gt=0, le=10**9, description="Time limit of one fit [s].")
+    fit_memory_mb: int = Field(
+        default=4096, ge=MIN_FIT_MEMORY_MB, le=10**9, description="Address space limit of one fit's process [MB]."
+    )
     fit_attempts: int = Field(
         default=2,
         ge=1,
@@ -76,7 +84,7 @@ class Settings(BaseSettings):
         default=10_000, ge=0, description="An upload with a lower mean rate is aborted [bytes/s]; 0 allows any rate."
     )
     shutdown_seconds: int = Field(
-        default=4, ge=1, description="Time for requests in progress to finish at shutdown [s]."
+        default=4, ge=1, le=3600, description="Time for requests in progress to finish at shutdown [s]."
     )
 
     @property

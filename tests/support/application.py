@@ -114,8 +114,9 @@ class Application:
         media_type: str = "application/json",
         *,
         stalled: bool = False,
+        unread: bool = False,
     ) -> Exchange:
-        """Begin a request; a stalled one never sends the last byte of its body."""
+        """Begin a request; a stalled one never sends the last byte of its body, an unread one takes no second piece."""
         path, _, query = target.partition("?")
         headers = [(b"host", b"localhost"), (b"authorization", f"Bearer {key}".encode())]
         if body:
@@ -141,6 +142,8 @@ class Application:
         async def send(message: Message) -> None:
             if not gone.is_set():
                 messages.append(message)
+            if unread and message["type"] == "http.response.body":
+                await gone.wait()
 
         return Exchange(asyncio.create_task(self.app(scope, receive, send)), gone, messages)
 

@@ -35,6 +35,7 @@ from .data_folder import refuse
 
 _CONNECTIONS_PER_REQUEST = 8  # Most connections are idle; further ones are refused.
 _CLEANUP_TIMEOUT_S = 5.0  # Closing all parts after the last request takes less; then the process is ended.
+_INTERPRETER_EXIT_TIMEOUT_S = 60.0  # A thread that still hangs ends with the process then.
 
 logger = logging.getLogger(__name__)
 _PURPOSE = "Run the HTTP service. Further settings are environment variables that begin with DSBRDF_."
@@ -128,6 +129,8 @@ def _run(settings: Settings, store: Store) -> int:
     server = _Server(config)
     logger.info("dsbrdf %s serves the data folder %s", app.version, settings.data_dir.resolve())
     server.run()
+    # All parts are closed. On a busy machine the end of the interpreter takes seconds, which is no failure.
+    faulthandler.dump_traceback_later(_INTERPRETER_EXIT_TIMEOUT_S, exit=True)
     return 0 if server.started else 1
 
 

@@ -8,7 +8,7 @@ import logging
 import sqlite3
 from typing import Annotated, NamedTuple
 
-from fastapi import FastAPI, Request
+from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
@@ -101,18 +101,6 @@ def problem_response(error: ProblemError, path: str) -> Response:
     detail = error.detail.encode(errors="backslashreplace").decode()
     about = {"title": title, "status": status, "detail": detail, "instance": path}
     return JSONResponse({"type": TYPE_PREFIX + error.kind, **about}, status, headers | error.headers, MEDIA_TYPE)
-
-
-def install(app: FastAPI) -> None:
-    """Make `app` answer every exception with a problem document."""
-    ours = (ProblemError, ClientDisconnect, *_KIND_OF_ERROR, OSError, sqlite3.DatabaseError)
-    # What ends at Exception is logged by ServerErrorMiddleware too, and answered without the stack trace.
-    for expected in (*ours, HTTPException, RequestValidationError, Exception):
-        app.add_exception_handler(expected, _answer)
-
-
-async def _answer(request: Request, error: Exception) -> Response:
-    return problem_response(problem_of(request, error), request.url.path)
 
 
 def problem_of(request: Request, error: Exception) -> ProblemError:

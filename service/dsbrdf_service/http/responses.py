@@ -3,9 +3,10 @@
 import hashlib
 import re
 from collections.abc import Mapping
+from functools import partial
 
+from anyio import CapacityLimiter, to_thread
 from pydantic import BaseModel
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
@@ -20,6 +21,8 @@ NPY = "application/x-npy"
 PIECE_BYTES = 1 << 16
 """Length of what is handed to a connection at once: it keeps two of them where the client does not read."""
 _MAX_HELD_BYTES = 1 << 18  # A longer answer of its own is kept in a file while it is sent.
+# Files are read in their own threads, so that no other request waits for the pieces of many answers.
+_read_in_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(2))
 _WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)
 _ASYNC = re.compile(r"(?:^|,)\s*respond-async\s*(?:[,;]|$)", re.IGNORECASE)
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
@@ -71,7 +74,7 @@ class OpenFileResponse(Response):
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         n_sent, is_last = 0, False
         while not is_last:
-            piece = await run_in_threadpool(self._file.read, PIECE_BYTES, n_sent)
+            piece = await _read_in_thread(self._file.read, PIECE_BYTES, n_sent)
             n_sent += len(piece)
             is_last = n_sent >= self._size or not piece
             await send({"type": "http.response.body", "body": piece, "more_body": not is_last})

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .database import Database, is_data_folder
+from .schema import ROW_SIZE
 
 _SHOWN = ("id", "name", "created", "revoked", "requests_per_second", "stored_mb", "queued_fits", "metrics")
 _SELECT_ACTIVE = (
@@ -36,8 +37,8 @@ def revoke_key(database: Database, key_id: str) -> bool:
     """
     now = time.time()
     with database.transaction() as db:
-        waiting = "UPDATE fits SET status = 'cancelled', finished = ? WHERE owner = ? AND status = 'accepted'"
-        db.execute(waiting, (now, key_id))
+        waiting = "UPDATE fits SET status = 'cancelled', finished = ?, size = ? WHERE owner = ? AND status = 'accepted'"
+        db.execute(waiting, (now, ROW_SIZE, key_id))
         query = "UPDATE keys SET revoked = coalesce(revoked, ?) WHERE id = ?"
         return db.execute(query, (now, key_id)).rowcount > 0
 

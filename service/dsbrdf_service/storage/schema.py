@@ -18,6 +18,7 @@ from ..errors import DataFolderError
 # `checksum` covers metrics and result: SQLite does not notice if two of their pages change places. NULL as the limit of
 # a key means the server's default. `metrics` says whether a key may read ``/metrics``, with the totals of all keys.
 ROW_SIZE = 2_000  # [bytes] A fit with its index entries, without its result.
+UNFINISHED_SIZE = 100_000  # [bytes] An unfinished fit counts so much, because few results take more.
 _TABLES = f"""
     CREATE TABLE IF NOT EXISTS measurements (
         owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
@@ -34,7 +35,7 @@ _TABLES = f"""
         metrics TEXT, error TEXT, created REAL NOT NULL, started REAL, finished REAL,
         result TEXT, -- JSON, as HTTP sends it
         thumbnail BLOB, -- PNG
-        checksum INTEGER, size INTEGER NOT NULL DEFAULT {ROW_SIZE},
+        checksum INTEGER, size INTEGER NOT NULL DEFAULT {UNFINISHED_SIZE},
         UNIQUE (owner, id), UNIQUE (owner, seq),
         CHECK ((status = 'succeeded') = (result IS NOT NULL)), CHECK ((status = 'failed') = (error IS NOT NULL))
     ) STRICT;

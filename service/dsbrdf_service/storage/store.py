@@ -26,6 +26,7 @@ from .schema import (
     IS_UNFINISHED,
     ROW_SIZE,
     UNFINISHED,
+    UNFINISHED_SIZE,
     Caller,
     FitKey,
     FitRow,
@@ -108,7 +109,7 @@ class Store:
             query = f"SELECT 1 FROM measurements {_WHERE_MEASUREMENT}"  # noqa: S608
             new = db.execute(query, (caller.owner, sha256)).fetchone() is None
             if new:
-                check_storage(db, caller, incoming.size)
+                check_storage(db, caller, incoming.size, "the measurement has")
             values = (caller.owner, caller.owner, sha256, name, incoming.size, incoming.valid_nodes, time.time())
             (row,) = db.execute(_ADD_MEASUREMENT, values).fetchall()
             # Placed even if it is there: that mends a damaged file, and tells nobody who else has it.
@@ -202,7 +203,7 @@ class Store:
                 raise MeasurementNotFoundError(sha256)
             name = name or (known and known.name) or stored[0]
             check_queue(db, caller)
-            check_storage(db, caller, 0)
+            check_storage(db, caller, UNFINISHED_SIZE, "the fit may take")
             (waiting,) = db.execute("SELECT count(*) FROM fits WHERE status = 'accepted'").fetchone()
             if waiting >= queue_limit:
                 detail = f"{waiting} fits are waiting, which is the limit; the measurement is stored, try again later."
@@ -297,12 +298,12 @@ class Store:
 
     def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> FitRow | None:
         """Write a fit's error and its state; None if it has ended already."""
-        change = "status = 'failed', finished = ?, error = ?"
-        return self._advance(change, (time.time(), json.dumps(error)), key)
+        change = "status = 'failed', finished = ?, error = ?, size = ?"
+        return self._advance(change, (time.time(), json.dumps(error), ROW_SIZE), key)
 
     def cancel_fit(self, key: FitKey) -> FitRow | None:
         """Mark an unfinished fit as cancelled; None if it has ended already."""
-        return self._advance("status = 'cancelled', finished = ?", (time.time(),), key)
+        return self._advance("status = 'cancelled', finished = ?, size = ?", (time.time(), ROW_SIZE), key)
 
     def remove_fit(self, key: FitKey) -> bool:
         """Remove a fit that has ended; return whether there was one."""
@@ -319,8 +320,8 @@ class Store:
         other = f"The service has another fit algorithm since this fit was accepted, {dsbrdf.ALGORITHM_VERSION}; send "
         fault = {"origin": "system", "type": "OtherRelease", "message": f"{other}the request again for a new fit."}
         with self.database.transaction() as db:
-            change = "UPDATE fits SET status = 'failed', finished = ?, error = ?"
-            values = time.time(), json.dumps(fault), dsbrdf.ALGORITHM_VERSION
+            change = "UPDATE fits SET status = 'failed', finished = ?, error = ?, size = ?"
+            values = time.time(), json.dumps(fault), ROW_SIZE, dsbrdf.ALGORITHM_VERSION
             db.execute(f"{change} WHERE {IS_UNFINISHED} AND algorithm != ?", values)
             db.execute("UPDATE fits SET status = 'accepted', started = NULL, attempts = 0 WHERE status = 'running'")
             rows = db.execute("SELECT owner, id FROM fits WHERE status = 'accepted' ORDER BY rowid")

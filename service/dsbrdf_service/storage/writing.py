@@ -112,12 +112,11 @@ def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
         raise ProblemError("queue-quota", detail)
 
 
-def check_storage(db: sqlite3.Connection, caller: Caller, more: int) -> None:
-    """Raise ProblemError if the caller has no room for `more` bytes, or for one at least."""
+def check_storage(db: sqlite3.Connection, caller: Caller, more: int, said: str) -> None:
+    """Raise ProblemError if the caller has no room for `more` bytes; `said` comes before their number."""
     (stored,) = db.execute(_STORED, (caller.owner, caller.owner)).fetchone()
-    if stored + max(more, 1) > caller.stored_bytes:
-        measurement = f" and the measurement has {more / 1e6:.1f} MB" if more else ""
-        raise _full(caller.stored_bytes, stored, measurement)
+    if stored + more > caller.stored_bytes:
+        raise _full(caller.stored_bytes, stored, f" and {said} {more / 1e6:.1f} MB")
 
 
 def _full(allowed: float, stored: int, more: str, kind: str = "storage-quota") -> ProblemError:

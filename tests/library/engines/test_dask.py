@@ -26,12 +26,10 @@ from tests.support.engines import (
     MIDDLE,
     PATIENCE,
     QUICK,
-    SLOW_FIT,
     Stage,
     compute_impatiently,
     fault_of,
     ignore,
-    run,
     started,
     until,
     until_busy,
@@ -135,11 +133,12 @@ def test_worker_without_permission_for_child_processes_is_not_used(
         assert isinstance(fit.result(PATIENCE), FitDocument)
 
 
-def test_fit_over_the_memory_of_its_worker_is_a_compute_fault(own_cluster: DaskCluster, plastic_file: Path) -> None:
+def test_worker_with_too_little_memory_is_not_used(own_cluster: DaskCluster) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker("--memory-limit", "200MiB")
-    outcome, _ = run(Stage(own_cluster), FitTask("one", plastic_file, SLOW_FIT))
-    assert outcome == Fault("compute", "MemoryLimit", "The fit needs more memory than a fit may use.")
+    with closing(Stage(own_cluster).engine()) as engine:
+        fault = str(until(lambda: fault_of(engine), lambda fault: "memory" in str(fault)))
+        assert "has 200 MB for a fit, which needs 768 MB: start it with a higher --memory-limit" in fault
 
 
 @pytest.mark.parametrize(

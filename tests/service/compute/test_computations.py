@@ -22,7 +22,7 @@ from dsbrdf_service.access.authentication import CALLER_NAME
 from dsbrdf_service.api import exports, pictures, uploads, values
 from dsbrdf_service.compute import steps
 from dsbrdf_service.compute.computations import Computations
-from dsbrdf_service.http.responses import OpenFileResponse
+from dsbrdf_service.http.responses import PIECE_BYTES, OpenFileResponse
 from dsbrdf_service.storage.blobs import OpenFile
 from dsbrdf_service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
@@ -128,6 +128,18 @@ async def test_a_long_computation_holds_up_no_other(running: Application, key: s
     assert [(await one.end()).status for one in others] == [200] * 4
     blocked.may_return.set()
     assert (await upload.end()).status == 422
+
+
+async def test_unread_answers_wait_in_files_and_hold_up_no_other(running: Application, key: str) -> None:
+    unread = [running.ask(f"{FIT_PATH}/brdf", key, "POST", LONG_BATCH, unread=True) for _ in range(20)]
+    async with asyncio.timeout(60):
+        while any(len(one.messages) < 2 for one in unread):
+            await asyncio.sleep(0.01)
+    assert {len(one.messages[1]["body"]) for one in unread} == {PIECE_BYTES}
+    assert int(unread[0].headers["content-length"]) > 4 * PIECE_BYTES
+    assert (await running.ask(FIT_PATH, key).end()).status == 200
+    for one in unread:
+        await one.leave()
 
 
 async def test_what_is_asked_for_together_is_not_mixed_up(running: Application, key: str) -> None:

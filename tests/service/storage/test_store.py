@@ -18,7 +18,7 @@ from dsbrdf_service.errors import (
 )
 from dsbrdf_service.queue.fit_options import to_wire
 from dsbrdf_service.storage.database import FILE_NAME, Database
-from dsbrdf_service.storage.schema import ROW_SIZE, Caller, FitKey
+from dsbrdf_service.storage.schema import ROW_SIZE, UNFINISHED_SIZE, Caller, FitKey
 from dsbrdf_service.storage.store import Store, fit_identity
 from tests.support.stores import LOCAL, add, receive
 
@@ -146,26 +146,29 @@ def test_cancelled_fits_and_results_count_as_stored_bytes(store: Store) -> None:
     def submit(mask: int, most: int) -> FitKey:
         return store.add_fit(Caller("a", stored_bytes=most), sha256, {"mask": mask}, 10)[0].key
 
-    first, stored = submit(0, 6), 5 + ROW_SIZE + 2
+    first, stored = submit(0, 5 + UNFINISHED_SIZE), 5 + ROW_SIZE + 2 + UNFINISHED_SIZE
+    with pytest.raises(ProblemError, match=r"has stored 0\.1 of 0\.2 MB and the fit may take 0\.1 MB"):
+        submit(1, 4 + 2 * UNFINISHED_SIZE)  # The result of the first fit has its room.
     store.start_fit(first)
     store.complete_fit(first, "é", {})
-    with pytest.raises(ProblemError, match=r"has stored 0\.0 of 0\.0 MB"):
-        submit(1, stored)
-    store.cancel_fit(submit(1, stored + 1))
     with pytest.raises(ProblemError):
-        submit(2, stored + ROW_SIZE)
+        submit(1, stored - 1)
+    store.cancel_fit(submit(1, stored))
+    with pytest.raises(ProblemError):
+        submit(2, stored + ROW_SIZE - 1)
     assert store.remove_fit(first)
-    submit(2, stored + ROW_SIZE)  # there is room again
+    submit(2, stored)  # there is room again
 
 
 def test_a_caller_stores_and_queues_no_more_than_is_allowed(store: Store) -> None:
-    caller, other = Caller("a", stored_bytes=2 * ROW_SIZE, queued_fits=2), Caller("b", queued_fits=2)
-    sha256 = add(store, b"x" * ROW_SIZE, caller)
-    with pytest.raises(ProblemError, match=r"and the measurement has 0\.0 MB; delete what is not needed"):
-        add(store, b"y" * (ROW_SIZE + 1), caller)
+    allowed = 1000 + UNFINISHED_SIZE
+    caller, other = Caller("a", stored_bytes=allowed, queued_fits=2), Caller("b", queued_fits=2)
+    sha256 = add(store, b"x" * 1000, caller)
+    with pytest.raises(ProblemError, match=r"and the measurement has 0\.1 MB; delete what is not needed"):
+        add(store, b"y" * (UNFINISHED_SIZE + 1), caller)
     assert [row.sha256 for row in store.measurements("a", 9, None)] == [sha256]
-    assert not store.add_measurement(caller, receive(store, b"x" * ROW_SIZE))[1]  # nothing more is stored
-    add(store, b"x" * ROW_SIZE, other)
+    assert not store.add_measurement(caller, receive(store, b"x" * 1000))[1]  # nothing more is stored
+    add(store, b"x" * 1000, other)
     with ThreadPoolExecutor(6) as pool:
         asked = [pool.submit(store.add_fit, other, sha256, {"mask": number}, 10) for number in range(6)]
     accepted = [one.result()[0] for one in asked if one.exception() is None]
