@@ -1,6 +1,6 @@
-"""What the commands and those of the service share: output, errors in one sentence, points on the command line.
+"""Define what all commands use: output, errors in one sentence, and flags that take lists.
 
-Imports nothing that takes time, so that commands which compute nothing answer at once.
+This module imports nothing that takes time, so that commands without computations answer at once.
 """
 
 import json
@@ -23,25 +23,25 @@ LIST_FLAGS = (
     *("--theta-in", "--theta-out", "--phi-out"),
     *("--omega-in", "--omega-out", "--knots-deg", "--missing"),
 )
-"""Flags of which each takes one or more values, with blanks or, directions apart, commas between them."""
+"""Flags that take one or more values, separated by blanks; commas also separate values, but not directions."""
 
 _NUMBERS = re.compile(r"[-+]?[0-9.][-+0-9.e, ]*")
 
 
 def print_json(document: Any) -> None:
-    """Print one JSON document in one line."""
+    """Print a JSON document in one line."""
     print(json.dumps(document, allow_nan=False))
 
 
 def print_error(error: BaseException | str) -> None:
-    """Print one sentence to stderr; an error of the operating system is reported with its file."""
+    """Print one sentence to stderr; the sentence of a system error names its file."""
     if isinstance(error, OSError) and error.filename is not None:
         error = f"{error.filename}: {error.strerror}"
     sys.stderr.write(f"dsbrdf: {error}\n")
 
 
 def print_written(path: Path, what: str, file_format: str = "", *, json: bool = False, **about: Any) -> None:
-    """Say which file has been written, what it is and how large; with more about it in JSON."""
+    """Print the name, kind and size of a written file, in JSON with `about`."""
     size = path.stat().st_size
     if json:
         print_json({"output": str(path), "format": file_format, "bytes": size} | about)
@@ -67,12 +67,12 @@ def join_points(words: Sequence[str]) -> list[str]:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a question with the known words that are nearly ``word``; empty if there are none."""
+    """Return a question that suggests known words similar to ``word``; empty if there are none."""
     near = get_close_matches(word, list(known), n=2, cutoff=0.6)
     return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
-# command -> (modules that it needs, what it does)
+# Each command has the modules that it needs, and its purpose.
 SERVICE_COMMANDS = {
     "serve": (("cyclopts", "fastapi", "pydantic_settings", "uvicorn"), "Run the HTTP service."),
     "keys": (("cyclopts", "pydantic_settings"), "Add, list and revoke API keys of the service."),
@@ -82,13 +82,13 @@ SERVICE_COMMANDS = {
 
 
 def entry_point(group: str, name: str) -> EntryPoint:
-    """Return where to find what the service offers: a command, or an engine; see ``pyproject.toml``."""
+    """Return the entry point of a command or an engine of the service; ``pyproject.toml`` lists them."""
     (found,) = entry_points(group=f"dsbrdf.{group}", name=name)
     return found
 
 
 def open_closed_output() -> None:
-    """Write to nowhere what would go to a closed output, whose descriptor another file would take otherwise."""
+    """Replace a closed output by the null device, because another file could get its descriptor."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 (until the end)
@@ -102,7 +102,7 @@ def run_service_command(command: str, words: Sequence[str]) -> int:
     needed, _ = SERVICE_COMMANDS[command]
     require("service", *needed, purpose="the HTTP service" if command == "serve" else f"dsbrdf {command}")
     found = entry_point("commands", command)
-    if command == "serve":  # replaces this process, so that signals reach the service
+    if command == "serve":  # The service replaces this process, so that signals reach it.
         sys.stdout.flush()
         os.execv(sys.executable, [sys.executable, "-m", found.module.removesuffix(".__main__"), *words])  # noqa: S606 (no shell)
     code: int = found.load()(words)

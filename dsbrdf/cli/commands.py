@@ -1,6 +1,6 @@
-"""The commands of ``dsbrdf`` as an application of cyclopts, which reads the command line and writes the help.
+"""Define the commands of ``dsbrdf`` for cyclopts, which reads the command line and writes the help.
 
-cyclopts belongs to the extra ``cli``. The module of a command is imported when the command is called.
+cyclopts belongs to the extra ``cli``. Calling a command imports its module.
 """
 
 import shutil
@@ -33,7 +33,7 @@ from dsbrdf.version import __version__
 
 
 def _whole_number(kind: Any, tokens: Sequence[Token]) -> Any:
-    """Convert as cyclopts does, but refuse 2.5, which it would round."""
+    """Convert a whole number; refuse 2.5, which cyclopts would round."""
     (token,) = tokens
     if "." in token.value:
         raise CoercionError(token=token, target_type=kind)
@@ -45,7 +45,7 @@ Whole = Parameter(converter=_whole_number, metavar="N")
 _MAX_HELP_COLUMNS = 100
 _NO_LINES = Box("    \n" * 8)
 
-# group -> command -> (module and function, what the command does)
+# Each group has commands, with their module and function, and their purpose.
 _COMMANDS = {
     "Models": {
         "fit": ("fit_command:fit", "Fit models to measurements."),
@@ -71,7 +71,7 @@ _COMMANDS = {
 
 
 def command_names() -> list[str]:
-    """Return the names of the commands that have their arguments here, not in the service."""
+    """Return the names of the commands, without the commands of the service."""
     return [name for commands in _COMMANDS.values() for name in commands]
 
 
@@ -96,7 +96,7 @@ def new_application(name: str, purpose: str) -> App:
 
 
 def application() -> App:
-    """Return the application with all commands; those of the service are only listed."""
+    """Return the application with all commands; the help only lists the commands of the service."""
     app = new_application("dsbrdf", "Directional Statistics BRDF models of measured reflectance.")
     for heading, commands in _COMMANDS.items():
         group = Group.create_ordered(heading)
@@ -112,7 +112,7 @@ def application() -> App:
 
 
 def run_command(words: Sequence[str]) -> int:
-    """Run the command that `words` name, or print its help; return the exit code."""
+    """Run a command with its arguments, or print its help; return the exit code."""
     app = application()
     if words[0] not in app:
         what = f"option {words[0]!r} before the command" if words[0].startswith("-") else f"command {words[0]!r}"
@@ -122,7 +122,7 @@ def run_command(words: Sequence[str]) -> int:
 
 
 def run_words(app: App, words: Sequence[str]) -> int:
-    """Run what `words` ask of an application; say in one sentence what is wrong with them. Return the exit code."""
+    """Run an application with arguments, report wrong arguments in one sentence, and return the exit code."""
     width = min(shutil.get_terminal_size().columns, _MAX_HELP_COLUMNS)
     try:
         code: int | None = app(words, console=Console(width=width))
@@ -134,7 +134,7 @@ def run_words(app: App, words: Sequence[str]) -> int:
 
 
 def _shown(default: Any) -> str | None:
-    """Return a default value for the help, unless nothing is the default."""
+    """Return a default value as text for the help, or None for an empty default."""
     return None if default in (None, False, ()) else str(default)
 
 
@@ -158,12 +158,12 @@ def _reason(error: CycloptsError) -> str:
 
 
 def _allowed(kind: Any) -> str:
-    """Return what may be typed where a type is wanted."""
+    """Return a phrase for the values of a type, such as "a whole number or auto"."""
     if get_origin(kind) in (Union, UnionType):
         return " or ".join(_allowed(member) for member in get_args(kind))
     if get_origin(kind) is Literal:
         return " or ".join(get_args(kind))
-    if get_origin(kind) is tuple:  # It has any length.
+    if get_origin(kind) is tuple:  # The tuple has any length.
         return _allowed(get_args(kind)[0])
     words = {int: "a whole number", float: "a number", bool: "yes or no", timedelta: "a time such as 30d"}
     return {**words, NoneType: "none"}.get(kind, "a text")

@@ -1,4 +1,4 @@
-"""The command ``dsbrdf compare``: figures of several materials side by side, and how alike their spheres are."""
+"""Define ``dsbrdf compare``, which prints the figures of materials side by side and the likeness of their spheres."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -79,7 +79,7 @@ def compare(
 
 
 _Comparison = tuple[list[dict[str, float | None]], list[str], bytes | None, str]
-"""Likeness of each source to the first, sentences of them, a picture, and what it shows."""
+"""Likeness of each source to the first source, the same in sentences, a picture, and its contents in words."""
 
 
 def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], *, with_picture: bool) -> _Comparison:
@@ -126,13 +126,13 @@ def _spheres(paths: Sequence[Path], sources: Sequence[Any], look: Look, *, with_
 
 
 def _titles(paths: Sequence[Path]) -> list[str]:
-    """Return the names of files without folder and suffix where these tell them apart, else numbered."""
+    """Return the names of files without folder and suffix; equal names get numbers."""
     stems = [path.stem for path in paths]
     return stems if len({*stems}) == len(stems) else [f"{stem} ({n})" for n, stem in enumerate(stems, 1)]
 
 
 def _source(path: Path, table: TableOptions, component: str | None) -> tuple[Any, dict[str, Any]]:
-    """Read a model or a component of it, or a measurement, a table with these options; return it with its figures."""
+    """Read a model, one of its components, or a measurement; return it with its figures."""
     if is_measurement(path):
         if component is not None:
             raise InvalidArgumentError(f"{path}: a measurement has no components; fit it first")

@@ -1,4 +1,4 @@
-"""The command ``dsbrdf fit``: its progress, and the fits of several files as a table, in the terminal and as CSV."""
+"""Define ``dsbrdf fit``, with its progress and the table of several fits for the terminal and as CSV."""
 
 import re
 import sys
@@ -42,7 +42,7 @@ _URL = r"https?://[^/\s]+(/\S*)?"
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Work:
-    """Where fits are computed and stored.
+    """Choose where fits are computed and stored.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Work:
                 raise InvalidArgumentError(f"{name}: must be an address such as {example}, not {text!r}")
 
     def engine(self) -> Engine:
-        """Return what computes the fits."""
+        """Return the engine that computes the fits."""
         jobs = core_count() if self.jobs == "auto" else self.jobs
         if self.url is not None:
             require("client", "httpx", purpose="dsbrdf fit --url")
@@ -152,7 +152,7 @@ def fit(
 
 
 def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work, *, quiet: bool) -> list[FileFit]:
-    """Fit the files, and print each result as soon as it is there unless `quiet`."""
+    """Fit the files; print each result when it is ready, unless `quiet`."""
     done: list[FileFit] = []
     bar = _progress_bar()
     task = bar.add_task("", total=len(files), done=0)
@@ -192,14 +192,14 @@ def _plot(items: list[FileFit], table: TableOptions) -> Iterator[str]:
 
 
 def _messages(item: FileFit, *, printed: bool) -> tuple[str, ...]:
-    """Return what stderr shows of a file: its error, or the warnings of a new fit where stdout has no report."""
+    """Return the messages of a file for stderr: its error, or the warnings of a new fit that are not `printed`."""
     if item.result is None:
         return () if item.error is None else (item.error,)
     return () if printed or item.resumed else item.result.report.warnings
 
 
 def _text(item: FileFit, *, whole: bool) -> list[str]:
-    """Return the lines to print: the whole report or one line, and where the model was saved."""
+    """Return the report of a fit, whole or in one line, and the name of the saved file."""
     if item.result is None:
         return []
     kept = " (kept)" if item.resumed else ""
@@ -210,7 +210,7 @@ def _text(item: FileFit, *, whole: bool) -> list[str]:
 
 
 def _document(item: FileFit) -> dict[str, Any]:
-    """Return the stored form of the model, which ``dsbrdf eval`` can read, with the result of the fit beside it."""
+    """Return the outcome of a fit, with the stored form of the model, which ``dsbrdf eval`` can read."""
     about: dict[str, Any] = {"file": str(item.file), "output": None if item.output is None else str(item.output)}
     if item.result is None:
         return about | {"status": "failed", "error": item.error}
@@ -219,16 +219,18 @@ def _document(item: FileFit) -> dict[str, Any]:
 
 
 SHOWN = {"relative_rms": 12, "excess": 8, "psnr": 7}
-"""Metrics in the table of the terminal, each with the width of its column; the CSV has all."""
+"""Metrics in the terminal's table, each with the width of its column; the CSV has all metrics."""
 
 _OF_FILE = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
-_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # The last, psnr, is one of the metrics.
+_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # The metrics include psnr, the last of these columns.
 
 
 def summary_table(items: Sequence[FileFit]) -> list[str]:
-    """Return a table with a line for each fit, the largest ``relative_rms`` first, and how many files failed."""
+    """Return a table with a line for each fit, the largest error first, and the number of failures."""
     fits = [(item.file, item.result) for item in items if item.result is not None]
-    fits.sort(key=lambda pair: pair[1].report.metrics.relative_rms or 0.0, reverse=True)  # those without metrics last
+    fits.sort(
+        key=lambda pair: pair[1].report.metrics.relative_rms or 0.0, reverse=True
+    )  # Fits without metrics come last.
     heads = "".join(f"{name:>{width}}" for name, width in SHOWN.items())
     lines = [f"{heads}{'lobes':>7}{'warnings':>10}  worst first"]
     for file, result in fits:
@@ -242,14 +244,14 @@ def summary_table(items: Sequence[FileFit]) -> list[str]:
 
 
 def plan_csv(pairs: Sequence[SuggestedPair]) -> bytes:
-    """Return pairs of directions as a table without values, sorted by incidence; the mirror direction has phi 180."""
+    """Return pairs of directions as a CSV table without values, sorted by theta_in."""
     rows = sorted((pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in pairs)
     lines = [f"{theta_in:g},0,{theta_out:g},{phi:g}," for theta_in, theta_out, phi in rows]
     return "\n".join(["theta_in,phi_in,theta_out,phi_out,value", *lines, ""]).encode()
 
 
 def summary_csv(items: Sequence[FileFit]) -> bytes:
-    """Return a table as CSV with the rows of each file, in their order; a failed one has a row with its error."""
+    """Return the rows of all files as CSV; a failed file has one row with its error."""
     return table_csv((row for item in items for row in _rows(item)), _COLUMNS)
 
 
@@ -268,12 +270,12 @@ def _rows(item: FileFit) -> Iterator[dict[str, Any]]:
         "warnings": " ".join(report.warnings),
     }
     rows = [*component_rows(item.file.stem, component_documents(model), report.metrics.psnr)]
-    for row in rows or [{"material": item.file.stem}]:  # A model without light has no components.
+    for row in rows or [{"material": item.file.stem}]:  # If the model has no light, it has no components.
         yield row | about
 
 
 def _progress_bar() -> Progress:
-    """Return a bar that is seen if stderr is a terminal; it has one task, the number of finished files."""
+    """Return a progress bar of finished files, which is visible if stderr is a terminal."""
     return Progress(
         *(BarColumn(), "{task.fields[done]} of {task.total} files", TimeElapsedColumn(), "left", TimeRemainingColumn()),
         console=Console(file=sys.stderr),
@@ -285,6 +287,6 @@ def _progress_bar() -> Progress:
 
 
 def _print_above(bar: Progress, line: str, *, error: bool = False) -> None:
-    """Take the bar away and print a line to stdout, or to stderr."""
-    bar.stop()  # so that the line can go to another stream
+    """Hide the bar, and print a line to stdout or stderr."""
+    bar.stop()  # The bar and the line may go to different streams.
     print(line, file=sys.stderr if error else sys.stdout, flush=True)

@@ -1,9 +1,9 @@
-"""The command ``dsbrdf``.
+"""Run the command ``dsbrdf``.
 
 Angles are in degrees on the command line, BRDF values in 1/sr, colours in the order red, green, blue. Exit codes:
 0 success; 2 bad usage or bad input, with one sentence on stderr; 130 interrupted; 1 any other failure.
 
-The commands are those of `dsbrdf.cli.commands`, which is imported only here, because it needs the extra ``cli``.
+`dsbrdf.cli.commands` defines the commands. Only this module imports it, because it needs the extra ``cli``.
 """
 
 import os
@@ -20,7 +20,7 @@ INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command with the arguments after ``dsbrdf``, by default those of the process; return the exit code."""
+    """Run one command; `argv` are the arguments after ``dsbrdf``. Return the exit code."""
     open_closed_output()
     try:
         code = _run(list(sys.argv[1:] if argv is None else argv))
@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print_error(error)
         return BAD_INPUT
     except BrokenPipeError:
-        # The program that reads our output has ended, as `head` does; the interpreter must not flush at its end.
+        # The reader of our output, such as `head`, has ended. The interpreter must not flush this output at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (MissingExtraError, OSError) as error:
@@ -50,7 +50,7 @@ def _run(words: list[str]) -> int:
         return BAD_INPUT
     if words[0] in SERVICE_COMMANDS:
         return run_service_command(words[0], words[1:])
-    if words[0] == "fit" and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported
+    if words[0] == "fit" and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported.
         os.environ.update(ONE_BLAS_THREAD)
     require("cli", "cyclopts", "rich", purpose="the command line")
     from dsbrdf.cli.commands import run_command

@@ -84,7 +84,9 @@ def evaluate(
     heads = [name.removesuffix("_deg") for name in columns]
     widths = [max(map(len, column)) + 2 for column in zip(heads, *rows, strict=True)]
     widths[0] -= 2
-    number = 12 if sum(widths) + 36 <= shutil.get_terminal_size().columns else 9  # JSON has all digits of a value.
+    number = (
+        12 if sum(widths) + 36 <= shutil.get_terminal_size().columns else 9
+    )  # Narrow columns have fewer digits; JSON has all digits.
     print(_aligned(heads, widths) + "".join(f"{channel:>{number}}" for channel in CHANNELS))
     for row, value in zip(rows, values, strict=True):
         print(_aligned(row, widths) + "".join(f"{one:>{number}.{6 if number == 12 else 3}g}" for one in value))
@@ -104,7 +106,7 @@ def show(*models: RequiredFiles, lobes: bool = False, channel: Channel = "red", 
     lobes
         Print the lobes of the model too, not only those of its components.
     channel
-        Of the model's lobes in the text.
+        Channel of the model's lobes in the text.
     """
     stored = {model: read_model(model) for model in models}
     if json:
@@ -172,12 +174,13 @@ def export(
     output
         The file to write.
     name
-        Of the function in GLSL; all other names in the file begin with it, so that a shader can hold several.
+        Name of the function in GLSL; all other names in the file begin with it, so that a shader can hold several
+        materials.
     sampling
         Add functions to GLSL that draw directions and return their density.
     example
-        Write beside it what shows it on a sphere: a page for a browser (glsl), a scene for Mitsuba (bsdf) or pbrt
-        (bsdf-spectral), a script for Blender (materialx).
+        Also write an example that shows the file on a sphere: a page for a browser (glsl), a scene for Mitsuba (bsdf)
+        or pbrt (bsdf-spectral), a script for Blender (materialx).
     """
     kind = format_of(output) if file_format == "auto" else file_format
     stored, report = read_model(model)
@@ -194,7 +197,7 @@ def export(
 
 
 _WRITTEN = {".binary": "a MERL table", ".bsdf": "an RGL file", ".csv": "a file of samples"}
-_MAX_RECIPROCITY_ERROR = 0.1  # Beyond it, a warning tells what a reciprocal file hides.
+_MAX_RECIPROCITY_ERROR = 0.1  # A warning says that a MERL table hides a larger error.
 
 
 def convert(
@@ -234,7 +237,7 @@ def convert(
 def _converted(
     sources: Sequence[Path], suffix: str, options: TableOptions, *, spectral: bool
 ) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
-    """Content of the file, sentences to warn with, and figures."""
+    """Return the content of the file, warnings, and figures by name."""
     found: Measurement | RglMaterial | DSBRDF
     sentences: tuple[str, ...] = ()
     about: dict[str, Any] = {}
@@ -255,7 +258,7 @@ def _converted(
         return source.read_bytes(), (), {}
     if suffix == ".bsdf":
         return rgl_bsdf(found, source.stem, spectral=spectral), sentences, about
-    if isinstance(found, RglMaterial):  # only a MERL table needs the means of both orders of the directions
+    if isinstance(found, RglMaterial):  # A MERL table has the means of both orders of the directions.
         difference = found.non_reciprocity()
         about = {"non_reciprocity": difference}
         if difference > _MAX_RECIPROCITY_ERROR:

@@ -1,4 +1,4 @@
-"""What commands take: parameters with their help and other names, options of a fit and points in degrees, files."""
+"""Define the parameters of commands: files, options of fits and of tables, and points in degrees."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -41,7 +41,7 @@ _WORDS = {"none": None, "auto": "auto"}
 
 
 def _angles_or_word(kind: Any, tokens: Sequence[Token]) -> float | tuple[int, ...] | str | None:
-    """Convert an angle, several whole ones with commas, or a word; the options refuse a word that is not theirs."""
+    """Convert an angle, several whole angles, or a word; the options check the word."""
     (token,) = tokens
     if token.value in _WORDS:
         return _WORDS[token.value]
@@ -57,12 +57,12 @@ _ANGLES = Parameter(converter=_angles_or_word, n_tokens=1, metavar="DEGREES,...|
 
 
 def _in_words(documented: type) -> str:
-    """Return what a class of options says of them, as it is true of flags."""
+    """Return the docstring of a class of options in the notation of flags."""
     return (documented.__doc__ or "").replace("None", '"none"').replace("`", "")
 
 
 def _several(kind: Any, tokens: Sequence[Token]) -> tuple[float, ...] | str:
-    """Convert numbers, with commas or blanks, or take a text as it is."""
+    """Convert numbers, separated by commas or blanks; return a text unchanged."""
     (token,) = tokens
     if kind == tuple[float, ...] | float:
         return tuple(convert(float, [token.evolve(value=part)]) for part in re.split(r"[,\s]+", token.value.strip()))
@@ -74,7 +74,7 @@ _SEVERAL = Parameter(converter=_several, n_tokens=1)
 
 @dataclass(frozen=True)
 class TableFlags(TableOptions):
-    """`TableOptions` as flags."""
+    """Offer `TableOptions` as flags."""
 
     __doc__ = _in_words(TableOptions)
 
@@ -84,7 +84,7 @@ class TableFlags(TableOptions):
     scale: Annotated[float, Parameter(metavar="FACTOR")] = 1.0
 
     def options(self) -> TableOptions:
-        """Return the same as `TableOptions`."""
+        """Return these flags as `TableOptions`."""
         return TableOptions(**vars(self))
 
 
@@ -96,7 +96,7 @@ NO_TABLE_FLAGS = TableFlags()
 
 @dataclass(frozen=True)
 class FitFlags(FitOptions):
-    """`FitOptions` as flags; a field that is not repeated here is an option as it is."""
+    """Offer `FitOptions` as flags; inherited fields need no change."""
 
     __doc__ = _in_words(FitOptions)
 
@@ -109,19 +109,19 @@ class FitFlags(FitOptions):
     em_iterations: Annotated[int, Whole] = FitOptions.em_iterations
 
     def options(self) -> FitOptions:
-        """Return the same as `FitOptions`."""
+        """Return these flags as `FitOptions`."""
         return FitOptions(**vars(self))
 
 
 Flags = Annotated[FitFlags, Parameter(name="*", group=Group("Options of the fit", sort_key=2))]
-"""All of them as a parameter of a command."""
+"""The options of a fit as a parameter of a command."""
 
 DEFAULT = FitFlags()
 
 
 def _each(kind: Any, tokens: Sequence[Token]) -> Any:
-    """Convert the values of an option, which `dsbrdf.cli.arguments.join_points` has joined."""
-    between = r"[,\s]+" if kind == tuple[float, ...] else r"\s+"  # a direction has commas of its own
+    """Convert the values of an option that `dsbrdf.cli.arguments.join_points` has joined."""
+    between = r"[,\s]+" if kind == tuple[float, ...] else r"\s+"  # A direction contains commas.
     values = (value for token in tokens for value in re.split(between, token.value.strip()))
     return convert(kind, [tokens[0].evolve(value=value) for value in values])
 
@@ -140,18 +140,18 @@ _DEFAULTS = {"phi_diff": (90.0,), "phi_out": (180.0,)}
 @Parameter(name="*", group=Group("Points", sort_key=2))
 @dataclass(frozen=True)
 class Points:
-    """Values of the options that name points.
+    """Hold the values of the options that describe points.
 
     Attributes
     ----------
     phi_diff
-        An angle, or several; by default 90, where both directions make the same angle with the normal.
+        An angle, or several; by default 90, where both directions have equal angles to the normal.
     theta_in
         Angle of omega_in to the normal, or several.
     theta_out
         Angle of omega_out to the normal, or several.
     phi_out
-        Azimuth of omega_out, that of omega_in being 0; by default 180, the side of the mirror direction.
+        Azimuth from omega_in to omega_out; by default 180, on the side of the mirror direction.
     """
 
     theta_half: Annotated[_Angles, _PLAIN] = ()
@@ -164,12 +164,12 @@ class Points:
     omega_out: _Directions = ()
 
     def arrays(self) -> dict[str, Array]:
-        """Return the points; what is given once is combined with all values of the others.
+        """Return the points as arrays by name; a single value is combined with all values of other options.
 
-        They are ``theta_half_deg``, ``theta_diff_deg`` and ``phi_diff_deg`` of shape (n,) [degrees], or
-        ``theta_in_deg``, ``theta_out_deg`` and ``phi_out_deg``, or ``omega_in`` and ``omega_out`` of shape (n, 3).
-        Raises InvalidArgumentError if one of them is missing or is none, ways to name points are mixed, or numbers
-        differ and are not 1.
+        The names are ``theta_half_deg``, ``theta_diff_deg`` and ``phi_diff_deg``, or ``theta_in_deg``,
+        ``theta_out_deg`` and ``phi_out_deg``, with shape (n,) [degrees], or ``omega_in`` and ``omega_out`` with shape
+        (n, 3). Raises InvalidArgumentError if a value is missing or wrong, ways to describe points are mixed, or
+        options have different numbers of values.
         """
         used = [form for form in _FORMS if any(getattr(self, name) for name in form)]
         if len(used) > 1:
@@ -199,13 +199,13 @@ def _direction(text: str) -> list[float]:
 
 
 def is_measurement(path: Path) -> bool:
-    """Whether a path names a measurement: a model is a ``.json`` file."""
+    """Return whether a path names a measurement; a model is a ``.json`` file."""
     return path.suffix.lower() != ".json"
 
 
 @contextmanager
 def named_in_errors(path: Path) -> Iterator[None]:
-    """Put the name of a file in front of the message of an error."""
+    """Put the name of a file before the message of an error."""
     try:
         yield
     except DSBRDFError as error:
@@ -213,7 +213,7 @@ def named_in_errors(path: Path) -> Iterator[None]:
 
 
 def read_measured(path: Path, options: TableOptions = AS_WRITTEN) -> Measurement | ScatteredSamples:
-    """Read a measurement, a table with these options; an error names the file."""
+    """Read a measurement; the options are for a table. An error names the file."""
     with named_in_errors(path):
         return read_measurement(path, options)
 
@@ -228,7 +228,7 @@ def read_grid(path: Path) -> Measurement:
 
 
 def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
-    """Read a model (``.json``) and its report, if any; an error names the file and what it is instead."""
+    """Read a model (``.json``) and its report, if any; an error names the file and its kind."""
     with named_in_errors(path):
         with path.open("rb") as file:
             start = file.read(START_BYTES)

@@ -43,14 +43,14 @@ from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_normals
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Look:
-    """How spheres are drawn.
+    """Choose how spheres are drawn.
 
     Attributes
     ----------
     lighting
-        three_lights, environment, or a panorama of 360 by 180 degrees, .exr.
+        three_lights, environment, or the .exr file of a panorama, 360 by 180 degrees.
     size
-        Of a sphere [pixels].
+        Size of a sphere [pixels].
     exposure
         Multiply radiance by this factor before it is clipped at 1 and gets the sRGB curve; auto takes the 99th
         percentile of the whole material, or of the first source, to 1.
@@ -130,8 +130,8 @@ def plot(
     model
         A .json file from dsbrdf fit, or a .binary or .bsdf measurement alone.
     measurement
-        What was fitted: draws its profiles, the fit and the components, or a table's samples beside the fit, and the
-        residual; without it, the parameters over theta_diff. It may also come first.
+        The fitted measurement: its profiles are drawn with the fit and the components, or the samples of a table beside
+        the fit and the residual. Without it, the parameters over theta_diff are drawn. It may also come first.
     output
         The file to write: .png, .svg or .pdf.
     lobes
@@ -188,7 +188,7 @@ def map_materials(*files: RequiredFiles, output: OutputFile, json: Json = False)
 
 
 def _figure_format(output: Path) -> str:
-    """Return the format that the name of a figure's file says."""
+    """Return the image format by the suffix of a file."""
     image_format = output.suffix.lower().removeprefix(".")
     if image_format not in IMAGE_FORMATS:
         raise InvalidArgumentError(

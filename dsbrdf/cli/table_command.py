@@ -1,4 +1,4 @@
-"""The command ``dsbrdf table``: what is understood of a table of samples, before it is fitted."""
+"""Define ``dsbrdf table``, which prints how a table of samples is understood, before it is fitted."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,12 +15,12 @@ from dsbrdf.samples.table_options import TableOptions
 
 
 def table(*files: RequiredFiles, json: Json = False, options: AboutTable = NO_TABLE_FLAGS) -> int:
-    """Print what is understood of a table of samples: columns, units, ranges, what is missing, the first samples.
+    """Print how a table of samples is understood: columns, units, ranges, warnings and the first samples.
 
     Parameters
     ----------
     files
-        Texts, spreadsheets, and .bsdf files of Zemax; several are listed, a line each.
+        Texts, spreadsheets, or .bsdf files of Zemax; several files get a line each.
     """
     if len(files) > 1:
         return _list(files, options.options(), json=json)
@@ -41,7 +41,7 @@ def _read(file: Path, options: TableOptions) -> ReadTable:
 
 
 def _list(files: Sequence[Path], options: TableOptions, *, json: bool) -> int:
-    """Print what each file is understood as, or why it is not; return the exit code."""
+    """Print a line for each file, with a summary or the reason why it is not read; return the exit code."""
     documents, width = [], max(len(str(file)) for file in files) + 2
     for file in files:
         document: dict[str, Any] = {"file": str(file), "error": None}

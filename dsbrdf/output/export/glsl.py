@@ -49,29 +49,14 @@ _RESERVED_WORDS = (
 def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *, sampling: bool = False) -> str:
     """Return GLSL source with ``vec3 dsbrdf(vec3 omega_in, vec3 omega_out)``.
 
-    Parameters
-    ----------
-    source : DSBRDF, LayeredModel or Component
-        The layers of a `LayeredModel` become a function of some 60 lines that is meant to be read. The source for a
-        component also has ``vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown)``: all components of its
-        model, times the weights ``shown`` of specular spike, specular lobe and diffuse.
-    name : str, optional
-        Name of the function, by default ``dsbrdf``. Every name in the source begins with it, so that a program can
-        hold several models.
-    sampling : bool, optional
-        Add ``vec3 dsbrdf_sample(vec3 omega_out, vec3 random)`` and ``float dsbrdf_pdf(vec3 omega_in, vec3 omega_out)``,
-        see `dsbrdf.model.sampling`.
+    The function returns the BRDF in 1/sr, without the cosine; directions are unit vectors in the frame whose z axis is
+    the normal. Every name in the source begins with `name`, so that a program can hold several models. The layers of a
+    `LayeredModel` become a readable function of some 60 lines. The source of a component also has
+    ``vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown)``: the components of its model times the weights
+    ``shown``. With `sampling`, ``vec3 dsbrdf_sample(vec3 omega_out, vec3 random)`` and
+    ``float dsbrdf_pdf(vec3 omega_in, vec3 omega_out)`` are added, see `dsbrdf.model.sampling`.
 
-    Returns
-    -------
-    str
-        The function returns the BRDF, without the cosine, in 1/sr; the directions are unit vectors in the frame whose
-        z axis is the normal.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If a parameter is too large for single precision, or the name cannot be that of a function.
+    Raises InvalidArgumentError if a parameter is too large for single precision, or the name cannot be a function's.
     """
     if not re.fullmatch(_NAME_PATTERN, name) or f" {name} " in _RESERVED_WORDS:
         raise InvalidArgumentError(
