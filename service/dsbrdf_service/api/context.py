@@ -10,7 +10,6 @@ from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.options import FitOptions
 from dsbrdf.samples.table_options import TableOptions
 
 from ..access.authentication import CALLER
@@ -24,7 +23,7 @@ from ..http.names import given_name
 from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
 from ..http.readiness import Readiness
 from ..http.request_body import Bodies
-from ..queue.fit_options import from_query, table_from_query
+from ..queue.fit_options import table_from_query
 from ..queue.fit_queue import FitQueue
 from ..settings import Settings
 from ..storage.schema import Caller, FitKey, FitRow
@@ -126,15 +125,10 @@ def name_of(request: Request) -> str | None:
     return given_name(request.query_params.get("name"), request.headers.get("content-disposition", ""))
 
 
-async def _options_in(request: Request) -> FitOptions:
-    return from_query(request.query_params.multi_items())
-
-
 async def _table_options_in(request: Request) -> TableOptions:
     return table_from_query(request.query_params.multi_items())
 
 
-TheOptions = Annotated[FitOptions, Depends(_options_in)]
 TheTableOptions = Annotated[TableOptions, Depends(_table_options_in)]
 
 

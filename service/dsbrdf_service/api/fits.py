@@ -24,11 +24,11 @@ from ..http import openapi
 from ..http.names import MAX_LENGTH, check_name
 from ..http.request_body import media_type_of
 from ..http.responses import BINARY, JSON, preferred_wait, prefix_of, tagged_reply
-from ..queue.fit_options import canonical, from_wire
+from ..queue.fit_options import canonical, from_query, from_wire
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
 from .components import ComponentDocument
-from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheOptions, TheRow, TheTableOptions, name_of
+from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheRow, TheTableOptions, name_of
 from .fields import FIT_ID, PLAIN, SHA256, Input, Name, Options, Page, Range, Share, as_time, next_page, parse_document
 from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLE_PARAMETERS, TABLES, receive_upload
 
@@ -180,9 +180,7 @@ _SUBMISSION_BODY = openapi.body(
     },
     openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, *TABLE_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
 )
-async def submit_fit(
-    request: Request, context: TheContext, caller: TheCaller, chosen: TheOptions, table: TheTableOptions
-) -> Response:
+async def submit_fit(request: Request, context: TheContext, caller: TheCaller, table: TheTableOptions) -> Response:
     """Fit the measurement that is the body, or a stored one.
 
     The answer comes when the fit has ended: 201, or 200 if an equal request was made before. A fit that failed is
@@ -190,7 +188,7 @@ async def submit_fit(
     `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202, and `Location` is the
     address at which to ask again.
     """
-    name = name_of(request)
+    name, chosen = name_of(request), from_query(request.query_params.multi_items())
     if media_type_of(request, BINARY, JSON, *TABLES) != JSON:
         stored, _ = await receive_upload(request, context, caller, name, table)
         sha256, options, name = stored.sha256, canonical(chosen), name and stored.name

@@ -204,10 +204,3 @@ async def get_samples(
     """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random."""
     stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
     return await draw(samples_step, stored, most)
-
-
-@_draws_npy("/fits/{fit_id}/samples.npy")
-async def get_fitted_samples(draw: Draw, context: TheContext, row: TheRow, most: _Most = 5000) -> Response:
-    """Return omega_in, omega_out and RGB values of the samples of a fit; values are those of the BRDF in 1/sr."""
-    stored = await context.stored_measurement(row.owner, row.measurement, kind="samples")
-    return await draw(samples_step, stored, most)

@@ -202,7 +202,9 @@ class FitQueue:
                 path = await run_in_threadpool(self._store.sound_file, row.measurement)
                 options = from_wire(row.options)
                 task = FitTask(str(row.key), path, options, sha256=row.measurement, with_thumbnail=True)
-                outcome = await result_of(self._engine.submit(task, partial(self._progress_in_loop, row.key)))
+                outcome = await result_of(
+                    self._engine.submit(task, partial(self._loop.call_soon_threadsafe, self._set_progress, row.key))
+                )
                 if isinstance(outcome, FitDocument):
                     return outcome
             except MeasurementDamagedError as error:
@@ -226,10 +228,6 @@ class FitQueue:
         else:
             self._store.fail_fit(key, asdict(outcome))
             logger.warning("the fit has failed: %s", outcome.message)
-
-    def _progress_in_loop(self, key: FitKey, progress: float) -> None:
-        """Pass the progress on from another thread to the event loop."""
-        self._loop.call_soon_threadsafe(self._set_progress, key, progress)
 
     def _set_progress(self, key: FitKey, progress: float) -> None:
         running = self._running.get(key)

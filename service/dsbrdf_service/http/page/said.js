@@ -29,7 +29,7 @@ export const storedOf = ({ measurement }) => json(`v1/measurements/${measurement
 /** Returns the subject of spheres and plots for a fit. @param {Fit} fit @param {Measurement | null} stored @returns {Subject} */
 export function subjectOf(fit, stored) {
   const onGrid = Boolean(stored?.valid_nodes);
-  return { name: nameOf(fit), fit: fit.id, measured: onGrid ? fit.measurement : null, samples: stored && !onGrid ? `v1/fits/${fit.id}/samples.npy?` : null, parts: fit.components };
+  return { name: nameOf(fit), fit: fit.id, measured: onGrid ? fit.measurement : null, samples: stored && !onGrid ? `v1/measurements/${fit.measurement}/samples.npy?` : null, parts: fit.components };
 }
 
 /** Inserts a sphere into a view; until it is drawn, it shows the picture of a fit or a measurement. @param {HTMLElement} part @param {string} [path] */
