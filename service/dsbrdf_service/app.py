@@ -77,7 +77,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         queue = FitQueue(store, engine, settings, metrics.fit_meters)
         parts = settings, store, queue, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)
-        await run_in_threadpool(MerlChecker)  # its tables are made before the first upload
+        await run_in_threadpool(MerlChecker)  # It computes its tables once, before the first upload.
         await queue.start()
         try:
             yield
@@ -107,11 +107,11 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
         version=dsbrdf.__version__,
         description=_DESCRIPTION,
         lifespan=_lifespan,
-        openapi_url=None,  # it is one of the static files
+        openapi_url=None,  # The document is a static file.
         docs_url=None,
         redoc_url=None,
-        redirect_slashes=False,  # every resource has one path
-        telemetry={"tracing": False, "metrics": False, "logs": False},  # the service has its own log and metrics
+        redirect_slashes=False,  # Every resource has one path.
+        telemetry={"tracing": False, "metrics": False, "logs": False},  # The service has its own log and metrics.
     )
     metrics, keys = Metrics(), Keys(settings)
     app.state.settings, app.state.store, app.state.metrics, app.state.keys = settings, store, metrics, keys
@@ -126,6 +126,6 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     routers = (*of_fits, values.measured, measurements.router, tables.router, about.router, about.page)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     for route in given:
-        route.unique_id = route.name  # as links and generated clients call an operation
+        route.unique_id = route.name  # Links and generated clients use it as the name of the operation.
     app.router.routes.extend(given)
     return app

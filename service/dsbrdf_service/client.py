@@ -1,7 +1,7 @@
 """The service from Python: the library's own objects and errors, over HTTP.
 
 with Client("http://127.0.0.1:8000") as client:
-    result = client.fit("nickel.binary")  # as dsbrdf.fit returns it
+    result = client.fit("nickel.binary")  # Like dsbrdf.fit.
     result.model.evaluate(theta_half, theta_diff)
 """
 

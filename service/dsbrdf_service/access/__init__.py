@@ -1,4 +1,4 @@
-"""Who may send requests, and how many: API keys and the users without one.
+"""Access control: API keys, and users without one on this machine.
 
-`keys` the keys, with their limits; `authentication` who is let in.
+`keys` reads the keys with their limits; `authentication` admits requests or refuses them.
 """

@@ -1,4 +1,4 @@
-"""API keys: who may send requests, and how many.
+"""API keys and their limits.
 
 A key is ``dsbrdf_<id>_<secret>``. The database has the sha256 of its secret only: a secret of 32 random bytes cannot
 be guessed from its hash, so a slow hash would add nothing. The id is public, and owns all that is stored with the key.

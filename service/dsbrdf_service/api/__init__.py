@@ -1,5 +1,5 @@
-"""The resources, a file each with its route, documents and parameters.
+"""The resources: each file has the routes of one resource with their documents and parameters.
 
-`fits`, `exports`, `values`, `components`, `measurements`, `tables`, `pictures`, `about`; `context` what routes are
-given, `fields` and `points` what several of them read, `uploads` how a file is received.
+Resources are `fits`, `exports`, `values`, `components`, `measurements`, `tables`, `pictures` and `about`. `context` has
+the dependencies of routes, `fields` and `points` the inputs that several routes read, `uploads` the reception of files.
 """

@@ -1,4 +1,4 @@
-"""What routes depend on: the parts of the running service, the caller, and the parameters that several routes have."""
+"""Dependencies of routes: the parts of the running service, the caller, and parameters that several routes share."""
 
 from collections import Counter
 from collections.abc import Callable, Hashable
@@ -84,7 +84,7 @@ async def context_of(request: Request) -> Context:
 
 
 async def caller_of(request: Request) -> Caller:
-    """Return who sends `request`, and how much they may have."""
+    """Return the sender of a request, with the sender's limits."""
     caller: Caller = request.scope[CALLER]
     return caller
 
@@ -121,7 +121,7 @@ TheMeasurement = Annotated[StoredMeasurement, Depends(_measurement)]
 
 
 def name_of(request: Request) -> str | None:
-    """Return the name that a request gives to what it sends."""
+    """Return the name that a request gives to its upload or fit, if any."""
     return given_name(request.query_params.get("name"), request.headers.get("content-disposition", ""))
 
 

@@ -23,7 +23,7 @@ from .fields import Input
 
 
 class Export(Input):
-    """What to export."""
+    """Query parameters of an export."""
 
     format: Annotated[
         Literal[*FORMATS],  # type: ignore[valid-type]
@@ -76,7 +76,7 @@ async def export_fit(
     headers = {"Content-Disposition": content_disposition(file), "Content-Type": FORMATS[wanted.format].media_type}
     model = loaded.decomposition.layers if wanted.component == LAYERS else loaded.part(wanted.component)
     key, place = ("export", row.key, row.name, *wanted.model_dump().values()), FORMATS[wanted.format].time
-    if wanted.example and wanted.format != "glsl":  # only the page for GLSL holds the file itself
+    if wanted.example and wanted.format != "glsl":  # Only the example for GLSL contains the exported file.
         return _example(Path(file), wanted, b"")
     if place != "short":
         made = await context.computations.make_file(

@@ -44,18 +44,18 @@ Name = Annotated[str | None, Field(description="The latest name given; no part o
 
 
 def _check_plain(given: Any) -> Any:
-    """Return what is given; raise ValueError if it is a text that only Python takes for a number."""
+    """Return the input; raise ValueError if it is a text that Python alone reads as a number, such as 1_000."""
     if isinstance(given, str) and ("_" in given or not given.isascii()):
         raise ValueError(f"{given[:40]!r} is not a number")
     return given
 
 
 PLAIN = BeforeValidator(_check_plain)
-"""Stands after the limits of a number in a query, and refuses what only Python reads as one: 1_000."""
+"""Validator of a number in a query, to be listed after its limits; it refuses texts such as 1_000."""
 
 
 class Input(BaseModel):
-    """A document that clients send: what it does not know is an error, not ignored."""
+    """A document that clients send; an unknown member is an error."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -115,7 +115,7 @@ def _refuse_repetition(members: list[tuple[str, Any]]) -> None:
 
 
 class Page(Input):
-    """Which part of a list."""
+    """Query parameters of a page of a list."""
 
     limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer."), PLAIN] = 50
     cursor: Annotated[

@@ -119,7 +119,7 @@ class RemovedFit(BaseModel):
 
 
 class FitPage(Page):
-    """Which part of a list of fits."""
+    """Query parameters of a page of fits."""
 
     status: Annotated[Status | None, Field(description="Only fits in this state.")] = None
     measurement: Annotated[str | None, Field(pattern=SHA256, description="Only fits of this measurement.")] = None
@@ -209,7 +209,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, t
 
 async def _requested(request: Request, context: Context) -> FitRequest:
     """Return the JSON document of a request; a file that is sent as JSON, as some clients do by default, is named."""
-    if int(request.headers.get("content-length", 0)) > _MAX_JSON_BYTES:  # the server has checked that it is a number
+    if int(request.headers.get("content-length", 0)) > _MAX_JSON_BYTES:  # uvicorn has checked that it is a number.
         raise ProblemError("too-large", _FILE_AS_JSON)
     async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
         if body[:1].strip() not in (b"", b"{", b"[", b'"'):

@@ -164,7 +164,7 @@ async def _content(request: Request, context: Context, caller: Caller, sha256: s
         headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
         file = OpenFile(os.open(path, os.O_RDONLY))
         return OpenFileResponse(file, headers | {"Content-Type": BINARY})
-    except FileNotFoundError:  # deleted since its row was read
+    except FileNotFoundError:  # It has been deleted since its row was read.
         raise MeasurementNotFoundError(sha256) from None
 
 

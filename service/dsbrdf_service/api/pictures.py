@@ -29,7 +29,7 @@ _Route = TypeVar("_Route", bound=Callable[..., Any])
 router = APIRouter(prefix="/v1", tags=["figures"], dependencies=CHECKED_QUERY)
 
 _MEDIA_TYPES = {"png": "image/png", "svg": "image/svg+xml", "npy": NPY}
-_MAX_PANORAMA = 16_000_000  # bytes
+_MAX_PANORAMA_BYTES = 16_000_000
 _MAX_TABLE_BYTES = 9_000_000
 _Size = Annotated[int, Query(ge=8, le=256, description="Pixels along a side."), PLAIN]
 _Lighting = Annotated[
@@ -49,7 +49,7 @@ _ImageFormat = Annotated[Literal["png", "svg"], Path(description="`png` or `svg`
 def _draws(
     path: str, *problems: str, formats: tuple[str, ...] = ("png",), **declared: Any
 ) -> Callable[[_Route], _Route]:
-    """Return the decorator of a route that answers with what it draws, in one of these formats."""
+    """Return the decorator of a route that answers with a picture or its data, in one of the formats."""
     kinds, method = ("not-found", "measurement-damaged", *problems), "GET"
     if "requestBody" in declared:
         kinds, method = (*kinds, "too-large", *openapi.BODY_PROBLEMS), "POST"
@@ -66,7 +66,7 @@ _PANORAMA = openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {N
 
 
 class _Drawing:
-    """Answers a request with what a step draws, unless the client has it."""
+    """Answers a request with the result of a step, or with 304 if the client has this result."""
 
     def __init__(self, request: Request, context: TheContext, caller: TheCaller) -> None:
         self._request, self._context, self._caller = request, context, caller
@@ -74,9 +74,9 @@ class _Drawing:
     async def __call__(
         self, step: Callable[..., Any], *arguments: Any, of: Hashable = None, max_bytes: int = 0
     ) -> Response:
-        """Return what `step` draws: the address, the owner and what it is `of` determine it.
+        """Return the result of a `step`, which address, owner and `of` determine.
 
-        With `max_bytes`, the step writes a file of at most that length.
+        With `max_bytes`, the step writes a file of at most this length.
         """
         path = self._request.scope["path"]
         key = self._caller.owner, path, self._request.url.query, of
@@ -96,7 +96,7 @@ Draw = Annotated[_Drawing, Depends()]
 async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[np.float32], bytes]:
     """Return the panorama in the body, and its digest."""
     media_type_of(request, NPY)
-    async with context.bodies.received(request, _MAX_PANORAMA) as body:
+    async with context.bodies.received(request, _MAX_PANORAMA_BYTES) as body:
         pixels = panorama_from_npy(body).astype(np.float32)
         return pixels, hashlib.sha256(body).digest()
 

@@ -95,7 +95,7 @@ def from_query(query: bytes) -> Points:
     """
     given: dict[str, list[Any]] = {}
     for name, text in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
-        if "_" in text:  # only Python reads 1_0 as a number
+        if "_" in text:  # Python alone reads 1_0 as a number.
             raise InvalidArgumentError(f"{name[:40]} must be a number, not {text[:40]!r}.")
         given.setdefault(name, []).append(text.split(",") if name in _DIRECTIONS else text)
     return _points(given, strict=False)

@@ -129,7 +129,7 @@ def place_of_table(start: bytes, size: int) -> Place:
 
 
 async def read_table(request: Request, context: Context, *arguments: Any, **named: Any) -> Any:
-    """Return as `Computations.run_in_process`; what is wrong with a file is no argument's fault."""
+    """Call `Computations.run_in_process`; raise MeasurementFormatError instead of InvalidArgumentError."""
     try:
         return await context.computations.run_in_process(request, *arguments, **named)
     except InvalidArgumentError as error:

@@ -64,9 +64,9 @@ _Component = Annotated[Label, Path(description=f"One of {', '.join(LABELS)}.", e
 
 _MAX_INLINE_POINTS = 64  # More points take longer to evaluate than to pass to a thread.
 _BLOCK_POINTS = 4096  # Larger blocks take more memory and are not faster.
-_MAX_BODY = 16_000_000  # bytes: a hundred thousand pairs of directions as JSON, with all digits
+_MAX_BODY_BYTES = 16_000_000  # A hundred thousand pairs of directions as JSON, with all digits, take so much.
 _MAX_POINTS = 100_000
-_MUCH_JSON = 1 << 20  # bytes that are read in some 50 ms, in which no other thread runs
+_MAX_INLINE_JSON_BYTES = 1 << 20  # The parser reads them in 50 ms, in which no other thread runs; more go to a process.
 
 
 def _query_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
@@ -114,7 +114,7 @@ async def get_values(request: Request, context: TheContext, fit: TheFit) -> Resp
 
 @_get("/components/{label}/brdf")
 async def get_component_values(request: Request, context: TheContext, fit: TheFit, label: _Component) -> Response:
-    """Return one component's values; those of all components add up to the fit's. One without light is not found."""
+    """Return the values of one component; the values of all components add up to those of the fit."""
     return await _values(request, context, fit, label)
 
 
@@ -177,8 +177,8 @@ async def _points(request: Request, context: Context) -> tuple[Points, str]:
         return from_query(request.scope["query_string"]), JSON
     await check_query(request)
     media_type = media_type_of(request, JSON, NPY)
-    async with context.bodies.received(request, _MAX_BODY) as body:
-        if len(body) > _MUCH_JSON and media_type == JSON:
+    async with context.bodies.received(request, _MAX_BODY_BYTES) as body:
+        if len(body) > _MAX_INLINE_JSON_BYTES and media_type == JSON:
             points = await context.computations.run_in_process(request, object(), batch_step, body)
         else:
             read = from_npy if media_type == NPY else from_json

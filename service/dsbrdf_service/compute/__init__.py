@@ -1,5 +1,5 @@
-"""What requests compute.
+"""Computations for requests.
 
-`computations` once for all who wait, in turns; `steps` what of it takes a process of its own; `models` keeps the models
-used last in memory.
+`computations` runs each of them once, in fair turns; `steps` has the functions that run in processes of their own;
+`models` caches fitted models.
 """

@@ -1,7 +1,7 @@
-"""What requests compute: once for all who wait for it, the callers in turns, and only as long as somebody waits.
+"""Run computations for requests: equal ones once, in fair turns of the callers, as long as a request waits.
 
-Every route that computes more than a few values goes through `Computations`. What takes longer than some 50 ms is
-computed in a process of its own, which gives way to the one that answers.
+Every route that computes more than a few values uses `Computations`. A computation of more than some 50 ms runs in a
+process of its own.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ from ..storage.writing import Writing
 T = TypeVar("T")
 
 Place = Literal["short", "medium", "long"]
-"""Where something is computed, by its time: at most some 50 ms, about a second, or longer."""
+"""Place of a computation by its duration: at most some 50 ms, about a second, or longer."""
 _TOO_COSTLY = {
     "MemoryLimit": "The computation takes more than {0.memory_mb} MB, its limit; ask for fewer values at once.",
     "ProcessorLimit": "The computation takes more than {0.processor_seconds:g} s, its limit; ask for fewer values.",
@@ -39,7 +39,7 @@ _TOO_COSTLY = {
 
 @dataclass
 class _Computation:
-    """What is being computed, or waits for its turn, and how many requests wait for it."""
+    """A computation that runs or waits for its turn, and the number of requests that wait for its result."""
 
     task: "asyncio.Task[Any]"
     scope: CancelScope
@@ -49,9 +49,9 @@ class _Computation:
 class Computations:
     """Computes one thing at a time in each place; callers take turns there.
 
-    What is computed is given up when the last request that waits for it has been given up by its client: a process is
-    ended, a call in a thread keeps its turn until it has ended. The processes have `limits` of their own; long
-    computations alone give way to all others by their niceness.
+    A computation is cancelled when the last client that waits for it has closed its connection: its process is killed,
+    and a call in a thread keeps its turn until it returns. Every process has the `limits`; their niceness is for the
+    long computations alone.
     """
 
     def __init__(self, limits: FitLimits) -> None:
@@ -60,13 +60,13 @@ class Computations:
         at_once = replace(limits, niceness=0)
         self._processes = {"medium": Processes(1, at_once), "long": Processes(1, limits)}
         self._in_progress: dict[Hashable, _Computation] = {}
-        # Files that somebody still reads, by what they are.
+        # Files that answers still send, by the key of their computation.
         self._files: WeakValueDictionary[Hashable, OpenFile] = WeakValueDictionary()
 
     async def run(self, request: Request, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return what `compute` returns, which is called in a thread.
+        """Call `compute` in a thread and return its result.
 
-        Requests with one `key` that come together get one result; it names the owner too. The body of the `request`
+        Simultaneous requests with an equal `key`, which contains the owner, share one call. The body of the `request`
         must have been read.
 
         Raises ClientDisconnect if the client has closed the connection.
@@ -82,10 +82,10 @@ class Computations:
         *arguments: Any,
         place: Place = "medium",
     ) -> Any:
-        """Return what ``step(*arguments, on_progress)`` returns, which is called in a process of its own.
+        """Call ``step(*arguments, on_progress)`` in a process of its own and return its result.
 
-        `step` is importable without the service, and `arguments` can be pickled; the rest is as for `run`. Raises
-        InvalidArgumentError too if the arguments do not allow it, and ProblemError if it could not be computed.
+        `step` must be importable without the service, and `arguments` must be picklable; `key` is as for `run`. Raises
+        InvalidArgumentError too if the step refuses its arguments, and ProblemError if it fails.
         """
         return await self._wait(request, key, partial(self._called, place, step, *arguments), place)
 
@@ -113,11 +113,11 @@ class Computations:
         max_bytes: int,
         place: Place = "medium",
     ) -> OpenFile:
-        """Return the file that ``step(*arguments, path, on_progress)`` writes, which is called as by `run_in_process`.
+        """Call ``step(*arguments, path, on_progress)`` as `run_in_process` does, and return the file that it writes.
 
-        It goes with the last request that has it; until then, requests with its `key` get this file.
+        The file is deleted when the last answer has sent it; until then, all requests with its `key` get this file.
 
-        Raises OSError too if it cannot be made, and ProblemError if the caller has too many files in progress.
+        Raises OSError too if the file cannot be written, and ProblemError if the caller has too many files in progress.
         """
 
         async def work() -> OpenFile:
@@ -130,7 +130,7 @@ class Computations:
         return made
 
     async def close(self) -> None:
-        """Give up what is being computed."""
+        """Cancel all computations, and wait for their processes to end."""
         unfinished = list(self._in_progress.values())
         for computation in unfinished:
             computation.scope.cancel()
@@ -139,7 +139,7 @@ class Computations:
             await asyncio.to_thread(processes.close)
 
     async def _wait(self, request: Request, key: Hashable, work: Callable[[], Awaitable[Any]], place: Place) -> Any:
-        """Return the result of `work`, or of what is being computed with this key already."""
+        """Return the result of `work`, or of the running computation with an equal key."""
 
         async def compute(scope: CancelScope) -> Any:
             with scope:
@@ -162,14 +162,14 @@ class Computations:
             gone.cancel()
             computation.n_waiting -= 1
             if not computation.n_waiting and not computation.task.done():
-                self._forget(key, computation.task)  # who asks now begins anew
+                self._forget(key, computation.task)  # A request that comes now starts a new computation.
                 computation.scope.cancel()
 
     def _forget(self, key: Hashable, task: "asyncio.Task[Any]") -> None:
         if key in self._in_progress and self._in_progress[key].task is task:
             del self._in_progress[key]
         if task.done() and not task.cancelled():
-            task.exception()  # perhaps nobody waits for it any more
+            task.exception()  # asyncio would log an exception that nobody has read.
 
 
 async def departure(request: Request) -> None:

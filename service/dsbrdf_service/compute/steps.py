@@ -1,7 +1,7 @@
-"""What is computed for requests in a process of its own: steps for `Computations.run_in_process`.
+"""Functions that `Computations.run_in_process` calls in processes of their own.
 
-A process imports this module for every step, so it imports nothing of the service. Files of measurements have been
-checked by who gives their paths.
+Every such process imports this module, so the module imports nothing of the service. The caller has checked the files
+of measurements whose paths it gives.
 """
 
 import hashlib
@@ -69,7 +69,7 @@ class StoredMeasurement:
 
     path: Path
     sha256: str
-    name: str | None = None  # what titles call it; the beginning of the digest if it has no name
+    name: str | None = None  # Titles of figures show it, or the beginning of the digest without a name.
 
     def mapped(self) -> Measurement:
         """Return the measurement, whose file is mapped."""
@@ -140,8 +140,8 @@ def figure_step(
     import matplotlib.style
 
     mpl.style.use("dark_background" if dark else "default")
-    mpl.rcParams["savefig.transparent"] = dark  # what it stands on is seldom black
-    mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # the same figure has the same bytes, as its ETag says
+    mpl.rcParams["savefig.transparent"] = dark  # Few dark pages are black.
+    mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # Equal figures have equal bytes, because they have equal ETags.
     measured = open_checked(stored.path, stored.sha256)
     name = stored.name or stored.sha256[:12]
     if isinstance(measured, Measurement):
@@ -165,9 +165,9 @@ def samples_step(stored: StoredMeasurement, most: int, _: OnProgress) -> bytes:
 
 
 def understood_step(content: bytes, options: TableOptions, _: OnProgress) -> dict[str, Any]:
-    """Return what is understood of a table, as `summary_of_table`.
+    """Read a table and return its `summary_of_table`.
 
-    Raises MeasurementFormatError if it is wrong.
+    Raises MeasurementFormatError if the table cannot be read.
     """
     return summary_of_table(read_table(content, options=options))
 

@@ -1,6 +1,6 @@
-"""What all requests have in common: errors, bodies, limits, responses, metrics and the OpenAPI document.
+"""The parts of HTTP that all requests share.
 
-`problems` from exception to problem document; `responses`; `request_body` bodies and their encodings; `limits` of
-connections, heads and bodies; `names` of files; `request_log` the outermost middleware; `metrics` and `readiness` for
-an operator; `openapi` parts of the document for routes; `static_files` of the web page, which is in `page/`.
+`request_log` is the middleware; `limits` bounds connections, heads and bodies; `request_body` receives and decodes
+bodies; `responses` makes answers, and `problems` makes them from exceptions; `names` checks names of files; `metrics`
+and `readiness` are for an operator; `openapi` describes routes; `static_files` sends the web page, which is in `page/`.
 """

@@ -16,14 +16,14 @@ _MAX_HEADERS = 100
 _SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")  # With two, either could be meant.
 _CLOSE_HEADERS = {"Connection": "close"}
 ABORT = "dsbrdf.abort"
-"""Member of the ASGI scope: what closes the connection without sending what waits."""
+"""Member of the ASGI scope: a function that closes the connection at once, without sending buffered data."""
 
 
 class Connection(HttpToolsProtocol):
     """uvicorn's connection, which would add the fields behind a body in chunks to the headers of its request."""
 
     def on_headers_complete(self) -> None:
-        """Begin to answer the request; what comes later goes to another list."""
+        """Start to answer the request with a copy of its headers, so that trailers do not change them."""
         super().on_headers_complete()
         self.headers = self.headers.copy()
         cast(dict[str, Any], self.scope)[ABORT] = self.transport.abort
@@ -71,7 +71,7 @@ class BodyTimeout:
 
     async def __call__(self) -> Message:
         """Return the next message; raise ProblemError if it takes too long."""
-        if self._ended:  # the next message is the end of the connection, which may take any time
+        if self._ended:  # The next message is the end of the connection, for which there is no time limit.
             return await self._receive()
         loop = asyncio.get_running_loop()
         begin = loop.time()

@@ -137,7 +137,7 @@ def _place(route: Any) -> int:
 
 
 def _complete(content: dict[str, Any]) -> None:
-    """Add the example to a body or an answer; remove what FastAPI adds of its own accord."""
+    """Add the example to a body or an answer, and remove a member that OpenAPI 3.1 does not know."""
     content.get("text/event-stream", {}).pop("itemSchema", None)  # OpenAPI 3.1 has no such member.
     described = content.get(JSON, {})
     model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]

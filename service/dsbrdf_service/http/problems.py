@@ -108,10 +108,10 @@ def problem_of(request: Request, error: Exception) -> ProblemError:
     path = request.url.path
     if isinstance(error, ProblemError):
         return error
-    if isinstance(error, ClientDisconnect):  # seen by the log and the metrics only
+    if isinstance(error, ClientDisconnect):  # Only the log and the metrics get this answer.
         return ProblemError("bad-request", "The client disconnected before the end of the body.")
     if isinstance(error, RequestValidationError):
-        if any(fault["loc"][0] == "path" for fault in error.errors()):  # an id or label that nothing can have
+        if any(fault["loc"][0] == "path" for fault in error.errors()):  # No resource can have this id or label.
             return _nothing_at(path)
         return ProblemError("invalid-argument", validation_sentence(error.errors()))
     if isinstance(error, HTTPException) and error.status_code == 404:
@@ -140,7 +140,7 @@ def _nothing_at(path: str) -> ProblemError:
 
 
 def _methods(request: Request) -> list[str]:
-    """Return what the routes of the request's path support, each route being one method; HEAD is as GET."""
+    """Return the methods that the path of a request supports; HEAD is supported where GET is."""
     there = [route for route in request.app.routes if route.matches(request.scope)[0] is not Match.NONE]
     found = {method for route in there for method in route.methods}
     return sorted(found | {"HEAD"} if "GET" in found else found)

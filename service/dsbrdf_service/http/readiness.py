@@ -1,4 +1,4 @@
-"""Whether the service can take work: looked at within a time limit, once for all who ask together."""
+"""Check within a time limit whether the service can take work; simultaneous requests share one check."""
 
 import asyncio
 import logging
@@ -38,7 +38,7 @@ class Readiness:
         self._stopping = True
 
     async def fault(self) -> str | None:
-        """Return one or more sentences about what is wrong; None if the service is ready.
+        """Return one sentence for each failed check; None if the service is ready.
 
         A check that hangs is not started a second time, and does not delay the end of the service.
         """

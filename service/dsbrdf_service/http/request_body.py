@@ -23,7 +23,7 @@ def media_type_of(request: Request, *supported: str) -> str:
     media_type = request.headers.get("content-type", supported[0]).partition(";")[0].strip().lower()
     if media_type not in supported:
         alone = f"send the file or document alone as the body, with one of {', '.join(supported)}"
-        if media_type == "application/x-www-form-urlencoded":  # curl's own for --data-binary
+        if media_type == "application/x-www-form-urlencoded":  # curl sends it with --data-binary.
             alone = f"add --header 'Content-Type: {supported[0]}', or another of {', '.join(supported[1:])}"
         detail = f"The content type {media_type[:60]!r} is not supported here; {alone}."
         raise ProblemError("unsupported-media-type", detail, {"Accept-Post": ", ".join(supported)})

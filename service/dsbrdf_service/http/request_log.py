@@ -35,7 +35,7 @@ _SECURITY_HEADERS = (
     # Kept by the client that has asked, for its If-None-Match, and not used again without asking.
     (b"cache-control", b"private, no-cache"),
 )
-_POLICY = b"content-security-policy"  # pages have one of their own
+_POLICY = b"content-security-policy"  # The pages have their own policy.
 _STRICT = b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 
 logger = logging.getLogger(__name__)
@@ -71,8 +71,8 @@ class RequestLogMiddleware:
             detail = "The service is shutting down and cannot finish this request; ask again later."
             await exchange.refuse(scope, ProblemError("shutting-down", detail))
         except Exception as error:
-            # What the application raises is answered and logged by it. An answer that broke off in the middle is the
-            # server's to log and to cut off.
+            # The exception becomes a problem document. If a part of the answer has been sent, the server logs the
+            # exception and closes the connection.
             await exchange.refuse(scope, error)
             if not (exchange.complete or exchange.given_up):
                 raise
@@ -82,7 +82,7 @@ class RequestLogMiddleware:
 
     def _log(self, scope: Scope, exchange: "_Exchange", n_received: int) -> None:
         seconds = perf_counter() - exchange.begin
-        method, status = exchange.method, exchange.status or 499  # the client went before there was an answer
+        method, status = exchange.method, exchange.status or 499  # 499: the client left before the answer.
         route = getattr(scope.get("route"), "path", NO_ROUTE)
         self._metrics.answered(method, route, status, seconds)
         if status >= 500:
@@ -137,7 +137,7 @@ class _Exchange:
             if _POLICY not in dict(headers):
                 headers.append((_POLICY, _STRICT))
             message["headers"] = headers
-        elif self.method == "HEAD":  # it has no body; what was about to make one learns that the request is over
+        elif self.method == "HEAD":  # A HEAD has no body: the first piece of one ends the answer.
             if self.complete:
                 return
             message, self.complete = {"type": "http.response.body"}, True

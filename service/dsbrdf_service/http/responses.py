@@ -19,7 +19,7 @@ BINARY = "application/octet-stream"
 JSON = "application/json"
 NPY = "application/x-npy"
 PIECE_BYTES = 1 << 16
-"""Length of what is handed to a connection at once: it keeps two of them where the client does not read."""
+"""Length of the pieces of an answer: a connection whose client does not read keeps two of them in memory."""
 _MAX_HELD_BYTES = 1 << 18  # A longer answer of its own is kept in a file while it is sent.
 # Files are read in their own threads, so that no other request waits for the pieces of many answers.
 _read_in_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(2))
@@ -51,12 +51,12 @@ def tagged_reply(
 
 
 def tag_of(content: bytes) -> str:
-    """Return the strong ETag of bytes: those of an answer, or of what determines it."""
+    """Return the strong ETag of an answer from its content, or from data that determine the content."""
     return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
 
 
 def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
-    """Return the answer 304 if ``If-None-Match`` has the ETag of `headers`: what the client has is current."""
+    """Return the answer 304 if ``If-None-Match`` has the ETag in `headers`: the client has the current content."""
     given = [part.strip() for part in ",".join(request.headers.getlist("if-none-match")).split(",")]
     is_current = given == ["*"] or headers["ETag"] in (part.removeprefix("W/") for part in given)
     return Response(None, 304, dict(headers)) if is_current else None

@@ -19,7 +19,7 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
-"""What a page may load: its own scripts and styles, the answers of the service, and pictures that scripts make."""
+"""Content security policy of pages: they load their scripts and styles, answers of the service, and made pictures."""
 # Every address of this form shows the one page, which itself reports a wrong address.
 _PAGE_PATHS = re.compile(r"/|/compare|/(fits|measurements)/[0-9A-Za-z_-]{1,100}")
 _TYPES = {"js": "text/javascript", "css": "text/css", "html": "text/html; charset=utf-8"}

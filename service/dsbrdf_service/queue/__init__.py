@@ -1,5 +1,5 @@
 """The life of a fit.
 
-`fit_queue` runs fits and lets requests wait for them; `turns` are fair between owners; `fit_options` is the
-form of options in JSON.
+`fit_queue` runs fits and lets requests wait for them; `turns` shares places fairly between owners; `fit_options`
+converts options to JSON and back.
 """

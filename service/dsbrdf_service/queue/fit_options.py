@@ -51,7 +51,7 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
 
 
 def table_from_query(items: Iterable[tuple[str, str]]) -> TableOptions:
-    """Return the options of a table among the parameters of a query; notation and errors are those of `from_query`."""
+    """Return the options of a table among the parameters of a query, in the notation of `from_query`."""
     chosen = _chosen(items, TABLE_DEFAULTS)
     return TableOptions(**chosen) if chosen else AS_WRITTEN
 

@@ -48,7 +48,7 @@ class _RunningFit:
     changed: "asyncio.Future[None]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
     def notify(self) -> None:
-        """Wake everyone who waits for a change."""
+        """Wake all tasks that wait for a change."""
         self.changed.set_result(None)
         self.changed = asyncio.get_running_loop().create_future()
 
@@ -75,7 +75,7 @@ class FitQueue:
         self._running: dict[FitKey, _RunningFit] = {}
 
     async def start(self) -> None:
-        """Run again what an earlier process left unfinished."""
+        """Run the fits that an earlier process has left unfinished."""
         for key in await run_in_threadpool(self._store.resume):
             self._begin(key)
 

@@ -20,7 +20,7 @@ from .database import own_folder
 
 _SUFFIX = ".binary"
 PREFIX = "upload-"
-"""Of the names of temporary files: what else is in their folder is not the service's."""
+"""Beginning of the names of temporary files; other files in their folder are not the service's."""
 _NAME = re.compile("[0-9a-f]{64}")
 
 
@@ -30,9 +30,9 @@ class Incoming:
     def __init__(self, folder: Path) -> None:
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=folder)
         self.path = Path(name)
-        self.size = 0  # bytes so far
-        self.sha256 = ""  # once it is closed
-        self.valid_nodes = 0  # set by who has checked it; 0 of samples
+        self.size = 0  # [bytes]
+        self.sha256 = ""  # `close` sets it.
+        self.valid_nodes = 0  # The caller sets it for a grid; samples have none.
         self._file: BinaryIO = os.fdopen(descriptor, "wb", buffering=0)
         self._digest = hashlib.sha256()
 
@@ -123,10 +123,10 @@ class Blobs:
         self._sound[incoming.sha256] = _stamp(target.stat())
 
     def damage(self, sha256: str) -> str | None:
-        """Return what is wrong with a measurement's file; None if it has the bytes that it is named by.
+        """Return the damage of a measurement's file; None if the file's bytes have the sha256 in its name.
 
-        All bytes are read, unless they were right before and the file's stat has not changed since. Raises OSError if
-        too many files are open.
+        All bytes are read, unless they were correct before and the file's stat has not changed. Raises OSError if too
+        many files are open.
         """
         path = self.path(sha256)
         try:
@@ -152,7 +152,7 @@ class Blobs:
                 yield path.stem
 
     def clear_temporary(self) -> None:
-        """Remove what an earlier process was receiving when it ended."""
+        """Remove the files that an earlier process was receiving when it ended."""
         for path in self.temporary.glob(f"{PREFIX}*"):
             if path.is_file():
                 path.unlink()
@@ -165,7 +165,7 @@ class Blobs:
 
 
 def _stamp(status: os.stat_result) -> tuple[int, ...]:
-    """Return what changes whenever a file is written or replaced."""
+    """Return the fields of a file's stat that change whenever the file is written or replaced."""
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 

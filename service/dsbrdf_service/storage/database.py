@@ -35,7 +35,7 @@ _REMEDIES = {
     ),
 }
 in_write_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
-"""Calls what writes rows: it may have to wait for others that do, for which those that read should not wait."""
+"""Run a function that writes rows in a thread; readers have other threads and do not wait for writers."""
 
 
 class Database:
@@ -68,7 +68,9 @@ class Database:
                 create_tables(self._writer)
                 self._writer.execute("PRAGMA journal_mode = WAL")
                 self._writer.execute("PRAGMA synchronous = FULL")
-                self._reader.execute("SELECT 1 FROM sqlite_master").fetchall()  # from now on it has all its files
+                self._reader.execute(
+                    "SELECT 1 FROM sqlite_master"
+                ).fetchall()  # This creates all files of the database.
                 ours = [self._path.with_name(f"{FILE_NAME}{suffix}") for suffix in ("", "-wal", "-shm")]
                 self._files = {path: path.stat() for path in ours}
                 self._resources = resources.pop_all()
@@ -81,7 +83,7 @@ class Database:
             self._resources.close()
 
     def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
-        """Return what `query` selects."""
+        """Return the rows that `query` selects."""
         with self._reader_lock:
             return self._reader.execute(query, values).fetchall()
 
@@ -95,7 +97,7 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Write all or nothing; what is written is durable when the block ends.
+        """Write all or nothing; the data are durable when the block ends.
 
         Raises sqlite3.OperationalError if its turn does not come in time, DatabaseLostError if the database or its log
         is not where it was, also when the block has ended.
@@ -107,7 +109,7 @@ class Database:
             with self._writer:  # Commits, or rolls back.
                 self._writer.execute("BEGIN IMMEDIATE")
                 yield self._writer
-            self._check_files()  # what has been written to a log without a name is not durable
+            self._check_files()  # Data in a log that has been deleted are not durable.
             self._written_at = monotonic()
         finally:
             self._writer_lock.release()
@@ -164,7 +166,7 @@ def check_integrity(folder: Path) -> None:
 
 
 def read_only(folder: Path, query: str) -> list[tuple[Any, ...]]:
-    """Return what `query` selects from the database of a folder, without changing anything.
+    """Return the rows that `query` selects from the database of a folder, without changing the folder.
 
     Another connection would write the log of a damaged database into its file when it is closed.
     """
@@ -209,8 +211,8 @@ def _claim(folder: Path) -> None:
 
 
 def _cannot_be_opened(folder: Path, error: sqlite3.DatabaseError) -> DataFolderError:
-    """Return an error of SQLite as one that says what helps: only a damaged database needs a copy."""
-    remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)  # without its details
+    """Return an error of SQLite with its remedy: only a damaged database must be restored."""
+    remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)  # The upper bits hold details.
     if _is_full(folder):  # SQLite says "disk I/O error" then.
         remedy = _REMEDIES[sqlite3.SQLITE_FULL]
     return DataFolderError(

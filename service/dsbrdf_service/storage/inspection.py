@@ -1,4 +1,4 @@
-"""What is stored in a data folder, read without changing anything, also beside a running server."""
+"""Examine a data folder without changing it, also beside a running server."""
 
 from pathlib import Path
 
@@ -40,5 +40,5 @@ def damaged_files(folder: Path) -> dict[str, str]:
 
 def files_without_rows(folder: Path) -> tuple[set[str], int]:
     """Return the sha256 of files that have no row, and the number of all files."""
-    files = set(Blobs(folder).all())  # before their rows: a file is placed before its row is committed
+    files = set(Blobs(folder).all())  # These come first, because a file is placed before its row is committed.
     return files - measurements_with_rows(folder), len(files)

@@ -1,4 +1,4 @@
-"""The rows of API keys; the id of a key is the owner of what is stored with it."""
+"""The rows of API keys; the id of a key is the owner of the fits and measurements that are sent with the key."""
 
 import time
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What the service keeps: SQLite rows and measurement files in one data folder, and how much of it each key may have.
+"""The rows and files of measurements and fits in one data folder.
 
 Every method is safe to call from any thread and returns when the change is durable.
 """
@@ -72,11 +72,11 @@ class Store:
         self.database = Database(folder)
         self.blobs = Blobs(folder)
         self.writing = Writing(self.database, self.blobs)
-        self.running = folder.resolve() / "run"  # for what is there as long as the service runs
+        self.running = folder.resolve() / "run"  # Its files are needed only while the service runs.
         try:
             self.blobs.make_folders()
             self.blobs.clear_temporary()
-            for left in own_folder(self.running).glob("pymp-*"):  # folders, as multiprocessing names them
+            for left in own_folder(self.running).glob("pymp-*"):  # Folders of multiprocessing.
                 shutil.rmtree(left, ignore_errors=True)
             with suppress(OSError):  # A full disk has no room for it, and the service can start without.
                 (folder / RESERVE).touch(mode=0o600)
@@ -172,7 +172,7 @@ class Store:
         try:
             if unwanted:
                 remove_files(self.database, self.blobs, unwanted)
-        except (OSError, sqlite3.Error) as error:  # the measurement is deleted all the same
+        except (OSError, sqlite3.Error) as error:  # The measurement itself is deleted.
             logger.warning("the file of the deleted measurement %s stays: %s", sha256, error)
         return bool(rows)
 
@@ -189,7 +189,7 @@ class Store:
         key = FitKey(caller.owner, fit_identity(sha256, options))
         select = f"{_SELECT_FIT} {_WHERE_FIT}"
         found = _first(self.database.rows(select, *key))
-        if found is not None and not found.repeatable and name in (None, found.name):  # nothing has to be written
+        if found is not None and not found.repeatable and name in (None, found.name):  # Nothing has to be written.
             return found, False
         with self.database.transaction() as db:
             check_key(db, caller)
@@ -277,7 +277,7 @@ class Store:
         return document, thumbnail
 
     def result_stamp(self, key: FitKey) -> int | None:
-        """Return what tells a fit's result from others, None without one; for the event loop, as `Database.row_now`."""
+        """Return the checksum of a fit's result, None without a result; quick enough for the event loop."""
         row = self.database.row_now(f"SELECT checksum FROM fits {_WHERE_FIT} AND status = 'succeeded'", *key)  # noqa: S608
         return None if row is None else int(row[0])
 

@@ -1,4 +1,4 @@
-"""What is being written to the data folder and by whom, and how much an API key may have."""
+"""Files in progress in the data folder, by owner, and the quotas of API keys."""
 
 import asyncio
 import sqlite3
@@ -19,7 +19,7 @@ from .database import Database
 from .schema import IS_UNFINISHED, Caller
 
 in_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
-"""Calls what belongs to an upload, in few threads for all: each keeps the memory of its last piece."""
+"""Run a function of an upload in one of a few threads, each of which keeps the memory of its last piece."""
 _STORED = (
     "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
     " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
@@ -43,9 +43,10 @@ class Writing:
         self._holds: WeakSet[Hold] = WeakSet()  # The event loop alone adds to it.
 
     async def hold(self, caller: Caller, n_bytes: int, kind: str) -> Hold:
-        """Return room for a file; raise ProblemError of a `kind` if those in progress take all that the caller has.
+        """Reserve room for a file; raise ProblemError of a `kind` if the files in progress fill the caller's quota.
 
-        A caller without room may still have one file at a time: an upload may be stored already, an answer is read.
+        A caller whose quota is full may still have one file at a time: the service may have the file already, and an
+        answer is deleted when it has been read.
         """
         others = [hold.n_bytes for hold in self._holds if hold.owner == caller.owner]
         held = Hold(caller.owner, n_bytes)
@@ -73,7 +74,7 @@ class Writing:
 
     @asynccontextmanager
     async def answer(self, caller: Caller, n_bytes: int) -> AsyncIterator[tuple[OpenFile, Path]]:
-        """Yield a file of at most `n_bytes` that the block writes by its path; it goes with the last who has it.
+        """Yield a file of at most `n_bytes`, which the block writes by its path and the last reader deletes.
 
         Raises as `hold`.
         """
