@@ -9,7 +9,6 @@ import logging
 import sqlite3
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from typing import Any, NamedTuple, TypeVar, TypeVarTuple
 
 from anyio import CancelScope, move_on_after
@@ -197,14 +196,16 @@ class FitQueue:
 
     async def _compute(self, row: FitRow) -> Outcome:
         """Check the file of a row and run its fit; retry as long as no process can be started."""
+
+        def in_loop(progress: float) -> None:
+            self._loop.call_soon_threadsafe(self._set_progress, row.key, progress)
+
         while True:
             try:
                 path = await run_in_threadpool(self._store.sound_file, row.measurement)
                 options = from_wire(row.options)
                 task = FitTask(str(row.key), path, options, sha256=row.measurement, with_thumbnail=True)
-                outcome = await result_of(
-                    self._engine.submit(task, partial(self._loop.call_soon_threadsafe, self._set_progress, row.key))
-                )
+                outcome = await result_of(self._engine.submit(task, in_loop))
                 if isinstance(outcome, FitDocument):
                     return outcome
             except MeasurementDamagedError as error:
