@@ -76,7 +76,7 @@ def _surface_lines(number: int, surface: Mapping[str, Any]) -> list[str]:
     rows = []
     if surface["alpha"] is not None:
         rows += [("alpha", _with_range(surface["alpha"], surface["alpha_range"]))]
-        rows += [("tail exponent", f"{surface['tail_exponent']:.3g}")]
+        rows += [("tail", f"{surface['tail_exponent']:.3g}")]
     if surface["f0"] is not None:
         spreads = zip(CHANNELS, surface["f0"], surface["f0_range"], strict=True)
         rows += [(f"F0 {channel}", _with_range(value, spread)) for channel, value, spread in spreads]
