@@ -5,7 +5,7 @@
     result.model.evaluate(theta_half, theta_diff)
     dsbrdf.decompose(result.model).diffuse
 
-Angles are in radians, BRDF values in 1/sr, channels in the order red, green, blue.
+Angles are in radians unless the name ends in `_deg`, BRDF values in 1/sr, channels in the order red, green, blue.
 
 Subpackages and modules, each importing only those to its left: arrays, errors, version, extras, process_settings,
 notebook_display, data, model, rendering, fitting, paper, components, samples, report_warnings, pipeline, output,

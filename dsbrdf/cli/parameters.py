@@ -53,7 +53,7 @@ def _angles_or_word(kind: Any, tokens: Sequence[Token]) -> float | tuple[int, ..
 CountOrAuto = Annotated[int | Literal["auto"], Whole, Parameter(metavar="N|auto", show_choices=False)]
 NumberOrAuto = Annotated[float | Literal["auto"], Parameter(metavar="NUMBER|auto", show_choices=False)]
 _ANGLE = Parameter(converter=_angles_or_word, n_tokens=1, show_default="{:g}".format, metavar="DEGREES|none")
-_ANGLES = Parameter(converter=_angles_or_word, n_tokens=1, metavar="DEGREES,...|auto")
+_ANGLES = Parameter(converter=_angles_or_word, n_tokens=1, metavar="DEGREES,...|auto", show_choices=False)
 
 
 def _in_words(documented: type) -> str:
