@@ -25,6 +25,8 @@ from dsbrdf.model.reflectance import ReflectanceModel
 _THETA_DIFF = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _THETA_HALF = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
 _PHI_DIFF = np.radians([20.0, 70.0])
+TRIAL_STEP = 2
+"""Every second pair of directions is enough for the trials of a fit."""
 LAYER_POWER = 1.4
 """Errors of layers count relative to f to this power."""
 PLAIN_ERROR_WEIGHT = 0.3
@@ -40,7 +42,7 @@ _MIN_PEAK_HEIGHT = 0.05  # A lower peak counts as this fraction of its top above
 _RENDERED_TRUST_POWER = 0.06  # Power of the trust near the horizon if a sphere's rim counts.
 _MIN_LOG_SCALE_THETA_HALF = np.radians(0.05)  # Below this angle, the scale of theta_half is linear.
 _BAND_WEIGHT = 6.0  # Weight of the errors of the light in bands, as a fraction of all other weight.
-_RENDERED_BAND_WEIGHT = 1.0  # Weight of band errors if all components are fitted together.
+_RENDERED_BAND_WEIGHT = 1.5  # Weight of band errors if all components are fitted together.
 _BAND_EDGES = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # edges of the bands of theta_diff [rad]
 _MIN_BAND_LIGHT = 0.05  # Errors of a darker band are relative to this fraction of the mean band's light.
 _MAX_VALUE = 1e100  # Its square still fits in double precision.

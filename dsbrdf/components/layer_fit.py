@@ -15,7 +15,7 @@ with A the normal equations at the minimum, and its weight is proportional to ``
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf as potrf
@@ -35,12 +35,14 @@ MODEL_ERROR = 0.02
 """Relative error that even the best layers of a material have, c of the module's equation."""
 _FIXED_NOISE = 0.2
 _MAX_FIXED_NOISE_STEPS = 20
-_MAX_TRIAL_STEPS = 5
+_TRIAL_STEPS = (2, 3)  # The better half of a structure's starts gets the second number of steps.
+_MAX_FIRST_STEPS = 10
 _MAX_STEPS = 60
 _MAX_REFINING_STEPS = 20
 _MAX_STALLED_STEPS = 2
 _COST_TOLERANCE = 0.02  # A step that lowers the cost by less counts as stalled.
 _MAX_TRIAL_COST_LEAD = 40.0  # A structure whose cost exceeds the best by more after its trial is dropped.
+_MAX_COST_LEAD = 30.0  # A structure whose cost exceeds the best by more after the first steps is dropped.
 _MAX_UNKNOWN_CHANGE = 1.2  # A larger change of an unknown in one step is shortened.
 _FIRST_DAMPING = 1e-2
 _MAX_DAMPING_TRIES = 8
@@ -77,6 +79,18 @@ class LayerData:
         """Combine values (3, N), some of them positive, with their weights (3, N)."""
         root = np.sqrt(weight / np.sum(weight * values**2))
         return cls(points, root, values * root)
+
+    def thinned(self, step: int) -> "LayerData":
+        """Return every step-th pair of directions, for a rough fit."""
+        root, weighted = self.root_weight[:, ::step], self.weighted[:, ::step]
+        scale = 1.0 / max(float(np.linalg.norm(weighted)), 1e-300)
+        return replace(
+            self,
+            points=Points(*(quantity[..., ::step] for quantity in self.points)),
+            root_weight=scale * root,
+            weighted=scale * weighted,
+            sums=None if self.sums is None else step / scale * self.sums[:, :, ::step],
+        )
 
     def squared_error(self, values: Array) -> float:
         """Return C of values (3, N)."""
@@ -116,18 +130,23 @@ class FittedStructure:
         return [self.structure.model(unknowns) for unknowns in np.clip(drawn, *self.structure.bounds)]
 
 
-def fit_structures(data: LayerData, structures: Sequence[LayerStructure] = STRUCTURES) -> list[FittedStructure]:
-    """Fit structures to data and sort them, the best first; structures far behind are dropped after a trial."""
-    trials: dict[str, _Descent] = {}
-    for structure in structures:
-        if structure.parent in trials:
-            structure = structure.started_from(trials[structure.parent].model)
-        trials[structure.name] = _best_trial(data, structure)
+def fit_structures(
+    data: LayerData, structures: Sequence[LayerStructure] = STRUCTURES, *, trial_step: int = 1
+) -> list[FittedStructure]:
+    """Fit structures to data and sort them, the best first; structures far behind are dropped after a trial.
+
+    A trial uses every trial_step-th pair of directions.
+    """
+    unit = data.n_samples / N_SAMPLES
     found: list[FittedStructure] = []
     best = np.inf
-    for descent in sorted(trials.values(), key=lambda trial: trial.prospect):
-        if descent.prospect > best + _MAX_TRIAL_COST_LEAD * data.n_samples / N_SAMPLES:
+    for trial in _trials(data.thinned(trial_step), structures):
+        if trial.prospect > best + _MAX_TRIAL_COST_LEAD * unit:
             break
+        descent = replace(trial, data=data, done=False)
+        descent.run(_MAX_FIRST_STEPS)
+        if descent.prospect > best + _MAX_COST_LEAD * unit:
+            continue
         descent.run(_MAX_STEPS)
         best = min(best, descent.prospect)
         found.append(descent.fitted())
@@ -148,11 +167,24 @@ def structure_weights(found: Sequence[FittedStructure]) -> Array:
     return np.asarray(weights / weights.sum())
 
 
+def _trials(data: LayerData, structures: Sequence[LayerStructure]) -> "list[_Descent]":
+    """Take a few steps with every structure; sort the descents, the most promising first."""
+    trials: dict[str, _Descent] = {}
+    for structure in structures:
+        if structure.parent in trials:
+            structure = structure.started_from(trials[structure.parent].model)
+        trials[structure.name] = _best_trial(data, structure)
+    return sorted(trials.values(), key=lambda trial: trial.prospect)
+
+
 def _best_trial(data: LayerData, structure: LayerStructure) -> "_Descent":
+    """Take a few steps from each start; the better half of the starts gets more steps."""
     trials = [_Descent(data, structure, _start(data, structure, widths)) for widths in structure.starts]
-    for trial in trials:
-        trial.run(_MAX_TRIAL_STEPS)
-    return min(trials, key=lambda trial: trial.prospect)
+    for steps in _TRIAL_STEPS:
+        for trial in trials:
+            trial.run(steps)
+        trials = sorted(trials, key=lambda trial: trial.prospect)[: -(-len(trials) // 2)]
+    return trials[0]
 
 
 @dataclass(eq=False)

@@ -18,7 +18,8 @@ from dsbrdf.model.reflectance import ReflectanceModel
 
 PROBABILITY = 0.9
 """A figure lies in its range with this probability."""
-_N_DRAWS_PER_STRUCTURE = 24
+_MIN_DRAWS = 4  # Every structure is drawn at least this number of times.
+_N_SHARED_DRAWS = 40  # These further draws are divided among the structures by their weights.
 
 Range: TypeAlias = tuple[float, float]
 RgbRange: TypeAlias = tuple[Range, Range, Range]
@@ -60,11 +61,12 @@ class DrawnLayers(NamedTuple):
         """Draw layers from structures fitted to a model, the best first."""
         generator = np.random.default_rng(7)
         values = model.evaluate_unmasked(*NORMAL.angles).T
-        drawn = [
-            WeightedLayers(one.structure.name, float(weight), layers, one.structure.is_diffuse)
-            for one, weight in zip(found, structure_weights(found), strict=True)
-            for layers in (one.model, *one.draw(generator, _N_DRAWS_PER_STRUCTURE, temperature=1.0))
-        ]
+        drawn = []
+        for one, weight in zip(found, structure_weights(found), strict=True):
+            count = _MIN_DRAWS + int(_N_SHARED_DRAWS * weight)
+            own = (one.model, *one.draw(generator, count, temperature=1.0))
+            is_diffuse, each = one.structure.is_diffuse, float(weight) / len(own)
+            drawn += [WeightedLayers(one.structure.name, each, layers, is_diffuse) for layers in own]
         albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])
         return cls(drawn, np.array([one.weight for one in drawn]), albedos)
 
