@@ -66,9 +66,13 @@ def _repeatedly(place: Place, ask: Callable[[httpx.Client, int], object], thread
 
     def run(number: int) -> None:
         with httpx.Client(base_url=place.server.http.base_url, headers=_headers(place.attacker), timeout=120) as client:
-            while not end.is_set():
-                ask(client, number)
-                number += threads
+            try:
+                while not end.is_set():
+                    ask(client, number)
+                    number += threads
+            except httpx.TransportError:
+                if not end.is_set():  # Afterwards, the server may end before its answer.
+                    raise
 
     for number in range(threads):
         threading.Thread(target=run, args=(number,), daemon=True).start()
