@@ -5,7 +5,7 @@ from pathlib import Path
 
 from annotated_types import Ge, Gt, Le
 
-from dsbrdf_service.admin.serve import flags
+from dsbrdf_service.admin.serve import serve
 from dsbrdf_service.settings import PREFIX, Settings
 
 PAGE = Path(__file__).parents[1] / "operations.md"
@@ -18,7 +18,7 @@ def settings_table() -> str:
     """Return a Markdown table with a row for each setting."""
     rows = ["| variable | flag | default | |", "|---|---|---|---|"]
     for name, field in Settings.model_fields.items():
-        flag = f"`--{name.replace('_', '-')}`" if name in signature(flags).parameters else ""
+        flag = f"`--{name.replace('_', '-')}`" if name in signature(serve).parameters else ""
         default = "number of cores" if field.default_factory else f"`{str(field.default).lower()}`"
         bounds = " ".join(_SIGNS[type(bound)].format(bound) for bound in field.metadata if type(bound) in _SIGNS)
         rows.append(

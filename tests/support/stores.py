@@ -8,7 +8,7 @@ LOCAL = Caller()
 
 
 def receive(store: Store, content: bytes = b"content") -> Incoming:
-    incoming = store.blobs.incoming()
+    incoming = Incoming(store.blobs.temporary)
     incoming.write(content)
     incoming.valid_nodes = 1
     incoming.close()

@@ -8,9 +8,9 @@ import resource
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial, wraps
+from functools import partial
 from typing import Annotated, Any, cast
 
 import uvicorn
@@ -47,37 +47,16 @@ def _flag(name: str) -> Parameter:
     return Parameter(help=f"{setting.description}{f' Default: {default}.' if default else ''}", metavar=name.upper())
 
 
-def flags(
+def serve(
     *,
     host: Annotated[str | None, _flag("host")] = None,
     port: Annotated[str | None, _flag("port")] = None,
     data_dir: Annotated[str | None, _flag("data_dir")] = None,
     workers: Annotated[str | None, _flag("workers")] = None,
     insecure: Annotated[bool | None, _flag("insecure")] = None,
-) -> dict[str, Any]:
-    """Return the flags that were given, as texts, which `Settings` checks."""
-    return {name: value for name, value in locals().items() if value is not None}
-
-
-def run_with_flags(words: Sequence[str], serve: Callable[[Mapping[str, Any]], int]) -> int:
-    """Call `serve` with the flags that `words` give; return the exit code."""
-
-    @wraps(flags)
-    def run(**given: Any) -> int:
-        return serve(flags(**given))
-
-    app = new_application("dsbrdf serve", _PURPOSE)
-    app.default(run)
-    return run_words(app, words)
-
-
-def main(words: Sequence[str] | None = None) -> int:
-    """Run the service until it is stopped; return the exit code."""
-    open_closed_output()
-    return run_with_flags(sys.argv[1:] if words is None else words, _serve)
-
-
-def _serve(given: Mapping[str, Any]) -> int:
+) -> int:
+    """Run the service with the settings that the flags give as texts; return the exit code."""
+    given: dict[str, Any] = {name: value for name, value in locals().items() if value is not None}
     try:
         settings = Settings(**given)
     except ValidationError as error:
@@ -105,6 +84,14 @@ def _serve(given: Mapping[str, Any]) -> int:
     return_freed_memory()
     _raise_descriptor_limit()
     return _run(settings, store)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command with its arguments until the service is stopped; return the exit code."""
+    open_closed_output()
+    app = new_application("dsbrdf serve", _PURPOSE)
+    app.default(serve)
+    return run_words(app, sys.argv[1:] if words is None else words)
 
 
 def _run(settings: Settings, store: Store) -> int:

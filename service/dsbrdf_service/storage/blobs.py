@@ -92,10 +92,6 @@ class Blobs:
         """Return where the measurement `sha256` is, or would be."""
         return self._blobs / sha256[:2] / f"{sha256}{_SUFFIX}"
 
-    def incoming(self) -> Incoming:
-        """Return a new temporary file."""
-        return Incoming(self.temporary)
-
     @contextmanager
     def temporary_file(self, hold: object) -> Iterator[tuple[OpenFile, Path]]:
         """Yield a file that the block writes by its path, which has no name any more when the block has ended.

@@ -64,7 +64,7 @@ class Writing:
         """Yield a new file, which is removed afterwards unless it was stored; raises as `hold`."""
         held = await self.hold(caller, FILE_SIZE, "storage-quota")
         try:
-            incoming = await in_thread(self._blobs.incoming)
+            incoming = await in_thread(Incoming, self._blobs.temporary)
             try:
                 yield incoming
             finally:

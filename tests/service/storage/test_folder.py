@@ -16,6 +16,7 @@ from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.admin import doctor
 from dsbrdf_service.admin.serve import main
 from dsbrdf_service.errors import DataFolderError, MeasurementDamagedError
+from dsbrdf_service.storage.blobs import Incoming
 from dsbrdf_service.storage.database import FILE_NAME, Database
 from dsbrdf_service.storage.removal import purge
 from dsbrdf_service.storage.schema import Caller
@@ -284,7 +285,7 @@ def test_file_comes_before_its_row_and_goes_after_it(
         steps.append(f"fsync {Path(f'/proc/self/fd/{descriptor}').readlink()}")
         fsync(descriptor)
 
-    incoming = store.blobs.incoming()
+    incoming = Incoming(store.blobs.temporary)
     incoming.write(b"content")
     monkeypatch.setattr(os, "fsync", record_fsync)
     monkeypatch.setattr(store.database, "transaction", recorded)
