@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 # Every worker imports the modules among these that this process has imported, so the server imports them once.
-_IMPORTED_BY_WORKERS = {"dsbrdf.cli.main", "distributed", "dsbrdf_service.compute.steps"}
+_IMPORTED_BY_WORKERS = {"distributed", "dsbrdf_service.compute.steps"}
 START_LOCK = threading.Lock()
 """Held while a process starts or its exit code is collected, because each start collects exit codes of others too."""
 
