@@ -120,18 +120,13 @@ _RETRO = _prior(
 )  # fmt: skip
 # Fibres turn in all directions, so their surfaces make a rough highlight that counts as scattered light of cloth.
 _FIBRES = _prior(
-    SpecularLayer,
-    (np.log(0.045), 0.35),
-    0.05,
+    SpecularLayer, (np.log(0.045), 0.35), 0.05,
     ((-0.1, 0.4), *_RISE_PRIOR, (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _FIXED_DEVIATION)),
     (
-        _DIELECTRIC_LOG_F0_BOUNDS,
-        *_SPECULAR_BOUNDS[:3],
-        (np.log(0.5), 0.0),
-        (np.log(0.6), np.log(3.0)),
+        _DIELECTRIC_LOG_F0_BOUNDS, *_SPECULAR_BOUNDS[:3], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)),
         *_SPECULAR_BOUNDS[5:],
     ),
-)
+)  # fmt: skip
 
 
 _MAX_START_HALF_WIDTH_DEG = 35.0
@@ -151,32 +146,20 @@ _INTERREFLECTION = replace(
 """Light that leaves a metal after several reflections (Kulla and Conty 2017); its colour is F0 squared."""
 
 
-OWN_PRIORS: dict[type[Layer], LayerPrior] = {
-    SpecularLayer: _prior(
-        SpecularLayer,
-        (np.log(0.15), 2.0),
-        2.0,
-        (
-            (-0.1, 0.8),
-            (0.0, 1.5),
-            (0.0, 0.6),
-            (np.log(0.12), 3.0),
-            (np.log(2.0), 1.0),
-            (0.5, 0.4),
-            (0.0, _FIXED_DEVIATION),
-        ),
-        (
-            _LOG_F0_BOUNDS,
-            (np.log(0.02), 0.0),
-            (-3.0, 3.0),
-            (-3.0, 3.0),
-            (np.log(0.001), np.log(0.9)),
-            (np.log(0.6), np.log(60.0)),
-            (-0.5, 1.5),
-            (0.0, 0.0),
-        ),
-        is_diffuse=False,
+_OWN_SURFACE = _prior(
+    SpecularLayer, (np.log(0.15), 2.0), 2.0,
+    (
+        (-0.1, 0.8), (0.0, 1.5), (0.0, 0.6), (np.log(0.12), 3.0), (np.log(2.0), 1.0), (0.5, 0.4),
+        (0.0, _FIXED_DEVIATION),
     ),
+    (
+        _LOG_F0_BOUNDS, (np.log(0.02), 0.0), (-3.0, 3.0), (-3.0, 3.0), (np.log(0.001), np.log(0.9)),
+        (np.log(0.6), np.log(60.0)), (-0.5, 1.5), (0.0, 0.0),
+    ),
+    is_diffuse=False,
+)  # fmt: skip
+OWN_PRIORS: dict[type[Layer], LayerPrior] = {
+    SpecularLayer: _OWN_SURFACE,
     DiffuseLayer: _diffuse(((0.5, 0.7), (0.0, 0.6), (0.0, 0.6), (0.0, 0.5), (0.0, 0.4), (0.0, 0.6))),
     SheenLayer: _SHEEN,
     RetroLayer: _RETRO,
@@ -212,7 +195,7 @@ class LayerStructure:
     starts: tuple[tuple[float, ...], ...] = ((),)
     interreflects: bool = False
     parent: str | None = None
-    start_factors: tuple[tuple[int, float], ...] = ()
+    start_factors: tuple[tuple[int, float], ...] = ((0, 1.0),)
 
     def started_from(self, parent: LayeredModel) -> "LayerStructure":
         """Return the structure with a start at the half widths of its parent's layers."""
@@ -298,10 +281,6 @@ class LayerStructure:
 _ONE_SURFACE_STARTS_DEG = ((0.3,), (1.5,), (6.0,), (18.0,))
 _TWO_SURFACE_STARTS_DEG = ((0.15, 12.0), (1.0, 6.0), (1.0, 16.0), (4.0, 16.0))
 
-# Every specular layer starts at the half width of the parent's layer with the same index.
-_PARENT_WIDTH = ((0, 1.0),)
-_PARENT_WIDTHS = ((0, 1.0), (1, 1.0))
-
 STRUCTURES = (
     LayerStructure("diffuse", (_GROUND,)),
     LayerStructure("diffuse with sheen", (_GROUND, _SHEEN), 2.0),
@@ -309,16 +288,9 @@ STRUCTURES = (
     LayerStructure("fibres", (_FIBRES, _YARN), 5.0),
     LayerStructure("dielectric over diffuse", (_DIELECTRIC, _GROUND), 0.0, _ONE_SURFACE_STARTS_DEG),
     LayerStructure("metal", (_METAL,), 0.0, _ONE_SURFACE_STARTS_DEG),
+    LayerStructure("dielectric", (_DIELECTRIC,), 0.0, _ONE_SURFACE_STARTS_DEG, parent="metal"),
     LayerStructure(
-        "dielectric", (_DIELECTRIC,), 0.0, _ONE_SURFACE_STARTS_DEG, parent="metal", start_factors=_PARENT_WIDTH
-    ),
-    LayerStructure(
-        "highlight over diffuse",
-        (_HIGHLIGHT, _GROUND),
-        6.0,
-        _ONE_SURFACE_STARTS_DEG,
-        parent="dielectric over diffuse",
-        start_factors=_PARENT_WIDTH,
+        "highlight over diffuse", (_HIGHLIGHT, _GROUND), 6.0, _ONE_SURFACE_STARTS_DEG, parent="dielectric over diffuse"
     ),
     LayerStructure(
         "coat over highlight over diffuse", (_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND), 8.0, _TWO_SURFACE_STARTS_DEG
@@ -330,40 +302,23 @@ STRUCTURES = (
         2.0,
         _TWO_SURFACE_STARTS_DEG,
         parent="coat over highlight over diffuse",
-        start_factors=_PARENT_WIDTHS,
+        start_factors=((0, 1.0), (1, 1.0)),
     ),
 )
 """Usual structures; a parent stands before the structure that starts from it."""
 
 RARE_STRUCTURES = (
     LayerStructure(
-        "dielectric over diffuse with sheen",
-        (_DIELECTRIC, _GROUND, _SHEEN),
-        4.0,
-        parent="dielectric over diffuse",
-        start_factors=_PARENT_WIDTH,
+        "dielectric over diffuse with sheen", (_DIELECTRIC, _GROUND, _SHEEN), 4.0, parent="dielectric over diffuse"
     ),
     LayerStructure(
         "dielectric over diffuse with retro-reflection",
         (_DIELECTRIC, _RETRO, _GROUND),
         6.0,
         parent="dielectric over diffuse",
-        start_factors=_PARENT_WIDTH,
     ),
-    LayerStructure(
-        "metal with interreflection",
-        (_METAL, _INTERREFLECTION),
-        2.0,
-        interreflects=True,
-        parent="metal",
-        start_factors=_PARENT_WIDTH,
-    ),
-    LayerStructure(
-        "metal of two roughnesses",
-        (_METAL, _METAL),
-        4.0,
-        ((1.0, 8.0), (4.0, 16.0)),
-    ),
+    LayerStructure("metal with interreflection", (_METAL, _INTERREFLECTION), 2.0, interreflects=True, parent="metal"),
+    LayerStructure("metal of two roughnesses", (_METAL, _METAL), 4.0, ((1.0, 8.0), (4.0, 16.0))),
     LayerStructure(
         "coat over flakes of two scales over diffuse",
         (_CLEAR_COAT, _HIGHLIGHT_UNDER_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND),
