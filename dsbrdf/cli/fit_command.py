@@ -136,16 +136,20 @@ def fit(
         write_atomically(csv, [summary_csv(done)])
     if measure_next is not None and done[0].result is not None:
         write_atomically(measure_next, [plan_csv(done[0].result.report.measure_next)])
-    if plot:
-        for line in _plot(done, table.options()):
-            if not json:
-                print(line)
+    figures = list(_plot(done, table.options())) if plot else []
+    if not json:
+        print(*figures, sep="\n", end="\n" if figures else "")
     if json:
         documents = [_document(item) for item in done]
         single = len(files) == 1 and not files[0].is_dir()
         print_json(documents[0] if single else {"items": documents})
     elif len(done) > 1 and any(item.result is not None for item in done):
         print("", *summary_table(done), sep="\n")
+    return _exit_code(done)
+
+
+def _exit_code(done: Sequence[FileFit]) -> int:
+    """Return 1 if the fit of a good measurement was lost, 2 if another fit failed, or else 0."""
     if any(item.lost for item in done):
         return 1
     return BAD_INPUT if any(item.error is not None for item in done) else 0
