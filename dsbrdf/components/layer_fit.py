@@ -114,17 +114,14 @@ class FittedStructure:
         """The layers."""
         return self.structure.model(self.unknowns)
 
-    def draw(
-        self, generator: np.random.Generator, count: int, *, temperature: float = 0.5 * EVIDENCE_SCALE
-    ) -> list[LayeredModel]:
+    def draw(self, generator: np.random.Generator, count: int) -> list[LayeredModel]:
         """Draw layers from the Gaussian of the normal equations, within the bounds.
 
-        The temperature multiplies the covariance; at 1 the draws follow the posterior. Every draw has a mirror image
-        about the fit, so that few draws give an unbiased mean.
+        Every draw has a mirror image about the fit, so that few draws give an unbiased mean.
         """
         values, vectors = np.linalg.eigh(self.normal_equations)
         # The symmetric root is equal on every machine; the signs of eigenvectors depend on the library.
-        root = (vectors * np.sqrt(temperature / np.maximum(values, 1e-9))) @ vectors.T
+        root = (vectors * np.sqrt(0.5 * EVIDENCE_SCALE / np.maximum(values, 1e-9))) @ vectors.T
         half = generator.standard_normal((-(-count // 2), values.size)) @ root
         drawn = self.unknowns + np.concatenate([half, -half])[:count]
         return [self.structure.model(unknowns) for unknowns in np.clip(drawn, *self.structure.bounds)]

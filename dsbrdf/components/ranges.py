@@ -11,13 +11,15 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_fit import FittedStructure, structure_weights
+from dsbrdf.components.layer_fit import EVIDENCE_SCALE, FittedStructure, structure_weights
 from dsbrdf.components.layers import SpecularLayer
 from dsbrdf.components.shares import LABELS, NORMAL, WeightedLayers
 from dsbrdf.model.reflectance import ReflectanceModel
 
 PROBABILITY = 0.9
 """A figure lies in its range with this probability."""
+_POSTERIOR_FACTOR = float(np.sqrt(2.0 / EVIDENCE_SCALE))
+"""Standard deviation of the posterior as a fraction of the draws' deviation, which also counts unusual structures."""
 _MIN_DRAWS = 4  # Every structure is drawn at least this number of times.
 _N_SHARED_DRAWS = 40  # These further draws are divided among the structures by their weights.
 
@@ -64,7 +66,7 @@ class DrawnLayers(NamedTuple):
         drawn = []
         for one, weight in zip(found, structure_weights(found), strict=True):
             count = _MIN_DRAWS + int(_N_SHARED_DRAWS * weight)
-            own = (one.model, *one.draw(generator, count, temperature=1.0))
+            own = (one.model, *one.draw(generator, count))
             is_diffuse, each = one.structure.is_diffuse, float(weight) / len(own)
             drawn += [WeightedLayers(one.structure.name, each, layers, is_diffuse) for layers in own]
         albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])
@@ -96,7 +98,7 @@ class DrawnLayers(NamedTuple):
             return SurfaceSpread(0.0, np.zeros(3))
         f0 = np.array([np.sum([layer.f0 for layer in surfaces[number]], axis=0) for number in there])
         alpha = np.array([max(surfaces[number], key=lambda layer: sum(layer.f0)).alpha for number in there])
-        spread = _deviation(np.log(np.column_stack([alpha, f0])), self.weight[there])
+        spread = _POSTERIOR_FACTOR * _deviation(np.log(np.column_stack([alpha, f0])), self.weight[there])
         return SurfaceSpread(float(spread[0]), spread[1:])
 
 
