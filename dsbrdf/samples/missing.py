@@ -1,4 +1,4 @@
-"""Values of a table that stand for what was not measured.
+"""Find values of a table that stand for missing measurements.
 
 An instrument that sees nothing, beyond its reach or below its noise, writes 0. Such zeros lie beside values far
 above the last digit of the table. True zeros of a black sample lie beside values of a few last digits, or among
@@ -40,7 +40,7 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
     if np.median(beside.max(axis=1) / darkest) > _MAX_SCATTER_FACTOR:
         return empty, []
     rounded = max(_MAX_ROUNDED_DIGITS * _last_digit(level), _MAX_ROUNDED_FRACTION * float(np.median(level[lit])))
-    # All of a run is left out, also a part that lies beside darker samples.
+    # Zeros beside darker samples are left out with the zeros around them.
     alike = cKDTree(places[zero]).query(places[zero], min(_N_NEIGHBOURS, len(zero)))[1]
     empty[zero] = np.mean((darkest > rounded)[alike], axis=1) > 0.5
     count = int(np.count_nonzero(empty))
@@ -53,9 +53,9 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
 
 
 def about_repeated(values: Array) -> list[str]:
-    """Name the smallest and the largest of values (n, k) where many rows have it and the next one is far off."""
+    """Return sentences on the smallest and the largest of values (n, k) that many rows share, far from all others."""
     values = values[np.isfinite(values).all(axis=1)]
-    if not values.size or not values.any(axis=1).all():  # rows of zeros are `unmeasured_zeros`
+    if not values.size or not values.any(axis=1).all():  # Rows of zeros are the business of `unmeasured_zeros`.
         values = values[values.any(axis=1)]
     found = np.unique(values)
     if found.size < _MIN_DIFFERENT_VALUES:

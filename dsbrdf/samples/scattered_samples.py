@@ -136,25 +136,23 @@ class ScatteredSamples:
             "values": _numbers("values", values, (count, 3)),
             "weight": _numbers("weight", np.ones(count) if weight is None else weight, (count,)),
         }
+        values, weights, brightest = arrays["values"], arrays["weight"], arrays["values"].max()
         for side in ("omega_in", "omega_out"):
-            length = np.linalg.norm(arrays[side], axis=1)
-            off = np.abs(length - 1.0) > _UNIT_TOLERANCE
+            off = np.abs(np.linalg.norm(arrays[side], axis=1) - 1.0) > _UNIT_TOLERANCE
             _refuse("is not of unit length", side, off, "directions are unit vectors")
             _refuse("is not above the horizon", side, arrays[side][:, 2] <= 0.0, "z must be positive")
             arrays[side] = spherical(*np.radians(_degrees(arrays[side]).T))
-        _refuse("is negative", "values", arrays["values"].min(axis=1) < 0.0, "no reflectance is")
-        brightest = arrays["values"].max()
+        _refuse("is negative", "values", values.min(axis=1) < 0.0, "no reflectance is")
         too_bright = f"no reflectance is; if {brightest:g} stands for what is missing, set missing to it"
-        _refuse("is above 1e8/sr", "values", arrays["values"].max(axis=1) > MAX_VALUE, too_bright)
-        weights = arrays["weight"]
+        _refuse("is above 1e8/sr", "values", values.max(axis=1) > MAX_VALUE, too_bright)
         _refuse("is not positive", "weight", weights <= 0.0, "leave out what must not count")
         extreme = (weights < 1.0 / MAX_WEIGHT) | (weights > MAX_WEIGHT)
         _refuse("is not from 1e-12 to 1e12", "weight", extreme, "weights say how much samples count among each other")
-        if not arrays["values"].any():
+        if brightest == 0.0:
             raise MeasurementFormatError("Every sample is zero in all channels; a measurement has positive values.")
-        if (largest := arrays["values"].max()) < MIN_NONZERO_VALUE:
+        if brightest < MIN_NONZERO_VALUE:
             raise MeasurementFormatError(
-                f"The largest value is {largest:.3g}/sr, darker than any material; the values of a BRDF are in 1/sr."
+                f"The largest value is {brightest:.3g}/sr, darker than any material; the values of a BRDF are in 1/sr."
             )
         for array in arrays.values():
             array.flags.writeable = False

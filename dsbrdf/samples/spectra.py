@@ -9,22 +9,23 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.errors import MeasurementFormatError
 
-_AT = np.arange(360.0, 831.0)  # [nm]
-_VISIBLE = (400.0, 700.0)
+_NODES_NM = np.arange(360.0, 831.0)
+_VISIBLE_NM = (400.0, 700.0)
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 _D65 = np.array([0.95047, 1.0, 1.08883])
 _FROM_XYZ = np.array(
     [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]]
 )
-_MOST_EMPTY = 4  # times as many places in the table of spectra as there are rows
+# A table of spectra with more places for each row has different wavelengths at different directions.
+_MAX_PLACES_PER_ROW = 4
 
 
 def _bell(mean: float, below: float, above: float) -> Array:
-    return np.exp(-0.5 * ((_AT - mean) / np.where(_AT < mean, below, above)) ** 2)
+    return np.exp(-0.5 * ((_NODES_NM - mean) / np.where(_NODES_NM < mean, below, above)) ** 2)
 
 
 def _sensitivities() -> Array:
-    """Return what each wavelength adds to red, green and blue, shape (3, wavelengths); the sums are 1."""
+    """Return the sensitivities of red, green and blue at the wavelengths, shape (3, n); their sums are 1."""
     observer = np.stack(
         [
             1.056 * _bell(599.8, 37.9, 31.0) + 0.362 * _bell(442.0, 16.0, 26.7) - 0.065 * _bell(501.1, 20.4, 26.2),
@@ -43,12 +44,12 @@ def linear_srgb(wavelengths: Array, spectra: Array) -> Array:
     Colors outside of sRGB have 0 where they would be negative. Raises MeasurementFormatError if no wavelength is
     visible.
     """
-    if len(wavelengths) > 1 and not np.any((wavelengths >= _VISIBLE[0]) & (wavelengths <= _VISIBLE[1])):
+    if len(wavelengths) > 1 and not np.any((wavelengths >= _VISIBLE_NM[0]) & (wavelengths <= _VISIBLE_NM[1])):
         raise MeasurementFormatError(
             f"The wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm are not visible: write one of them as "
             "the column value, without the others."
         )
-    hats = np.stack([np.interp(_AT, wavelengths, one) for one in np.eye(len(wavelengths))])
+    hats = np.stack([np.interp(_NODES_NM, wavelengths, one) for one in np.eye(len(wavelengths))])
     rgb = spectra @ (_sensitivities() @ hats.T).T
     rgb = np.where(spectra.min(axis=1, keepdims=True) >= 0.0, np.maximum(rgb, 0.0), rgb)
     return np.where(np.ptp(spectra, axis=1, keepdims=True) == 0.0, spectra[:, :1], rgb)
@@ -57,14 +58,14 @@ def linear_srgb(wavelengths: Array, spectra: Array) -> Array:
 def of_rows(numbers: Array, wavelengths: Array) -> tuple[Array, Array]:
     """Return the table with one row for each pair of directions, and its wavelengths.
 
-    `numbers` (n, 10) are those of `sample_columns` with the value at each row's wavelength. Where a
-    wavelength occurs twice, the mean is taken; where it is missing, all channels are NaN.
+    `numbers` (n, 10) are the columns of `SampleRows`, with the value at each row's wavelength. A wavelength that occurs
+    twice has the mean; if one is missing, all channels are NaN.
     """
     used = np.isfinite(wavelengths) & np.isfinite(numbers[:, :6]).all(axis=1)
     numbers, wavelengths = numbers[used], wavelengths[used]
     _, first, row = np.unique(np.round(numbers[:, :6], 6), axis=0, return_index=True, return_inverse=True)
     bands, band = np.unique(wavelengths.round(6), return_inverse=True)
-    if first.size * bands.size > _MOST_EMPTY * len(numbers):
+    if first.size * bands.size > _MAX_PLACES_PER_ROW * len(numbers):
         raise MeasurementFormatError("The pairs of directions have different wavelengths; all need the same ones.")
     sums, counts = np.zeros((2, first.size, bands.size))
     np.add.at(sums, (row.ravel(), band), numbers[:, 6])

@@ -31,9 +31,9 @@ def is_spreadsheet(data: bytes) -> bool:
 
 
 def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
-    """Return the longest sheet of a file as text, cells separated by semicolons, and what was decided, a sentence each.
+    """Return the longest sheet of a file as text, cells separated by semicolons, and notes on the choice.
 
-    A line of the text is a row of the sheet; of formulas it has the results that the file keeps. Raises
+    A line of the text is a row of the sheet; a formula has the result that the file keeps. Raises
     MeasurementFormatError if the file cannot be read or is too long, and MissingExtraError without openpyxl.
     """
     require("xlsx", "openpyxl", purpose="spreadsheets, which can also be saved as .csv")
@@ -46,15 +46,15 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
         texts = {sheet.title: _text(sheet.iter_rows(values_only=True)) for sheet in workbook.worksheets}
     except (MeasurementFormatError, MemoryError):
         raise
-    except Exception as error:  # openpyxl, XML and ZIP raise their own
+    except Exception as error:  # Openpyxl, XML and ZIP raise exceptions of their own.
         raise MeasurementFormatError("The spreadsheet cannot be read; save its sheet as .csv.") from error
     title = max(texts, key=lambda name: len(texts[name]), default="")
-    notes = [f"Of {len(texts)} sheets the longest was read, {title!r}."] if len(texts) > 1 else []
+    notes = [f"The spreadsheet has {len(texts)} sheets; the longest was read, {title!r}."] if len(texts) > 1 else []
     return texts.get(title, "").encode(), notes
 
 
 def _check_work(archive: zipfile.ZipFile) -> None:
-    """Raise MeasurementFormatError if a file takes too long to read: it is unpacked, and its tags are counted."""
+    """Unpack a file and count its tags; raise MeasurementFormatError if it would take too long to read."""
     n_bytes = n_tags = 0
     for part in archive.namelist():
         with archive.open(part) as file:

@@ -1,9 +1,9 @@
-"""What samples look like that their table does not say: other units, a cosine, a turned plane, lone highlights.
+"""Doubt the units of samples: another factor, a cosine, a turned plane, highlights that one sample saw.
 
-Nothing here changes a value. Units are doubted on one ground, energy: if a lower bound of the albedo is above 1, the
-samples reflect more light than they receive. The bound takes the least of neighbouring samples over theta_half, so that
-a highlight that one sample saw does not count. Layers know how values go with the cosines of both directions: values
-that were multiplied by a cosine fit them less well than divided by it.
+Nothing here changes a value. A factor is doubted by energy alone: if a lower bound of the albedo is above 1, the
+samples reflect more light than they receive. The bound takes the minimum of neighbouring samples over theta_half, so
+that a highlight in one sample does not count. Layers fit values that were multiplied by a cosine less well than the
+values divided by it.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ from dsbrdf.samples.sample_layers import SampleLayers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 _MAX_ALBEDO_BOUND = 1.05  # noise may lift the bound of a white material above 1
-# factor -> its prior probability and how a sentence names it
+# Each factor has a prior probability and words for a sentence.
 _FACTORS = {
     1.0 / np.pi: (0.4, "1/pi (scale 0.3183; are they reflectance factors?)"),
     1.0 / (100.0 * np.pi): (0.35, "1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)"),
@@ -30,17 +30,17 @@ _OF_INTEGERS = (1.0, "1/1500 (scale 0.0006667; are they the integers of a MERL f
 # Usual albedo, and the standard deviation of its logarithm; factors less probable than the best by more are not named.
 _USUAL_ALBEDO = 0.3
 _ALBEDO_SPREAD = 1.1
-# Layers do not know materials that are darker.
+# Samples that are darker are made brighter before layers are fitted to them.
 _MIN_LEVEL = 1e-5
 _NAMED_FRACTION = 0.1
 _INCIDENCE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 _NEAR_INCIDENCE = np.radians(7.6)
-_MIN_IN_GROUP = 6
-# The least value of so many neighbours over theta_half counts.
+_MIN_IN_GROUP = 6  # Fewer samples at an angle of incidence are passed over.
+# The bound of the albedo takes the minimum of so many neighbours over theta_half.
 _N_NEIGHBOURS = 4
 # Layers are fitted to at most so many samples.
 _MAX_ASKED_SAMPLES = 300
-# Evidence by which values divided by a cosine, or turned, are better; of values that are right it is at most 6.
+# Values divided by a cosine, or turned, are named if their evidence is better by more; right values reach 6.
 _MORE_PROBABLE = 15.0
 # Layers that miss the divided values by more do not explain them.
 _MAX_LAYER_ERROR = 0.3
@@ -51,14 +51,14 @@ _SPIKE_THETA_HALF = np.radians(3.0)
 
 @dataclass(frozen=True)
 class SampleDoubts:
-    """What a user should check about samples.
+    """Properties of samples that a user should check.
 
     Attributes
     ----------
     factor : float
-        What makes their albedo a usual one if it is none; 1 otherwise.
+        The factor that gives the samples a usual albedo if theirs is not; 1 otherwise.
     sentences : tuple of str
-        One for each property to check.
+        A sentence on each property to check.
     """
 
     factor: float
@@ -66,7 +66,7 @@ class SampleDoubts:
 
 
 def sample_doubts(samples: ScatteredSamples) -> SampleDoubts:
-    """Return what should be checked about samples."""
+    """Return the properties of samples that should be checked."""
     bound = albedo_bound(samples)
     # Where samples are few, the bound is far below the albedo, and the median tells more.
     level = max(bound, np.pi * float(np.median(samples.values)) + 1e-4 * float(samples.values.max()))
@@ -133,8 +133,8 @@ def _likely_factors(values: Array, level: float) -> list[tuple[float, str]]:
 def albedo_bound(samples: ScatteredSamples) -> float:
     """Return a lower bound of the largest directional albedo of samples, over some angles of incidence and channels.
 
-    Values are taken as a function of theta_half for each angle of incidence, each direction having the least value of
-    the samples next to it. Beyond the last sample it is 0.
+    At each angle of incidence, values are a function of theta_half: the minimum of the samples next to each direction,
+    and 0 beyond the last sample.
     """
     theta_half = half_difference(samples.omega_in, samples.omega_out)[0]
     cosines = np.stack([samples.omega_in[:, 2], samples.omega_out[:, 2]])
@@ -165,7 +165,7 @@ def _outgoing(incidence_deg: float) -> tuple[Array, Array]:
 
 
 def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
-    """Tell of highlights in which one sample alone lies, at most angles of incidence."""
+    """Yield a sentence on highlights that hold one sample alone, at most angles of incidence."""
     theta_half = half_difference(samples.omega_in, samples.omega_out)[0]
     incidence = np.degrees(np.arccos(np.clip(samples.omega_in[:, 2], 0.0, 1.0))).round(1)
     level = samples.values.mean(axis=1)

@@ -50,7 +50,7 @@ def test_what_people_write_around_a_table_is_left_out() -> None:
     data = [["Gonio 3"], [], NAMES, units, *rows[:100], [], *rows[100:]]
     samples = parse_samples(spreadsheet(Info=[["a", 1.0]], Data=data))
     assert samples.notes == (
-        "Of 2 sheets the longest was read, 'Data'.",
+        "The spreadsheet has 2 sheets; the longest was read, 'Data'.",
         "1 row has no finite number in a column that is needed; it is left out.",
     )
     np.testing.assert_allclose(samples.values, np.delete(RGB, 5, axis=0), rtol=1e-8)
