@@ -12,7 +12,7 @@ within the horizon cutoff of the normal, and theta_half is at least 1 degree:
 For scattered samples, whose directions were chosen freely:
 
     relative_rms_left_out = relative_rms at samples that were left out of the fit
-    relative_rms_expected = relative_rms over all directions that one to two tables in ten exceed
+    relative_rms_expected = relative_rms over all directions that the error of one table in ten exceeds
 
 By visibility, over all directions:
 
