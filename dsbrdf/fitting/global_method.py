@@ -18,7 +18,8 @@ from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
 from dsbrdf.data.weighting import DARK_VALUE_FRACTION, TINY, bin_weights
 from dsbrdf.errors import FitError
-from dsbrdf.fitting.least_squares import COST_TOLERANCE, FitData, MixtureProblem, Solution, minimize
+from dsbrdf.fitting.fit_data import FitData
+from dsbrdf.fitting.least_squares import COST_TOLERANCE, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.lobe_search import SearchData, Wanted, search
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
@@ -66,8 +67,6 @@ USED_COLUMNS = np.unique(np.concatenate([FIT_COLUMNS, SEARCH_COLUMNS, HELD_OUT_C
 
 They include all last rows within the usual horizon cutoff, where reflectance is largest.
 """
-SEARCH_SPACING_POWER = 0.5
-"""Power of the spacing of columns in their weights in the search; 1 has lobes for the highlight dropped."""
 SEARCH_BINS = (0, 3, 5, 8, 9)
 """Bins of phi_diff that the search uses; an elongated lobe changes too much within joined bins."""
 NEIGHBOUR_COLUMNS = 5
@@ -100,24 +99,22 @@ def fit_global(
     weight = fit_weights(data, options)
     coarse = _structure(weight, SEARCH_KNOTS[options.variation], options)
     searched = tuple(
-        _select(data, weight, *lines, SEARCH_SPACING_POWER)
-        for lines in ((SEARCH_ROWS, SEARCH_COLUMNS), (HELD_OUT_ROWS, HELD_OUT_COLUMNS))
+        _select(data, weight, *lines) for lines in ((SEARCH_ROWS, SEARCH_COLUMNS), (HELD_OUT_ROWS, HELD_OUT_COLUMNS))
     )
     stages, wanted = itertools.count(1), Wanted(options.n_lobes, options.ring_lobes)
     mixture, steps = search(
         _search_data(*searched),
         coarse,
         wanted,
-        lambda found: _search_data(*(_exact(part, found) for part in searched)),
+        lambda tried: _search_data(*(_exact(part, tried) for part in searched)),
         lambda: progress(0.5 * min(next(stages) / EXPECTED_SEARCH_STAGES, 1.0)),
     )
     knots = FINE_KNOTS if wanted.is_few and options.variation == "full" else KNOTS[options.variation]
     fine = _structure(weight, knots, options, options.knots)
     mixture = change_knots(mixture, replace(fine, rings=mixture.structure.rings))
     on_stage("search")
-    solution = _refine(
-        _select(data, weight, FIT_ROWS, FIT_COLUMNS), mixture, options, lambda share: progress(0.5 + 0.5 * share)
-    )
+    selected = _select(data, weight, FIT_ROWS, FIT_COLUMNS)
+    solution = _refine(selected, mixture, options, lambda fraction: progress(0.5 + 0.5 * fraction))
     on_stage("refine")
     found, mixture = _found(mixture.structure, solution, weight.sum(axis=(2, 3)) > 0)
     return replace(found, search=tuple(steps)), mixture
@@ -134,12 +131,12 @@ def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixt
     amplitude, shape, elongation = (pull * smoothing for smoothing in SAMPLE_SMOOTHING)
     problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
     solution = minimize(problem, mixture.unknowns, iterations=MAX_ITERATIONS)
-    seen = np.isin(THETA_DIFF, data.theta_diff)
-    return _found(structure, solution, np.broadcast_to(seen, (3, seen.size)))
+    has_data = np.isin(THETA_DIFF, data.theta_diff)
+    return _found(structure, solution, np.broadcast_to(has_data, (3, has_data.size)))
 
 
-def _found(structure: Structure, solution: Solution, seen: Mask) -> tuple[FoundModel, Mixture]:
-    """Combine a solution with its report; `seen` marks the rows with data in each channel.
+def _found(structure: Structure, solution: Solution, has_data: Mask) -> tuple[FoundModel, Mixture]:
+    """Combine a solution with its report; `has_data` marks the rows with data in each channel.
 
     The lobes of the model stand from narrow to wide, rings last.
     """
@@ -150,8 +147,8 @@ def _found(structure: Structure, solution: Solution, seen: Mask) -> tuple[FoundM
     model = mixture_model(mixture).select(tuple(order.tolist()), with_delta=False)
     knots = model.theta_diff
     nearest = np.clip(np.round(np.degrees(knots)).astype(np.intp), 0, THETA_DIFF.size - 1)
-    found = solution.converged, solution.iterations, _bounds_hit(model)
-    return FoundModel(model, KnotReport.from_arrays(knots, seen[:, nearest], *found)), mixture
+    outcome = solution.converged, solution.iterations, _bounds_hit(model)
+    return FoundModel(model, KnotReport.from_arrays(knots, has_data[:, nearest], *outcome)), mixture
 
 
 def fit_weights(data: Profiles, options: FitOptions) -> Array:
@@ -209,20 +206,15 @@ def _structure(
     return Structure((), (amplitude, shape, elongation), options.lobe, np.array(theta_half))
 
 
-def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices, power: float = 1.0) -> FitData:
-    """Take the rows and columns with data nearest to the wanted rows and columns, or all if there are few.
-
-    The weight of a column is multiplied by a power of the spacing of columns, because it stands for those left out.
-    """
+def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:
+    """Take the rows and columns with data nearest to the wanted rows and columns, or all if there are few."""
     measured = weight.sum(axis=(0, 3)) > 0
     chosen = []
     for axis, wanted in ((1, rows), (0, columns)):
         present = np.flatnonzero(measured.any(axis=axis))
         nearest = np.unique(present[np.abs(wanted[:, None] - present).argmin(axis=1)])
         chosen.append(nearest if nearest.size >= min(MIN_LINES, present.size) else present)
-    selected, columns = FitData.select(data.folded, weight, chosen[0], chosen[1]), chosen[1].astype(float)
-    spacing = np.gradient(columns)[:, None] if columns.size > 1 else np.ones(1)
-    return replace(selected, weight=selected.weight * spacing**power)
+    return FitData.select(data.folded, weight, chosen[0], chosen[1])
 
 
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:
@@ -256,14 +248,14 @@ def _trust(values: Array, data: FitData) -> Array:
     A mixture that misses a peak does so on neighbouring columns, an outlier stands alone: what counts is how far the
     relative residual is from the median of its neighbours' over theta_half.
     """
-    seen = data.weight > 0.0
+    filled = data.weight > 0.0
     level = np.sum(data.weight * values, axis=(2, 3), keepdims=True)
     level /= np.sum(data.weight, axis=(2, 3), keepdims=True) + TINY
-    relative = np.where(seen, (data.mean - values) / (values + DARK_VALUE_FRACTION * level + 1e-12), 0.0)
+    relative = np.where(filled, (data.mean - values) / (values + DARK_VALUE_FRACTION * level + 1e-12), 0.0)
     alone = np.abs(relative - median_filter(relative, (1, 1, NEIGHBOUR_COLUMNS, 1), mode="nearest"))
     usual = np.zeros(level.shape)
-    for channel, row in np.argwhere(seen.any(axis=(2, 3))):
-        usual[channel, row] = np.quantile(alone[channel, row][seen[channel, row]], 0.75)
+    for channel, row in np.argwhere(filled.any(axis=(2, 3))):
+        usual[channel, row] = np.quantile(alone[channel, row][filled[channel, row]], 0.75)
     return np.clip(2.0 - alone / (OUTLIER * usual + MIN_OUTLIER_RESIDUAL), 0.0, 1.0)
 
 

@@ -15,9 +15,8 @@ A weak prior determines unknowns without data: `SMOOTHING` times the squared sig
 of control values. Shapes have the strongest prior, because shapes of a faint lobe would oscillate between knots.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,9 +24,8 @@ from scipy.linalg.blas import dsymv as symv
 from scipy.linalg.lapack import dgesv as gesv
 from scipy.linalg.lapack import dpotrf, dtrtrs, spotrf, strtrs
 
-from dsbrdf.arrays import Array, Indices, Mask
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import FoldedProfiles
+from dsbrdf.arrays import Array, Mask
+from dsbrdf.fitting.fit_data import Block, FitData
 from dsbrdf.fitting.structure import Structure
 from dsbrdf.model.lobes import LobeSlopes, lobe_curves, log_cosine
 from dsbrdf.model.splines import roughness
@@ -36,10 +34,6 @@ SMOOTHING = (1e-8, 2e-7, 1e-7)
 """Weights of squared second differences of log amplitudes, shapes and elongations, per squared signal."""
 COST_TOLERANCE = 1e-3
 """An iteration that lowers the cost by a smaller fraction counts as stalled."""
-MAX_SAMPLES_IN_BLOCK = 2400
-"""Intermediate arrays of a block with so many samples stay in a processor's cache."""
-MAX_SINGLE_VALUE = 1e9
-"""Data beyond this value [1/sr], or below its inverse, stay in double precision."""
 MAX_UNKNOWN_STEP = 1.5
 """Maximum change of an unknown in one iteration: a logarithm, an angle [rad] or an elongation."""
 START_DAMPING = 1e-2
@@ -49,105 +43,6 @@ LIMIT_PASSES = 5
 MIN_UNKNOWN_CHANGE = 1e-9
 MAX_STALLED_ITERATIONS = 2
 """The fit ends after so many stalled iterations in a row."""
-
-
-@dataclass(frozen=True, eq=False)
-class FitData:
-    """Hold values and weights in R rows of theta_diff, N columns of theta_half and P bins of phi_diff."""
-
-    mean: Array  # (3, R, N, P)
-    weight: Array  # (3, R, N, P)
-    cos2_phi: Array  # (R, N, P)
-    theta_diff: Array  # (R,) [rad]
-    theta_half: Array  # common to all rows (N,) or separate for each row (R, N) [rad]
-
-    @classmethod
-    def select(cls, folded: FoldedProfiles, weight: Array, rows: Indices, columns: Indices) -> "FitData":
-        """Take rows of theta_diff and columns of theta_half of folded profiles, with all of their bins."""
-        chosen = np.ix_(np.arange(3), rows, columns)
-        cos2_phi = np.ascontiguousarray(folded.cos2_phi[np.ix_(rows, columns)])
-        return cls(folded.mean[chosen], weight[chosen], cos2_phi, THETA_DIFF[rows], THETA_HALF[columns])
-
-    @classmethod
-    def from_samples(cls, values: Array, weight: Array, row: Indices, theta_half: Array, phi_diff: Array) -> "FitData":
-        """Put samples (n, 3) into rows of whole degrees of theta_diff; short rows end with weightless samples."""
-        rows, index, counts = np.unique(row, return_inverse=True, return_counts=True)
-        order = np.argsort(index, kind="stable")
-        place = index[order], np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts)
-        shape = (rows.size, counts.max())
-        mean, counted, cos2_phi = (np.zeros(s) for s in ((3, *shape, 1), (3, *shape, 1), (*shape, 1)))
-        data = cls(mean, counted, cos2_phi, THETA_DIFF[rows], np.zeros(shape))
-        data.mean[:, *place, 0], data.weight[:, *place, 0] = values[order].T, weight[order].T
-        data.cos2_phi[*place, 0], data.theta_half[place] = np.cos(phi_diff[order]) ** 2, theta_half[order]
-        return data
-
-    def take_bins(self, bins: Sequence[int]) -> "FitData":
-        """Keep some bins of phi_diff only."""
-        chosen = list(bins)
-        return replace(
-            self, mean=self.mean[..., chosen], weight=self.weight[..., chosen], cos2_phi=self.cos2_phi[..., chosen]
-        )
-
-    def single(self) -> "FitData":
-        """Convert the data to single precision, which halves the time of sums.
-
-        Data whose weights exceed its range, such as values in a wrong unit, stay in double precision.
-        """
-        if not MAX_SINGLE_VALUE**-1 < self.mean.max(initial=0.0) < MAX_SINGLE_VALUE:
-            return self
-        parts: dict[str, Any] = {
-            name: getattr(self, name).astype(np.float32) for name in ("mean", "weight", "cos2_phi")
-        }
-        return replace(self, **parts)
-
-    @cached_property
-    def signal(self) -> float:
-        """Weighted sum of squares."""
-        return float(np.sum(self.weight * self.mean**2))
-
-    @cached_property
-    def rows(self) -> tuple[Array, Array]:
-        """Values and their weights, row by row, shape (R, 3, N * P)."""
-        mean, weight = (
-            part.transpose(1, 0, 2, 3).reshape(len(self.theta_diff), 3, -1) for part in (self.mean, self.weight)
-        )
-        return mean, weight
-
-    @cached_property
-    def squared_tangents(self) -> tuple[Array, Array]:
-        """Arrays (R, 1, N * P) of tan(theta_half)**2 times cos(phi_diff)**2, and times sin(phi_diff)**2."""
-        squared = np.tan(self.theta_half).astype(self.mean.dtype)[..., None] ** 2
-        shape = len(self.theta_diff), 1, -1
-        return (squared * self.cos2_phi).reshape(shape), (squared * (1.0 - self.cos2_phi)).reshape(shape)
-
-    @cached_property
-    def slices(self) -> list[slice]:
-        """Slices of the rows, so short that intermediate arrays stay in a processor's cache."""
-        count = len(self.theta_diff)
-        size = -(-count // max(1, round(self.cos2_phi.size / MAX_SAMPLES_IN_BLOCK)))
-        return [slice(start, start + size) for start in range(0, count, size)]
-
-    @cached_property
-    def blocks(self) -> list["Block"]:
-        """Rows of each slice, without samples that have no weight in any row."""
-        counts = self.rows[1].any(axis=1)
-        order, most, blocks = np.argsort(~counts, axis=1, kind="stable"), counts.sum(axis=1), []
-        for rows in self.slices:
-            chosen = order[rows, None, : most[rows].max()]
-            arrays = (np.take_along_axis(array[rows], chosen, axis=2) for array in (*self.rows, *self.squared_tangents))
-            blocks.append(Block(rows, *arrays))
-        return blocks
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Hold neighbouring rows with all of their weighted samples."""
-
-    rows: slice  # place of the rows in all rows
-    mean: Array  # (r, 3, n)
-    weight: Array  # (r, 3, n)
-    along: Array  # tan(theta_half)**2 cos(phi_diff)**2, (r, 1, n)
-    across: Array  # tan(theta_half)**2 sin(phi_diff)**2, (r, 1, n)
 
 
 class MixtureProblem:
@@ -168,7 +63,8 @@ class MixtureProblem:
         }
         self._log_cos = log_cosine(data.theta_diff)[:, None, None]
         self._pulls = [
-            data.signal * share * roughness(basis.shape[1]) for basis, share in zip(self.bases, smoothing, strict=True)
+            data.signal * weight * roughness(basis.shape[1])
+            for basis, weight in zip(self.bases, smoothing, strict=True)
         ]
         k = structure.n_lobes
         self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
@@ -277,17 +173,17 @@ class MixtureProblem:
 
     def _slopes(self, block: Block, kind: "_Kind") -> list[tuple[slice, Array]]:
         """Return derivatives of lobes in the parameters common to all channels, with the slices of their columns."""
-        k, found = self.structure.n_lobes, kind.slopes()
+        k, slopes = self.structure.n_lobes, kind.slopes()
         start, stop, end = kind.part.start, kind.part.stop, 3 * k + self.structure.n_rings
         by_elongation = kind.far - kind.near
         by_elongation *= self._log_cos[block.rows].astype(by_elongation.dtype)
-        by_elongation *= found.by_squared_tangent
+        by_elongation *= slopes.by_squared_tangent
         columns = [
-            (slice(k + start, k + stop), found.by_log_kappa),
-            (slice(2 * k + start, 2 * k + stop), found.by_log_gamma),
+            (slice(k + start, k + stop), slopes.by_log_kappa),
+            (slice(2 * k + start, 2 * k + stop), slopes.by_log_gamma),
             (slice(end + start, end + stop), by_elongation),
         ]
-        return columns + [(slice(3 * k, end), found.by_center)] * bool(found.by_center.ndim)
+        return columns + [(slice(3 * k, end), slopes.by_center)] * bool(slopes.by_center.ndim)
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,9 +228,8 @@ def minimize(
 ) -> Solution:
     """Minimise the cost by Levenberg-Marquardt within the bounds of the structure, from the unknowns `start`.
 
-    An iteration that lowers the cost by less than the fraction `tolerance` counts as stalled; the number of steps is
-    bounded, and `on_iteration` is called with the number of each step. Unknowns that
-    are `fixed` keep their start values.
+    An iteration that lowers the cost by less than the fraction `tolerance` counts as stalled. `on_iteration` is called
+    with the number of each iteration. Unknowns that are `fixed` keep their start values.
     """
     at = problem.evaluate(problem.structure.limit(start))
     damping, growth, stalled, is_new = START_DAMPING, 2.0, 0, True

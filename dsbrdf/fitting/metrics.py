@@ -207,5 +207,5 @@ def sample_metrics(model: DSBRDF, measurement: Measurement, sums: Array, albedo:
     albedo_error = float(np.mean(np.abs(albedo - measured) / np.where(measured > MIN_ALBEDO, measured, np.inf)))
     lit = render_sphere(data.evaluate, size=SPHERE_PIXELS)
     psnr, ssim = sphere_likeness(lit, render_sphere(model.evaluate_unmasked, size=SPHERE_PIXELS))
-    known = {} if errors is None else asdict(errors)
-    return Metrics(**known, albedo_error=albedo_error, psnr=min(psnr, 200.0), ssim=ssim)
+    sampled = {} if errors is None else asdict(errors)
+    return Metrics(**sampled, albedo_error=albedo_error, psnr=min(psnr, 200.0), ssim=ssim)

@@ -10,7 +10,8 @@ against gamma, changes while the half width stays, and each bound concerns one u
 negative center, a cusp, is the half width, and at most `MAX_CUSP_OFFSET`: a cusp stays about as steep as the lobe.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -85,9 +86,9 @@ class Structure:
 
     def is_kappa(self) -> Mask:
         """Mask of the unknowns that are logarithms of kappa, shape (n_unknowns,)."""
-        found = np.zeros(self.n_unknowns)
-        self.split(found)[1][:, : self.n_lobes] = 1.0
-        return found > 0.0
+        mask = np.zeros(self.n_unknowns)
+        self.split(mask)[1][:, : self.n_lobes] = 1.0
+        return mask > 0.0
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
@@ -169,8 +170,8 @@ class Structure:
             turn[:, ring - self.n_rings, ring] = slope * (np.expm1(saturation) - saturation * np.exp(saturation))
         rows = matrix[part, : part.stop].reshape(*shape.shape, -1)
         columns = matrix[part.start :, part].reshape(-1, *shape.shape).transpose(1, 2, 0)
-        for found in (gradient[part].reshape(*shape.shape, 1), rows, columns):
-            found[...] = turn @ found
+        for derivatives in (gradient[part].reshape(*shape.shape, 1), rows, columns):
+            derivatives[...] = turn @ derivatives
 
     def _of_rings(self, unknowns: Array) -> tuple[Array, Array]:
         """Return views (S, rings) on log reach and offset of the ring lobes."""
@@ -204,6 +205,28 @@ class Mixture:
 
     structure: Structure
     unknowns: Array
+
+    def lobes(self) -> tuple[Array, Array, Array]:
+        """Return the control values of K lobes, the last axis of each array.
+
+        They are log amplitude (D, 3, K), shape (S, 3, K): log kappa, log reach and offset, 0 without a center, and
+        elongation (E, K).
+        """
+        k = self.structure.n_lobes
+        amplitude, shape, elongation = self.structure.split(self.unknowns)
+        offset = np.zeros((len(shape), k))
+        offset[:, list(self.structure.rings)] = shape[:, 2 * k :]
+        shapes = np.stack([shape[:, :k], shape[:, k : 2 * k], offset], axis=1)
+        return amplitude.reshape(-1, 3, k), shapes, elongation
+
+
+def join_lobes(knots: Structure, is_ring: Mask, lobes: Iterable[Array]) -> Mixture:
+    """Make a mixture of lobes as from `Mixture.lobes`, rings last, on the knots of a structure."""
+    order = np.argsort(is_ring, kind="stable")
+    amplitude, shapes, elongation = (part[..., order] for part in lobes)
+    shape = np.concatenate([shapes[:, 0], shapes[:, 1], shapes[:, 2, is_ring[order]]], axis=1)
+    structure = replace(knots, rings=tuple(is_ring[order].tolist()))
+    return Mixture(structure, np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()]))
 
 
 def mixture_model(mixture: Mixture) -> DSBRDF:

@@ -11,8 +11,8 @@ from dsbrdf.arrays import Array, Indices
 from dsbrdf.data.geometry import above_horizon, half_difference
 from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import N_BINS, SAMPLES_IN_BIN, FoldedProfiles, Profiles
+from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, USED_COLUMNS, USED_ROWS, fit_weights
-from dsbrdf.fitting.least_squares import FitData
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF

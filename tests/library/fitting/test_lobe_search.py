@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from dsbrdf import DSBRDF
 from dsbrdf.data import THETA_DIFF, THETA_HALF
-from dsbrdf.fitting.least_squares import FitData, MixtureProblem
+from dsbrdf.fitting.fit_data import FitData
+from dsbrdf.fitting.least_squares import MixtureProblem
 from dsbrdf.fitting.lobe_search import MAX_SEARCHED_LOBES, SearchData, SearchStep, Wanted, search
 from dsbrdf.fitting.structure import Mixture, Structure
 from dsbrdf.model import FAMILIES, gamma_of_half_width

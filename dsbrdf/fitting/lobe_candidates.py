@@ -1,0 +1,143 @@
+"""Choose the lobes that a fit starts from among many candidates, by normal equations alone.
+
+Orthogonal matching pursuit (Pati, Rezaiifar, Krishnaprasad 1993) over candidates of many widths, centers and
+elongations: the candidate that explains most of the residual joins the chosen ones, and the amplitudes of all are
+solved for anew, row by row and channel by channel, none negative (Bruckstein, Elad, Zibulevsky 2008).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.weighting import TINY
+from dsbrdf.fitting.fit_data import FitData
+from dsbrdf.fitting.structure import Mixture, Structure, join_lobes
+from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width
+from dsbrdf.model.splines import smooth_control_values
+
+WIDTHS_DEG = (0.4, 0.8, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0)
+RING_WIDTHS_DEG = (0.4, 0.8, 1.5, 3.0, 6.0, 10.0, 16.0, 25.0, 40.0)
+RING_CENTERS_DEG = (1.0, 2.0, 4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0)
+CUSP_WIDTHS_DEG = (0.7, 1.5, 3.0, 6.0, 9.0)
+CUSP_CENTER_HALF_WIDTHS = -1.5
+ELONGATIONS = (0.0, 1.0, 3.0)
+START_KAPPA = 1.0
+START_ELONGATION = 0.5
+"""A fit starts at this fraction of a candidate's elongation: it corrects too round a lobe more easily."""
+MIN_START_HEIGHT = 0.02
+"""A lobe starts with at least this fraction of a typical amplitude: a fainter one has no derivatives to follow."""
+CHOICE_RIDGE = 1e-3
+"""Fraction of the candidates' squares added to normal equations: candidates that are nearly alike share their gain."""
+EQUAL_GAIN = 1e-4
+"""Candidates whose gains differ by a smaller fraction explain the data equally well."""
+MIN_VISIBLE_VALUE = 0.02
+"""A candidate of height 1 with smaller values at all data is chosen only if there is no other."""
+AMPLITUDE_SWEEPS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Hold C lobes of height 1, and their products with the data."""
+
+    width: Array  # half widths (C,) [rad]
+    center: Array  # (C,) [rad]
+    elongation: Array  # (C,)
+    curves: Array  # values at the data, (R, C, n)
+    right: Array  # weighted products with the data, (R, 3, C)
+    size: Array  # weighted squares, (R, 3, C)
+
+    @classmethod
+    def at(cls, data: FitData, family: str) -> "Candidates":
+        """Evaluate all candidates of a family of lobes at the data."""
+        shapes = [(width, 0.0) for width in WIDTHS_DEG]
+        shapes += [(width, CUSP_CENTER_HALF_WIDTHS * width) for width in CUSP_WIDTHS_DEG]
+        # A ring is not narrower than the steps of the grid at its center.
+        shapes += [(w, c) for c in RING_CENTERS_DEG for w in RING_WIDTHS_DEG if w >= max(0.12 * c, 0.3 * min(c, 5.0))]
+        width, center = np.radians(shapes).T
+        along, across = data.squared_tangents
+        stretch = np.array(ELONGATIONS) * log_cosine(data.theta_diff)[:, None]
+        ratio = np.exp(stretch)[:, :, None].astype(along.dtype)
+        squared = along / ratio + across * ratio
+        kappa = np.array(START_KAPPA)
+        gamma = gamma_of_half_width(width, kappa, family).astype(along.dtype)
+        kappa = kappa.astype(along.dtype)
+        curves = np.empty((len(along), len(ELONGATIONS), len(shapes), along.shape[2]), along.dtype)
+        for n in range(len(shapes)):
+            at = None if center[n] == 0.0 else center[n]
+            curves[:, :, n] = lobe_values(squared, kappa, gamma[n], at, family)
+        count, (mean, weight) = len(ELONGATIONS), data.rows
+        flat = curves.reshape(len(along), -1, along.shape[2])
+        transposed = flat.transpose(0, 2, 1)
+        products = ((weight * mean) @ transposed).astype(float), (weight @ np.square(transposed)).astype(float)
+        elongation = np.repeat(ELONGATIONS, len(shapes))
+        return cls(np.tile(width, count), np.tile(center, count), elongation, flat, *products)
+
+    @property
+    def is_ring(self) -> Mask:
+        """Mask of the candidates with a center."""
+        return self.center != 0.0
+
+    @cached_property
+    def is_visible(self) -> Mask:
+        """Mask of the candidates that data exist near the peak of; others would explain their flanks by wild peaks."""
+        return np.asarray(self.curves[0].max(axis=1) >= MIN_VISIBLE_VALUE)
+
+    def best(self, data: FitData, curves: Array, amplitudes: Array, allowed: Mask) -> int:
+        """Return the index of the allowed candidate that explains most beside lobes (R, K, n) of amplitudes (R, 3, K).
+
+        These amplitudes answer to the candidate. Of candidates that do equally well, the widest assumes least.
+        """
+        weighted, gram, _ = normal_equations(data, curves)
+        mixed, count = (weighted @ self.curves.transpose(0, 2, 1)[:, None]).astype(float), curves.shape[1]
+        residual = self.right - np.einsum("rhkc,rhk->rhc", mixed, amplitudes)
+        ridge = CHOICE_RIDGE * np.trace(gram, axis1=2, axis2=3)[..., None, None] / max(count, 1) + TINY
+        unexplained = self.size - np.sum(mixed * np.linalg.solve(gram + ridge * np.eye(count), mixed), axis=2)
+        gains = np.maximum(residual, 0.0) ** 2 / np.maximum(unexplained, CHOICE_RIDGE * self.size + TINY)
+        allowed = allowed & self.is_visible if np.any(allowed & self.is_visible) else allowed
+        gain = np.where(allowed, gains.sum(axis=(0, 1)), -1.0)
+        equal = np.flatnonzero((gain >= (1.0 - EQUAL_GAIN) * gain.max()) & allowed)
+        return int(equal[self.width[equal].argmax()])
+
+    def start(self, data: FitData, empty: Structure, chosen: list[int], amplitudes: Array) -> Mixture:
+        """Return a mixture of chosen candidates with amplitudes near (R, 3, K)."""
+        amplitude = _log_amplitudes(data, empty, amplitudes)
+        logs = np.full(len(chosen), np.log(START_KAPPA)), np.log(reach_of_width(self.width[chosen], empty.family))
+        shape = np.stack([*logs, np.where(self.is_ring[chosen], self.center[chosen], 0.0)])
+        n_shapes, n_elongations = (rows for rows, _ in empty.blocks[1:])
+        shapes = np.broadcast_to(shape, (n_shapes, *shape.shape))
+        elongation = np.tile(START_ELONGATION * self.elongation[chosen], (n_elongations, 1))
+        mixture = join_lobes(empty, self.is_ring[chosen], (amplitude, shapes, elongation))
+        return replace(mixture, unknowns=mixture.structure.limit(mixture.unknowns))
+
+
+def normal_equations(data: FitData, curves: Array) -> tuple[Array, Array, Array]:
+    """Return weighted lobes (R, 3, K, n), their products (R, 3, K, K), and those with the data (R, 3, K)."""
+    mean, weight = data.rows
+    weighted = curves[:, None] * weight[:, :, None]
+    gram, right = weighted @ curves.transpose(0, 2, 1)[:, None], weighted @ mean[..., None]
+    return weighted, gram.astype(float), right[..., 0].astype(float)
+
+
+def solved_amplitudes(data: FitData, curves: Array, start: Array) -> Array:
+    """Return the amplitudes (R, 3, K), none negative, of lobes (R, K, n), from a start for the first of them.
+
+    Coordinate descent takes an exact step in one amplitude after the other.
+    """
+    _, gram, right = normal_equations(data, curves)
+    amplitudes = np.pad(start, ((0, 0), (0, 0), (0, curves.shape[1] - start.shape[2])))
+    for _ in range(AMPLITUDE_SWEEPS):
+        for k in range(right.shape[-1]):
+            slope = right[..., k] - np.einsum("rhk,rhk->rh", gram[..., k, :], amplitudes)
+            amplitudes[..., k] = np.maximum(amplitudes[..., k] + slope / (gram[..., k, k] + TINY), 0.0)
+    return amplitudes
+
+
+def _log_amplitudes(data: FitData, structure: Structure, amplitudes: Array) -> Array:
+    """Return control values (D, 3, K) of log amplitudes near the amplitudes (R, 3, K)."""
+    typical = np.sqrt(np.mean(amplitudes**2, axis=(0, 1)))
+    typical = np.maximum(typical, MIN_START_HEIGHT * typical.max() + TINY)
+    logs = np.log(np.maximum(amplitudes, MIN_START_HEIGHT * typical))
+    values = smooth_control_values(structure.bases(data.theta_diff)[0], logs.reshape(len(logs), -1))
+    return values.reshape(-1, *amplitudes.shape[1:])
