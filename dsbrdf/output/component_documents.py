@@ -1,4 +1,4 @@
-"""Write components as JSON content, for commands, stored fits and the HTTP service, and read them back.
+"""Convert components to JSON documents and back, for the command line, stored fits and the HTTP service.
 
 Angles are in degrees.
 """
@@ -16,16 +16,16 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.typed_json import typed
 
 LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
-"""Angles theta_diff of the heights in a component's document [degrees]."""
+"""Angles theta_diff at which a document has the component's values at theta_half = 0 [degrees]."""
 
 
 def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
-    """Return the components of a model as JSON content, from narrow to wide."""
+    """Return the JSON documents of a model's components, the narrowest component first."""
     return [component_document(component) for component in decompose(model)]
 
 
 def component_document(component: Component) -> dict[str, Any]:
-    """Return one component as JSON content: light, surfaces with ranges, misfit, heights at `LOBE_THETA_DIFF`."""
+    """Return the JSON document of one component: its fraction of the light, layers, surfaces, misfit and ranges."""
     width = component.half_width
     return {
         "label": component.label,
@@ -47,16 +47,16 @@ def component_document(component: Component) -> dict[str, Any]:
 
 
 def ranges_in(document: Mapping[str, Any]) -> ComponentRanges:
-    """Return the ranges in a component's document.
+    """Read the 90 % ranges from a component's document.
 
-    Raises ModelFormatError if they are damaged, KeyError or TypeError if there are none.
+    Raises ModelFormatError if the ranges are damaged, KeyError if the document has none, TypeError if it is no mapping.
     """
     ranges: ComponentRanges = typed(ComponentRanges, document["ranges"], "ranges")
     return ranges
 
 
 def description_in(document: Mapping[str, Any]) -> Description:
-    """Return the layers, surfaces and misfit in a component's document; errors are those of `ranges_in`."""
+    """Read layers, surfaces and misfit from a component's document; raise the errors of `ranges_in`."""
     parts = {name: document[name] for name in ("surfaces", "misfit")} | {"layers": {"layers": document["layers"]}}
     description: Description = typed(Description, parts, "description")
     return description

@@ -1,4 +1,4 @@
-"""Write the components of many materials as a table, with a row for each surface, or component without surface."""
+"""Tabulate the components of many materials: a row for each surface, and for each component without surfaces."""
 
 import csv
 import io
@@ -19,13 +19,13 @@ COLUMNS = (
     *(f"albedo_{channel}{end}" for channel in CHANNELS for end in _RANGES),
     *("half_width_deg", "psnr"),
 )
-"""Columns of the table; ``_low`` and ``_high`` hold a figure with 90 % probability."""
+"""Columns of the table; ``_low`` and ``_high`` are the ends of the 90 % range of a value."""
 
 
 def component_rows(
     material: str, components: Sequence[Mapping[str, Any]], psnr: float | None
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a material, from its components' documents and the PSNR of its fit [dB]."""
+    """Yield the table rows of a material, from the documents of its components and the PSNR of its fit [dB]."""
     for part in components:
         own = {"material": material, "component": part["label"], "half_width_deg": part["half_width_deg"], "psnr": psnr}
         own |= _with_range("light_share", part["light_share"], part["ranges"]["light_share"])
@@ -51,7 +51,7 @@ def _by_channel(name: str, values: Sequence[float] | None, spreads: Sequence[Seq
 
 
 def table_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMNS) -> bytes:
-    """Return rows as CSV with a line of names; a cell without a value is empty."""
+    """Return rows as CSV with a header line; a cell without a value is empty."""
     text = io.StringIO()
     table = csv.DictWriter(text, columns, lineterminator="\n")
     table.writeheader()
@@ -73,7 +73,7 @@ _LATEX = {
 
 
 def table_latex(rows: Iterable[Mapping[str, Any]]) -> bytes:
-    """Return rows as a LaTeX table for the package booktabs, with ranges of the light and of alpha as indices."""
+    """Return rows as a LaTeX table for the package booktabs; ranges are subscripts and superscripts of their values."""
     lines = [f"\\begin{{tabular}}{{ll{'r' * (len(_LATEX) - 2)}}}", "\\toprule"]
     lines += [" & ".join(_LATEX.values()) + r" \\", "\\midrule"]
     for row in rows:

@@ -18,22 +18,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase, SubFigure
 
 IMAGE_FORMATS = ("png", "svg", "pdf")
-"""Formats of `encode_figure`."""
+"""Image formats that `encode_figure` writes."""
 
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
 LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "#a0522d", "#4263eb", "#868e96")
 PAIR_WIDTH_IN = 5.5
-"""Width of two panels side by side."""
+"""Width of two panels side by side [inches]."""
 ROW_HEIGHT_IN = 3.4
-"""Height of a row of panels."""
+"""Height of a row of panels [inches]."""
 _TITLE_HEIGHT_IN = 0.4
-_MAX_LOG_TICKS = 6  # With more ticks on a logarithmic axis, some are left out.
+_MAX_LOG_TICKS = 6  # If a logarithmic axis would have more ticks, some are left out.
 _TENTHS, _HALVES, _DIGITS = (np.arange(1.0, 10.0, step) for step in (0.1, 0.5, 1.0))
 _TICK_MANTISSAS = (_TENTHS, _HALVES, _DIGITS, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,))
 
 
 def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150.0) -> bytes:
-    """Return the content of an image file, one of `IMAGE_FORMATS`, with a figure; `dpi` is the resolution of a png.
+    """Encode a figure as an image file in one of `IMAGE_FORMATS`; `dpi` is the resolution of a PNG.
 
     Raises InvalidArgumentError if the format is unknown.
     """
@@ -45,20 +45,20 @@ def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150
 
 
 def empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) -> Figure:
-    """Return a figure with a title and the width of some pairs of panels; margins are fitted unless fixed."""
+    """Return a titled figure for a number of pairs of panels; Matplotlib computes the margins unless they are fixed."""
     require("plot", "matplotlib", purpose="figures")
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
     figure = Figure(figsize=(PAIR_WIDTH_IN * pairs, height), layout=layout)
-    figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # Notebooks show the figure without pyplot.
+    figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # Notebooks call this to show a figure.
     figure.suptitle(title, parse_math=False)  # Dollars in a name are not a formula.
     return figure
 
 
 def figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
-    """Return a figure with a title, and below it rows of given heights [inches] for panels with fixed margins."""
+    """Return a titled figure and its rows, which have the given heights [inches] and panels with fixed margins."""
     figure = empty_figure("", pairs, height=_TITLE_HEIGHT_IN + sum(heights), fixed=True)
     parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE_HEIGHT_IN, *heights])
     head, *rows = parts[:, 0]
@@ -75,7 +75,7 @@ def draw_legend(
 
 
 def set_ticks(ax: Axes) -> None:
-    """Set a few round ticks within final limits; angles up to 90 degrees have ticks every 15 or 30 degrees."""
+    """Set few, round ticks within the final axis limits, every 15 or 30 degrees on axes that end at 90 degrees."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = ax.get_xlim()
@@ -94,7 +94,7 @@ def set_ticks(ax: Axes) -> None:
 
 
 def log_ticks(low: float, high: float) -> Array:
-    """Return as many round ticks of a logarithmic axis as possible, but at most six."""
+    """Return as many round tick values of a logarithmic axis as possible, but at most `_MAX_LOG_TICKS`."""
     decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
     for mantissas in _TICK_MANTISSAS:
         ticks = np.round([mantissa * 10.0**decade for decade in decades for mantissa in mantissas], 12)

@@ -1,11 +1,11 @@
 """Draw figures of a fit in the style of Nishino 2009, Figure 1.
 
 Every function returns a new `matplotlib.figure.Figure`. Neither pyplot nor other global state is used, so figures may
-be made in any thread. Matplotlib is the extra ``plot``.
+be made in any thread. The extra ``plot`` installs Matplotlib.
 
-Profiles are means over phi_diff, of the measurement and of the model, mirrored to -90..90 degrees of theta_half as in
-the paper. They span orders of magnitude, so every slice has two panels: all angles on a logarithmic axis, which shows
-the diffuse part, and the peak on a linear axis, as in the paper.
+A profile is the mean of the measurement or the model over phi_diff. It is drawn over theta_half and mirrored to -90..90
+degrees, as in the paper. Values span orders of magnitude, so every slice of theta_diff has two panels: all angles on a
+logarithmic axis, which shows the diffuse part, and the peak on a linear axis, as in the paper.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ if TYPE_CHECKING:
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.model.reflectance import ReflectanceModel
 
-    _Part = tuple[ReflectanceModel, str, str, str]  # model, colour, style and label; without label, the curve is thin
+    _Part = tuple[ReflectanceModel, str, str, str]  # model, colour, line style and label; unlabelled curves are thin
 
 DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
-"""Slices of theta_diff drawn by default [rad]."""
+"""Values of theta_diff whose slices are drawn by default [rad]."""
 COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
 _SPHERES_HEIGHT_IN = 2.5
-_MAX_COLOURED_RESIDUAL_PERCENT = 100.0  # Larger residuals have the same colour.
+_MAX_COLOURED_RESIDUAL_PERCENT = 100.0  # Larger residuals get the colour of this residual.
 _RESIDUAL_TICKS_DEG = (0, 5, 20, 45, 90)  # ticks on the axis of theta_half
 
 
 def profiles_figure(profiles: Profiles, model: Reflectance, *, curves: str = "fit") -> Figure:
-    """Draw row (a) of `overview_figure` alone; `curves` names the model in the legend."""
+    """Draw only row (a) of `overview_figure`, the profiles; `curves` names the model in the legend."""
     rows = _nearest_rows(DEFAULT_THETA_DIFF)
     figure, (row,) = figure_of_rows(profiles.name, len(rows), [ROW_HEIGHT_IN])
     _profiles_row(row, profiles, model, rows, curves)
@@ -68,7 +68,7 @@ def profiles_figure(profiles: Profiles, model: Reflectance, *, curves: str = "fi
 
 
 def lobes_figure(profiles: Profiles, model: DSBRDF, *, model_lobes: bool = False) -> Figure:
-    """Draw row (b) of `overview_figure` alone, in the red channel."""
+    """Draw only row (b) of `overview_figure`, the components or lobes, in the red channel."""
     rows, title = _nearest_rows(DEFAULT_THETA_DIFF), f"{profiles.name}: {_parts_name(model_lobes)}, red channel"
     figure, (row,) = figure_of_rows(title, len(rows), [ROW_HEIGHT_IN])
     _parts_row(row, profiles, model, rows, 0, model_lobes)
@@ -84,27 +84,27 @@ def overview_figure(
     model_lobes: bool = False,
     spheres: SphereComparison | None = None,
 ) -> Figure:
-    """Draw both rows of Nishino 2009, Figure 1, and lit spheres.
+    """Draw both rows of Nishino 2009, Figure 1, and optionally lit spheres.
 
     Parameters
     ----------
     profiles : Profiles
         The measurement, averaged over phi_diff; the model's curves are averaged over the same directions.
     model : DSBRDF
-        The fit; row (a) compares it with the measurement in all channels.
+        The fit that row (a) compares with the measurement in all channels.
     theta_diff : sequence of float, optional
-        The slices [rad]; each is drawn at the nearest row of the measurement.
+        Angles theta_diff of the slices [rad]; the nearest row of the measurement's grid is drawn for each angle.
     channel : {"red", "green", "blue"}, optional
-        The channel of row (b), which shows the components with their own layers, and their sum.
+        The channel of row (b), which shows the fit and its components, and the layers of each component.
     model_lobes : bool, optional
-        Whether row (b) shows the lobes of the model instead.
+        Whether row (b) shows the lobes of the model instead of the components.
     spheres : SphereComparison, optional
-        Spheres to draw in a third row.
+        Lit spheres to draw in a third row.
 
     Raises
     ------
     InvalidArgumentError
-        If there is no theta_diff, or one outside of 0..pi/2, or the channel is unknown.
+        If `theta_diff` is empty or has an angle outside of 0..pi/2, or the channel is unknown.
     MissingExtraError
         If Matplotlib is not installed.
     """
@@ -125,9 +125,10 @@ def overview_figure(
 
 
 def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
-    """Draw the relative difference of fit and measurement for each channel, averaged over phi_diff.
+    """Draw the relative difference between the profiles of fit and measurement for each channel.
 
-    The axes are theta_half, on the grid's scale that is dense at the peak, and theta_diff. Nodes without data are grey.
+    The axes are theta_half and theta_diff. All grid nodes are equally wide, which enlarges the peak, where theta_half
+    has more nodes. Nodes without data are grey.
     """
     figure = empty_figure(profiles.name, 2, height=ROW_HEIGHT_IN)
     fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
@@ -157,7 +158,7 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
 def _profiles_row(
     figure: FigureBase, profiles: Profiles, model: Reflectance, rows: Sequence[int], curves: str = "fit"
 ) -> None:
-    """Draw all channels, in two panels for each slice, with a legend."""
+    """Draw the profiles of all channels, in two panels for each slice, with a legend."""
     pairs = panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
         fitted = slice_means(model, row, profiles.horizon_cutoff)
@@ -177,7 +178,7 @@ def _parts_name(model_lobes: bool) -> str:
 def _parts_row(
     figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int, model_lobes: bool
 ) -> None:
-    """Draw parts of a model in one channel, in two panels for each slice, with a legend of the visible parts."""
+    """Draw components or lobes in one channel, in two panels for each slice, with a legend of the visible curves."""
     parts = _lobe_parts(model, channel) if model_lobes else _component_parts(model)
     pairs = panel_pairs(figure, len(rows))
     for row, pair in zip(rows, pairs, strict=True):
@@ -190,14 +191,14 @@ def _parts_row(
             draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # The wide line stays visible below a component.
             draw_points(
                 ax, *points, str(ax.xaxis.label.get_color()), "o", "measured"
-            )  # The axis label's colour is visible on dark backgrounds.
+            )  # This colour is visible on light and dark backgrounds.
             for (_, colour, style, label), curve in compress(zip(parts, curves, strict=True), seen):
                 draw_curve(ax, curve, colour, style=style, label=label)
     finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))
 
 
 def _component_parts(model: DSBRDF) -> list[_Part]:
-    """Return the components of a model, each followed by its own layers as a dashed curve."""
+    """Return the components of a model, each after a dashed curve of the component's own layers."""
     parts: list[_Part] = []
     for component in decompose(model):
         colour, name = COMPONENT_COLOURS[component.label], component.label.replace("_", " ")
@@ -208,7 +209,7 @@ def _component_parts(model: DSBRDF) -> list[_Part]:
 
 
 def _lobe_parts(model: DSBRDF, channel: int) -> list[_Part]:
-    """Return the lobes of a model with their width at theta_diff = 0, rings and cusps dashed, and the delta term."""
+    """Return the lobes of a model, rings and cusps dashed, and the delta term; labels have widths at theta_diff = 0."""
     at = lobes_in_channel(model, 0.0, channel)
     widths, centers = np.degrees(at["half_width"]), np.degrees(at["center"])
     parts: list[_Part] = []
@@ -225,7 +226,7 @@ def _lobe_parts(model: DSBRDF, channel: int) -> list[_Part]:
 
 
 def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
-    """Draw panels in one row over the whole width, each with its title and transparent beside the sphere."""
+    """Draw pictures of spheres in one row, each with its title and transparent outside the sphere."""
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     figure.subplots_adjust(left=0.02, right=0.98, bottom=0.02, top=0.82, wspace=0.1)
     for ax, (title, picture) in zip(axes, panels.items(), strict=True):
@@ -235,7 +236,7 @@ def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
 
 
 def _nearest_rows(theta_diff: Sequence[float]) -> list[int]:
-    """Return the rows of the grid that are nearest to the requested theta_diff."""
+    """Return the index of the grid row that is nearest to each requested theta_diff."""
     angles = np.asarray(theta_diff, dtype=np.float64)
     if angles.ndim != 1 or not angles.size or not np.all((angles >= 0.0) & (angles <= np.pi / 2)):
         raise InvalidArgumentError("theta_diff must be one or more angles from 0 to pi/2 [rad]")

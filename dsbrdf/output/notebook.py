@@ -1,4 +1,4 @@
-"""Show objects of the library in notebooks, as a lit sphere beside a few lines."""
+"""Show objects of the library in notebooks, as a lit sphere beside a short table."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def html(shown: Measurement | DSBRDF | Component | LayeredModel | FitResult | Fi
 
 
 def _rows(source: Measurement | DSBRDF | Component | LayeredModel) -> dict[str, str]:
-    """Return the names and texts of an object's table."""
+    """Return the rows of an object's table: texts by name."""
     if isinstance(source, DSBRDF):
         rows = {"model": f"{lobes_phrase(source)}, {source.n_numbers} numbers"}
         return rows | {part.label.replace("_", " "): _component_phrase(part) for part in decompose(source)}
@@ -58,14 +58,14 @@ def _component_phrase(component: Component) -> str:
 
 
 def _report_html(report: FitReport) -> str:
-    """Return the metrics that have a value, and the warnings."""
+    """Return the metrics that have a value, and the warnings, as HTML."""
     metrics = {name: f"{value:.4g}" for name, value in asdict(report.metrics).items() if value is not None}
     sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in report.warnings)
     return _table(metrics) + (f"<ul>{sentences}</ul>" if sentences else "")
 
 
 def _card(source: DSBRDF | LayeredModel | Component | Measurement, *parts: str) -> str:
-    """Return a sphere on a transparent background, with parts to its right."""
+    """Return HTML of a lit sphere on a transparent background, with parts to the right of the sphere."""
     sphere, mask = render_sphere(source, size=_THUMBNAIL_SIZE_PX), sphere_normals(_THUMBNAIL_SIZE_PX)[1]
     shown = encode_png(cut_out(displayed(sphere, exposure(sphere, mask))))
     image = (

@@ -31,16 +31,16 @@ _LINE_STYLES = ("-", "--", "-.", ":")
 
 
 def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = False) -> Figure:
-    """Draw the RGB height of a model's components over theta_diff, and their directional albedo.
+    """Draw the RGB values of a model's components at theta_half = 0, and their directional albedo.
 
-    With `model_lobes`, draw the mean height, half width, kappa and elongation of the model's lobes instead, with the
-    green channel's shape if each channel has its own.
+    With `model_lobes`, draw the amplitude (mean of the channels), half width, kappa and elongation of the model's
+    lobes instead. Half width and kappa are those of the green channel.
     """
     return _lobes_figure(model, title) if model_lobes else components_figure(decompose(model), title)
 
 
 def components_figure(components: Iterable[Component], title: str) -> Figure:
-    """Draw the RGB height of some components over theta_diff, and their directional albedo."""
+    """Draw the RGB values of components at theta_half = 0 over theta_diff, and their directional albedo."""
     figure = empty_figure(title, 2, height=ROW_HEIGHT_IN)
     heights, albedos = figure.subplots(1, 2)
     degrees, seen = np.degrees(_CURVE_THETA_DIFF), np.linspace(0.0, 80.0, 17)
@@ -51,7 +51,7 @@ def components_figure(components: Iterable[Component], title: str) -> Figure:
             for channel_colour, curve in zip(CHANNEL_COLOURS, values.T, strict=True):
                 ax.plot(angles, curve, style, color=channel_colour, linewidth=1.2)
         low, high = np.transpose(part.ranges.albedo)
-        places = 1.0 + 3.0 * number + np.arange(3)  # The three markers stand side by side at the left edge.
+        places = 1.0 + 3.0 * number + np.arange(3)  # The ranges of the channels are drawn side by side.
         albedos.vlines(places, low, high, colors=CHANNEL_COLOURS, linestyles=style, linewidth=2.5, alpha=0.5)
         heights.plot([], [], style, color="0.3", linewidth=1.2, label=part.label.replace("_", " "))
     heights.set(yscale="log", title="height at theta_half = 0 [1/sr]", xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
@@ -94,6 +94,6 @@ def _lobes_figure(model: DSBRDF, title: str) -> Figure:
 
 
 def _include(ax: Axes, low: float, high: float) -> None:
-    """Widen an axis to usual values, so that small differences look small."""
+    """Widen a vertical axis to include `low` and `high`, so that small variations look small."""
     bottom, top = ax.get_ylim()
     ax.set_ylim(min(low, bottom), max(high, top))

@@ -1,4 +1,4 @@
-"""Draw any object of the library: measurements, samples, models, components and fits."""
+"""Draw measurements, models, components and fits, and a fit beside its samples or measurement."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ def plot(
     Parameters
     ----------
     shown : Measurement, DSBRDF, Component or FitResult
-        A measurement is drawn as its means over phi_diff and the values interpolated between them, a model or a
-        component as its height and directional albedo over theta_diff.
+        A measurement is drawn as profiles, which are means over phi_diff, with interpolated curves; a model or a
+        component as its values at theta_half = 0 and its directional albedo.
     measured : Measurement or ScatteredSamples, optional
-        The data of a model or a fit. A measurement adds its profiles to the figure, with the fit and the components;
-        samples are drawn beside the fit, with the residual.
+        Data to compare with a model or a fit. For a measurement, the figure has the profiles, the fit and its
+        components; for samples, it has the samples, the fit and the residual.
 
     Raises
     ------
     InvalidArgumentError
-        If `shown` is none of these, or a measurement or component is given together with data.
+        If `shown` has another type, or is a measurement or component although `measured` is given.
     """
     options = shown.report.options if isinstance(shown, FitResult) else FitOptions()
     model = shown.model if isinstance(shown, FitResult) else shown

@@ -1,7 +1,7 @@
 """Write the result of a fit as text and as JSON: metrics, components with their layers, and the model's lobes.
 
-The JSON has the same form as in the HTTP service. Angles are in degrees, because this is for display and for HTTP; the
-rest of the library uses radians.
+The JSON has the same form as in the HTTP service. Angles are in degrees, for readers and HTTP clients; the rest of the
+library uses radians.
 """
 
 import json
@@ -26,9 +26,9 @@ from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.serialize import to_json
 
 SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
-"""Angles theta_diff of printed parameters, a subset of `LOBE_THETA_DIFF` [degrees]."""
+"""Angles theta_diff at which parameters are printed, a subset of `LOBE_THETA_DIFF` [degrees]."""
 _TEXT_WIDTH = 60  # characters
-# A fit has the first verdict whose PSNR of lit spheres [dB] it reaches.
+# The verdict on a fit is the first whose PSNR [dB] its lit sphere reaches.
 _VERDICTS_BY_PSNR = (
     (45.0, "hard to tell apart"),
     (38.0, "very close"),
@@ -47,7 +47,7 @@ def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
 
 
 def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a table with a line for each component: light with its range, half width and albedo."""
+    """Return a table with a line for each component: fraction of the light, its range, half width and albedo."""
     if not components:
         return ["The model reflects no light, so it has no components."]
     lines = [f"{'component':<14}{'light':>5}{'90 % range':>11}{'width':>8}{'albedo r, g, b':>21}"]
@@ -60,7 +60,7 @@ def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def component_surfaces_table(components: Sequence[Mapping[str, Any]], *, remarks: bool = True) -> list[str]:
-    """Return a block of surfaces and optional remarks for each component, then the heights."""
+    """Return the surfaces and optional remarks of each component, then a table of values at theta_half = 0."""
     lines: list[str] = []
     for component in components:
         lines.append(f"{component['label']} ({component['structure']})")
@@ -72,7 +72,7 @@ def component_surfaces_table(components: Sequence[Mapping[str, Any]], *, remarks
 
 
 def _surface_lines(number: int, surface: Mapping[str, Any]) -> list[str]:
-    """Return the parameters of one surface with their ranges, except withheld parameters."""
+    """Return the parameters of one surface with their 90 % ranges; parameters that are None are left out."""
     rows = []
     if surface["alpha"] is not None:
         rows += [("alpha", _with_range(surface["alpha"], surface["alpha_range"]))]
@@ -92,7 +92,7 @@ def _with_range(value: float, spread: Sequence[float]) -> str:
 
 
 def _heights_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the heights of the components' own layers at `SHOWN_THETA_DIFF`."""
+    """Return the values of each component's layers at theta_half = 0 and `SHOWN_THETA_DIFF`."""
     if not components:
         return []
     lines = _angles_head("height at theta_half = 0 [1/sr]")
@@ -125,7 +125,7 @@ def parameters_table(model: DSBRDF, *, channel: str = "red") -> list[str]:
 
 
 def lobes_in_channel(model: DSBRDF, theta_diff: ArrayLike, channel: int) -> dict[str, Array]:
-    """Return parameters and half widths (..., K) of the lobes in one channel at theta_diff (...) [rad]."""
+    """Return parameters and half widths (..., K) of the K lobes in one channel at theta_diff (...) [rad]."""
     found, shape = model.parameters_at(theta_diff), channel if model.kappa.shape[0] == 3 else 0
     at = {name: found[name][..., shape, :] for name in ("kappa", "gamma", "center")}
     at |= {"amplitude": found["amplitude"][..., channel, :], "elongation": found["elongation"]}
@@ -148,7 +148,7 @@ def lobes_phrase(model: DSBRDF) -> str:
 
 
 def search_table(report: FitReport) -> list[str]:
-    """Return a table of the numbers of lobes that the fit tried, the largest first; empty without a search.
+    """Return a table of the numbers of lobes that the fit tried, in this order; empty without a search.
 
     The error is the weighted squared error on validation samples, as a fraction of their squared signal.
     """
@@ -171,7 +171,7 @@ def selection_table(report: FitReport) -> list[str]:
 
 
 def bands_table(report: FitReport) -> list[str]:
-    """Return a table of the errors of each channel and of each band of theta_diff with data."""
+    """Return a table of the relative errors in each channel, and in each band of theta_diff that has data."""
     rows: list[tuple[str, RelativeErrors]] = [(f"{row.channel} channel", row) for row in report.by_channel]
     for band in report.by_theta_diff:
         low, high = np.degrees(band.theta_diff)
@@ -184,7 +184,7 @@ def bands_table(report: FitReport) -> list[str]:
 
 
 def samples_tables(report: FitReport) -> list[str]:
-    """Return tables of validation errors and of the directions to measure next; empty without samples."""
+    """Return tables of validation errors and of directions to measure next; empty unless samples were fitted."""
     lines = [f"{'samples left out':<32}{'samples':>9}{'relative_rms':>14}"] if report.left_out else []
     lines += [f"{row.where:<32}{row.n_samples:>9}{row.relative_rms:>14.4f}" for row in report.left_out]
     if report.measure_next:
@@ -235,7 +235,7 @@ def likeness(psnr: float) -> str:
 
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
-    """Return metrics, warnings and components, then the stored form of a model and its report."""
+    """Return a JSON document of metrics, warnings and components, followed by the stored model and report."""
     about = {
         "metrics": None if report is None else asdict(report.metrics),
         "warnings": [] if report is None else list(report.warnings),
@@ -246,9 +246,9 @@ def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
 
 
 def parameters_csv(model: DSBRDF) -> str:
-    """Return a table as CSV with a row for each lobe, channel and theta_diff, in steps of 5 degrees.
+    """Return lobe parameters as CSV, with a row for each lobe, channel and theta_diff (0, 5, ..., 85, 89 degrees).
 
-    The amplitude is in 1/sr; the half width is counted from the center.
+    The amplitude is in 1/sr; the half width of a ring lobe is counted from its center.
     """
     names = ("amplitude", "kappa", "gamma", "center_deg", "elongation", "half_width_deg")
     lines = [",".join(("lobe", "channel", "theta_diff_deg", *names))]
@@ -266,9 +266,9 @@ def parameters_csv(model: DSBRDF) -> str:
 
 
 def layers_csv(layers: LayeredModel) -> str:
-    """Return a table as CSV with a row for each number of each layer; see `dsbrdf.components.layers`.
+    """Return the parameters of layers as CSV, with a row for each number; see `dsbrdf.components.layers`.
 
-    A colour has a row for each channel, such as ``f0_red``; another list has a row for each place, such as ``rise_1``.
+    A colour has a row for each channel, such as ``f0_red``; other lists have a row for each index, such as ``rise_1``.
     """
     lines = ["layer,kind,parameter,value"]
     for number, layer in enumerate(layers.layers):

@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 MAX_DRAWN_DISTANCE_DEG = 3.0
-"""Samples farther from a slice or a plane are not drawn in it."""
+"""The panel of a slice of theta_diff, or of a plane of incidence, leaves out samples farther from it."""
 _MAX_DRAWN_SAMPLES = 3000  # If there are more samples, a random subset is drawn.
-_SLICE_CANDIDATES_DEG = np.arange(0.0, 86.0, 5.0)  # angles theta_diff
-_MIN_SLICE_DISTANCE_DEG = 15.0  # Two slices of theta_diff are never closer.
+_SLICE_CANDIDATES_DEG = np.arange(0.0, 86.0, 5.0)  # theta_diff of slices, theta_in of planes
+_MIN_SLICE_DISTANCE_DEG = 15.0  # The two drawn slices or planes are never closer.
 _CURVE_ANGLES_DEG = np.linspace(0.0, 89.0, 357)
 _CURVE_PHI_DIFF = np.radians(np.arange(0.0, 181.0, 15.0))
 _MAX_RESIDUAL_AXIS_PERCENT = 100.0  # Larger residuals are drawn at the edge of the axis.
 
 
 def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
-    """Draw samples and fit near two slices of theta_diff and in two planes of incidence, and the residual of all.
+    """Draw samples and fit near two slices of theta_diff and at two angles of incidence, and all residuals.
 
-    The slices and planes with the most samples are drawn. Samples are squares. In a slice, the line is the fit's mean
-    over phi_diff, and the band is its range over phi_diff; in a plane, the line is the fit for light at the mean
-    theta_in of the samples.
+    The slices and the angles theta_in with the most samples are drawn. Samples are squares. In a slice, the line is the
+    fit's mean over phi_diff, and the band is the fit's range over phi_diff. In a plane of incidence, the line is the
+    fit for light at the mean theta_in of the samples.
     """
     figure, (slices, planes, below) = figure_of_rows(samples.name, 2, [ROW_HEIGHT_IN] * 3)
     slices.suptitle(
@@ -69,7 +69,7 @@ def _angles(samples: ScatteredSamples) -> Array:
 
 
 def _densest(values: Array) -> list[float]:
-    """Return at most two of the candidate angles, in order, with the most values near them."""
+    """Return at most two candidate angles with the most values nearby, in ascending order."""
     counts = np.array(
         [np.count_nonzero(np.abs(values - place) <= MAX_DRAWN_DISTANCE_DEG) for place in _SLICE_CANDIDATES_DEG]
     )
@@ -88,7 +88,7 @@ def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles
 
     def draw(ax: Axes, place: float) -> None:
         values = model.evaluate(np.radians(_CURVE_ANGLES_DEG)[:, np.newaxis], np.radians(place), _CURVE_PHI_DIFF)
-        around = np.ma.masked_equal(values, 0.0)  # Values below the horizon are 0.
+        around = np.ma.masked_equal(values, 0.0)  # Zeros, below the horizon, do not enter the mean.
         near = np.abs(theta_diff - place) <= MAX_DRAWN_DISTANCE_DEG
         _draw(ax, theta_half[near], samples.values[near], _CURVE_ANGLES_DEG, around.mean(axis=1))
         for colour, low, high in zip(CHANNEL_COLOURS, around.min(axis=1).T, around.max(axis=1).T, strict=True):
@@ -102,10 +102,10 @@ def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles
 def _plane_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF) -> None:
     first, second = samples.omega_in, samples.omega_out
     theta_in = np.degrees(np.arccos(np.clip(first[:, 2], -1.0, 1.0)))
-    normal = np.cross(first, (0.0, 0.0, 1.0))  # normal of the plane of incidence; 0 for light along z
+    normal = np.cross(first, (0.0, 0.0, 1.0))  # The normal of the plane of incidence is 0 if omega_in is z.
     aside = np.sum(normal * second, axis=1) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
     in_plane = np.abs(np.degrees(np.arcsin(np.clip(aside, -1.0, 1.0)))) <= MAX_DRAWN_DISTANCE_DEG
-    sign = np.where(np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0)  # The light's side is negative.
+    sign = np.where(np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0)  # The side of omega_in is negative.
     theta_out = sign * np.degrees(np.arccos(np.clip(second[:, 2], -1.0, 1.0)))
 
     def draw(ax: Axes, place: float) -> None:
@@ -167,7 +167,7 @@ def _draw_row(row: FigureBase, places: list[float], draw: Callable[[Axes, float]
 
 
 def _draw(ax: Axes, degrees: Array, values: Array, at: Array, fitted: Array) -> None:
-    """Draw samples and curves of the fit in three channels, on a logarithmic axis that holds all samples."""
+    """Draw samples and fit in three channels, on a logarithmic axis that includes all positive samples."""
     for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, values.T, fitted.T, strict=True):
         kept = points > 0.0
         ax.plot(degrees[kept], points[kept], "s", color=colour, mfc="none", ms=3.4, mew=0.6, label=f"{channel}, sample")

@@ -1,6 +1,6 @@
 """Convert models and reports to versioned JSON and back, without loss.
 
-A file contains the name ``dsbrdf``, a version, the arrays of a `DSBRDF` and, if there is one, the report of its fit.
+A file contains the format ``dsbrdf``, a version, the arrays of a `DSBRDF` and, if there is one, the report of its fit.
 Every number has enough digits to restore the same bits. Everything that is read is checked:
 damaged content raises a `ModelFormatError`.
 """
@@ -32,7 +32,7 @@ FORMAT = "dsbrdf"
 LAYERS_FORMAT = "dsbrdf-layers"
 VERSION = 2
 ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in TEXTS)
-"""Attributes of a model that are arrays."""
+"""Names of the attributes of a `DSBRDF` that are arrays."""
 
 _MAX_FILE_BYTES = 64 << 20  # A larger file is refused; a model with its report takes less than 1 MB.
 
@@ -62,7 +62,7 @@ def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
 
 
 def load(path: str | os.PathLike[str]) -> DSBRDF | FitResult:
-    """Read a fit or a model from a ``.json`` file: whichever `save` wrote.
+    """Read a fit or a model from a ``.json`` file that `save` wrote.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def load(path: str | os.PathLike[str]) -> DSBRDF | FitResult:
 
 
 def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | None]:
-    """Read the model and the report, if any, in a ``.json`` file; errors are those of `load`."""
+    """Read the model and the report, if any, from a ``.json`` file; raise the errors of `load`."""
     _check_suffix(path)
     with Path(path).open("rb") as file:
         content = file.read(_MAX_FILE_BYTES + 1)
@@ -105,10 +105,10 @@ def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | N
 def to_json(model: DSBRDF, report: FitReport | None = None, components: Decomposition | None = None) -> str:
     """Return a model and its report as JSON text.
 
-    It is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. If components are given, the
-    text is the document of a fit: it begins with ``warnings`` and ``measure_next`` of the report, the
-    `component_document` of each component, and the ``structures`` of layers from which `fit_from_json` makes the
-    components again. Raises InvalidArgumentError if the report has a value that JSON cannot store, such as NaN.
+    The text is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. With components, the
+    text begins with ``warnings`` and ``measure_next`` of the report, the `component_document` of each component, and
+    the ``structures`` of layers from which `fit_from_json` restores the components. Raises InvalidArgumentError if the
+    report has a value that JSON cannot store, such as NaN.
     """
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -140,7 +140,7 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
 def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
     """Return the model with its components, and the report, if any, of a JSON text from `to_json`.
 
-    Raises ModelFormatError as `from_json`, and if the text has no components or they do not belong together.
+    Raises ModelFormatError like `from_json`, and also if the components are missing or inconsistent.
     """
     document = _document(text)
     model, report = _model_and_report(document)
@@ -167,7 +167,7 @@ def layers_to_json(layers: LayeredModel) -> str:
 
 
 def result_from_json(text: str) -> FitResult:
-    """Return the result of a fit in a JSON text; raise ModelFormatError also if the text has no report."""
+    """Return the result of a fit from a JSON text; raise ModelFormatError also if the text has no report."""
     model, report = from_json(text)
     if report is None:
         raise ModelFormatError("The stored model has no report of a fit.")
@@ -189,7 +189,7 @@ def _dump(content: object) -> str:
 
 
 def _document(text: str) -> dict[str, Any]:
-    """Return the document of a model in a JSON text."""
+    """Parse the document of a model from a JSON text, and check its format and version."""
     try:
         document = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
@@ -227,7 +227,7 @@ def model_to_dict(model: DSBRDF) -> dict[str, Any]:
 
 
 def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
-    """Return the model of nested lists or arrays; the inverse of `model_to_dict`.
+    """Return the model that nested lists or arrays describe; the inverse of `model_to_dict`.
 
     Raises ModelFormatError if a key is missing or unknown, or a value has the wrong shape, is not finite or out of
     range.
@@ -245,7 +245,7 @@ def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
 
 
 def report_from_dict(content: Mapping[str, Any]) -> FitReport:
-    """Return the report of dicts and lists; the inverse of `FitReport.to_dict`.
+    """Return the report that dicts and lists describe; the inverse of `FitReport.to_dict`.
 
     Raises ModelFormatError if a key is missing or unknown, a value is of the wrong kind, or the options are not valid.
     """

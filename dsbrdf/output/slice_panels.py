@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 CURVE_THETA_HALF = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])
 """Angles theta_half of curves, dense at the peak [rad]."""
 PHI_DIFF_FRACTIONS = (np.arange(24) + 0.5) / 24
-"""Nodes of means over phi_diff, as fractions of the way from 90 degrees to the last phi_diff that counts."""
+"""Nodes of means over phi_diff, as fractions of the way from 90 degrees to the smallest phi_diff within the cutoff."""
 _TOP_MARGIN_IN = 0.6
 _BOTTOM_MARGIN_IN = 0.6
 _LEFT_MARGIN_IN = 0.7
 _RIGHT_MARGIN_IN = 0.15
 _LEGEND_LINE_HEIGHT_IN = 0.18
 _MIN_PEAK_RATIO = 1.3  # A curve with a smaller ratio of its highest to its lowest value has no peak.
-_MAX_PEAK_THETA_HALF = np.radians(60.0)  # The lowest value is sought up to this angle.
+_MAX_PEAK_THETA_HALF = np.radians(60.0)  # The lowest value is searched up to this angle [rad].
 
 
 def panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
@@ -55,12 +55,11 @@ def finish_row(figure: FigureBase, named: Sequence[Axes], *, slices: int, column
 def slice_means(
     model: Reflectance, row: int, horizon_cutoff: float | None, theta_half: Array = CURVE_THETA_HALF
 ) -> Array:
-    """Return a model's means (n, 3) [1/sr] over the phi_diff of profiles, at angles theta_half (n,) [rad].
+    """Return a model's means (n, 3) [1/sr] over phi_diff, at angles theta_half (n,) [rad].
 
-    `row` is the index of theta_diff on the measurement's grid. Profiles leave out directions beyond `horizon_cutoff`
-    [rad] from the normal; if all are beyond, the values are taken at phi_diff = 90 degrees. The cosines to the normal
-    are ``level -/+ swing cos(phi_diff)``, so the other directions lie between some phi_diff and 90 degrees, and at
-    the mirror images.
+    `row` is the index of theta_diff on the measurement's grid. As in profiles, directions farther than `horizon_cutoff`
+    [rad] from the normal are left out; if none is left, the value at phi_diff = 90 degrees is returned. Both cosines
+    to the normal are ``level -/+ swing cos(phi_diff)``, so a mean needs only phi_diff from a minimum to 90 degrees.
     """
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     level, swing = np.cos(theta_half) * np.cos(THETA_DIFF[row]), np.sin(theta_half) * np.sin(THETA_DIFF[row])
@@ -77,7 +76,7 @@ def measured_means(profiles: Profiles, row: int, channel: int) -> tuple[Array, A
 
 
 def set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array) -> None:
-    """Set the axes of a slice: all angles on a logarithmic scale, and four half widths on a linear scale."""
+    """Set the axes of both panels: all angles on a logarithmic scale, the peak's four half widths on a linear scale."""
     top = float(max(fitted.max(), measured.max(initial=0.0), 1e-6))
     bottom = float(measured.min(initial=top))
     all_angles, peak = pair
@@ -95,7 +94,7 @@ def set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array
 
 
 def _peak_half_width(values: Array) -> float | None:
-    """Return the angle where a curve over `CURVE_THETA_HALF` is halfway between highest and lowest value [rad].
+    """Return the angle where a curve over `CURVE_THETA_HALF` is halfway between its highest and lowest value [rad].
 
     Return None for a nearly constant curve; a rise near the horizon is not a peak.
     """
@@ -109,13 +108,13 @@ def _peak_half_width(values: Array) -> float | None:
 def draw_curve(
     ax: Axes, values: Array, colour: str, *, label: str, style: str = "-", width: float | None = None
 ) -> None:
-    """Draw a curve over `CURVE_THETA_HALF`, mirrored; by default, a curve without label is thin."""
+    """Draw a curve over `CURVE_THETA_HALF` and its mirror image; by default, a curve without a label is thin."""
     width = width or (1.2 if label else 0.8)
     ax.plot(*_mirrored(CURVE_THETA_HALF, values), style, color=colour, linewidth=width, label=label)
 
 
 def draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker: str, label: str) -> None:
-    """Draw hollow markers, and leave out markers that would overlap."""
+    """Draw hollow markers and their mirror images; leave out markers that would overlap."""
     spacing = np.radians(ax.get_xlim()[1] / 36.0)
     kept: list[int] = []
     for node, angle in enumerate(theta_half):

@@ -1,4 +1,4 @@
-"""Draw the map of a space of materials, with a lit sphere at each material's place."""
+"""Draw a map of materials, with a lit sphere at the coordinates of each material."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SPHERE_ZOOM = 0.38
 
 
 def space_figure(found: MaterialSpace, models: Mapping[str, Source]) -> Figure:
-    """Draw each material's sphere under three lights, with its own exposure, at its place."""
+    """Draw each material's sphere under three lights, with its own exposure, at the material's coordinates."""
     from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 
     figure = empty_figure(

@@ -1,7 +1,7 @@
 """Draw lit spheres side by side: a measurement, its fit, the difference and the components.
 
-All spheres have the exposure of the measurement, whose sphere has its 99th percentile at 1. Radiance is multiplied by
-the exposure, clipped to [0, 1] and shown with the sRGB curve.
+By default, all spheres have the exposure that scales the 99th percentile of the measurement's sphere to 1. Radiance is
+multiplied by the exposure, clipped to [0, 1] and shown with the sRGB curve.
 """
 
 import struct
@@ -23,14 +23,14 @@ from dsbrdf.rendering.sphere import render_sphere, sphere_likeness, sphere_norma
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 DIFFERENCE_GAIN = 4.0
-"""Differences are multiplied by this gain."""
+"""The panel of the difference shows differences multiplied by this gain."""
 
 _MIN_VISIBLE_VALUE = 0.1  # The panel of a component with only smaller displayed values is left out.
 _LIGHTING_PHRASES = {"three_lights": "under three lights", "environment": "in the environment"}
 _NAME_HEIGHT_PX = 20
 _MIN_NAMED_PANEL_PX = 128  # Smaller panels have no names.
 _THUMBNAIL_SIZE_PX = 112
-_EDGE_WIDTH_PX = 1.5  # Pixels closer to the edge of a sphere take the colour of a pixel farther inside.
+_EDGE_WIDTH_PX = 1.5  # Closer to a sphere's edge, inner colours are used, because outer pixels may be black.
 
 
 Panels: TypeAlias = dict[str, Array]
@@ -41,11 +41,11 @@ class SphereComparison:
     """Hold lit spheres of a measurement and its fit, or of any two materials.
 
     `panels` has pictures by title: measured, fit, difference, and optionally each component of the fit. PSNR
-    and SSIM are those of `dsbrdf.rendering.sphere.sphere_likeness`; `light` says in words what lights the spheres.
+    and SSIM are those of `dsbrdf.rendering.sphere.sphere_likeness`; `light` describes the lighting in words.
     """
 
     panels: dict[str, Array]  # (size, size, 3) each
-    exposure: float  # factor of radiance
+    exposure: float  # Radiance is multiplied by this factor.
     psnr: float
     ssim: float
     light: str
@@ -71,8 +71,8 @@ def compare_spheres(
 ) -> SphereComparison:
     """Draw a measurement, or a model, beside a fit or another measurement.
 
-    The first two panels have the `names`. With components, those of a fit that is a model are drawn too. Lighting and
-    size are as for `dsbrdf.render_sphere`; the exposure `factor` "auto" is that of the measured sphere.
+    The first two panels are titled with `names`. If the fit is a model, `with_components` adds its components.
+    Lighting and size are as for `dsbrdf.render_sphere`; the exposure `factor` "auto" is that of the measured sphere.
     """
     reference, fitted = (render_sphere(source, lighting=lighting, size=size) for source in (measured, fit))
     factor = exposure(reference, sphere_normals(size)[1]) if factor == "auto" else factor
@@ -87,7 +87,7 @@ def compare_spheres(
 
 
 def side_by_side(panels: Mapping[str, Array]) -> Array:
-    """Join panels of one size side by side, with names if Matplotlib is installed and panels are large."""
+    """Join panels of equal size side by side, with names if Matplotlib is installed and the panels are large."""
     picture = np.concatenate(list(panels.values()), axis=1)
     is_named = len(picture) >= _MIN_NAMED_PANEL_PX and find_spec("matplotlib") is not None
     return np.concatenate([_names(panels, picture.shape[1]), picture]) if is_named else picture
@@ -135,7 +135,7 @@ def cut_out(picture: Array) -> Array:
 
 
 def thumbnail(model: DSBRDF, measured: Measurement | ScatteredSamples) -> bytes:
-    """Return a PNG of the fit's sphere under three lights; a gridded measurement takes the left half."""
+    """Return a PNG of the fit's sphere under three lights; its left half shows the measurement if that has a grid."""
     image = render_sphere(model, size=_THUMBNAIL_SIZE_PX)
     factor = exposure(image, sphere_normals(_THUMBNAIL_SIZE_PX)[1])
     if isinstance(measured, Measurement):

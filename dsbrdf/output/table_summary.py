@@ -1,4 +1,4 @@
-"""Summarise how a table of samples was understood, before its fit."""
+"""Summarise how a table of samples was read, before the samples are fitted."""
 
 from typing import Any
 
@@ -14,13 +14,14 @@ ANGLE_NAMES = ("theta_in_deg", "theta_out_deg", "phi_deg")
 """Angles of a sample; phi is the azimuth from omega_in to omega_out, 0 to 360 degrees."""
 _N_SHOWN_SAMPLES = 5
 _MAX_LISTED_ANGLES = 12  # If there are more angles of incidence, none is listed.
-_MAX_IN_PLANE_DISTANCE_DEG = 0.5  # A sample within this angle lies in the plane of incidence.
+_MAX_IN_PLANE_DISTANCE_DEG = 0.5  # Samples closer to the plane of incidence count as in it.
 
 
 def summary_of_table(found: ReadTable) -> dict[str, Any]:
-    """Return columns, ranges, planes, warnings and the first samples of a table, in JSON's types.
+    """Return columns, ranges, warnings and the first samples of a table as JSON content.
 
-    A row of `first` has the angles of `ANGLE_NAMES`, then red, green and blue in 1/sr; `ranges` are of all samples.
+    A row of `first` has the angles `ANGLE_NAMES`, then red, green and blue [1/sr]; `ranges` has the minimum and maximum
+    of each of these columns over all samples.
     """
     samples = found.samples
     angles = _angles(samples)

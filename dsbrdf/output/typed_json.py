@@ -1,4 +1,4 @@
-"""Convert JSON values to dataclasses by their annotations; a ModelFormatError names the fault and its place."""
+"""Convert JSON values to dataclasses by type annotations; a ModelFormatError names an invalid value by its path."""
 
 import sys
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from dsbrdf.errors import ModelFormatError
 
 
 def typed(kind: Any, value: Any, place: str) -> Any:
-    """Return a JSON value in the type of an annotation: a mapping as a dataclass, a list as a tuple."""
+    """Convert a JSON value to the type of an annotation: a mapping to a dataclass, a list to a tuple."""
     origin, arguments = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = _hints(kind)
@@ -32,7 +32,7 @@ def typed(kind: Any, value: Any, place: str) -> Any:
 
 
 def _fits(kind: Any, value: Any) -> bool:
-    """Tell whether a JSON value can have a type, without regard to its content."""
+    """Tell whether a JSON value can be converted to a type, without a check of its elements."""
     origin = get_origin(kind)
     if is_dataclass(kind) and isinstance(kind, type):
         return isinstance(value, Mapping) and set(value) == set(_hints(kind))

@@ -25,13 +25,13 @@ from dsbrdf.output.report_text import layers_csv, parameters_csv
 from dsbrdf.output.serialize import layers_to_json, to_json
 
 LAYERS = "layers"
-"""Name of the part that has the layers of all components, a small model."""
+"""Name of the part of a model that consists of the physical layers of all components."""
 PARTS = (*LABELS, LAYERS)
-"""Names of parts of a model."""
+"""Names of the parts of a model that can be exported alone."""
 
 
 class Extras(NamedTuple):
-    """Hold optional input of some formats beside the model."""
+    """Hold optional inputs that only some formats use."""
 
     report: FitReport | None = None
     name: str | None = None
@@ -47,8 +47,8 @@ class ExportFormat:
     suffix: str  # suffix of the file's name, without the dot
     media_type: str  # MIME type for HTTP
     encode: Callable[[Any, Extras], bytes | str]  # returns the content of a file for a model, layers or a component
-    holds_parameters: bool = False  # A component has values but no parameters.
-    time: Literal["short", "medium", "long"] = "short"  # Short is about 50 ms, medium about 1 s.
+    holds_parameters: bool = False  # A single component has no parameters, so it is refused.
+    time: Literal["short", "medium", "long"] = "short"  # Encoding takes about 50 ms, 1 s or several seconds.
 
 
 def _json(model: DSBRDF | LayeredModel, extras: Extras) -> str:
@@ -147,10 +147,10 @@ def export_model(
 ) -> bytes:
     """Return the content of a file with a model, layers or a component; `file_format` is one of `FORMATS`.
 
-    Only ``json`` stores the report; only ``glsl`` takes `name` and `sampling`, as `glsl_function`. The title names the
-    material: names in ``materialx`` begin with it.
-    Raises InvalidArgumentError if the format is unknown, cannot hold a component or does not take an option, the values
-    are too large for it, or the name is none, and MeasurementFormatError if a value cannot be stored in a table.
+    Only ``json`` stores the report; only ``glsl`` takes `name` and `sampling`, see `glsl_function`. The title names the
+    material in ``materialx`` and ``components``.
+    Raises InvalidArgumentError if the format is unknown, cannot hold a component, does not take an option or cannot
+    store so large values, or if GLSL does not allow the name, and MeasurementFormatError if MERL cannot store a value.
     """
     if file_format not in FORMATS:
         raise InvalidArgumentError(f"the format must be one of {', '.join(FORMATS)}, not {file_format!r}")
@@ -162,7 +162,7 @@ def export_model(
 
 
 def check_shader_options(file_format: str, name: str | None, *, sampling: bool) -> None:
-    """Raise InvalidArgumentError if an option is set and the format takes no options of shaders."""
+    """Raise InvalidArgumentError if `name` or `sampling` is set for a format other than ``glsl``."""
     if (name is not None or sampling) and file_format != "glsl":
         raise InvalidArgumentError(f"name and sampling are options of the format glsl, not of {file_format}")
 
@@ -185,7 +185,7 @@ def export(
     name: str | None = None,
     sampling: bool = False,
 ) -> None:
-    """Write a model, its layers or a component to a file for another program, completely or not at all.
+    """Write a model, layers or a component to a file for another program, completely or not at all.
 
     Parameters
     ----------
@@ -194,12 +194,12 @@ def export(
         The file; its suffix is ``.json``, ``.binary`` (MERL), ``.glsl``, ``.py``, ``.brdf``,
         ``.csv``, ``.bsdf`` (Mitsuba 3) or ``.mtlx`` (MaterialX).
     file_format : str, optional
-        One of `dsbrdf.output.export.FORMATS`. "auto" takes the first with the suffix; ``components`` and
-        ``bsdf-spectral`` have no suffix of their own and must be named.
+        One of `dsbrdf.output.export.FORMATS`. "auto" takes the first format with the file's suffix; ``components`` and
+        ``bsdf-spectral`` must be named, because another format has the same suffix.
     name : str, optional
         Name of the function in GLSL, by default ``dsbrdf``; all other names in the file begin with it.
     sampling : bool, optional
-        Add functions to GLSL that draw directions and return their density.
+        Whether to add GLSL functions that draw directions and return their density.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def export(
 
 
 def format_of(path: str | os.PathLike[str]) -> str:
-    """Return the format of a file's suffix; an InvalidArgumentError lists the suffixes."""
+    """Return the format that a file's suffix selects; raise InvalidArgumentError if the suffix is unknown."""
     suffix = Path(path).suffix.lower().removeprefix(".")
     names = [name for name, kind in FORMATS.items() if kind.suffix == suffix]
     if not names:

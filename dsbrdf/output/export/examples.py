@@ -1,6 +1,7 @@
 """Write an example beside an exported file: a scene, a page or a script that shows the material on a sphere.
 
-``FILE`` in a template is the exported file, and ``SELF`` is the example. All examples have a similar sphere and lights.
+In a template, ``FILE`` stands for the name of the exported file, and ``SELF`` for the name of the example. All examples
+have a similar sphere and similar lights.
 """
 
 from html import escape
@@ -16,11 +17,11 @@ EXAMPLES = {
     "bsdf-spectral": ("pbrt", "scene.pbrt"),
     "materialx": ("py", "blender.txt"),
 }
-"""Format -> suffix and template of its example."""
+"""Suffix and template of the example, by the name of the exported format."""
 
 
 def example(path: Path, file_format: str, content: bytes, name: str) -> tuple[Path, bytes]:
-    """Return the path and the text of an example that shows an exported file; `name` names its function.
+    """Return the path and the text of an example that shows an exported file; `name` is the GLSL function in the file.
 
     Raises InvalidArgumentError if the format has no example.
     """

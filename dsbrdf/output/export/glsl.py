@@ -2,12 +2,12 @@
 
 In the templates ``model.glsl`` and ``layers.glsl``, ``dsbrdf`` stands for the name of the function.
 
-The parameters are cubic polynomials in theta_diff, a ``vec4`` each, in constant arrays of some kilobytes. One loop
-looks up all parameters, and a second loop sums the lobes: some compilers copy a constant array wherever it is indexed,
-and functions wherever they are called. The formulas avoid cancellation in single precision: tangents come from the
-sum and the difference of the directions, and the polynomials are in Bernstein's form. The functions ``log1p``,
-``expm1``, ``tan`` and ``atan``, for which a shader's own functions are too coarse, are spelled out; the last two are
-the rational reductions and polynomials of Cephes.
+Each parameter is a piecewise cubic polynomial in theta_diff; the coefficients of a piece are a ``vec4`` in a constant
+array. One loop looks up all parameters, and a second loop sums the lobes, because some compilers copy a constant array
+wherever it is indexed, and a function wherever it is called. The formulas avoid cancellation in single precision:
+tangents come from the sum and the difference of the directions, and the polynomials are in Bernstein's form. The source
+defines ``log1p``, ``expm1``, ``tan`` and ``atan`` itself, because the functions of GLSL are missing or too inaccurate;
+``tan`` and ``atan`` are those of the library Cephes.
 
 The sampling functions have the formulas and names of `dsbrdf.model.sampling`. Layers, and the division of a model among
 its components, are in `dsbrdf.output.export.glsl_layers`.
@@ -52,11 +52,11 @@ def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *
     The function returns the BRDF in 1/sr, without the cosine; directions are unit vectors in the frame whose z axis is
     the normal. Every name in the source begins with `name`, so that a program can hold several models. The layers of a
     `LayeredModel` become a readable function of some 60 lines. The source of a component also has
-    ``vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown)``: the components of its model times the weights
+    ``vec3 dsbrdf_shown(vec3 omega_in, vec3 omega_out, vec3 shown)``, the sum of its model's components weighted by
     ``shown``. With `sampling`, ``vec3 dsbrdf_sample(vec3 omega_out, vec3 random)`` and
     ``float dsbrdf_pdf(vec3 omega_in, vec3 omega_out)`` are added, see `dsbrdf.model.sampling`.
 
-    Raises InvalidArgumentError if a parameter is too large for single precision, or the name cannot be a function's.
+    Raises InvalidArgumentError if a parameter is too large for single precision, or GLSL does not allow the name.
     """
     if not re.fullmatch(_NAME_PATTERN, name) or f" {name} " in _RESERVED_WORDS:
         raise InvalidArgumentError(
@@ -80,7 +80,7 @@ def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *
 
 
 def _model_parts(model: DSBRDF) -> list[str]:
-    """Return ``vec3 dsbrdf_model(dsbrdf_Angles angles)``, and before it the functions that it needs."""
+    """Return the source of ``vec3 dsbrdf_model(dsbrdf_Angles angles)``, after the functions that it calls."""
     constants = constant("GRAZING_FOURTH", GRAZING_COSINE**4)
     constants += constant("DELTA_TANGENT", float(np.tan(CENTER_CUTOFF)))
     common = _TEMPLATES["precision"], constants, *(_TEMPLATES[name] for name in ("math", "angle", "angles"))
@@ -106,10 +106,10 @@ def _model_parts(model: DSBRDF) -> list[str]:
 
 
 def _parameter_rows(model: DSBRDF) -> tuple[str, int]:
-    """Return ``void dsbrdf_rows(float theta_diff, out float rows[n])`` with its constants, and n.
+    """Return the source of ``void dsbrdf_rows(float theta_diff, out float rows[n])`` with its constants, and n.
 
-    The rows are heights (channel, lobe), kappa and gamma (shape, lobe), elongation (lobe), then, where there are any,
-    center (shape, lobe) and the delta term, all on the scale of the interpolation.
+    The rows are amplitude (channel, lobe), kappa and gamma (1 or 3 channels, lobe) and elongation (lobe). Center (like
+    kappa) and the delta term follow if they are not 0. All are on the scale on which they are interpolated.
     """
     (breaks, coefficients), k = bernstein_pieces(model, "GLSL"), model.n_lobes
     sk = model.kappa.shape[0] * k
@@ -126,7 +126,7 @@ def _parameter_rows(model: DSBRDF) -> tuple[str, int]:
 
 
 def _sampling_functions(sampler: DirectionSampler) -> str:
-    """Return ``vec3 dsbrdf_sample(vec3, vec3)`` and ``float dsbrdf_pdf(vec3, vec3)``; they need ``dsbrdf_angle``."""
+    """Return the source of ``dsbrdf_sample`` and ``dsbrdf_pdf``, which both call ``dsbrdf_angle``."""
     share = np.diff(sampler.cumulative, axis=1, prepend=0.0)[:, :-1]
     parts = np.stack([sampler.along, sampler.across, share], axis=-1)
     constants = constant("STEP", float(ANGLES[1])) + constant_array("vec3", "dsbrdf_MIXTURE", parts.reshape(-1, 3))

@@ -2,14 +2,15 @@
 
 The functions of the layers return logarithms: far from the highlight, values are too small for single precision, but
 their ratios are not. A component's function evaluates the model and the layers of each structure once. It divides the
-model as `dsbrdf.components.shares` does, with the formula rearranged against cancellation: with s the diffuse
-fraction of the layers, their sum g, and a = q / (1 + q) where f > g, else 1,
+model as `dsbrdf.components.shares` does, with the formula rearranged against cancellation. Let f be the model, g the
+sum of the layers, s the diffuse fraction of g, and let a rise from 0 at the mirror direction to 1 outside a halo:
 
     diffuse = min(f, g s (1 - a s**3) + f a s**4),
     specular = max(0, (1 - s) (f + (f - g) a (s + s**2 + s**3)) + (f - g) (1 - a) s),
-    spike = max(0, n (specular (1 + v) (1 + v**2) - l (1 + v + v**2))),
+    spike = n (specular (1 + v) (1 + v**2) - l (1 + v + v**2)),
 
-where l is the light of the lobe's layers, v its fraction of the specular layers' light, and n = 1 - v.
+where l is the sum of the lobe's layers, v the fraction of l in the sum of the specular layers, and n = 1 - v. Inside
+the halo of the spike, spike tends to specular - l; it is clipped to the interval from 0 to specular.
 """
 
 from collections.abc import Sequence
@@ -23,18 +24,18 @@ from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS, SPIKE_HALO, Weig
 from dsbrdf.output.export.single_precision import literal
 from dsbrdf.output.export.templates import filled, sections
 
-_NO_LIGHT = "vec3(-1e30)"  # logarithm of an absent layer
+_NO_LIGHT = "vec3(-1e30)"  # logarithm of the value of an absent layer
 _TEMPLATES = sections("layers.glsl")
 
 
 def layered_function(model: LayeredModel) -> str:
-    """Return ``vec3 dsbrdf(vec3 omega_in, vec3 omega_out)``, and the functions that it needs."""
+    """Return the source of ``vec3 dsbrdf(vec3 omega_in, vec3 omega_out)``, after the functions that it calls."""
     terms = "\n    + ".join(f"exp({_call(layer)})" for layer in model.layers) or "vec3(0.0)"
     return _TEMPLATES["header"] + layer_functions(model.layers) + _TEMPLATES["layered"].replace("TERMS", terms)
 
 
 def layer_functions(layers: Sequence[Layer]) -> str:
-    """Return ``dsbrdf_pair``, and a function for each kind of layer, such as ``dsbrdf_diffuse``."""
+    """Return the source of ``dsbrdf_pair`` and of a function for each kind of layer, such as ``dsbrdf_diffuse``."""
     used = {"pair"} | {type(layer).__name__ for layer in layers}
     if used & {"SpecularLayer", "RetroLayer"}:
         used |= {"surface"}
@@ -45,7 +46,7 @@ def layer_functions(layers: Sequence[Layer]) -> str:
 
 
 def shares_function(component: Component) -> str:
-    """Return ``dsbrdf_shown``, which needs ``dsbrdf_model``."""
+    """Return the source of ``dsbrdf_shown``, which calls ``dsbrdf_model``."""
     whole = component.whole
     if len(whole.labels) < 2:
         return _TEMPLATES["only component"].replace("SHOWN", "xyz"[LABELS.index(component.label)])
@@ -58,12 +59,12 @@ def shares_function(component: Component) -> str:
 
 
 def _receivers(whole: Decomposition) -> list[int]:
-    """Return for each of `LABELS` the index of the component that receives the light of its layers."""
+    """Return, for each label in `LABELS`, the index of the component that receives the values of its layers."""
     return [LABELS.index(whole.receiver(label)) for label in LABELS]
 
 
 def _divided(structure: WeightedLayers) -> str:
-    """Return an expression for the parts of a model by one structure, times its weight."""
+    """Return a GLSL expression that divides the model by the layers of one structure, times the structure's weight."""
     logs = [_NO_LIGHT] * len(LABELS)
     for layer, label in zip(structure.model.layers, structure.labels, strict=True):
         place = LABELS.index(label)
@@ -76,7 +77,7 @@ def _divided(structure: WeightedLayers) -> str:
 
 
 def _call(layer: Layer) -> str:
-    """Return the logarithm of a layer as an expression."""
+    """Return a GLSL expression for the logarithm of a layer's values."""
     match layer:
         case SpecularLayer():
             facets = _facets(layer.alpha, layer.tail_exponent, layer.masking)

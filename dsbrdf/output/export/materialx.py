@@ -1,9 +1,9 @@
 """Write a model as a MaterialX file with the OpenPBR surface that looks most like it.
 
-A lit sphere of the surface and one of the model are compared as a screen shows them, under both lightings of
-`dsbrdf.render_sphere`. Least squares of the difference finds the inputs; it starts from the layers of the model.
-OpenPBR has about a dozen numbers, so some difference is left. The file states it, as PSNR of the whole sphere, of its
-highlights (the brightest tenth), of pixels viewed at more than 60 degrees, and of the rest.
+Lit spheres of the surface and of the model are compared as a screen shows them, under both lightings of
+`dsbrdf.render_sphere`. Nonlinear least squares, started from the layers of the model, finds the inputs of the surface.
+OpenPBR has about a dozen numbers, so a difference remains. The file states this difference as the PSNR of the whole
+sphere, of its highlights (the brightest tenth), of pixels viewed at more than 60 degrees, and of the other pixels.
 """
 
 import re
@@ -25,24 +25,24 @@ from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.version import __version__
 
-_FITTED_SPHERE_SIZES_PX = {"three_lights": 32, "environment": 10}  # sizes of the fitted spheres
+_FITTED_SPHERE_SIZES_PX = {"three_lights": 32, "environment": 10}  # diameters of the fitted spheres
 _STATED_SPHERE_SIZE_PX = 128  # The stated PSNR compares spheres of this size.
 _MAX_RADIANCE = 1e100  # A model whose lit sphere is brighter is refused.
 _DERIVATIVE_STEPS = [1e-4]  # relative steps of finite differences
 _COST_TOLERANCE = 1e-3  # The fit ends if a step lowers the squared error by a smaller fraction (0.004 dB).
 _MAX_FIT_STEPS = 16
-# A fit has as unknowns base and specular colour, then these inputs; an index is represented by its reflectance F0.
+# The unknowns of a fit are base colour, specular colour and these inputs; F0 represents an index of refraction (ior).
 _FITTED_INPUTS = ("base_metalness", "specular_ior", "specular_roughness", "coat_weight", "coat_roughness", "coat_ior")
 _MIN_ROUGHNESS = 0.03
 _INPUT_BOUNDS = (
     np.array([0.0] * 7 + [0.002, _MIN_ROUGHNESS, 0.0, _MIN_ROUGHNESS, 0.01]),
-    np.array([1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]),  # F0 of indices up to 2.5 and 1.9
+    np.array([1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]),  # 0.18 and 0.1 are F0 of the indices 2.5 and 1.9.
 )
-_ABSENT_COAT_START = (0.05, 0.1, 0.053)  # weight, roughness and F0 from which a fit can add a coat
-_MIN_BOUND_DISTANCE = 0.02  # A start is moved away from the bounds by this fraction of their distance.
-_START_WEIGHT = 0.003  # This weight of the start values determines inputs that do not change the pictures.
+_ABSENT_COAT_START = (0.05, 0.1, 0.053)  # start of weight, roughness and F0 without a coat in the layers
+_MIN_BOUND_DISTANCE = 0.02  # A start is moved away from both bounds by this fraction of their distance.
+_START_WEIGHT = 0.003  # This weak pull to the start determines inputs without effect on the spheres.
 _DIFFUSE_ANGLES = np.radians([[40.0, 50.0, 60.0], [10.0, 20.0, 5.0], [90.0, 90.0, 90.0]])
-_HIGHLIGHT_QUANTILE = 0.9  # Pixels above this quantile of a sphere's light are its highlights.
+_HIGHLIGHT_QUANTILE = 0.9  # Pixels brighter than this quantile are highlights.
 _MAX_GRAZING_COSINE = np.cos(np.radians(60.0))  # Pixels with a smaller cosine to the view are grazing.
 
 
@@ -57,8 +57,8 @@ class FoundSurface(NamedTuple):
 def materialx_document(model: DSBRDF | LayeredModel, title: str) -> str:
     """Return a MaterialX 1.39 document, which is XML, with one material; see `fit_openpbr` for the surface in it.
 
-    The material is named after a title, so that a program can hold several. Raises InvalidArgumentError if the values
-    are too large for a picture.
+    The material is named after `title`, so that a program can load several documents. Raises InvalidArgumentError if
+    the values are too large for a picture.
     """
     for lighting, size in _FITTED_SPHERE_SIZES_PX.items():
         if not render_sphere(model.evaluate, lighting=lighting, size=size).max() < _MAX_RADIANCE:
@@ -111,7 +111,7 @@ def fit_openpbr(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
 
 
 def _starts(layers: LayeredModel) -> list[Array]:
-    """Return start values of a metal and of a dielectric with these layers; the sharper of two highlights is a coat."""
+    """Return start values of a metal and a dielectric with these layers; the narrower of two highlights is a coat."""
     specular = sorted((one for one in layers.layers if isinstance(one, SpecularLayer)), key=lambda one: one.alpha)
     ground = LayeredModel(tuple(one for one in layers.layers if not isinstance(one, SpecularLayer)))
     color = np.median(ground.evaluate(*_DIFFUSE_ANGLES), axis=0) * np.pi
@@ -131,14 +131,14 @@ def _starts(layers: LayeredModel) -> list[Array]:
 
 
 def _roughness(layer: SpecularLayer) -> float:
-    """Return the roughness of the GGX highlight with the same half width."""
+    """Return the roughness of a GGX highlight with the half width of a layer."""
     return float(np.sqrt(np.tan(layer.half_width) / np.sqrt(np.sqrt(2.0) - 1.0)))
 
 
 def _target(evaluate: Evaluate, lighting: str, size: int) -> Callable[[Evaluate], Array]:
     """Return a function that compares a surface with a material by the pixels of a lit sphere.
 
-    All pictures have the same weight, whatever their size.
+    All pictures have the same weight, regardless of their size.
     """
     picture, mask = render_sphere(evaluate, lighting=lighting, size=size), sphere_normals(size)[1]
     factor = exposure(picture, mask)
@@ -177,7 +177,7 @@ def _likeness(evaluate: Evaluate, surface: OpenPBR) -> tuple[dict[str, float], d
         regions.append([bright, ~grazing & ~bright, grazing])
     error, places = np.concatenate(errors), np.concatenate(regions, axis=1)
     names = ("highlight", "rest", "grazing")
-    floor = 1e-12  # minimum squared error, for equal pictures
+    floor = 1e-12  # minimum squared error, because equal pictures have 0
     return by_lighting, {
         name: float(-10.0 * np.log10(max(float(np.mean(error[place])), floor)))
         for name, place in zip(names, places, strict=True)

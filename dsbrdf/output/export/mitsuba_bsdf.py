@@ -7,14 +7,13 @@
     register()
     bsdf = mitsuba.load_dict({"type": "dsbrdf", "filename": "nickel.json"})
 
-`mitsuba.traverse` shows the model's parameters, with derivatives in the variants that have them: tensors amplitude
-(channel, control value, lobe), kappa and gamma (shape, control value, lobe), center (shape, control value, ring lobe)
-and elongation (control value, lobe that is not round), arrays of `dsbrdf.DSBRDF`; the last two are there if the model
-has such lobes. ``bsdf.model()`` is the model with the parameters as they are then. Samples keep the densities of the
-model that was loaded, which are right for any model.
+`mitsuba.traverse` lists the model's parameters, which are differentiable in variants with derivatives. The parameters
+are arrays of `dsbrdf.DSBRDF`: amplitude, kappa and gamma, center of the ring lobes, and elongation of the lobes that
+are not round. ``bsdf.model()`` returns the model with the current parameters. Directions are drawn with the densities
+of the loaded model even after a change, which gives correct means for any parameters.
 
-All variants without polarisation: scalar ones compute one ray at a time and slowly, LLVM and CUDA ones all rays at
-once. Spectral variants turn the RGB value into a spectrum by `dsbrdf.output.export.rgl`.
+All variants without polarisation work: scalar variants compute one ray at a time, slowly; LLVM and CUDA variants, many
+rays at once. Spectral variants turn RGB values into spectra with `dsbrdf.output.export.rgl.SPECTRA`.
 """
 
 from importlib import import_module
@@ -46,7 +45,7 @@ def register() -> None:
 
 
 def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
-    """Return the name of the file in the properties, and the model in it; an error names the file."""
+    """Return the path of the file in the properties, and the model in this file; an error names the file."""
     name, wanted = properties.get("filename", None), "the .json file of a model"
     if not isinstance(name, str):
         raise InvalidArgumentError(f'the BSDF "dsbrdf" needs the property "filename", a text: {wanted}')
@@ -60,7 +59,7 @@ def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
 
 
 def _bsdf_class(mitsuba: Any) -> Any:
-    """Return the class of BSDF for the active variant."""
+    """Define the BSDF as a class of the active variant."""
     dr, lobe = import_module("drjit"), mitsuba.BSDFFlags.GlossyReflection
 
     class DirectionalStatistics(mitsuba.BSDF):  # type: ignore[misc]
@@ -91,7 +90,7 @@ def _bsdf_class(mitsuba: Any) -> Any:
             for name, tensor in self.material.parameters.items():
                 callback.put(name, tensor, mitsuba.ParamFlags.Differentiable)
 
-        def parameters_changed(self, keys: Any) -> None:  # noqa: ARG002 (all of them are taken)
+        def parameters_changed(self, keys: Any) -> None:  # noqa: ARG002 (all parameters are read)
             self.material.update()
 
         def model(self) -> DSBRDF:
@@ -104,7 +103,7 @@ def _bsdf_class(mitsuba: Any) -> Any:
 
 
 def _reflects(context: Any, surface: Any, wo: Any, lobe: Any) -> Any:
-    """Return whether both directions are above the surface, if a context asks for the lobe."""
+    """Return whether both directions are above the surface and a context asks for the lobe."""
     return (surface.wi.z > 0.0) & (wo.z > 0.0) & context.is_enabled(lobe)
 
 
@@ -123,7 +122,7 @@ class _Spectrum:
         return mitsuba.Spectrum(*color)
 
     def _at_wavelength(self, color: list[Number], wavelength: Number) -> Number:
-        """Return the sum of the spectra of red, green and blue, linear between their nodes."""
+        """Return the spectrum of a colour, interpolated linearly at one wavelength."""
         dr, mitsuba = import_module("drjit"), self._mitsuba
         first, step, count = float(WAVELENGTHS[0]), float(WAVELENGTHS[1] - WAVELENGTHS[0]), WAVELENGTHS.size
         place = dr.clip((wavelength - first) / step, 0.0, count - 1.0)

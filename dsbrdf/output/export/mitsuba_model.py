@@ -1,10 +1,9 @@
 """Evaluate and sample a model in the arrays of Mitsuba 3, with differentiable parameters.
 
-Formulas and names are those of `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision, where
-Mitsuba's ``si.wi`` is the omega_out of the model and ``wo`` its omega_in: a path is followed from the camera. Numbers
-are floats of Python or arrays of drjit. For single precision, ``expm1`` and ``log1p``, which drjit does not have, are
-series near 0. Derivatives are finite everywhere, also those of a branch that is not taken, because
-zero times infinity is not zero.
+Formulas and names are those of `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision. Mitsuba
+follows a path from the camera, so its ``si.wi`` is omega_out of the model, and its ``wo`` is omega_in. Numbers are
+floats of Python or arrays of drjit. drjit has no ``expm1`` and ``log1p``; they are computed by series near 0. Also in
+a branch that is not taken, derivatives are finite, because drjit multiplies them by 0, and 0 times infinity is not 0.
 """
 
 from dataclasses import replace
@@ -23,12 +22,12 @@ from dsbrdf.output.export.single_precision import bernstein_bases, bernstein_pie
 Number = Any
 """A float or int of Python, or an array of drjit."""
 PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation")
-"""Arrays of `DSBRDF` that can be changed."""
+"""Names of the arrays of `DSBRDF` that can be changed in Mitsuba."""
 _MIN_LOG_PARAMETER = 1e-9  # Smaller values of a parameter are clipped before the logarithm.
 
 
 class Table:
-    """Look up numbers of any shape by their index in the flat array."""
+    """Look up the numbers of an array by their index in the flattened array."""
 
     def __init__(self, values: Any) -> None:
         self._drjit, self._float = import_module("drjit"), import_module("mitsuba").Float
@@ -69,7 +68,8 @@ def _safe_root(x: Number) -> Number:
 class MitsubaModel:
     """Evaluate and sample a model in the arrays of the active variant of Mitsuba.
 
-    The tensors `parameters` have the names `PARAMETERS` and their shapes in `DSBRDF`; call `update` after a change.
+    `parameters` has tensors by their names in `PARAMETERS`; call `update` after a change. The tensors have the shapes
+    of the arrays in `DSBRDF`, but center has only ring lobes, and elongation only lobes that are not round.
     """
 
     def __init__(self, model: DSBRDF) -> None:
@@ -106,7 +106,7 @@ class MitsubaModel:
 
     @property
     def _bounds(self) -> dict[str, float]:
-        """Return the minimum of each parameter; a logarithm needs more than 0."""
+        """Return the minimum of each bounded parameter; it is positive where 0 would be singular."""
         least = _MIN_LOG_PARAMETER if self._model.interpolation == "spline" else 0.0
         return {"amplitude": least, "kappa": _MIN_LOG_PARAMETER, "gamma": least}
 
@@ -119,7 +119,7 @@ class MitsubaModel:
         self._coefficients = Table(self._dr.concat([*rows, self._mitsuba.Float(np.ravel(self._delta))]))
 
     def _rows_of(self, name: str, basis: Array) -> Number:
-        """Return the Bernstein coefficients of a parameter's rows, flat (row, piece, 4), from its control values."""
+        """Return the Bernstein coefficients of a parameter's rows, as a flat array (row, piece, 4)."""
         dr, index = self._dr, self._mitsuba.UInt32
         shape = getattr(self._model, name).shape
         values = self._mitsuba.Float(0.0)
@@ -186,7 +186,7 @@ class MitsubaModel:
         return result
 
     def sample(self, omega_out: Number, one: Number, two: Number) -> Number:
-        """Draw omega_in, possibly below the horizon, with one and two uniform numbers."""
+        """Draw omega_in, possibly below the horizon; `one` is a uniform random number, `two` is a pair of them."""
         dr, width = self._dr, self._mixture_width
         row = self._row_of(omega_out)
         chosen = self._mitsuba.UInt32(0)
@@ -209,14 +209,14 @@ class MitsubaModel:
         return dr.normalize(self._mitsuba.Vector3f(toward * x - aside * y, toward * y + aside * x, z + seen.y))
 
     def _angles(self, omega_in: Number, omega_out: Number) -> tuple[Number, ...]:
-        """Return theta_diff, tan(theta_half), its finite square, cos(phi_diff)**2 and the stretching log(cosine)."""
+        """Return theta_diff, tan(theta_half), its clipped square, cos(phi_diff)**2, and elongation's logarithm."""
         dr = self._dr
         total, difference = omega_in + omega_out, omega_in - omega_out
         sum2, difference2 = dr.maximum(dr.squared_norm(total), 1e-30), dr.squared_norm(difference)
         radius2 = total.x * total.x + total.y * total.y
         radius, height = _safe_root(radius2), dr.maximum(total.z, 1e-7)
         x, y = self._heading(total)
-        # Split the difference along and across the azimuth of the half vector.
+        # Project the difference along and across the azimuth of the half vector.
         along = ((x * difference.x + y * difference.y) * total.z - radius * difference.z) * dr.rsqrt(sum2)
         across = x * difference.y - y * difference.x
         length2 = along * along + across * across
@@ -230,7 +230,7 @@ class MitsubaModel:
         return theta_diff, radius / height, squared, cos2_phi, log_cos
 
     def _place(self, theta_diff: Number) -> tuple[Number, Number]:
-        """Return the piece of the polynomials at theta_diff, and the position in it from 0 to 1."""
+        """Return the index of the polynomial piece at theta_diff, and the position in this piece from 0 to 1."""
         dr = self._dr
         held = dr.clip(theta_diff, self._breaks[0], self._breaks[-1])
         piece = self._mitsuba.UInt32(0)
@@ -246,7 +246,7 @@ class MitsubaModel:
         return s * s * (s * first + 3.0 * t * second) + t * t * (3.0 * s * third + t * last)
 
     def _lobe(self, row: int, step: int, lobe: int, place: tuple[Number, Number], squared: Number) -> Number:
-        """Return a lobe of height 1; kappa is in `row`, gamma and center follow at distances of `step` rows."""
+        """Return a lobe with maximum 1; kappa is in `row`, gamma `step` rows later, and center 2 `step` rows later."""
         dr, kappa, gamma = self._dr, self._row(row, place), self._row(row + step, place)
         if self._model.interpolation == "spline":
             kappa, gamma = dr.exp(kappa), dr.exp(gamma)
@@ -263,14 +263,14 @@ class MitsubaModel:
         return dr.exp(top * _expm1(log_ratio)) * _expm1(-top * dr.exp(log_ratio)) / _expm1(-top)
 
     def _heading(self, omega: Number) -> tuple[Number, Number]:
-        """Return cosine and sine of the azimuth; 1 and 0 along the normal."""
+        """Return cosine and sine of a direction's azimuth; 1 and 0 if the direction is the normal."""
         radius2 = omega.x * omega.x + omega.y * omega.y
         some = radius2 > 1e-30
         inverse = self._dr.rsqrt(self._dr.select(some, radius2, 1.0))
         return self._dr.select(some, omega.x * inverse, 1.0), self._dr.select(some, omega.y * inverse, 0.0)
 
     def _row_of(self, omega_out: Number) -> Number:
-        """Return the index in `ANGLES` of the angle nearest to a direction."""
+        """Return the index in `ANGLES` of the angle that is nearest to the direction's angle to the normal."""
         dr = self._dr
         theta = dr.atan2(_safe_root(omega_out.x * omega_out.x + omega_out.y * omega_out.y), omega_out.z)
         nearest = dr.clip(dr.round(theta / float(ANGLES[1])), 0.0, float(ANGLES.size - 1))

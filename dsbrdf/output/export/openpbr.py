@@ -2,13 +2,13 @@
 
     f = coat + (1 - coat's albedo) darkening (metalness metal + (1 - metalness) (specular + (1 - albedo) diffuse))
 
-as the MaterialX library's own shaders compute it, because that is what most programs do with the file: GGX with
-height-correlated masking, Turquin's compensation of multiple scattering, Fresnel's equations for the dielectrics and
-the F82 tint for the metal, layers dimmed by a rational fit of the directional albedo of the layer above. What the fit
-of `dsbrdf.output.export.materialx` does not use is left out: transmission, subsurface, fuzz, thin film, anisotropy and
-the roughness of the diffuse part.
+The formulas are those of the shaders in the MaterialX library, which most programs use: GGX with height-correlated
+masking, Turquin's compensation of multiple scattering, Fresnel's equations for the dielectrics, the F82 tint for the
+metal, and layers dimmed by a rational fit of the directional albedo of the layer above. The fit in
+`dsbrdf.output.export.materialx` uses no transmission, subsurface, fuzz, thin film, anisotropy or roughness of the
+diffuse part, so these features are left out.
 
-Layering dims by the view's direction only, so that OpenPBR is not quite reciprocal; the view is omega_out.
+A layer dims the layers below depending on the view direction (omega_out) only, so OpenPBR is not quite reciprocal.
 """
 
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ from dsbrdf.data.geometry import incident_cosines
 
 _MIN_COSINE_OR_ALPHA = 1e-6  # Smaller cosines and values of alpha are clipped.
 _F82_COSINE = 1.0 / 7.0
-# The directional albedo of GGX is F0 times column 1 over column 3 plus F90 times column 2 over column 4: polynomials
-# in the cosine x and alpha y, with rows 1, x, y, xy, xx, yy, xxy, xyy, xxyy.
+# The directional albedo of GGX is F0 p1 / p3 + F90 p2 / p4. Each column has the coefficients of a polynomial p in the
+# cosine x and alpha y, for the terms 1, x, y, xy, xx, yy, xxy, xyy, xxyy.
 _ALBEDO_COEFFICIENTS = np.array(
     [
         [0.1003, 0.9345, 1.0, 1.0],
@@ -40,7 +40,7 @@ _ALBEDO_COEFFICIENTS = np.array(
 
 @dataclass(frozen=True)
 class OpenPBR:
-    """Hold the surface's inputs by their names in MaterialX, from 0 to 1 except indices (ior)."""
+    """Hold the inputs of a surface by their names in MaterialX; all except the indices (ior) are from 0 to 1."""
 
     base_color: Color = (0.8, 0.8, 0.8)  # linear RGB of the diffuse part or of the metal
     base_metalness: float = 0.0
@@ -93,7 +93,7 @@ class OpenPBR:
 
 @dataclass(frozen=True, eq=False)
 class _Facets:
-    """Hold a rough boundary: cosine of theta_diff, value without Fresnel term, factors of F0 and F90 in the albedo."""
+    """Hold a rough boundary: cos(theta_diff), value without Fresnel term, and factors of F0 and F90 in the albedo."""
 
     diff: Array
     value: Array

@@ -1,8 +1,8 @@
 """Define the functions of an exported Python file; `dsbrdf.output.export.python_file` copies their source.
 
-The functions use the common interface `xp` of NumPy, PyTorch and JAX. A derivative is finite wherever a value is:
-arguments of roots and denominators are kept above 0. Parameters and formulas are those of `dsbrdf.model.dsbrdf`,
-`dsbrdf.components.layers` and `dsbrdf.components.shares`. The code is dense: a file has at most 150 lines.
+The functions use the common interface `xp` of NumPy, PyTorch and JAX. Derivatives are finite wherever values are,
+because arguments of roots and denominators are kept above 0. Parameters and formulas are those of
+`dsbrdf.model.dsbrdf`, `dsbrdf.components.layers` and `dsbrdf.components.shares`. Files are kept below 150 lines.
 """
 
 import itertools
@@ -41,7 +41,7 @@ def _angles(xp: Any, first: Any, second: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def _spline(xp: Any, knots: list[float], values: Any, at: Any, degree: int) -> Any:
-    """Return B-splines (..., channel, lobe) of control values (channel, place, lobe) at angles (...)."""
+    """Return B-splines (..., channel, lobe) of control values (channel, index, lobe) at angles (...)."""
     if len(knots) == 1:
         return values[:, 0, :]
     at, ends = xp.clip(at, knots[0], knots[-1]), [knots[0]] * degree + knots + [knots[-1]] * degree
@@ -50,12 +50,12 @@ def _spline(xp: Any, knots: list[float], values: Any, at: Any, degree: int) -> A
     for n in range(1, degree + 1):
         rise = [(at - low) / (high - low or 1.0) for low, high in zip(ends, ends[n:], strict=False)]
         weights = [rise[i] * w + (1.0 - rise[i + 1]) * weights[i + 1] for i, w in enumerate(weights[:-1])]
-    base = values[:, 0, :] * (degree - 1) / 2.0  # Differences of logarithms lose fewer digits.
+    base = values[:, 0, :] * (degree - 1) / 2.0  # Sums of differences from a base lose fewer digits.
     return base + sum(w[..., None, None] * (values[:, i, :] - base) for i, w in enumerate(weights))
 
 
 def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]) -> Any:
-    """Return the sum of the lobes (..., 3)."""
+    """Return the sum of the lobes and the delta term (..., 3)."""
     degree, log, exp = (3, xp.log, xp.exp) if IS_SPLINE else (1, xp.positive, xp.positive)
     kappa, gamma = (exp(_spline(xp, KNOTS[1], log(p[name]), theta_diff, degree)) for name in ("kappa", "gamma"))
     tangent = xp.tan(_spline(xp, KNOTS[1], p["center"], theta_diff, degree))
@@ -73,16 +73,16 @@ def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]
 
 
 def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
-    """Return a lobe of height 1 at a squared tangent from its center; its maximum is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Smaller exponents give no light.
+    """Return a lobe at the squared tangent of the angle to its center; its maximum, 1, is at `top2`."""
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Exponentials of less are negligible.
     fall = xp.clip(gamma / 2.0 * (xp.log1p(top2) - xp.log1p(square)), low, None)
     top = kappa * xp.exp(xp.clip(-gamma / 2.0 * xp.log1p(top2), low, None))
     return xp.exp(top * xp.expm1(fall)) * xp.expm1(-top * xp.exp(fall)) / xp.expm1(-top)
 
 
 def _student(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
-    """Return a lobe of height 1 at a squared tangent from its center; its maximum is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Smaller exponents give no light.
+    """Return a lobe at the squared tangent of the angle to its center; its maximum, 1, is at `top2`."""
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Exponentials of less are negligible.
     return xp.exp(xp.clip(kappa * (xp.log1p(gamma * top2) - xp.log1p(gamma * square)), low, None))
 
 
@@ -94,7 +94,7 @@ def _rise(xp: Any, cosine: Any) -> Any:
 
 
 def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, alpha: Any, tail: Any, masking: Any) -> Any:
-    """Return the logarithm of a rough surface's facets and masking; alpha is its roughness, tail = 2 is GGX."""
+    """Return the logarithm of a rough surface's distribution of facets times masking; the tail exponent 2 is GGX."""
     square, norm = alpha**2, 0.125 + xp.logaddexp(8.0 * (tail - 1.125), 0.0 * tail) / 8.0
     to_in, to_out = (xp.sqrt(square + (1.0 - square) * cosine**2) for cosine in (cos_in, cos_out))
     seen, both = cos_out * to_in + cos_in * to_out, (cos_in + to_in) * (cos_out + to_out)
@@ -133,7 +133,7 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
 def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: bool) -> list[Any]:
     """Divide the model's values among spike, lobe and diffuse part, by the logarithms of the layers of each."""
     tan2, (narrow, wide, diffuse) = xp.clip(tan2, None, MAX_TAN2)[..., None], layers
-    if not has_highlight:  # Much brighter light than the ground near the mirror direction is a highlight.
+    if not has_highlight:  # Values far above the diffuse layers near the mirror direction are a highlight.
         ground = xp.minimum(whole, xp.exp(diffuse) * (2.0 + (tan2 / HALO) ** 2))
         return [0.0 * whole, whole - ground, ground]
     specular, ground = xp.logaddexp(narrow, wide), xp.exp(diffuse)
@@ -146,7 +146,7 @@ def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: b
     return [spike, rest - spike, xp.minimum(whole, ground + (whole * s - ground) * (1.0 - halo) * s**3)]
 
 
-# An exported file defines these names for its model.
+# An exported file defines these placeholders for its own model.
 IS_SPLINE = True
 KNOTS = [[0.0]]
 MAX_TANGENT = 1e12

@@ -1,6 +1,6 @@
 """Write a model, a component or layers as a Python file with a differentiable function for NumPy, PyTorch and JAX.
 
-The file copies the functions of `dsbrdf.output.export.python_code` that it needs; its numbers restore every bit.
+The file copies the functions of `dsbrdf.output.export.python_code` that it needs; its numbers are stored exactly.
 """
 
 import inspect
@@ -38,7 +38,7 @@ def python_file(source: DSBRDF | LayeredModel | Component) -> str:
     if isinstance(source, DSBRDF):
         return _file("all of it", _model_parameters(source), _fixed(source), _of(source), "model")
     whole, what = source.whole, f"its {source.label.replace('_', ' ')}"
-    if len(whole.labels) < 2:  # The component is the whole model.
+    if len(whole.labels) < 2:  # The only component equals the whole model.
         return _file(what, _model_parameters(whole.model), _fixed(whole.model), _of(whole.model), "model")
     parameters: dict[str, _Numbers] = _model_parameters(whole.model) | {"structures": {}}
     structures = []
@@ -72,7 +72,7 @@ def _of(model: DSBRDF) -> _Functions:
 
 
 def _layer_parameters(layers: tuple[Layer, ...], lead: str) -> dict[str, _Numbers]:
-    """Return the parameters of layers by their names, such as ``specular_1.alpha``; a layer has a line."""
+    """Return the parameters of layers by their names, such as ``specular_1.alpha``; each layer gets a line."""
     named = {f"{lead}{type(one).__name__.removesuffix('Layer').lower()}_{n}": one for n, one in enumerate(layers, 1)}
     return {
         name: {f"{name}.{parameter}": np.asarray(value).tolist() for parameter, value in vars(layer).items()}
@@ -81,7 +81,7 @@ def _layer_parameters(layers: tuple[Layer, ...], lead: str) -> dict[str, _Number
 
 
 def _with(label: str, names: dict[str, _Numbers], labels: tuple[str, ...]) -> Iterator[str]:
-    """Yield the names of the layers that have a label."""
+    """Yield the names of the layers with one label."""
     return (name for name, own in zip(names, labels, strict=True) if own == label)
 
 

@@ -1,18 +1,18 @@
 """Write a model, a component or a measurement as an RGL ``.bsdf`` file for Mitsuba 3 (``measured``) and pbrt-v4.
 
-The file has, for each of N angles theta_i of the first direction (phi_i = 0: the material is isotropic), two warps of
-the unit square. The first, ``luminance``, maps uniform samples to where most light goes; the second, ``vndf``, maps
-these to half vectors (u, v) with
+For each angle theta_i of the first direction (at azimuth phi_i = 0, as the material is isotropic), the file has two
+warps of the unit square. The first warp, ``luminance``, maps uniform random points to points that are dense where much
+light is reflected. The second warp, ``vndf``, maps these points to half vectors (u, v) with
 
     theta_half = pi/2 u**2,    azimuth from the first direction = (2 v - 1) pi,
 
-and ``rgb`` holds f cos(theta_out) 4 sigma / ndf at the nodes between the two (Dupuy and Jakob 2018, section 4). Here
-``vndf`` is the reflected luminance plus uniform densities of twice its mean, so that no direction is far from a node,
-and ``luminance`` corrects the density of samples; ``ndf``, the mean value at each theta_half, makes ``rgb``
-smooth; sigma is 1/4.
+and ``rgb`` holds f cos(theta_out) 4 sigma / ndf on a grid of points between the two warps (Dupuy and Jakob 2018,
+section 4). Here ``vndf`` is the reflected luminance plus two uniform densities of twice its mean, so that no
+direction is far from a node. ``luminance`` corrects the density of samples. Division by ``ndf``, the mean value at each
+theta_half, makes ``rgb`` smooth; sigma is 1/4.
 
-Mitsuba's RGB variants read ``rgb``. Its spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm] instead,
-here the spectra that `dsbrdf.output.export.rgl` gives the same values; no program reads a file that has both.
+Mitsuba's RGB variants read ``rgb``. Its spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm] instead:
+the RGB values times `SPECTRA`. No program reads a file that has both.
 """
 
 import numpy as np
@@ -62,7 +62,7 @@ def rgl_bsdf(
 
 
 def _ndf(evaluate: Evaluate) -> Array:
-    """Return the mean value at each theta_half, evenly spaced in u, as two equal rows (2, `_N_NDF_NODES`)."""
+    """Return the geometric mean of the luminance at each theta_half, as two equal rows (2, `_N_NDF_NODES`)."""
     theta_half = 0.5 * np.pi * np.linspace(0.0, 1.0, _N_NDF_NODES) ** 2
     theta_diff = np.radians([5.0, 20.0, 40.0, 60.0])
     values = evaluate(*np.broadcast_arrays(theta_half[:, None], theta_diff, np.array(np.pi / 2))) @ LUMINANCE
@@ -71,7 +71,7 @@ def _ndf(evaluate: Evaluate) -> Array:
 
 
 def _slice(evaluate: Evaluate, ndf: Array, theta_i: float) -> tuple[Array, Array, Array]:
-    """Return the tables vndf, luminance (S, S) and rgb (3, S, S) for one angle theta_i."""
+    """Return the tables vndf, luminance (S, S) and rgb (3, S, S) for one angle theta_i; S is `_N_TABLE_NODES`."""
     v, u = (part.ravel() for part in np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in _VNDF_SHAPE), indexing="ij"))
     reflected, jacobian = _reflected(evaluate, theta_i, u, v)
     density = ((reflected @ LUMINANCE) * jacobian).reshape(_VNDF_SHAPE)
@@ -91,7 +91,7 @@ def _slice(evaluate: Evaluate, ndf: Array, theta_i: float) -> tuple[Array, Array
 
 
 def _reflected(evaluate: Evaluate, theta_i: float, u: Array, v: Array) -> tuple[Array, Array]:
-    """Return ``f cos(theta_out)`` (n, 3) at half vectors, and the second direction's solid angle per du dv (n,)."""
+    """Return ``f cos(theta_out)`` (n, 3) at half vectors, and the solid angle per du dv of the second direction."""
     theta_half, azimuth = 0.5 * np.pi * u * u, (2.0 * v - 1.0) * np.pi
     sine = np.sin(theta_half)
     half, first = spherical(theta_half, azimuth), spherical(theta_i, 0.0)
@@ -104,7 +104,7 @@ def _reflected(evaluate: Evaluate, theta_i: float, u: Array, v: Array) -> tuple[
 
 
 WAVELENGTHS = np.arange(400.0, 701.0, 20.0)
-"""Nodes of spectra, linear between nodes and constant beyond them [nm]."""
+"""Wavelengths of the nodes of spectra [nm]; spectra are linear between the nodes and constant beyond them."""
 _RED = [0.0574, 0.0537, 0.0299, 0.0047, 0, 0, 0, 0, 0, 0.1347, 0.7972, 1, 1, 1, 1, 1]
 _GREEN = [0, 0, 0, 0, 0.2587, 0.7471, 1, 1, 1, 0.7935, 0.2002, 0, 0, 0, 0, 0]
 SPECTRA = np.array([_RED, _GREEN, 1.0 - np.add(_RED, _GREEN)])

@@ -1,6 +1,6 @@
 """Convert a model's parameters to cubic polynomials in Bernstein's form, for programs in single precision.
 
-In this form a polynomial is a mean of its four coefficients, with weights that are never negative: nothing cancels.
+In this form, a polynomial is a mean of its four coefficients with nonnegative weights, so no digits cancel.
 """
 
 import numpy as np
@@ -31,10 +31,10 @@ def constant(name: str, value: float) -> str:
 
 
 def bernstein_pieces(model: DSBRDF, program: str) -> tuple[Array, Array]:
-    """Return the breaks (P + 1,) and coefficients (R, P, 4) of a model's parameters over theta_diff.
+    """Return the breaks (P + 1,) of P pieces and the coefficients (R, P, 4) of R parameters over theta_diff.
 
-    The pieces and rows are those of `dsbrdf.DSBRDF.pieces`, followed by rows for the three channels
-    of the delta term. Raises InvalidArgumentError if a parameter is too large for a program's single precision.
+    The coefficients are those of `dsbrdf.DSBRDF.pieces`, followed by three rows for the channels of the delta term.
+    Raises InvalidArgumentError if a parameter is too large for the single precision of a program.
     """
     breaks, terms = model.pieces
     rows = np.concatenate([terms, _delta_terms(model, breaks)], axis=1)
@@ -45,9 +45,9 @@ def bernstein_pieces(model: DSBRDF, program: str) -> tuple[Array, Array]:
 
 
 def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
-    """Return the Bernstein coefficients (D, P, 4) of a unit control value, by the parameter's name.
+    """Return, by the parameter's name, the Bernstein coefficients (D, P, 4) of each of D control values if that is 1.
 
-    The coefficients of a row of `bernstein_pieces` are its control values, on the row's scale, times these bases.
+    The coefficients in `bernstein_pieces` are sums of control values, on the scale of the interpolation, times these.
     """
     breaks, _ = model.pieces
     knots = dict.fromkeys(("kappa", "gamma", "center"), model.shape_theta_diff)
@@ -61,7 +61,7 @@ def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
 
 
 def _bernstein(terms: Array, width: Array) -> Array:
-    """Return the Bernstein coefficients (R, P, 4) of polynomials (4, R, P), the highest power first."""
+    """Return the Bernstein coefficients (R, P, 4) of polynomials (4, R, P) whose first coefficient is the cubic one."""
     cubic, square, slope, level = (term * width**power for term, power in zip(terms, (3, 2, 1, 0), strict=True))
     first, second = level + slope / 3.0, level + (2.0 * slope + square) / 3.0
     return np.stack([level, first, second, level + slope + square + cubic], axis=-1)
