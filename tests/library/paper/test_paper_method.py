@@ -1,5 +1,5 @@
 import dataclasses
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -108,8 +108,8 @@ def test_cutoff_decides_which_slices_have_data(plastic: Measurement, one_lobe: F
 
 
 @UNCONVERGED
-@pytest.mark.parametrize(("mask", "used"), [(None, 1.0), (2.5, 2.5)])
-def test_mask_hides_what_lies_outside(plastic_profiles: Profiles, mask: float | None, used: float) -> None:
+@pytest.mark.parametrize(("mask", "used"), [("auto", 1.0), (2.5, 2.5)])
+def test_mask_hides_what_lies_outside(plastic_profiles: Profiles, mask: float | Literal["auto"], used: float) -> None:
     outside = THETA_HALF > np.pi / 2 - used * THETA_DIFF[:, None] + 1e-6
     options = paper(n_lobes=2, mask=mask, em_iterations=3)
     expected = fit(plastic_profiles, options).model
