@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.description import PROFILE, Description, Misfit, OwnValues, Surface, describe, renderer_layers
-from dsbrdf.components.layer_data import TRIAL_STEP, grid_values, material_data
 from dsbrdf.components.layer_data import grid_points as layer_points
+from dsbrdf.components.layer_data import grid_values, material_data
 from dsbrdf.components.layer_fit import fit_structures, structure_weights
 from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
 from dsbrdf.components.points import Points, grid_points
@@ -326,7 +326,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
     data = material_data(grid_values(model))
     if data is None:
         return Decomposition(model, (), (), (), (), (0.0, 0.0))
-    found = fit_structures(data, (*STRUCTURES, *RARE_STRUCTURES), trial_step=TRIAL_STEP)
+    found = fit_structures(data, (*STRUCTURES, *RARE_STRUCTURES), quick=True)
     kept = [one for one, weight in zip(found, structure_weights(found), strict=True) if weight >= _MIN_WEIGHT]
     structures = tuple(
         WeightedLayers(one.structure.name, float(weight), one.model, one.structure.is_diffuse)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import TRIAL_STEP, component_data, peak_half_width, renderer_data
+from dsbrdf.components.layer_data import component_data, peak_half_width, renderer_data
 from dsbrdf.components.layer_fit import FittedStructure, fit_structures, refined
 from dsbrdf.components.layers import (
     Color,
@@ -160,10 +160,10 @@ def describe(
         if is_diffuse
         else _highlights(peak_half_width(own.grid), has_retro=has_retro, has_ground=has_ground)
     )
-    best = fit_structures(data, structures, trial_step=TRIAL_STEP)[0]
+    best = fit_structures(data, structures, quick=True)[0]
     misfit = _misfit(own, best.model, is_diffuse=is_diffuse)
     if not _are_distinct(best.model):
-        alone = fit_structures(data, structures[:1], trial_step=TRIAL_STEP)[0]
+        alone = fit_structures(data, structures[:1], quick=True)[0]
         of_one = _misfit(own, alone.model, is_diffuse=is_diffuse)
         if not any(_withheld(of_one)):
             best, misfit = alone, of_one

@@ -25,8 +25,6 @@ from dsbrdf.model.reflectance import ReflectanceModel
 _THETA_DIFF = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _THETA_HALF = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
 _PHI_DIFF = np.radians([20.0, 70.0])
-TRIAL_STEP = 2
-"""Every second pair of directions is enough for the trials of a fit."""
 LAYER_POWER = 1.4
 """Errors of layers count relative to f to this power."""
 PLAIN_ERROR_WEIGHT = 0.3

@@ -35,7 +35,9 @@ MODEL_ERROR = 0.02
 """Relative error that even the best layers of a material have, c of the module's equation."""
 _FIXED_NOISE = 0.2
 _MAX_FIXED_NOISE_STEPS = 20
-_TRIAL_STEPS = (2, 3)  # The better half of a structure's starts gets the second number of steps.
+_TRIAL_STEPS = (5,)
+_QUICK_TRIAL_STEPS = (2, 3)  # The better half of a structure's starts gets the second number of steps.
+_QUICK_TRIAL_STRIDE = 2  # Every second pair of directions is enough for the trials of a complete material.
 _MAX_FIRST_STEPS = 10
 _MAX_STEPS = 60
 _MAX_REFINING_STEPS = 20
@@ -128,16 +130,17 @@ class FittedStructure:
 
 
 def fit_structures(
-    data: LayerData, structures: Sequence[LayerStructure] = STRUCTURES, *, trial_step: int = 1
+    data: LayerData, structures: Sequence[LayerStructure] = STRUCTURES, *, quick: bool = False
 ) -> list[FittedStructure]:
     """Fit structures to data and sort them, the best first; structures far behind are dropped after a trial.
 
-    A trial uses every trial_step-th pair of directions.
+    If quick, trials use half of the data, and the worse half of the starts is dropped after two steps. Scattered
+    samples need the full trials: two steps do not yet tell the right start.
     """
     unit = data.n_samples / N_SAMPLES
     found: list[FittedStructure] = []
     best = np.inf
-    for trial in _trials(data.thinned(trial_step), structures):
+    for trial in _trials(data, structures, quick=quick):
         if trial.prospect > best + _MAX_TRIAL_COST_LEAD * unit:
             break
         descent = replace(trial, data=data, done=False)
@@ -164,20 +167,22 @@ def structure_weights(found: Sequence[FittedStructure]) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def _trials(data: LayerData, structures: Sequence[LayerStructure]) -> "list[_Descent]":
+def _trials(data: LayerData, structures: Sequence[LayerStructure], *, quick: bool) -> "list[_Descent]":
     """Take a few steps with every structure; sort the descents, the most promising first."""
+    if quick:
+        data = data.thinned(_QUICK_TRIAL_STRIDE)
     trials: dict[str, _Descent] = {}
     for structure in structures:
         if structure.parent in trials:
             structure = structure.started_from(trials[structure.parent].model)
-        trials[structure.name] = _best_trial(data, structure)
+        trials[structure.name] = _best_trial(data, structure, _QUICK_TRIAL_STEPS if quick else _TRIAL_STEPS)
     return sorted(trials.values(), key=lambda trial: trial.prospect)
 
 
-def _best_trial(data: LayerData, structure: LayerStructure) -> "_Descent":
-    """Take a few steps from each start; the better half of the starts gets more steps."""
+def _best_trial(data: LayerData, structure: LayerStructure, stages: Sequence[int]) -> "_Descent":
+    """Take the steps of each stage from each start; the better half of the starts enters the next stage."""
     trials = [_Descent(data, structure, _start(data, structure, widths)) for widths in structure.starts]
-    for steps in _TRIAL_STEPS:
+    for steps in stages:
         for trial in trials:
             trial.run(steps)
         trials = sorted(trials, key=lambda trial: trial.prospect)[: -(-len(trials) // 2)]
