@@ -1,6 +1,6 @@
-"""Define what all commands use: output, errors in one sentence, and flags that take lists.
+"""Define functions that all commands use: for output, errors, flags with lists, and the commands of the service.
 
-This module imports nothing that takes time, so that commands without computations answer at once.
+This module imports no slow module, so that commands without computations answer at once.
 """
 
 import json
@@ -23,7 +23,7 @@ LIST_FLAGS = (
     *("--theta-in", "--theta-out", "--phi-out"),
     *("--omega-in", "--omega-out", "--knots-deg", "--missing"),
 )
-"""Flags that take one or more values, separated by blanks; commas also separate values, but not directions."""
+"""Flags that take one or more values, separated by blanks; commas also separate values except directions."""
 
 _NUMBERS = re.compile(r"[-+]?[0-9.][-+0-9.e, ]*")
 
@@ -34,14 +34,14 @@ def print_json(document: Any) -> None:
 
 
 def print_error(error: BaseException | str) -> None:
-    """Print one sentence to stderr; the sentence of a system error names its file."""
+    """Print one sentence to stderr; for a system error with a file, the sentence names this file."""
     if isinstance(error, OSError) and error.filename is not None:
         error = f"{error.filename}: {error.strerror}"
     sys.stderr.write(f"dsbrdf: {error}\n")
 
 
 def print_written(path: Path, what: str, file_format: str = "", *, json: bool = False, **about: Any) -> None:
-    """Print the name, kind and size of a written file, in JSON with `about`."""
+    """Print the name, kind and size of a written file; JSON also contains the values in `about`."""
     size = path.stat().st_size
     if json:
         print_json({"output": str(path), "format": file_format, "bytes": size} | about)
@@ -51,9 +51,9 @@ def print_written(path: Path, what: str, file_format: str = "", *, json: bool = 
 
 
 def join_points(words: Sequence[str]) -> list[str]:
-    """Join each flag of a list with its numbers: ``--theta-half 0 10 m.json`` is ``"--theta-half=0 10" m.json``.
+    """Join each flag of a list with its numbers: ``--theta-half 0 10 m.json`` becomes ``"--theta-half=0 10" m.json``.
 
-    cyclopts would take ``m.json`` for one more angle, and ``-0.5,0,0.9`` for a flag of its own.
+    Otherwise, cyclopts would read ``m.json`` as one more angle, and ``-0.5,0,0.9`` as a flag.
     """
     joined: list[str] = []
     flag = ""
@@ -67,12 +67,12 @@ def join_points(words: Sequence[str]) -> list[str]:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a question that suggests known words similar to ``word``; empty if there are none."""
+    """Return a question that suggests known words similar to ``word``; empty if no word is similar."""
     near = get_close_matches(word, list(known), n=2, cutoff=0.6)
     return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
-# Each command has the modules that it needs, and its purpose.
+# A command's value is the modules that the command needs, and its purpose.
 SERVICE_COMMANDS = {
     "serve": (("cyclopts", "fastapi", "pydantic_settings", "uvicorn"), "Run the HTTP service."),
     "keys": (("cyclopts", "pydantic_settings"), "Add, list and revoke API keys of the service."),
@@ -82,13 +82,13 @@ SERVICE_COMMANDS = {
 
 
 def entry_point(group: str, name: str) -> EntryPoint:
-    """Return the entry point of a command or an engine of the service; ``pyproject.toml`` lists them."""
+    """Return the entry point of a command or an engine of the service; ``pyproject.toml`` lists these."""
     (found,) = entry_points(group=f"dsbrdf.{group}", name=name)
     return found
 
 
 def open_closed_output() -> None:
-    """Replace a closed output by the null device, because another file could get its descriptor."""
+    """Replace a closed stdout or stderr by the null device; otherwise, an opened file could get its descriptor."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 (until the end)
@@ -102,7 +102,7 @@ def run_service_command(command: str, words: Sequence[str]) -> int:
     needed, _ = SERVICE_COMMANDS[command]
     require("service", *needed, purpose="the HTTP service" if command == "serve" else f"dsbrdf {command}")
     found = entry_point("commands", command)
-    if command == "serve":  # The service replaces this process, so that signals reach it.
+    if command == "serve":  # The service replaces this process, so that signals reach the service.
         sys.stdout.flush()
         os.execv(sys.executable, [sys.executable, "-m", found.module.removesuffix(".__main__"), *words])  # noqa: S606 (no shell)
     code: int = found.load()(words)

@@ -1,6 +1,6 @@
 """Define the commands of ``dsbrdf`` for cyclopts, which reads the command line and writes the help.
 
-cyclopts belongs to the extra ``cli``. Calling a command imports its module.
+cyclopts belongs to the extra ``cli``. A command's module is imported when the command is called.
 """
 
 import shutil
@@ -45,7 +45,7 @@ Whole = Parameter(converter=_whole_number, metavar="N")
 _MAX_HELP_COLUMNS = 100
 _NO_LINES = Box("    \n" * 8)
 
-# Each group has commands, with their module and function, and their purpose.
+# Each command of a group has its module and function, and its purpose.
 _COMMANDS = {
     "Models": {
         "fit": ("fit_command:fit", "Fit models to measurements."),
@@ -163,7 +163,7 @@ def _allowed(kind: Any) -> str:
         return " or ".join(_allowed(member) for member in get_args(kind))
     if get_origin(kind) is Literal:
         return " or ".join(get_args(kind))
-    if get_origin(kind) is tuple:  # The tuple has any length.
+    if get_origin(kind) is tuple:  # All members of the tuple have one type.
         return _allowed(get_args(kind)[0])
     words = {int: "a whole number", float: "a number", bool: "yes or no", timedelta: "a time such as 30d"}
     return {**words, NoneType: "none"}.get(kind, "a text")

@@ -1,4 +1,4 @@
-"""Define ``dsbrdf compare``, which prints the figures of materials side by side and the likeness of their spheres."""
+"""Define ``dsbrdf compare``, which prints metrics of materials side by side and the likeness of their spheres."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,8 +49,8 @@ def compare(
     Parameters
     ----------
     output
-        Write a picture, a .png file: the spheres with the exposure of the first, their differences from it, and the
-        components of models; or the samples, the fit and the residual.
+        Write a picture, a .png file: the spheres with the exposure of the first sphere, their differences from the
+        first, and the components of models; or, for a table, the samples, the fit and the residual.
     """
     if output is not None:
         check_png(output)
@@ -79,7 +79,7 @@ def compare(
 
 
 _Comparison = tuple[list[dict[str, float | None]], list[str], bytes | None, str]
-"""Likeness of each source to the first source, the same in sentences, a picture, and its contents in words."""
+"""Likeness of each source to the first source, sentences about it, a picture, and a description of the picture."""
 
 
 def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], *, with_picture: bool) -> _Comparison:
@@ -132,7 +132,7 @@ def _titles(paths: Sequence[Path]) -> list[str]:
 
 
 def _source(path: Path, table: TableOptions, component: str | None) -> tuple[Any, dict[str, Any]]:
-    """Read a model, one of its components, or a measurement; return it with its figures."""
+    """Read a model, one of its components, or a measurement; return it with its metrics by name."""
     if is_measurement(path):
         if component is not None:
             raise InvalidArgumentError(f"{path}: a measurement has no components; fit it first")

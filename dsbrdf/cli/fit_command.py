@@ -1,4 +1,4 @@
-"""Define ``dsbrdf fit``, with its progress and the table of several fits for the terminal and as CSV."""
+"""Define ``dsbrdf fit``, its progress bar, and its tables of several fits for the terminal and as CSV."""
 
 import re
 import sys
@@ -51,11 +51,11 @@ class Work:
     force
         Fit again even if the folder has the fit already.
     jobs
-        Fits at once; auto is one for each core of this machine.
+        Number of fits at once; auto is one for each core of this machine.
     scheduler
         Compute on the Dask cluster with this scheduler, tcp://host:8786.
     url
-        Compute on the service there; DSBRDF_KEY in the environment is the key.
+        Compute on the service at this URL; the environment variable DSBRDF_KEY has the API key.
     """
 
     output: Annotated[Path | None, Parameter(alias="-o", metavar="DIR")] = None
@@ -114,8 +114,8 @@ def fit(
     plot
         Write a figure NAME.png beside each fit.
     measure_next
-        Write the directions at which further samples of a table would tell most, sorted by incidence, as a .csv
-        table whose values are left to fill in.
+        Write a .csv table of the directions at which further samples would make the fit of a table most certain,
+        sorted by incidence; the values are left to fill in.
     together
         Fit all files, tables of one material, as one measurement with this name.
     """
@@ -196,7 +196,7 @@ def _plot(items: list[FileFit], table: TableOptions) -> Iterator[str]:
 
 
 def _messages(item: FileFit, *, printed: bool) -> tuple[str, ...]:
-    """Return the messages of a file for stderr: its error, or the warnings of a new fit that are not `printed`."""
+    """Return the messages of a file for stderr: its error, or a new fit's warnings unless they are `printed` anyway."""
     if item.result is None:
         return () if item.error is None else (item.error,)
     return () if printed or item.resumed else item.result.report.warnings
@@ -226,7 +226,7 @@ SHOWN = {"relative_rms": 12, "excess": 8, "psnr": 7}
 """Metrics in the terminal's table, each with the width of its column; the CSV has all metrics."""
 
 _OF_FILE = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
-_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # The metrics include psnr, the last of these columns.
+_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # METRICS includes psnr, the last of COLUMNS.
 
 
 def summary_table(items: Sequence[FileFit]) -> list[str]:
@@ -274,7 +274,7 @@ def _rows(item: FileFit) -> Iterator[dict[str, Any]]:
         "warnings": " ".join(report.warnings),
     }
     rows = [*component_rows(item.file.stem, component_documents(model), report.metrics.psnr)]
-    for row in rows or [{"material": item.file.stem}]:  # If the model has no light, it has no components.
+    for row in rows or [{"material": item.file.stem}]:  # A model that reflects nothing has no components.
         yield row | about
 
 

@@ -3,7 +3,7 @@
 Angles are in degrees on the command line, BRDF values in 1/sr, colours in the order red, green, blue. Exit codes:
 0 success; 2 bad usage or bad input, with one sentence on stderr; 130 interrupted; 1 any other failure.
 
-`dsbrdf.cli.commands` defines the commands. Only this module imports it, because it needs the extra ``cli``.
+`dsbrdf.cli.commands` defines the commands. It is imported late, because it needs the extra ``cli``.
 """
 
 import os

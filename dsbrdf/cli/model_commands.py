@@ -1,4 +1,4 @@
-"""Commands that print and export models, and convert measurements."""
+"""Define the commands that print and export models, and convert measurements."""
 
 import shutil
 from collections.abc import Sequence
@@ -104,7 +104,7 @@ def show(*models: RequiredFiles, lobes: bool = False, channel: Channel = "red", 
     models
         A .json file from dsbrdf fit, or several.
     lobes
-        Print the lobes of the model too, not only those of its components.
+        Also print the lobes of the model.
     channel
         Channel of the model's lobes in the text.
     """
@@ -197,7 +197,7 @@ def export(
 
 
 _WRITTEN = {".binary": "a MERL table", ".bsdf": "an RGL file", ".csv": "a file of samples"}
-_MAX_RECIPROCITY_ERROR = 0.1  # A warning says that a MERL table hides a larger error.
+_MAX_RECIPROCITY_ERROR = 0.1  # A larger error causes a warning, because a MERL table stores means.
 
 
 def convert(
@@ -213,9 +213,9 @@ def convert(
     paths
         The measurement, then the file to write: .bsdf is for Mitsuba 3, .binary a MERL table, .csv a file of
         samples. A table of samples is fitted first for .bsdf and .binary, which have the values of the fit; several
-        of one material are one measurement.
+        tables of one material are joined into one measurement.
     spectral
-        Spectra in the .bsdf, for pbrt-v4 and spectral variants of Mitsuba.
+        Store spectra in the .bsdf file, for pbrt-v4 and spectral variants of Mitsuba.
     """
     *sources, target = paths
     suffix = target.suffix.lower()
@@ -237,7 +237,7 @@ def convert(
 def _converted(
     sources: Sequence[Path], suffix: str, options: TableOptions, *, spectral: bool
 ) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
-    """Return the content of the file, warnings, and figures by name."""
+    """Return the content of the written file, warnings, and measures of error by name."""
     found: Measurement | RglMaterial | DSBRDF
     sentences: tuple[str, ...] = ()
     about: dict[str, Any] = {}
@@ -258,7 +258,7 @@ def _converted(
         return source.read_bytes(), (), {}
     if suffix == ".bsdf":
         return rgl_bsdf(found, source.stem, spectral=spectral), sentences, about
-    if isinstance(found, RglMaterial):  # A MERL table has the means of both orders of the directions.
+    if isinstance(found, RglMaterial):  # A MERL table stores the mean over both orders of the two directions.
         difference = found.non_reciprocity()
         about = {"non_reciprocity": difference}
         if difference > _MAX_RECIPROCITY_ERROR:

@@ -57,7 +57,7 @@ _ANGLES = Parameter(converter=_angles_or_word, n_tokens=1, metavar="DEGREES,...|
 
 
 def _in_words(documented: type) -> str:
-    """Return the docstring of a class of options in the notation of flags."""
+    """Return the docstring of a class of options, changed from the notation of Python to that of flags."""
     return (documented.__doc__ or "").replace("None", '"none"').replace("`", "")
 
 

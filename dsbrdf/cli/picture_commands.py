@@ -1,4 +1,4 @@
-"""Commands that draw models and measurements."""
+"""Define the commands that draw models and measurements."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +52,7 @@ class Look:
     size
         Size of a sphere [pixels].
     exposure
-        Multiply radiance by this factor before it is clipped at 1 and gets the sRGB curve; auto takes the 99th
+        Multiply radiance by this factor before it is clipped at 1 and gets the sRGB curve; auto scales the 99th
         percentile of the whole material, or of the first source, to 1.
     """
 
@@ -131,7 +131,8 @@ def plot(
         A .json file from dsbrdf fit, or a .binary or .bsdf measurement alone.
     measurement
         The fitted measurement: its profiles are drawn with the fit and the components, or the samples of a table beside
-        the fit and the residual. Without it, the parameters over theta_diff are drawn. It may also come first.
+        the fit and the residual. Without a measurement, the parameters over theta_diff are drawn. The measurement
+        may also be named before the model.
     output
         The file to write: .png, .svg or .pdf.
     lobes
@@ -155,7 +156,7 @@ def plot(
 
 
 def map_materials(*files: RequiredFiles, output: OutputFile, json: Json = False) -> None:
-    """Draw a map of materials by the likeness of their lit spheres, and list the three nearest of each.
+    """Draw a map of materials by the likeness of their lit spheres, and list the three nearest materials of each.
 
     Parameters
     ----------

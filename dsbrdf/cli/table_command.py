@@ -1,4 +1,4 @@
-"""Define ``dsbrdf table``, which prints how a table of samples is understood, before it is fitted."""
+"""Define ``dsbrdf table``, which prints how a table of samples is read, before the samples are fitted."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from dsbrdf.samples.table_options import TableOptions
 
 
 def table(*files: RequiredFiles, json: Json = False, options: AboutTable = NO_TABLE_FLAGS) -> int:
-    """Print how a table of samples is understood: columns, units, ranges, warnings and the first samples.
+    """Print how a table of samples is read: columns, units, ranges, warnings and the first samples.
 
     Parameters
     ----------
