@@ -1,12 +1,11 @@
 """Divide a model into specular spike, specular lobe and diffuse part, and describe each by parameters.
 
-The lobes of an accurate model overlap, so no lobe is a component by itself. Physical layers are: several structures
-of layers are fitted to the model's own values and weighted by their evidence (`dsbrdf.components.layer_fit`), so that
-any model has a decomposition. Each structure divides the model's values (`dsbrdf.components.shares`). A component is
-the weighted mean over the structures: components sum to the model, and no component is negative. A component without
-light is left out.
+The lobes of an accurate model overlap, so no lobe is a component by itself. Instead, several structures of physical
+layers are fitted to the model's values and weighted by their evidence (`dsbrdf.components.layer_fit`). Each structure
+divides the model's values among the components (`dsbrdf.components.shares`). A component is the weighted mean over the
+structures: components sum to the model, and no component is negative. A component that reflects too little is left out.
 
-Afterwards layers are fitted to each component's own values (`dsbrdf.components.description`). They are its parameters.
+Afterwards, layers are fitted to each component's values (`dsbrdf.components.description`): they are its parameters.
 """
 
 from __future__ import annotations
@@ -48,9 +47,9 @@ _LIKELY_WEIGHT = 0.5
 _MIN_REMARKED_LIGHT = 0.02
 """Sheen or retro-reflection with a larger fraction of the light gets a remark."""
 _MAX_CERTAIN_WIDTH = 0.2
-"""If the range of the diffuse fraction is wider, a remark says that the split is open."""
+"""If the range of the diffuse fraction is wider, a remark says that this fraction is not determined."""
 _RECEIVERS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
-"""Indices in `LABELS`: the first component present in the model receives the light of an absent component."""
+"""Indices in `LABELS`, in order of preference, of the component that receives the values of an absent component."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,11 +61,11 @@ class Component(ReflectanceModel):
     label : str
         One of `LABELS`.
     ranges : ComponentRanges
-        Where its light and colour lie with 90 % probability.
+        Ranges of its fraction of the light, albedo and colour, each with 90 % probability.
     description : Description
-        Layers fitted to its values, and how far they are from them.
+        Layers fitted to the values of the component, and the misfit of these layers.
     whole : Decomposition
-        The decomposition that it belongs to.
+        The decomposition that the component belongs to.
     """
 
     label: str
@@ -103,7 +102,7 @@ class Component(ReflectanceModel):
 
     @property
     def misfit(self) -> Misfit:
-        """Distance of the component's own layers from its values."""
+        """Distance of the layers in `layers` from the values of the component."""
         return self.description.misfit
 
     @property
@@ -150,9 +149,9 @@ class Component(ReflectanceModel):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decomposition:
-    """Hold the components of a model that have light; their values sum to the model's values.
+    """Hold the components of a model that reflect light; their values sum to the model's values.
 
-    Iterating yields them from narrow to wide; ``decomposition[label]`` looks one up.
+    Iteration yields the components from narrow to wide; ``decomposition[label]`` returns one component.
 
     Attributes
     ----------
@@ -161,13 +160,13 @@ class Decomposition:
     structures : tuple of WeightedLayers
         Structures of layers that explain the model, the most probable one first; the weights sum to 1.
     labels : tuple of str
-        Labels of the components that have light, in the order of `LABELS`.
+        Labels of the components that reflect light, in the order of `LABELS`.
     ranges : tuple of ComponentRanges
-        Ranges of each component's figures.
+        Ranges of the light and colour of each component.
     descriptions : tuple of Description
-        Layers of each component, fitted to its values.
+        Layers fitted to the values of each component.
     diffuse_range : tuple of float
-        Where the diffuse fraction of all light lies with 90 % probability, also without a diffuse component.
+        Range with 90 % probability of the diffuse fraction of all light, also without a diffuse component.
     """
 
     model: DSBRDF
@@ -226,12 +225,12 @@ class Decomposition:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences about an open split, withheld parameters, sheen and retro-reflection."""
+        """Sentences about an undetermined diffuse fraction, withheld parameters, sheen and retro-reflection."""
         own = (remark for component in self for remark in component.remarks)
         return (*self._open_split(), *own, *self._other_light())
 
     def receiver(self, label: str) -> str:
-        """Return the label of the component that receives the light of a label's layers."""
+        """Return the label of the component that receives the values of the layers with a label."""
         return next(one for one in (label, *(LABELS[heir] for heir in _RECEIVERS[label])) if one in self.labels)
 
     def split_at(self, rule: LightRule) -> Array:
@@ -239,7 +238,7 @@ class Decomposition:
         return self._split(self.model.evaluate_unmasked(*rule.angles).T, rule.points)
 
     def own_values(self, reflected: Sequence[Array]) -> tuple[OwnValues, ...]:
-        """Return each component's values for fitting layers, with the light (3, 3) of `LABELS` at two light rules."""
+        """Return the values to which each component's layers are fitted, from the albedos of `LABELS` at two angles."""
         grids = self._split(grid_values(self.model), layer_points())
         profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
         albedos = np.stack([self._received(light) for light in reflected], axis=1)
@@ -264,7 +263,7 @@ class Decomposition:
         return self._received(parts)
 
     def _received(self, parts: Array) -> Array:
-        """Give the parts (3, ...) of `LABELS` to the components, shape (K, ...)."""
+        """Return the values of K components (K, ...) from parts (3, ...): absent ones are added to their receivers."""
         received = parts.copy()
         for place, label in enumerate(LABELS):
             if label not in self.labels:
@@ -336,7 +335,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
     light = np.max([one.sum(axis=1) / max(float(one.sum()), 1e-300) for one in reflected], axis=0)
     shares = dict(zip(LABELS, light.tolist(), strict=True))
     labels = tuple(label for label in LABELS if _is_there(label, shares[label], structures))
-    # Light that no layer explains, such as a delta term alone, goes to the last layer of the most probable structure.
+    # If no component reflects enough, as with a delta term alone, the last layer of the best structure gives the label.
     labels = labels or (structures[0].labels[-1],)
     drawn = DrawnLayers.of(model, kept)
     split = Decomposition(model, structures, labels, tuple(map(drawn.ranges, labels)), (), drawn.light_range(LABELS[2]))
@@ -354,14 +353,14 @@ def _decompose(model: DSBRDF) -> Decomposition:
 
 
 def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) -> bool:
-    """Tell whether a component has enough light; an unlikely component needs more."""
+    """Tell whether a component reflects enough light to be kept; an unlikely component must reflect more."""
     probability = sum(structure.weight for structure in structures if label in structure.labels)
     least = _MIN_COMPONENT_LIGHT if probability > _LIKELY_WEIGHT else _MIN_LIGHT_OF_UNLIKELY_COMPONENT
     return probability > 0.0 and share > least
 
 
 def _reflected(model: DSBRDF, structures: tuple[WeightedLayers, ...], rule: LightRule) -> Array:
-    """Return the light (3, 3) that the layers of each of `LABELS` reflect at the angle of a rule."""
+    """Return the directional albedo (3, 3), by label in `LABELS` and channel, at the angle of a rule."""
     values = model.evaluate_unmasked(*rule.angles).T
     parts = np.sum([one.weight * one.split(values, rule.points) for one in structures], axis=0)
     return np.asarray(parts @ rule.weight)

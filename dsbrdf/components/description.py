@@ -1,9 +1,9 @@
 """Describe a component by the parameters of layers fitted to its own values.
 
 The decomposition uses strong priors on usual materials to assign light to components. Parameters are then estimated
-from a component's own values: layers with weak priors, of any colour, are fitted to them. A highlight has up to two
-surfaces, and a diffuse part has a ground with or without sheen. The misfit is the distance of these layers from the
-component; a parameter with too large a misfit is None.
+from a component's own values: layers of any colour, with weak priors, are fitted to these values. A highlight has up
+to two surfaces, and a diffuse part has a diffuse layer with or without sheen. The misfit is the distance of these
+layers from the component; a parameter with too large a misfit is None.
 """
 
 from collections.abc import Iterator, Sequence
@@ -55,7 +55,7 @@ class Misfit:
     Attributes
     ----------
     peak : float or None
-        Ratio of heights minus 1 at theta_half = 0, theta_diff from 0 to 45 degrees; None for a diffuse part.
+        Ratio minus 1 of the mean values at theta_half = 0, theta_diff 0 to 45 degrees; None for a diffuse part.
     color : float
         Largest difference of a channel of the peak (of the albedo if diffuse), relative to the largest channel.
     half_width : float or None
@@ -151,7 +151,7 @@ class OwnValues:
 def describe(
     own: OwnValues, spread: SurfaceSpread, *, is_diffuse: bool, has_retro: bool = False, has_ground: bool = False
 ) -> Description:
-    """Fit layers to the values of a component; a highlight may contain retro-reflection or a ground."""
+    """Fit layers to the values of a component; a highlight may contain retro-reflection or a diffuse layer."""
     data = component_data(own.grid, has_peak=not is_diffuse)
     if data is None:
         return Description(LayeredModel(()), (), Misfit(None, 0.0, None, 0.0))
@@ -189,7 +189,7 @@ _DIFFUSE_STRUCTURES = (
 
 
 def _highlights(half_width: float, *, has_retro: bool, has_ground: bool) -> tuple[LayerStructure, ...]:
-    """Return structures of one and two surfaces that start near a half width [rad], with other light if present."""
+    """Return structures of one or two surfaces that start near a half width [rad], with other layers if requested."""
     width = float(np.degrees(half_width))
     widest = float(np.degrees(_MAX_START_HALF_WIDTH))
     pairs = ((0.7 * width, min(3.0 * width, widest)), (width, min(6.0 * width, widest)))
@@ -238,7 +238,7 @@ def _color_difference(first: Array, second: Array) -> float:
 
 
 def _width_of_profile(values: Array) -> float:
-    """Return theta_half at which values at `_WIDTH_THETA_HALF` have half their first height [rad]."""
+    """Return theta_half at which values at `_WIDTH_THETA_HALF` fall to half of the first value [rad]."""
     below = np.flatnonzero(values < 0.5 * values[0])
     if not below.size:
         return float(_WIDTH_THETA_HALF[-1])
@@ -291,8 +291,8 @@ def _misses(misfit: Misfit) -> list[str]:
 def _surfaces(best: FittedStructure, misfit: Misfit, spread: SurfaceSpread) -> tuple[Surface, ...]:
     """Return the surfaces of a fit with their ranges, the brightest first; the misfit may withhold parameters.
 
-    A range has the spread over probable splits, the uncertainty of the fit and the misfit, as independent errors; the
-    misfit counts as an error that 90 % of cases stay below.
+    A range combines the spread over probable structures, the uncertainty of the fit and the misfit, as independent
+    errors; the misfit counts as an error that is not exceeded with 90 % probability.
     """
     variance = 2.0 * np.diag(np.linalg.inv(best.normal_equations))
     no_alpha, no_f0 = _withheld(misfit)

@@ -1,10 +1,11 @@
-"""Weigh a model's values at two thousand pairs of directions, to separate its layers or to describe a component.
+"""Weigh a model's values at 668 pairs of directions, to separate its layers or to describe a component.
 
-To separate layers, the weight of a pair is its visibility on a lit sphere, and errors are relative to f**1.4: the wide,
-faint range decides on the diffuse part. Plain errors have some weight too, to keep the heights of highlights.
+To separate layers, the weight of a pair is its visibility on a lit sphere, and squared errors are divided by f**1.4 of
+the values f, because the wide range of small values determines the diffuse part. Absolute errors have some weight too,
+which preserves the peaks of highlights.
 
-To describe one component, errors are relative to f. Those of a highlight's upper nine tenths count relative to its own
-values, and so do those of the light in four bands of theta_diff, which make up its albedo.
+To describe one component, squared errors are divided by f. In addition, relative errors count where a highlight is
+above a tenth of its peak, and relative errors of the light in four bands of theta_diff, whose sum is the albedo.
 """
 
 import itertools
@@ -26,21 +27,21 @@ _THETA_DIFF = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 8
 _THETA_HALF = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
 _PHI_DIFF = np.radians([20.0, 70.0])
 LAYER_POWER = 1.4
-"""Errors of layers count relative to f to this power."""
+"""Squared errors of layers are divided by this power of the values f."""
 PLAIN_ERROR_WEIGHT = 0.3
-"""Weight of plain errors, as a fraction of the weight of relative errors."""
-_OWN_POWER = 1.0  # Power of f for the errors of one component.
+"""Weight of absolute errors, as a fraction of the weight of relative errors."""
+_OWN_POWER = 1.0  # Squared errors of one component are divided by this power of f.
 _N_OWN_SAMPLES = 500.0  # With so many independent samples, a component's values outweigh the prior.
 _OWN_MODEL_ERROR = 0.08  # A second surface must explain a larger relative error.
 _PEAK_ERROR_WEIGHT = 1.5  # Weight of errors at a highlight's peak, as a fraction of all other weight.
-_RENDERED_PEAK_ERROR_WEIGHT = 0.5  # Weight of peak errors if all components are fitted together.
+_RENDERED_PEAK_ERROR_WEIGHT = 0.5  # The same weight in the fit of all components for renderers.
 _FULL_WEIGHT_THETA_DIFF = np.radians(50.0)  # At a larger theta_diff, the weight of a peak falls.
-_AROUND_PEAK = int(np.searchsorted(_THETA_HALF, np.radians(60.0)))  # index of theta_half around a peak
-_MIN_PEAK_HEIGHT = 0.05  # A lower peak counts as this fraction of its top above the values around it.
-_RENDERED_TRUST_POWER = 0.09  # Power of the trust near the horizon if a sphere's rim counts.
+_AROUND_PEAK = int(np.searchsorted(_THETA_HALF, np.radians(60.0)))  # index of theta_half = 60 degrees
+_MIN_PEAK_HEIGHT = 0.05  # The height of a peak above its surroundings counts as at least this fraction.
+_RENDERED_TRUST_POWER = 0.09  # If a sphere's rim counts, the trust near the horizon is raised to this power.
 _MIN_LOG_SCALE_THETA_HALF = np.radians(0.05)  # Below this angle, the scale of theta_half is linear.
 _BAND_WEIGHT = 6.0  # Weight of the errors of the light in bands, as a fraction of all other weight.
-_RENDERED_BAND_WEIGHT = 2.0  # Weight of band errors if all components are fitted together.
+_RENDERED_BAND_WEIGHT = 2.0  # The same weight in the fit of all components for renderers.
 _BAND_EDGES = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # edges of the bands of theta_diff [rad]
 _MIN_BAND_LIGHT = 0.05  # Errors of a darker band are relative to this fraction of the mean band's light.
 _MAX_VALUE = 1e100  # Its square still fits in double precision.
@@ -59,9 +60,9 @@ class _Grid(NamedTuple):
     above : Mask
         Whether a pair is above the horizon (R, C, P).
     lit, plain : Array
-        Weight of a pair in a lit sphere, and its plain weight, (R, C, P); untrusted pairs near the horizon have little.
+        Weights of relative and of absolute errors, (R, C, P); both are small near the horizon.
     rendered : Array
-        Weight of a pair in a lit sphere with its rim, (R, C, P).
+        Weight of relative errors if the rim of a sphere counts, (R, C, P).
     """
 
     angles: tuple[Array, Array, Array]
@@ -83,7 +84,7 @@ def grid_points() -> Points:
 
 
 def material_data(values: Array) -> LayerData | None:
-    """Weigh the values (3, N) of a whole material; None if it has no light."""
+    """Weigh the values (3, N) of a whole material; return None if all values are 0."""
     if not values.any():
         return None
     grid, mean = _grid(), _on_grid(values)
@@ -93,7 +94,7 @@ def material_data(values: Array) -> LayerData | None:
 
 
 def component_data(values: Array, *, has_peak: bool) -> LayerData | None:
-    """Weigh the values (3, N) of a component, with or without a highlight's peak; None if it has no light."""
+    """Weigh the values (3, N) of a component, with or without a highlight's peak; return None if all are 0."""
     if not values.any():
         return None
     seen = _seen(_on_grid(values), _grid().lit, _OWN_POWER)
@@ -102,7 +103,7 @@ def component_data(values: Array, *, has_peak: bool) -> LayerData | None:
 
 
 def renderer_data(values: Array) -> LayerData | None:
-    """Weigh the values (3, N) of a whole material as lit spheres and highlights show them; None if it has no light."""
+    """Weigh the values (3, N) of a whole material as lit spheres and highlights show them; return None if all are 0."""
     if not values.any():
         return None
     seen = _seen(_on_grid(values), _grid().rendered, LAYER_POWER)
@@ -110,7 +111,7 @@ def renderer_data(values: Array) -> LayerData | None:
 
 
 def _described_data(values: Array, seen: Array, peak_weight: float, band_weight: float) -> LayerData:
-    """Add the errors of a peak and of the light in bands to errors with the weights (3, R, C, P)."""
+    """Weigh values by `seen` (3, R, C, P), and add errors of the peak and of the light in bands of theta_diff."""
     grid, mean = _grid(), _on_grid(values)
     weight = seen / np.sum(seen * mean**2)
     if peak_weight:
@@ -121,7 +122,7 @@ def _described_data(values: Array, seen: Array, peak_weight: float, band_weight:
 
 
 def peak_half_width(values: Array) -> float:
-    """Return theta_half at which values (3, N) have half their height at small angles theta_diff [rad]."""
+    """Return theta_half at which values (3, N), averaged over small theta_diff, fall to half of their peak [rad]."""
     row = _on_grid(values)[:, _THETA_DIFF < _FULL_WEIGHT_THETA_DIFF].mean(axis=(0, 1, 3))
     below = np.flatnonzero(row < 0.5 * row[0])
     if not below.size:
@@ -145,9 +146,9 @@ def _seen(mean: Array, lit: Array, power: float) -> Array:
 
 
 def _peak_weight(mean: Array) -> Array:
-    """Return weights (R, C, P) of errors in a highlight's peak, even on a logarithmic scale of theta_half.
+    """Return weights (R, C, P) of errors in a highlight's peak, uniform on a logarithmic scale of theta_half.
 
-    Errors are relative to the height above the values around the peak, where the half width is read.
+    Errors are relative to the difference between the values and their surroundings, outside of the peak.
     """
     top, around = mean.max(axis=1, keepdims=True), mean[:, _AROUND_PEAK : _AROUND_PEAK + 1]
     height = np.maximum(top - around, np.maximum(_MIN_PEAK_HEIGHT * top, 1e-100))
@@ -160,7 +161,7 @@ def _peak_weight(mean: Array) -> Array:
 
 
 def _band_sums(values: Array, root_weight: Array, band_weight: float) -> Array:
-    """Return the weights (3, B, N) that turn weighted residuals into relative errors of the light in bands."""
+    """Return the weights (3, B, N) that turn weighted residuals into relative errors of the light in B bands."""
     grid = _grid()
     theta_diff = grid.angles[1]
     bands = [(low <= theta_diff) & (theta_diff < high) for low, high in itertools.pairwise(_BAND_EDGES)]

@@ -45,7 +45,7 @@ _MAX_STALLED_STEPS = 2
 _COST_TOLERANCE = 0.02  # A step that lowers the cost by less counts as stalled.
 _MAX_TRIAL_COST_LEAD = 40.0  # A structure whose cost exceeds the best by more after its trial is dropped.
 _MAX_COST_LEAD = 30.0  # A structure whose cost exceeds the best by more after the first steps is dropped.
-_MAX_UNKNOWN_CHANGE = 1.2  # A larger change of an unknown in one step is shortened.
+_MAX_UNKNOWN_CHANGE = 1.2  # A larger change of an unknown in one step is clipped.
 _FIRST_DAMPING = 1e-2
 _MAX_DAMPING_TRIES = 8
 _MIN_CHANNEL_START = 0.05  # A channel starts with at least this fraction of the brightest channel.
@@ -66,7 +66,7 @@ class LayerData:
     model_error : float
         Relative error that even the best layers have.
     sums : Array or None
-        Weights of B sums over the weighted residuals, (3, B, N); their squares add to the error.
+        Weights of B sums over the weighted residuals, (3, B, N); the squared sums are added to the error.
     """
 
     points: Points
@@ -95,7 +95,7 @@ class LayerData:
         )
 
     def squared_error(self, values: Array) -> float:
-        """Return C of values (3, N)."""
+        """Return the weighted squared error C of values (3, N)."""
         residual = values * self.root_weight - self.weighted
         error = float(np.sum(residual**2))
         return error if self.sums is None else error + float(np.sum((self.sums @ residual[..., np.newaxis]) ** 2))
@@ -107,9 +107,9 @@ class FittedStructure:
 
     structure: LayerStructure
     unknowns: Array  # (U,)
-    error: float  # square root of C
+    error: float  # square root of the weighted squared error C
     evidence: float
-    normal_equations: Array  # A, (U, U)
+    normal_equations: Array  # matrix A of the normal equations, (U, U)
 
     @property
     def model(self) -> LayeredModel:
@@ -135,7 +135,7 @@ def fit_structures(
     """Fit structures to data and sort them, the best first; structures far behind are dropped after a trial.
 
     If quick, trials use half of the data, and the worse half of the starts is dropped after two steps. Scattered
-    samples need the full trials: two steps do not yet tell the right start.
+    samples need the full trials: two steps do not yet identify the best start.
     """
     unit = data.n_samples / N_SAMPLES
     found: list[FittedStructure] = []
@@ -196,12 +196,12 @@ class _Descent:
     data: LayerData
     structure: LayerStructure
     unknowns: Array
-    is_first: bool = True  # The first stage has the fixed noise.
+    is_first: bool = True  # The first stage uses `_FIXED_NOISE`.
     done: bool = False
     damping: float = _FIRST_DAMPING
     _steps: int = 0
     _stalled: int = 0
-    _error: float = field(init=False)  # C
+    _error: float = field(init=False)  # weighted squared error C
     _matrix: Array = field(init=False)  # half the Gauss-Newton matrix of C
     _gradient: Array = field(init=False)  # half the gradient of C
 

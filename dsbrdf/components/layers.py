@@ -1,26 +1,26 @@
-"""Model physical layers: surfaces that reflect light and grounds that scatter light, with few parameters each.
+"""Model physical layers with few parameters: surfaces that reflect light, and diffuse layers that scatter light.
 
-With u = 1 - cos(theta_diff), the cosines to the normal of both directions, and s(cos) how far the reflectance of glass
-has risen from normal (0) to grazing incidence (1) by Fresnel's equations, a **specular layer** is a rough surface of
-microfacets (Cook and Torrance 1982), with s at theta_diff,
+Let u = 1 - cos(theta_diff), and let cos_in and cos_out be the cosines of both directions to the normal. Let s(cos) be
+the Fresnel reflectance of glass, scaled from 0 at normal to 1 at grazing incidence. A **specular layer** is a rough
+surface of microfacets (Cook and Torrance 1982), with s at theta_diff,
 
     f = (F0 (1 - s) + F90 s) D V exp(q1 u + q2 u**2) T**t,
     D = 1 / (pi alpha**2) (1 + tan(theta_half)**2 / (g alpha**2))**-tau / cos(theta_half)**4.
 
-D has the tails of Student's t over slopes with the exponent tau, and g = tau - 1 norms it: tau = 2 is GGX (Walter et
-al. 2007), and a large tau is Beckmann's distribution, both with their usual alpha. V is Smith's masking over 4 cos_in
-cos_out, as of GGX, between the height-correlated form (b = 0) and the separable one (b = 1). T is the fraction of
-light that passes a clear coat both ways: t = 0 outside of one and 1 below. A **diffuse layer** is
+D is Student's t distribution of slopes with the exponent tau, normalised by g = tau - 1: tau = 2 is GGX (Walter et
+al. 2007), and a large tau is Beckmann's distribution, both with their usual alpha. V is GGX's Smith masking divided by
+4 cos_in cos_out; b = 0 is its height-correlated form, and b = 1 its separable form. T is the fraction of light that
+passes a clear coat both ways; t is 1 for a layer below a coat, and otherwise 0. A **diffuse layer** is
 
     f = rho / pi exp(p . X),
 
-with X the logarithm of what passes glass both ways, (1 - s(cos_in)) (1 - s(cos_out)), Burley's retro-reflection (2012),
-s, the limb term log(2 / (cos_in + cos_out)), sin(theta_half)**2 and the angular term of Oren and Nayar (1994).
-**Sheen**, the light of fibres at grazing angles, is ``f = c u**a sin(theta_half)**b``. A **retro layer** is GGX about
-the direction back to the light.
+where X has six terms: the logarithm of (1 - s(cos_in)) (1 - s(cos_out)), the fraction that passes glass both ways;
+Burley's retro-reflection (2012); s; log(2 / (cos_in + cos_out)); sin(theta_half)**2; and the angular term of Oren and
+Nayar (1994). **Sheen**, light that fibres reflect at grazing angles, is ``f = c u**a sin(theta_half)**b``. A **retro
+layer** is GGX about the direction back to the light.
 
-The unknowns of a layer, which a fit looks for, are the logarithms of the three channels of its colour, then of its
-other parameters or, where these can be negative, the parameters themselves.
+The unknowns of a layer in a fit are the logarithms of the three channels of its colour, then its other parameters:
+those that can be negative themselves, the others as logarithms.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ class SpecularLayer:
     f0 : tuple of float
         Reflectance of its facets at normal incidence, RGB.
     f90 : float
-        Reflectance of its facets at grazing incidence, before the deviation from glass.
+        Reflectance of its facets at grazing incidence, before the factor of `rise`.
     alpha, tail_exponent : float
         Roughness, and tau: 2 is GGX, less is a longer tail.
     rise : tuple of float
         q1 and q2, the deviation of the reflectance from glass.
     masking, under_coat : float
-        b and t.
+        Exponents b of the masking and t of the coat.
     """
 
     f0: Color
@@ -157,14 +157,14 @@ class _Surface:
 
 
 def tail_norm(tail_exponent: float) -> tuple[float, float]:
-    """Return the norm g = tau - 1 of D and its derivative; g stays positive where D has no norm."""
+    """Return g = tau - 1, which normalises D, and its derivative; g stays positive for tau below 1."""
     x = 8.0 * (tail_exponent - 1.125)
     return float(0.125 + np.logaddexp(0.0, x) / 8.0), float(1.0 / (1.0 + np.exp(-x)))
 
 
 @dataclass(frozen=True)
 class DiffuseLayer:
-    """Scatter light from a ground, with albedo rho and exponents p of the module's equation."""
+    """Scatter light diffusely, with albedo rho and exponents p of the module's equation."""
 
     albedo: Color
     exponents: tuple[float, float, float, float, float, float]

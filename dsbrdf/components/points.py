@@ -12,11 +12,11 @@ from dsbrdf.arrays import Array
 COAT_F0 = 0.04
 """Reflectance at normal incidence of the clear coat above a layer."""
 MIN_COSINE = 0.02
-"""Smaller cosines to the normal are clipped: nobody measures the steep ends of masking near the horizon."""
+"""Smaller cosines to the normal are clipped, because masking is steep near the horizon, where nothing is measured."""
 MAX_TAN2 = 1e4
 """Larger values of tan(theta_half)**2 are clipped."""
 MIN_RISE = 1e-3
-"""Smaller values of u are clipped for sheen, which uses the logarithm of u."""
+"""Smaller values of 1 - cos(theta_diff) are clipped for sheen, which uses their logarithm."""
 MIN_SINE = 3e-2
 """Smaller values of sin(theta_half) are clipped for sheen, which uses the logarithm of sin(theta_half)."""
 
@@ -28,12 +28,12 @@ class Points(NamedTuple):
     log_squared_secant: Array
     cos_in: Array
     cos_out: Array
-    fresnel: Array  # s at theta_diff
-    passed: Array  # log of the light that passes a clear coat both ways
-    rise: Array  # u and u**2, (2, N)
-    ground: Array  # X of the diffuse layer, (6, N)
-    fibres: Array  # log u and log sin(theta_half), (2, N)
-    squared_retro: Array  # squared tangent of the half vector's angle after omega_in is turned by 180 degrees
+    fresnel: Array  # reflectance of glass at theta_diff, from 0 (normal) to 1 (grazing)
+    passed: Array  # logarithm of the fraction of light that passes a clear coat both ways
+    rise: Array  # u = 1 - cos(theta_diff) and u**2, (2, N)
+    ground: Array  # six terms of the diffuse layer, (6, N)
+    fibres: Array  # logarithms of u and of sin(theta_half), (2, N)
+    squared_retro: Array  # tan(theta_half)**2 after omega_in is turned by 180 degrees about the normal
 
     @classmethod
     def at(cls, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Points:
@@ -79,7 +79,7 @@ def grid_points(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterat
 
 def fresnel_rise(cosine: Array) -> Array:
     """Return the rise (...) of the reflectance of glass (index 1.5) from normal (0) to grazing incidence (1)."""
-    refracted = np.sqrt(1.25 + cosine**2)  # This is the cosine in the glass times its index.
+    refracted = np.sqrt(1.25 + cosine**2)  # This is the cosine of the refracted direction times the index.
     across = (refracted - cosine) / (refracted + cosine)
     ratio = (cosine * (refracted + cosine) - 1.0) / (cosine * (refracted - cosine) + 1.0)
     return np.asarray(np.maximum(0.5 * across**2 * (1.0 + ratio**2) - COAT_F0, 0.0) / (1.0 - COAT_F0))

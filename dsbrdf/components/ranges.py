@@ -1,7 +1,7 @@
-"""Estimate the uncertainty of the components by the spread of their figures over probable layers.
+"""Estimate the uncertainty of the components by the spread of their parameters over probable layers.
 
-Layers are drawn from every structure that explains the values, by its weight, and within a structure from the normal
-equations of its fit.
+Layers are drawn from every structure that explains the values, in proportion to its weight. Within a structure, they
+are drawn from the Gaussian that the normal equations of its fit define.
 """
 
 from collections.abc import Sequence
@@ -17,9 +17,9 @@ from dsbrdf.components.shares import LABELS, NORMAL, WeightedLayers
 from dsbrdf.model.reflectance import ReflectanceModel
 
 PROBABILITY = 0.9
-"""A figure lies in its range with this probability."""
+"""A parameter lies in its range with this probability."""
 _POSTERIOR_FACTOR = float(np.sqrt(2.0 / EVIDENCE_SCALE))
-"""Standard deviation of the posterior as a fraction of the draws' deviation, which also counts unusual structures."""
+"""Standard deviation of the posterior, as a fraction of that of the draws, which `EVIDENCE_SCALE` widens."""
 _MIN_DRAWS = 4  # Every structure is drawn at least this number of times.
 _N_SHARED_DRAWS = 40  # These further draws are divided among the structures by their weights.
 
@@ -29,7 +29,7 @@ RgbRange: TypeAlias = tuple[Range, Range, Range]
 
 @dataclass(frozen=True)
 class ComponentRanges:
-    """Hold the ranges (low, high) of a component's figures.
+    """Hold the ranges (low, high) of a component's light and colour.
 
     Attributes
     ----------

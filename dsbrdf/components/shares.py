@@ -1,4 +1,4 @@
-"""Divide a model's values among the layers of a structure, by the formula of the decomposition."""
+"""Divide the values of a model among its components, by the layers of a structure that was fitted to the model."""
 
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -16,14 +16,14 @@ LABELS = ("specular_spike", "specular_lobe", "diffuse")
 SPIKE_HALF_WIDTH = float(np.radians(3.0))
 """A highlight with a smaller half width is a spike, otherwise a lobe [rad of theta_half]."""
 HALO = float(np.tan(np.radians(30.0))) ** 2
-"""Within this tan(theta_half)**2, most light that the layers lack belongs to the highlight."""
+"""Within this tan(theta_half)**2, values above the sum of the layers are mostly assigned to the highlight."""
 EXCESS_HALO = HALO / 4.0
-"""Within this tan(theta_half)**2, light that the layers have too much is mostly taken from the highlight."""
+"""Within this tan(theta_half)**2, values below the sum of the layers are mostly subtracted from the highlight."""
 SPIKE_HALO = HALO / 25.0
-"""Within this tan(theta_half)**2, differences between a highlight and its layers belong to the spike."""
+"""Within this tan(theta_half)**2, differences between a highlight and its layers are assigned to the spike."""
 _DIFFERENCE_POWER = 3
-"""Parts divide the difference between values and layers by this power of their fractions of the layers."""
-_MIN_LAYER_LIGHT = 1e-300  # Less light of the layers is replaced, to avoid a division by zero [1/sr].
+"""The correction of a part's layers towards the values is scaled by this power of their fraction of all layers."""
+_MIN_LAYER_LIGHT = 1e-300  # This is added to the layers, to avoid a division by zero [1/sr].
 _MAX_VALUE_RATIO = 1e100  # Larger ratios of model to layers are clipped; the square still fits in double precision.
 
 
@@ -71,7 +71,7 @@ def light_rules() -> tuple[LightRule, LightRule, LightRule]:
 
 @dataclass(frozen=True, eq=False)
 class WeightedLayers:
-    """Divide the values of a model by a structure of layers fitted to it.
+    """Divide the values of a model among components by a structure of layers fitted to the model.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class WeightedLayers:
     weight : float
         Probability of the structure.
     model : LayeredModel
-        Its layers.
+        The fitted layers.
     is_diffuse : tuple of bool
         Whether the light of each layer counts as diffuse.
     """
@@ -104,7 +104,7 @@ class WeightedLayers:
         total = specular + diffuse
         missed = _ratio(values, total) - 1.0
         outside = _outside(points, np.where(missed > 0.0, HALO, EXCESS_HALO))
-        # A ground alone would take all values; near the mirror direction, light far above the ground is a highlight.
+        # Diffuse layers alone would get all values; near the mirror direction, values far above them are a highlight.
         most = (
             1.0 + missed * outside * (diffuse / total) ** _DIFFERENCE_POWER
             if (place < 2).any()
@@ -140,7 +140,7 @@ def _outside(points: Points, halo: Array | float) -> Array:
 
 
 def _ratio(values: Array, total: Array) -> Array:
-    """Divide values by the light of layers; clip the ratio where layers have no light."""
+    """Divide values by the sum of layers; clip the ratio where the sum is 0."""
     with np.errstate(over="ignore"):
         return np.minimum(values / total, _MAX_VALUE_RATIO)
 

@@ -29,7 +29,7 @@ _RISE_AXES = np.array([[-0.6, 0.8], [0.8, 0.6]])
 """Axes of the exponents q1 and q2: glass is at 0, Schlick's law at about 1.5 on the first axis."""
 
 Range: TypeAlias = tuple[float, float]
-"""Mean and standard deviation."""
+"""Mean and standard deviation, or lower and upper bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def _prior(
 
 _DIELECTRIC_LOG_F0_BOUNDS = (-12.0, np.log(0.2))  # Diamond, the brightest dielectric, has F0 = 0.17.
 _LOG_F0_BOUNDS = (-12.0, np.log(3.0))
-_RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # The axes are `_RISE_AXES`.
+_RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # These are priors along `_RISE_AXES`.
 # Bounds of F90, q1, q2, alpha, tau, masking and under_coat.
 _SPECULAR_BOUNDS = (
     (-5.0, 0.0), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
@@ -106,7 +106,7 @@ def _diffuse(exponents: Sequence[Range]) -> LayerPrior:
 _DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, strength=_DIELECTRIC_LOG_F0_BOUNDS)
 _COAT = _specular((np.log(0.045), 0.35), 0.03)  # The bounds include the peak of a metal with haze.
 _CLEAR_COAT = replace(_COAT, upper=np.where(np.arange(_COAT.upper.size) == 6, np.log(0.08), _COAT.upper))
-"""A coat that is smoother than the layer below."""
+"""A coat whose alpha is at most 0.08, smoother than the layer below."""
 _METAL = _specular((np.log(0.6), 0.6), 1.0)
 _METAL_UNDER_COAT = _specular((np.log(0.6), 0.6), 1.0, under_coat=True)
 _HIGHLIGHT = _specular((np.log(0.5), 0.8), 0.7)
@@ -118,7 +118,7 @@ _RETRO = _prior(
     RetroLayer, (np.log(0.05), 1.5), 0.5, ((np.log(0.12), 0.5),), ((-12.0, 1.0), (np.log(0.02), np.log(0.4))),
     is_diffuse=False,
 )  # fmt: skip
-# Fibres turn in all directions, so their surfaces make a rough highlight that counts as scattered light of cloth.
+# Fibres of cloth point in all directions, so their surfaces make a rough highlight that counts as diffuse.
 _FIBRES = _prior(
     SpecularLayer, (np.log(0.045), 0.35), 0.05,
     ((-0.1, 0.4), *_RISE_PRIOR, (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _FIXED_DEVIATION)),
@@ -182,7 +182,7 @@ class LayerStructure:
     starts : tuple of tuple of float
         Start values of the specular layers' half widths, one tuple for each start [degrees].
     interreflects : bool
-        Whether the last layer is light between the facets of the first.
+        Whether the last layer is light reflected several times between the facets of the first layer.
     parent : str or None
         Name of a structure that is fitted before; its half widths are the start.
     start_factors : tuple of tuple
@@ -327,4 +327,4 @@ RARE_STRUCTURES = (
         start_factors=((0, 1.0), (1, 0.7), (1, 2.0)),
     ),
 )
-"""Structures with more kinds of light; most of them start from a usual structure."""
+"""Rare structures; most of them start from the half widths of a usual structure."""
