@@ -1,1 +1,1 @@
-"""Tables of samples from a laboratory: reading, prediction between the samples, and errors."""
+"""Read tables of samples from a laboratory, predict values between the samples, and estimate errors."""

@@ -1,8 +1,8 @@
 """Prepare scattered samples for the fit.
 
 The prediction from the samples (`dsbrdf.samples.prediction`) fills the rows, columns and bins of phi_diff of a table,
-which is fitted like a measured one. The last fit adds each sample at its own angles, but for theta_diff, which is moved
-by less than a degree. All samples together count as much as the whole table; a node counts less where samples are near.
+which is fitted like a measured table. The last fit adds each sample at its own angles, except that theta_diff is moved
+to the nearest whole degree. All samples together weigh as much as the whole table; nodes near samples weigh less.
 """
 
 import numpy as np
@@ -19,16 +19,16 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.prediction import SamplePrediction
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# Lobes have at best this relative error; a node that is as uncertain counts half.
+# Relative error that lobes have at best. A node of the table whose uncertainty equals this error gets half weight.
 _MODEL_ERROR = 0.015
-# A node keeps at least this fraction of its weight where samples are near.
+# A node of the table near samples keeps at least this fraction of its weight.
 _MIN_NODE_WEIGHT = 1e-3
 # A value changes by at most this factor when its sample moves to the next whole degree of theta_diff.
 _MAX_MOVE_RATIO = 16.0
 
 
 def predicted_profiles(samples: ScatteredSamples, prediction: SamplePrediction, options: FitOptions) -> Profiles:
-    """Return the table that is predicted from samples, in the rows and columns that a fit uses."""
+    """Return the table that is predicted from samples, at the rows and columns that a fit uses."""
     cells = np.stack([axis.ravel() for axis in np.meshgrid(USED_ROWS, USED_COLUMNS, np.arange(N_BINS), indexing="ij")])
     count = _nodes_in_cells(cells)
     cells, count = cells[:, count.any(axis=1)], count[count.any(axis=1)]
@@ -53,9 +53,10 @@ def predicted_profiles(samples: ScatteredSamples, prediction: SamplePrediction, 
 def sample_rows(
     samples: ScatteredSamples, table: Profiles, options: FitOptions, prediction: SamplePrediction, model: DSBRDF
 ) -> FitData:
-    """Put samples, and the table that is predicted from them, into rows of whole degrees of theta_diff.
+    """Put samples, and the table predicted from the samples, into rows of whole degrees of theta_diff.
 
-    Samples are moved to their rows by the model that was found, and weighted among each other as nodes of the table.
+    When a sample moves to a row, its value is multiplied by the ratio of the model's values. Samples are weighted
+    relative to each other like nodes of the table.
     """
     weight, folded = fit_weights(table, options), table.folded
     cells = np.stack(np.nonzero(folded.weight[0])).astype(np.intp)
@@ -81,7 +82,7 @@ def sample_rows(
 
 
 def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
-    """Return errors of a model on samples: relative_rms within the cutoff, male over all; the others are None."""
+    """Return errors of a model at samples: relative_rms within the cutoff, and male at all samples."""
     fitted = model.evaluate_directions(samples.omega_in, samples.omega_out)
     cosine, weight = samples.omega_in[:, 2:], samples.weight[:, np.newaxis]
     lowest = np.minimum(samples.omega_in[:, 2:], samples.omega_out[:, 2:])

@@ -1,4 +1,4 @@
-"""Cells of a table, and the numbers in them."""
+"""Split a text table into cells, and read the numbers in the cells."""
 
 import codecs
 import csv
@@ -12,33 +12,33 @@ from dsbrdf.arrays import Array
 from dsbrdf.errors import MeasurementFormatError
 
 SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "bars", " ": "blanks"}
-"""What can separate cells, and its name in sentences."""
+"""Characters that can separate cells, with their names for error messages."""
 MAX_CELLS = 5_000_000
 """Tables with more cells, which would take 5 s and 1 GB, are refused."""
 MAX_COLUMNS = 4096
 _MISSING = {"", "nan", "na", "n/a", "n.a.", "null", "none", "missing", "-nan(ind)", "1.#qnan", "-1.#ind"}
-# Spreadsheets write "#N/A" and "#DIV/0!", Markdown rules its tables with hyphens.
+# Spreadsheets write "#N/A" and "#DIV/0!"; Markdown separates the head of a table by hyphens.
 _NO_NUMBER = re.compile(r"#.*|:?-+:?")
 _FORTRAN_EXPONENT = re.compile(r"(?<=[0-9.])[dD](?=[-+0-9])")
 
 Constants = dict[str, float]
-"""Numbers that hold for all rows after a line, by the name that the line gives them."""
+"""Numbers, by name, that one line of a file gives to all rows after this line."""
 
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """Cells of a table, and columns of numbers beside them.
+    """Hold the cells of a table, and columns of numbers beside the cells.
 
     Attributes
     ----------
     names : tuple of str
-        The name of each column with its unit, as written.
+        The name of each column with its unit, as written in the file.
     rows, lines : list
-        Cells, one for each of the first names, and the number of each row's line in the file, from 1.
+        Cells of each row, one for each of the first names, and the number of the row's line in the file, from 1.
     separator : str
         The character between cells.
     columns : tuple of ndarray
-        The numbers of the last columns, which have no cells.
+        Numbers of the last columns, which have no cells.
     notes : tuple of str
         A sentence on each decision of the reader.
     """
@@ -66,7 +66,7 @@ class TextTable:
         return len(self.names) - (len(self.columns) if self.rows else 0)
 
     def numbers(self, column: int) -> Array:
-        """Return the numbers of a column, NaN for empty cells; a MeasurementFormatError names a word."""
+        """Return the numbers of a column, NaN for empty cells; raise MeasurementFormatError for a word."""
         if column >= len(self.names) - len(self.columns):
             return self.columns[column - len(self.names)]
         cells = [row[column] for row in self.rows]
@@ -96,7 +96,7 @@ class TextTable:
 
 
 def decoded(data: bytes) -> str:
-    """Decode UTF-8, UTF-16 with its mark, as spreadsheets write it, or the Western European code page."""
+    """Decode UTF-8, UTF-16 with a byte order mark, which spreadsheets write, or else Latin-1."""
     encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     try:
         text = data.decode(encoding)
@@ -119,12 +119,12 @@ def check_size(n_rows: int, n_columns: int) -> None:
 
 
 def split_cells(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
-    """Yield the cells of each line, so that the first wrong one ends the reading with a MeasurementFormatError."""
+    """Yield the cells of each line; raise MeasurementFormatError at the first line that cannot be split."""
     spaced = (line.replace("\t", " ") for line in lines) if separator == " " else lines
     try:
         reader = csv.reader(spaced, delimiter=separator, skipinitialspace=True)
         for number, cells in enumerate(reader, 1):
-            if reader.line_num > number:  # Every line is a row, whatever its quotation marks.
+            if reader.line_num > number:  # A quoted cell must not span lines.
                 raise MeasurementFormatError("A quotation mark in the table is not closed on its line.")
             yield cells
     except csv.Error:
@@ -135,7 +135,7 @@ def split_cells(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
 
 
 def wrong_count(number: int, count: int, separator: str, n_names: int) -> MeasurementFormatError:
-    """Return the error of a line that has another number of cells than there are names."""
+    """Return the error for a line whose number of cells differs from the number of names."""
     between = f", separated by {SEPARATORS[separator]}" if separator and count > 1 else ""
     hint = "; separate numbers with a decimal comma by semicolons" if separator == "," and count > n_names else ""
     return MeasurementFormatError(

@@ -1,11 +1,11 @@
-"""Directions and values from the columns of a table of scattered samples, in radians and as RGB.
+"""Read directions [rad] and RGB values from the columns of a table of scattered samples.
 
 A direction is a unit vector, or spherical coordinates in degrees, with the normal along z:
 
     omega = (sin(theta) cos(phi), sin(theta) sin(phi), cos(theta)).
 
-Without any phi both directions lie in one plane, and theta_out = theta_in is the mirror direction: theta_in is on one
-side of the normal and theta_out on the other; a negative angle is on the side opposite to its own.
+If the table has no phi, both directions lie in one plane, on opposite sides of the normal: theta_out = theta_in is the
+mirror direction. A negative angle lies on the other side of the normal.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -25,26 +25,26 @@ from dsbrdf.samples.table_options import TableOptions
 
 _NO_UNIT = ("", "1", "-", "none")
 _VALUE_UNITS = (*_NO_UNIT, "1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
-# Wavelengths without a unit are in metres, or in micrometres, up to these; larger ones are in nanometres.
+# Wavelengths without a unit are in metres or micrometres if they are below these limits, otherwise in nanometres.
 _MAX_WAVELENGTH_M = 1e-3
 _MAX_WAVELENGTH_UM = 20.0
-_MAX_THETA_RAD = 1.6  # Angles theta are in radians if none is larger.
-# The names of angles are in doubt if a larger fraction of the rows is at or below the horizon.
+_MAX_THETA_RAD = 1.6  # If no theta is larger, the angles look like radians.
+# If a larger fraction of the rows is at or below the horizon, theta and phi may be exchanged.
 _DOUBTFUL_FRACTION = 0.5
 LOWEST_COSINE = 1e-6
-"""A direction with a smaller cosine is at the horizon: sines and cosines of angles in degrees are rounded."""
+"""A direction with a smaller cosine counts as at the horizon, because of rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampleRows:
-    """Rows of samples, and what the columns of their table are.
+    """Hold rows of samples, and a description of the columns of their table.
 
     The columns of `numbers` (n, 10) are omega_in and omega_out, not yet of unit length, the three values and the
-    weight; NaN is where the table has no number.
+    weight. A missing number is NaN.
     """
 
     numbers: Array
-    written: Array  # Values as they are written, (n, bands).
+    written: Array  # Values as written in the file, (n, bands).
     notes: tuple[str, ...]  # A sentence on each decision of the reader.
     columns: Description
     n_rows: int  # The number of rows in the file.
@@ -53,7 +53,7 @@ class SampleRows:
 def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
     """Return the directions and values of a table, in radians and 1/sr.
 
-    Raises MeasurementFormatError if a column is missing, is there twice, or has another unit.
+    Raises MeasurementFormatError if a column is missing, occurs twice, or has an unknown unit.
     """
     table = table.with_columns({name: np.full(table.n_rows, number) for name, number in options.held().items()})
     found = find_columns(table, options)
@@ -74,7 +74,7 @@ def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
 
 
 def _written(found: FoundColumns, options: TableOptions) -> Array:
-    """Return the values as they are written, NaN where they stand for a missing value, shape (n, bands)."""
+    """Return the values as written in the file, missing ones as NaN, shape (n, bands)."""
     columns = [found.columns[name] for name in found.values]
     for name, column in zip(found.values, columns, strict=True):
         is_band = wavelength_of(name) is not None and column.unit in WAVELENGTH_UNITS
@@ -122,7 +122,7 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
 
 
 def _check_not_exchanged(angles: dict[str, Array], columns: dict[str, Column]) -> None:
-    """Raise MeasurementFormatError if most rows are below the horizon, and above it with theta and phi exchanged."""
+    """Raise MeasurementFormatError if most rows would be above the horizon only with theta and phi exchanged."""
     quarter = np.pi / 2.0 - LOWEST_COSINE
     above, exchanged = (np.all([np.abs(angles[name]) < quarter for name in pair], axis=0) for pair in (THETAS, PHIS))
     if above.size and np.mean(above) < _DOUBTFUL_FRACTION < np.mean(exchanged):
@@ -136,7 +136,7 @@ def _check_not_exchanged(angles: dict[str, Array], columns: dict[str, Column]) -
 
 
 def _check_sizes(angles: dict[str, Array], columns: dict[str, Column]) -> None:
-    """Raise MeasurementFormatError for angles beyond a full turn, or that look like radians without saying so."""
+    """Raise MeasurementFormatError for too large angles, and for angles without a unit that look like radians."""
     for name, angle in angles.items():
         bound, largest = 180.0 if name.startswith("theta") else 360.0, np.degrees(_largest(angle))
         if largest > bound + 1e-4:

@@ -1,12 +1,12 @@
-"""How far a fit of scattered samples is from the material: at samples that no fit saw, and expected at all directions.
+"""Estimate the error of a fit of scattered samples: at samples left out of the fit, and expected over all directions.
 
-At a sample left out, the fit is taken to be what it is there, times the ratio of the prediction without the sample and
-the prediction with it. Over all directions the expected error has two parts: the median of the errors that the model
-would have if the material were, away from the samples, one of the layers that are as probable; and the factor that the
-samples leave open. Both are integrals over pairs of directions, half of them where the material reflects and half of
-them anywhere, and are calibrated on materials of known truth.
+At a sample left out, the value of the fit is multiplied by the ratio of two predictions, without and with the sample.
+The expected error over all directions has two parts: the median error of the model if the material, away from the
+samples, equalled one of several probable layers; and the uncertainty of the factor between samples and layers. Both
+parts are integrals over pairs of directions. Half of the weight is proportional to the reflected light, and half is
+uniform. Both parts are calibrated on materials whose values are known everywhere.
 
-The directions to measure next are those that lower the expected squared error most, one after another.
+The directions to measure next are chosen one after another: each lowers the expected squared error most.
 """
 
 from collections.abc import Iterator
@@ -23,35 +23,35 @@ from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 THETA_OUT_BANDS = np.radians([0.0, 30.0, 60.0, 75.0, 90.0])
-"""Bands of theta_out [rad]."""
+"""Edges of the bands of theta_out in reports of errors [rad]."""
 MIRROR = np.radians(10.0)
-"""Samples are near the mirror direction where theta_half is below this [rad]."""
+"""Samples with a smaller theta_half are near the mirror direction [rad]."""
 N_SUGGESTED = 20
 _N_CANDIDATES = 700
-# A variance of the logarithm of a value counts up to here.
+# A larger variance of the logarithm of a value is clipped.
 _MAX_LOG_VARIANCE = 1.0
-# Factors of the two parts of the expected error, so that the true one is larger in one of ten tables: 120 tables of
-# twenty materials, six of them measured, of 50 to 300 samples in one plane and all around.
+# With these factors of its two parts, the expected error is exceeded by one of ten tables. They were calibrated on 120
+# tables of 50 to 300 samples, in one plane or in all, of twenty materials, of which six are measured.
 _LAYER_FACTOR = 2.2
 _FACTOR_FACTOR = 1.2
 _LAST_COSINE = float(np.cos(np.radians(80.0)))
-# Two pairs that are suggested differ by at least this in one of the three angles.
+# Two suggested pairs differ by at least this angle in theta_in, theta_out or phi.
 _MIN_PAIR_DISTANCE_DEG = 4.0
-# A sample is unconfirmed if a fit without it misses its logarithm by more, with most of the squared errors.
+# A sample is unconfirmed if a fit without it misses its logarithm by more, with this fraction of all squared errors.
 _UNCONFIRMED_LOG = np.log(3.0)
 _UNCONFIRMED_FRACTION = 0.5
-# Instruments stand in their own way where light and viewer are nearer than 8 degrees.
+# Closer than 8 degrees, the light and the detector of an instrument would cover each other.
 _MAX_COSINE_BETWEEN = np.cos(np.radians(8.0))
 
 
 def relative_rms(values: Array, expected: Array, weight: Array) -> float | None:
-    """Return the root of the weighted squared error (n, 3) over the squared signal; None without a signal."""
+    """Return the root of the weighted squared error of values (n, 3) over the squared signal; None without a signal."""
     signal = float(np.sum(weight[:, np.newaxis] * expected**2))
     return float(np.sqrt(np.sum(weight[:, np.newaxis] * (values - expected) ** 2) / signal)) if signal > 0.0 else None
 
 
 def left_out_values(samples: ScatteredSamples, prediction: SamplePrediction, model: DSBRDF) -> Array:
-    """Return the values (n, 3) of a fit without each of the samples of the prediction [1/sr]."""
+    """Return the values (n, 3) that fits without each sample would have at this sample [1/sr]."""
     angles = half_difference(samples.omega_in, samples.omega_out)
     dark = prediction.layers.dark
     ratio = (left_out_predictions(samples, prediction) + dark) / (prediction.likely(*angles) + dark)
@@ -59,7 +59,7 @@ def left_out_values(samples: ScatteredSamples, prediction: SamplePrediction, mod
 
 
 def unconfirmed_sample(samples: ScatteredSamples, values: Array) -> Iterator[str]:
-    """Yield a sentence on one sample that others do not confirm, if it has most of the error at samples left out."""
+    """Yield a sentence on one sample that the others do not confirm, if this sample has most of the squared error."""
     dark = dark_level(samples)
     off = np.log((samples.values.mean(axis=1) + dark) / (values.mean(axis=1) + dark))
     at = int(np.argmax(np.abs(off)))
@@ -75,7 +75,7 @@ def unconfirmed_sample(samples: ScatteredSamples, values: Array) -> Iterator[str
 def left_out_errors(
     samples: ScatteredSamples, values: Array, cutoff: float | None
 ) -> tuple[float | None, tuple[LeftOutErrors, ...]]:
-    """Return errors of `left_out_values` within the cutoff, and of bands of theta_out and near the mirror direction."""
+    """Return errors of `left_out_values` within the cutoff, in bands of theta_out, and near the mirror direction."""
     angles = half_difference(samples.omega_in, samples.omega_out)
     theta_in, theta_out = (np.arccos(np.minimum(omega[:, 2], 1.0)) for omega in (samples.omega_in, samples.omega_out))
     within = np.maximum(theta_in, theta_out) <= (np.pi / 2 if cutoff is None else cutoff) + 1e-9
@@ -114,7 +114,7 @@ def expected_error(prediction: SamplePrediction, model: DSBRDF, samples: Scatter
 
 @cache
 def _nodes() -> tuple[tuple[Array, Array, Array], Array, Array]:
-    """Return angles of pairs up to 80 degrees from the normal, their weights, and the cosine of theta_in."""
+    """Return angles of pairs of directions within 80 degrees of the normal, their weights, and cos(theta_in)."""
     edges = np.concatenate([[0.0], np.geomspace(5e-4, np.pi / 2.0, 32)]), np.linspace(0.0, np.pi / 2.25, 21)
     middle_half, middle_diff = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)
     measure = np.diff(-np.cos(edges[0]))[:, np.newaxis, np.newaxis] * np.diff(np.sin(edges[1]) ** 2)[:, np.newaxis]
@@ -151,7 +151,7 @@ def pairs_to_measure(prediction: SamplePrediction, model: DSBRDF) -> tuple[Sugge
 
 
 def _suggested(omega_in: Array, omega_out: Array) -> SuggestedPair:
-    """Return a pair with phi_in = 0, in whole degrees."""
+    """Return a pair of directions in whole degrees; phi is the azimuth between the directions."""
     theta_in, theta_out = (float(np.rint(np.degrees(np.arccos(omega[2])))) for omega in (omega_in, omega_out))
     turn = np.arctan2(omega_out[1], omega_out[0]) - np.arctan2(omega_in[1], omega_in[0])
     return SuggestedPair(

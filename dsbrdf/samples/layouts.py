@@ -1,8 +1,8 @@
-"""Layouts of files of samples, recognised by their content.
+"""Recognise the layout of a file of samples by its content, and read it.
 
-Each reader of a layout has its published source: `dsbrdf.samples.optics` (Zemax, LightTools, FRED, Speos) and
-`dsbrdf.samples.research` (ASTM E1392, Cornell's spectral text, ALTA, ASAM OpenMATERIAL 3D); it returns None for a text
-of another layout. Any other text is a table of rows, see `dsbrdf.samples.text_table`, or a matrix of two angles.
+The readers are in `dsbrdf.samples.optics` (Zemax, LightTools, FRED, Speos) and `dsbrdf.samples.research` (ASTM E1392,
+Cornell's spectral text, ALTA, ASAM OpenMATERIAL 3D), with their published sources. A reader returns None for a text of
+another layout. Any other text is a table of rows (`dsbrdf.samples.text_table`) or a matrix over two angles.
 """
 
 import re
@@ -30,18 +30,18 @@ _REFUSED = {
     rb"(?i)<WindowElement": "a BSDF file of LBNL WINDOW (Klems XML)",
     rb"(?i)\A\W*TracePro": "a file of TracePro",
 }
-# Files of these formats are read if they name their columns.
+# Files of these formats are refused unless they name their columns.
 _REFUSED_WITHOUT_NAMES = {
     rb"\bE\s?-?1392\b": "a file of ASTM E1392",
     rb"\bE\s?-?2387\b": "a file of ASTM E2387",
 }
-_START_BYTES = 4096  # A format says its name in so many bytes.
+_START_BYTES = 4096  # The name of a format is in these first bytes.
 
 
 def table_in(data: bytes, options: TableOptions) -> TextTable:
     """Return the table in the bytes of a text.
 
-    Raises MeasurementFormatError with one sentence that says what is wrong, or which format it is that is not read.
+    Raises MeasurementFormatError with a sentence that names the mistake, or the format if it is not supported.
     """
     for reader in _READERS:
         if (table := reader(data)) is not None:
@@ -71,9 +71,9 @@ def _not_read(kind: str) -> MeasurementFormatError:
 
 
 def _unfolded(table: TextTable, options: TableOptions) -> TextTable:
-    """Return a matrix, "theta_out / theta_in" or "theta_out / phi_out" its first name, as a table of samples.
+    """Convert a matrix over two angles to a table of samples; return any other table unchanged.
 
-    Any other table is returned as it is.
+    The first name of a matrix is "theta_out / theta_in" or "theta_out / phi_out".
     """
     names = matrix_names(table.names[0]) if table.names else ()
     if not names:

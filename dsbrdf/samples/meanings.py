@@ -1,4 +1,4 @@
-"""Find which columns of a table have the directions and the values, by their names or the option ``columns``."""
+"""Find the columns of a table that contain directions and values, by their names or the option ``columns``."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _POSSIBLE = (
     "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF, and the option "
     "constants gives an angle that all rows have, as in constants theta_in=30"
 )
-# Usual orders of columns without names, by their number.
+# Usual order of columns without names, by the number of columns.
 _ORDERS = {
     3: "theta_in=1,theta_out=2,value=3",
     4: "theta_in=1,theta_out=2,phi_out=3,value=4",
@@ -32,12 +32,12 @@ _ORDERS = {
 }
 
 Description = tuple[tuple[str, str, str], ...]
-"""Name as written, meaning and unit of each column; the last two may be empty."""
+"""Name as written, meaning and unit of each column; meaning and unit may be empty."""
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """A column that is read: its name and unit as written, and its numbers (n,)."""
+    """Hold a column of a table: its name and unit as written in the file, and its numbers (n,)."""
 
     written: str
     unit: str
@@ -47,9 +47,9 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class FoundColumns:
-    """The columns that are read by their meaning, the names of directions and of values among them, and all columns.
+    """Hold columns by their meaning, the meanings of directions (`form`) and of values, and a description of columns.
 
-    `wavelengths` [nm] are those of the values if they are spectra.
+    `wavelengths` [nm] belong to the columns of values if these are spectra; otherwise it is empty.
     """
 
     columns: dict[str, Column]
@@ -60,9 +60,9 @@ class FoundColumns:
 
 
 def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
-    """Return the columns of a table that are read.
+    """Find the columns of a table that contain directions, values, weights and wavelengths.
 
-    Raises MeasurementFormatError if a column is missing or is there twice.
+    Raises MeasurementFormatError if a column is missing or occurs twice.
     """
     places, units = _places(table, options)
     elevations = {f"theta_{side}" for side in ("in", "out") if f"elevation_{side}" in places} - places.keys()
@@ -87,9 +87,9 @@ def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
 
 
 def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int]], dict[str, str]]:
-    """Return the places of the columns with each meaning, and the units that the options give.
+    """Return the indices of the columns with each meaning, and the units that the options give.
 
-    A column of the rows counts before a constant of the same meaning.
+    A column in the rows takes precedence over a constant with the same meaning.
     """
     named = options.named_columns()
     if table.names[:2] == ("1", "2") and not named:
@@ -112,7 +112,7 @@ def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int
 
 
 def _places_of(table: TextTable, name: str) -> list[int]:
-    """Return the places of the columns with a name, or with a number as their position, from 1."""
+    """Return the indices of the columns with a name; if there is none, a number is a position from 1."""
     found = [place for place, written in enumerate(table.names) if written.lower() == name.lower()]
     bare = name_and_unit(name)[0]
     found = found or [place for place, written in enumerate(table.names) if name_and_unit(written)[0] == bare]
@@ -142,17 +142,17 @@ def _unnamed(table: TextTable) -> MeasurementFormatError:
 
 
 def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
-    """Return the place and the wavelength [nm] of columns named by wavelengths, ascending, if there are several."""
+    """Return index and wavelength [nm], ascending, of columns named by wavelengths; nothing if there is only one."""
     found = [(wavelength, place) for place, name in enumerate(table.names) if (wavelength := wavelength_of(name))]
     return {f"{wavelength:g} nm": (place, wavelength) for wavelength, place in sorted(found)} if len(found) > 1 else {}
 
 
 def _chosen(table: TextTable, places: dict[str, list[int]], bands: Iterable[str]) -> tuple[tuple[str, ...], ...]:
-    """Return the names of the columns of directions and of values that a table has."""
+    """Return the meanings of the columns of directions and of values in a table."""
     forms = [form for form in _DIRECTION_FORMS if places.keys() >= {*form}]
     values = CHANNELS if places.keys() >= {*CHANNELS} else tuple(bands) or GREY
     if not forms:
-        # The form of which the table has most columns; angles if it has none.
+        # The error names the form with most columns in the table; without any, it names angles.
         nearest = max((THETAS, VECTORS, HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
         raise _missing("directions", nearest, table, places)
     if not places.keys() >= {*values}:

@@ -1,4 +1,4 @@
-"""Files of measurements of any kind; their content tells which."""
+"""Read a measurement from a file whose kind is recognised by its content."""
 
 import os
 import re
@@ -15,7 +15,7 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 START_BYTES = 4096
-"""How many bytes at the beginning of a file tell its kind."""
+"""This number of bytes at the beginning of a file is enough to recognise its kind."""
 _RGL = b"tensor_file\0"
 _OLD_SPREADSHEET = b"\xd0\xcf\x11\xe0"  # .xls
 _UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
@@ -27,10 +27,10 @@ MeasurementKind = Literal["merl", "rgl", "samples"]
 
 
 def measurement_kind(start: bytes) -> MeasurementKind:
-    """Return the kind of a file that begins with these bytes, `START_BYTES` of them or all.
+    """Return the kind of a file from its first `START_BYTES` bytes, or from all bytes of a shorter file.
 
-    A text or a spreadsheet has samples; other data without the beginning of an RGL file are taken to be MERL's. Raises
-    MeasurementFormatError for spreadsheets of other kinds.
+    A text or a spreadsheet contains samples; other data that do not begin like an RGL file count as MERL. Raises
+    MeasurementFormatError for spreadsheets other than ``.xlsx``.
     """
     if start.startswith(_RGL):
         return "rgl"
@@ -43,7 +43,7 @@ def measurement_kind(start: bytes) -> MeasurementKind:
 
 
 def kind_of_file(path: str | os.PathLike[str]) -> MeasurementKind:
-    """Return the kind of a file; errors are those of `measurement_kind`, and OSError."""
+    """Return the kind of a file; raise the errors of `measurement_kind`, and OSError."""
     with Path(path).open("rb") as file:
         return measurement_kind(file.read(START_BYTES))
 
@@ -57,16 +57,16 @@ def read_measurement(
     ----------
     path : path-like
         A MERL file, an RGL file, whose values are taken at the nodes of the MERL grid, or a table of samples, see
-        `read_samples`. The content tells which, whatever the suffix.
+        `read_samples`. The content determines the kind, whatever the suffix.
     options : TableOptions, optional
-        How a table is read.
+        Options for reading a table.
     **choices
-        Single options of a table by name instead, as for `read_samples`.
+        Single options of a table by name, instead of `options`, as for `read_samples`.
 
     Raises
     ------
     InvalidArgumentError
-        If an option is wrong, or of a table where the file is none.
+        If an option is wrong, or an option of tables is set but the file is not a table.
     MeasurementFormatError
         With one sentence that says what is wrong and what would be right.
     MissingExtraError
@@ -85,7 +85,7 @@ def read_measurement(
 def open_checked(path: str | os.PathLike[str], sha256: str) -> Measurement | ScatteredSamples:
     """Return a MERL file or a file of samples that was checked before.
 
-    It must not change as long as the measurement is used; `sha256` is the hexadecimal digest of its bytes.
+    The file must not change while the measurement is in use; `sha256` is the hexadecimal digest of its bytes.
     """
     if kind_of_file(path) == "merl":
         return map_merl(path, sha256)

@@ -1,38 +1,38 @@
 """Find values of a table that stand for missing measurements.
 
-An instrument that sees nothing, beyond its reach or below its noise, writes 0. Such zeros lie beside values far
-above the last digit of the table. True zeros of a black sample lie beside values of a few last digits, or among
-values that scatter about 0.
+An instrument writes 0 for directions outside of its range and for signals below its noise. Such zeros lie beside values
+far above the resolution of the table, the unit of its last digit. Measured zeros of a black sample lie beside values of
+a few such units, or among values that scatter about 0.
 """
 
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
 
-# A note on the smallest or largest value needs this many different values, and this many samples that have it.
+# A note on a repeated extreme value needs this number of different values, and this number of equal extreme values.
 _MIN_DIFFERENT_VALUES = 10
 _MIN_EQUAL_VALUES = 4
-# Factor between the extreme value and the next one from which on the extreme one is named.
+# An extreme value gets a note if the next value differs by a larger factor.
 _FAR_OFF_FACTOR = 3.0
-# Noise about zero has values below this fraction of the median.
+# A smallest value gets no note if the next value is below this fraction of the median, because both may be noise.
 _CLEARLY_LIT_FRACTION = 0.02
 _N_NEIGHBOURS = 4
-# Lit samples beside zeros that scatter by more are noise about zero.
+# If the nonzero samples beside zeros scatter by a larger factor, they are noise about 0.
 _MAX_SCATTER_FACTOR = 4.0
-# A zero beside samples of at most so many last digits, or so small a fraction of the median, is a rounded value.
+# A zero is a rounded value if samples beside it are below this number of last-digit units or fraction of the median.
 _MAX_ROUNDED_DIGITS = 10.0
 _MAX_ROUNDED_FRACTION = 1e-4
 _MIN_ZEROS = 3  # Fewer zeros are kept.
 
 
 def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[Mask, list[str]]:
-    """Return which samples (n,) are zeros that nobody measured, and a sentence on them."""
+    """Return a mask (n,) of zeros that stand for missing measurements, and a sentence on them."""
     level = np.abs(values).max(axis=1, initial=0.0)
     zero, lit = np.flatnonzero(level == 0.0), np.flatnonzero(level > 0.0)
     empty = np.zeros(len(level), dtype=bool)
     if len(zero) < _MIN_ZEROS or len(lit) <= _N_NEIGHBOURS or values.min() < 0.0:
         return empty, []
-    from scipy.spatial import cKDTree  # It takes time to import, and few tables have such zeros.
+    from scipy.spatial import cKDTree  # The import is slow, and few tables have such zeros.
 
     places = _places(omega_in, omega_out)
     beside = level[lit][cKDTree(places[lit]).query(places[zero], _N_NEIGHBOURS)[1]]
@@ -40,7 +40,7 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
     if np.median(beside.max(axis=1) / darkest) > _MAX_SCATTER_FACTOR:
         return empty, []
     rounded = max(_MAX_ROUNDED_DIGITS * _last_digit(level), _MAX_ROUNDED_FRACTION * float(np.median(level[lit])))
-    # Zeros beside darker samples are left out with the zeros around them.
+    # The majority of the zeros around a zero decides whether it is left out.
     alike = cKDTree(places[zero]).query(places[zero], min(_N_NEIGHBOURS, len(zero)))[1]
     empty[zero] = np.mean((darkest > rounded)[alike], axis=1) > 0.5
     count = int(np.count_nonzero(empty))
@@ -53,9 +53,9 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
 
 
 def about_repeated(values: Array) -> list[str]:
-    """Return sentences on the smallest and the largest of values (n, k) that many rows share, far from all others."""
+    """Return sentences on a smallest or largest value of (n, k) that many rows have, far from all other values."""
     values = values[np.isfinite(values).all(axis=1)]
-    if not values.size or not values.any(axis=1).all():  # Rows of zeros are the business of `unmeasured_zeros`.
+    if not values.size or not values.any(axis=1).all():  # `unmeasured_zeros` examines rows of zeros.
         values = values[values.any(axis=1)]
     found = np.unique(values)
     if found.size < _MIN_DIFFERENT_VALUES:
@@ -72,7 +72,7 @@ def about_repeated(values: Array) -> list[str]:
 
 
 def _places(omega_in: Array, omega_out: Array) -> Array:
-    """Return coordinates (n, 3) of pairs of directions in which neighbours of an instrument's grid are near."""
+    """Return coordinates (n, 3) of pairs of directions, in which neighbours on an instrument's grid are close."""
     cosine = np.clip(np.stack([omega_in[:, 2], omega_out[:, 2]]), -1.0, 1.0)
     theta_in, theta_out = np.arccos(cosine)
     turn = np.arctan2(omega_out[:, 1], omega_out[:, 0]) - np.arctan2(omega_in[:, 1], omega_in[:, 0])
@@ -80,7 +80,7 @@ def _places(omega_in: Array, omega_out: Array) -> Array:
 
 
 def _last_digit(values: Array) -> float:
-    """Return the unit of the last decimal that all values have; 0 if they have more than twelve."""
+    """Return the unit of the last decimal in the values; 0 if they have more than twelve decimals."""
     for digits in range(13):
         scaled = values * 10.0**digits
         if np.all(np.abs(scaled - np.rint(scaled)) < 1e-6 * np.maximum(scaled, 1.0)):

@@ -1,4 +1,4 @@
-"""Names of columns of tables of samples, as people and instruments write them."""
+"""Recognise the names of columns in tables of samples, as people and instruments write them."""
 
 import re
 import unicodedata
@@ -7,8 +7,7 @@ from math import pi
 
 from dsbrdf.data.grid import CHANNELS
 
-# Each of these words stands before or behind the name of an angle at its side of the normal; abbreviations stand behind
-# it only.
+# These words name omega_in or omega_out, before or after the name of an angle; the abbreviations occur only after it.
 _SIDES = {
     "in": ("in", "incident", "incidence", "incoming", "illumination", "light", "source", "src", "solar", "sun"),
     "out": (
@@ -22,7 +21,7 @@ _ANGLES = {
     "phi": ("phi", "azimuth", "azimuth_angle", "azimuthal_angle"),
     "elevation": ("elevation", "altitude", "elevation_angle"),
 }
-# Abbreviations that stand behind a word alone: "in_z" would be a component of a vector.
+# Abbreviations that follow only a full word, because "in_z" would be a component of a vector.
 _BEHIND_WORDS = {"theta": ("z", "za", "zen"), "phi": ("a", "aa", "az", "azi")}
 _VALUES = (
     "value",
@@ -64,18 +63,18 @@ VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDES for axis in "xyz")
 HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
 ANGLE_UNITS = {"deg": pi / 180.0, "degree": pi / 180.0, "degrees": pi / 180.0, "°": pi / 180.0}
 ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
-"""Units of angles in radians."""
+"""Factors that convert units of angles to radians."""
 WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
-"""Units of wavelengths in nanometres."""
+"""Factors that convert units of wavelengths to nanometres."""
 _MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"})
-_N_MATRIX_NAMES = 3  # The first cell of a matrix names its rows and columns, and makes the others values.
+_N_MATRIX_NAMES = 3  # The first cell of a matrix counts as names of rows, columns and values.
 _MAX_NAME_LENGTH = 200  # [characters] with the unit.
 _BAND = re.compile(r"(?:(?:value|brdf|bsdf|f_?r?|r|l|w|wl|lambda)_?)?([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?")
 _MIN_BAND_NM = 200.0
 _MAX_BAND_NM = 3000.0
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _CONSTANT = re.compile(rf"(.*?[^\s:=,;])[\s:=,;]+({_NUMBER}(?:[\s,;]+{_NUMBER})?)[\s,;]*([A-Za-zμ°]*)")
-# A line can give these to all rows below it.
+# A line can give these quantities to all rows below it.
 _HELD = ("theta_in", "phi_in", "elevation_in", "wavelength")
 
 
@@ -102,11 +101,11 @@ def _spellings() -> Iterator[tuple[str, str]]:
 
 
 MEANINGS = dict(_spellings())
-"""The meaning of each spelling."""
+"""Meaning of a column by the spelling of its name."""
 
 
 def meaning_of(cell: str) -> str | None:
-    """Return the meaning of a column with this name."""
+    """Return the meaning of a column with this name, or None if the name is unknown."""
     return MEANINGS.get(name_and_unit(cell)[0])
 
 
@@ -116,7 +115,7 @@ def is_factor(cell: str) -> bool:
 
 
 def matrix_names(cell: str) -> tuple[str, ...]:
-    r"""Return the names in a cell such as "theta_out / theta_in" or "AOR \ AOI [deg]", first the name of the rows."""
+    r"""Return the names in a cell such as "theta_out / theta_in" or "AOR \ AOI [deg]", the name of the rows first."""
     name, unit = name_and_unit(cell)
     parts = [part.strip("_ ") for part in re.split(r"[/\\|]", name)]
     if {MEANINGS.get(part) for part in parts} not in _MATRICES or len(parts) != len(_MATRICES[0]):
@@ -125,9 +124,9 @@ def matrix_names(cell: str) -> tuple[str, ...]:
 
 
 def count_names(cells: Sequence[str], named: Collection[str] = ()) -> int:
-    """Return how many columns some cells name, also with further names in lower case.
+    """Count the cells that name a column; `named` has further names in lower case.
 
-    Wavelengths count if there are several, and if a cell says more than a number.
+    Wavelengths count if there are several, and if a cell is more than a number.
     """
     known = sum(bool(meaning_of(cell)) or cell.strip("'\" ").lower() in named for cell in cells)
     matrices = _N_MATRIX_NAMES * sum(bool(matrix_names(cell)) for cell in cells)
@@ -137,7 +136,7 @@ def count_names(cells: Sequence[str], named: Collection[str] = ()) -> int:
 
 
 def wavelength_of(cell: str) -> float | None:
-    """Return the wavelength [nm] that a column with this name is for, as in "450 nm", "0.45um" or "brdf_450nm"."""
+    """Return the wavelength [nm] in the name of a column, such as "450 nm", "0.45um" or "brdf_450nm", or None."""
     found = _BAND.fullmatch(name_and_unit(cell)[0])
     number = 0.0 if found is None else float(found[1].replace("_", ".")) * WAVELENGTH_UNITS[found[2] or "nm"]
     return number if _MIN_BAND_NM <= number <= _MAX_BAND_NM else None

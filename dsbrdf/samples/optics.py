@@ -1,4 +1,4 @@
-"""Files of samples for programs of optical design: Zemax, LightTools, FRED and Speos.
+"""Read files of samples for programs of optical design: Zemax, LightTools, FRED and Speos.
 
 Sources: Zemax' tabular BSDF (Radiant Imaging's BSDF data interchange format), LightTools' BSDF text (read by libbsdf,
 LightToolsBsdfReader), FRED's tabulated BSDF (Photon Engineering, FRED help, "Tabulated BSDF"; written by
@@ -19,11 +19,11 @@ from dsbrdf.samples.names import VECTORS
 from dsbrdf.samples.text_table import rows_of
 from dsbrdf.samples.unnamed import unnamed_table
 
-_HEAD_BYTES = 1 << 16  # The head of a file of Zemax or LightTools is not longer.
+_HEAD_BYTES = 1 << 16  # The head of a Zemax or LightTools file ends before this.
 _ZEMAX_LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _ZEMAX_WORDS = {"ScatterType": "BRDF", "SpectralContent": "Monochrome"}
 _LIGHTTOOLS_BLOCK = re.compile(r"((?:^[ \t]*[A-Za-z]\w*[ \t]+\S+[ \t\r]*\n)+)([-+0-9.eE\s]*)", re.MULTILINE)
-# A line before the name matches in one way alone, so that blank lines cost no more than others.
+# The possessive *+ prevents backtracking, so that many blank lines are not slow.
 _FRED = re.compile(rb"\A(?:[ \t]*(?:[#!].*)?\r?\n)*+[ \t]*(?:type\s+)?bsdf_data\b")
 _SPEOS = b"OPTIS - brdf surface file"
 # The columns of `_block`.
@@ -41,9 +41,9 @@ def scatter_table(data: bytes) -> TextTable | None:
 
 
 def _zemax_table(text: str) -> TextTable:
-    """Return samples whose angles of the receiver are about the mirror direction.
+    """Return the samples of a Zemax file, whose viewing angles are relative to the mirror direction.
 
-    ScatterRadial is the angle to the mirror direction, ScatterAzimuth the turn about it, 0 towards the normal.
+    ScatterRadial is the angle to the mirror direction; ScatterAzimuth is the rotation about it, 0 towards the normal.
     """
     lines = _words(text)
     begin = next(at for at, line in enumerate(lines) if line[0] == "DataBegin")
@@ -71,7 +71,7 @@ def _zemax_table(text: str) -> TextTable:
 
 
 def _lighttools_table(text: str) -> TextTable:
-    """Return reflection at the front; the light comes from an azimuth of 90 degrees."""
+    """Return the front reflection in a LightTools file; its light comes from an azimuth of 90 degrees."""
     head, _, body = text.partition("DataBegin")
     lines = _words(head)
     phi, theta = _numbers_after("ScatterAzimuth", lines)[:, np.newaxis], _numbers_after("ScatterRadial", lines)
@@ -96,7 +96,7 @@ def _lighttools_table(text: str) -> TextTable:
 
 
 def fred_table(data: bytes) -> TextTable | None:
-    """Return the samples of a tabulated BSDF of FRED, whose light and viewer share the azimuth in a mirror."""
+    """Return the samples of a FRED file, in which light and viewer have equal azimuths in the mirror direction."""
     if not _FRED.match(data):
         return None
     lines = rows_of(decoded(data).splitlines())
@@ -109,7 +109,7 @@ def fred_table(data: bytes) -> TextTable | None:
         raise MeasurementFormatError(f"The file of FRED has scale={words['scale']}, which is no number.") from None
     table = unnamed_table([(number, line) for number, line in lines if "=" not in line and "bsdf_data" not in line])
     unit, half_turn = ("rad", np.pi) if words.get("angles", "deg").startswith("rad") else ("deg", 180.0)
-    # The numbers that lead each block are the last columns; blocks in one plane have no azimuths.
+    # The numbers before each block are the last columns; blocks in one plane have no azimuths.
     names = {3: ("theta_out", "value", "theta_in"), 5: _NAMES[:5]}.get(len(table.names))
     if names is None:
         raise MeasurementFormatError(
@@ -124,7 +124,7 @@ def fred_table(data: bytes) -> TextTable | None:
 
 
 def speos_table(data: bytes) -> TextTable | None:
-    """Return the samples of a BRDF text of Speos, whose light and viewer share the azimuth in a mirror."""
+    """Return the samples of a Speos file, in which light and viewer have equal azimuths in the mirror direction."""
     if not data.startswith(_SPEOS):
         return None
     lines = data.decode("latin-1").splitlines()
@@ -153,19 +153,19 @@ def _block(*columns: ArrayLike) -> Array:
 
 
 def _table_of_blocks(blocks: Sequence[Array]) -> TextTable:
-    """Return blocks as a table, without the wavelength if there is only one."""
+    """Join blocks into a table, without the wavelength if all blocks have the same one."""
     columns = np.concatenate(blocks, axis=1)
     is_spectral = np.ptp(columns[5]) > 0.0
     return TextTable.of_numbers(_NAMES[: 5 + is_spectral], columns[: 5 + is_spectral])
 
 
 def _words(text: str) -> list[list[str]]:
-    """Return the words of each line that is no comment."""
+    """Return the words of each line that is not a comment."""
     return [words for line in text.splitlines() if (words := line.split()) and words[0][0] != "#"]
 
 
 def _numbers_after(name: str, head: Sequence[list[str]]) -> Array:
-    """Return the numbers after the line with a name and their count, in the lines of a file's head."""
+    """Return the numbers that follow a line with a name and the count of the numbers, in the head of a file."""
     count = 0
     try:
         at = next(at for at, line in enumerate(head) if line[0] == name)

@@ -1,15 +1,15 @@
-"""Prediction of a material at any pair of directions from scattered samples: layers, corrected near the samples.
+"""Predict a material at any pair of directions from scattered samples, by layers that are corrected near the samples.
 
-Where samples differ from the layers (`dsbrdf.samples.sample_layers`), they make a factor. Its logarithm is a Gaussian
-process with the kernel
+The correction is a factor, the ratio of the samples to the layers (`dsbrdf.samples.sample_layers`). Its logarithm is a
+Gaussian process with the kernel
 
     exp(-|x - x'|**2 / 2) (c + (1 - c) exp(-(y - y')**2 / 2)),
 
-x being log(theta_half + 1.5 degrees) and theta_diff, and y the turn out of the plane of incidence: phi_diff, folded
-into a quarter turn, times sin(theta_diff)**2, fading where theta_half is 0. A share c of the factor is common to all
-phi_diff. The reach of the kernel, its variance and the noise of the samples are the most probable ones: the samples
-decide how far the prediction leaves the layers. Where none is near, the prediction is that of the layers, and they can
-be as wrong there as they are at the samples, besides what structures that explain the samples equally well differ by.
+where x is log(theta_half + 1.5 degrees) and theta_diff. y is the rotation out of the plane of incidence: phi_diff,
+folded to 0..90 degrees, times sin(theta_diff)**2 and a factor that is 0 at theta_half = 0. The fraction c of the
+variance is common to all phi_diff. The length scales of the kernel, its variance and the noise of the samples are the
+most probable values. Far from all samples, the prediction equals the layers; its uncertainty there has the variance of
+the factor and the differences between structures that explain the samples equally well.
 """
 
 from collections.abc import Iterator
@@ -25,43 +25,43 @@ from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.samples.sample_layers import CANDIDATES, SampleLayers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# If there are more samples, so many are taken at random, for the prediction and for its kernel.
+# If there are more samples, a random subset of this size is used for the prediction, or for its kernel.
 _MAX_SAMPLES = 800
 _MAX_KERNEL_SAMPLES = 500
 _ENERGY_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0, 85.0])
 _OFFSET = np.radians(1.5)
-# The kernel reaches so far in x and y, times one of the scales.
+# Length scales of the kernel in x and y; one of the factors below multiplies them.
 _KERNEL_REACH = np.array([0.4, np.radians(15.0), 0.4])
 _REACH_SCALES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0)
-# Variance of the noise over the variance of the factor.
+# Candidates for the variance of the noise over the variance of the factor.
 _NOISE_RATIOS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
 _COMMON_FRACTION = 0.75
 # The logarithm of a factor at a sample is clipped here.
 _MAX_LOG_FACTOR = 2.5
-_MAX_POINTS_AT_ONCE = 256  # Their kernel stays in the cache.
+_MAX_POINTS_AT_ONCE = 256  # The kernel of so many points fits in the processor's cache.
 _N_FOLDS = 5
 _MIN_OUTLIER_LOG = 1e-2
 
 
 def thinned(samples: ScatteredSamples, most: int = _MAX_SAMPLES) -> ScatteredSamples:
-    """Return at most so many of the samples, taken at random."""
+    """Return a random subset of at most `most` samples, always the same."""
     return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < most)
 
 
 @dataclass(frozen=True, eq=False)
 class SamplePrediction:
-    """Layers times the factor by which the samples differ from them."""
+    """Predict values: layers times the factor by which samples differ from the layers."""
 
     layers: SampleLayers
-    places: Array  # x and y of the samples, in units of the kernel's reach, (n, 3)
-    reach: Array  # (3,)
-    root_weight: Array  # (n,), its mean square is 1
+    places: Array  # x and y of the samples, divided by the length scales, (n, 3)
+    reach: Array  # length scales of the kernel, (3,)
+    root_weight: Array  # square roots of the weights, whose mean is 1, (n,)
     logs: Array  # (n, 3), logarithms of samples over layers, times the root of their weight
-    noise: float  # its variance over the variance of the factor
+    noise: float  # variance of the noise over the variance of the factor
 
     @classmethod
     def fit(cls, samples: ScatteredSamples, like: "SamplePrediction | None" = None) -> "SamplePrediction":
-        """Fit the layers and the factor, with structures, reach and noise like those of another prediction if given."""
+        """Fit the layers and the factor; structures, length scales and noise can be taken from another prediction."""
         layers = SampleLayers.fit(samples, CANDIDATES if like is None else like.layers.candidates)
         angles = half_difference(samples.omega_in, samples.omega_out)
         ratio = (samples.values + layers.dark) / (layers.evaluate_unmasked(*angles) + layers.dark)
@@ -89,14 +89,14 @@ class SamplePrediction:
 
     @cached_property
     def albedo(self) -> Array:
-        """Return the directional albedo (A, 3) at some angles, without the bound."""
+        """Return the directional albedo (A, 3) of the unbounded values at `_ENERGY_ANGLES`."""
         return directional_albedo(self.unbounded, _ENERGY_ANGLES)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return values (n, 3) at angles (n,) [1/sr].
 
-        The model must not reflect more light than arrives: values are divided by the albedo at the angle of omega_in to
-        the normal, and by that of omega_out, where it is above 1.
+        A material must not reflect more light than it receives. Therefore values are divided by the albedos at the
+        angles of omega_in and omega_out to the normal, where these albedos are above 1.
         """
         values = self.unbounded(theta_half, theta_diff, phi_diff)
         if self.albedo.max() <= 1.0:
@@ -110,7 +110,7 @@ class SamplePrediction:
         return values
 
     def unbounded(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) at angles (n,), whatever energy allows [1/sr]."""
+        """Return values (n, 3) at angles (n,), without the bound that energy conservation sets [1/sr]."""
         angles = theta_half, theta_diff, phi_diff
         return self.likely(*angles) * np.exp(
             -self.unknown_fraction(*angles)[:, np.newaxis] * self.layers.caution(*angles)
@@ -128,15 +128,15 @@ class SamplePrediction:
         return np.asarray(np.sqrt(self.unknown_fraction(*angles) * (self.variance + self.layers.spread(*angles) ** 2)))
 
     def unknown_fraction(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the fraction of the factor's variance that samples leave open: 0 near many, 1 far from all (n,)."""
+        """Return the fraction (n,) of the factor's variance that remains: 0 near many samples, 1 far from all."""
         values, vectors = self._eigen
         known = vectors[:, values > self.noise] / np.sqrt(values[values > self.noise] + self.noise)
         blocks = self._near(theta_half, theta_diff, phi_diff)
         return np.maximum(1.0 - np.concatenate([np.sum((near @ known) ** 2, axis=1) for near in blocks]), 0.0)
 
     def remoteness(self, theta_half: Array, theta_diff: Array, phi_diff: Array, samples: ScatteredSamples) -> Array:
-        """Return how far angles (n,) are from all samples: 0 at a sample, 1 beyond the reach of the kernel."""
-        from scipy.spatial import cKDTree  # It takes time to import.
+        """Return the distance of angles (n,) from the nearest sample: 0 at a sample, 1 far beyond the length scales."""
+        from scipy.spatial import cKDTree  # The import is slow.
 
         known = _places(*half_difference(samples.omega_in, samples.omega_out)) / self.reach
         distance, _ = cKDTree(known).query(_places(theta_half, theta_diff, phi_diff) / self.reach)
@@ -144,7 +144,7 @@ class SamplePrediction:
 
     @property
     def noise_variance(self) -> float:
-        """Return the variance of the logarithm of a sample by noise alone."""
+        """Return the variance of the logarithm of a sample that is due to noise alone."""
         return self.noise * self.variance
 
     def covariance(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
@@ -163,7 +163,7 @@ class SamplePrediction:
 
 
 def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
-    """Leave out samples that are far from what is predicted from all of them, twice."""
+    """Leave out samples that are far from the prediction from all samples, then from the remaining samples."""
     kept = samples
     for _ in range(2):
         prediction = SamplePrediction.fit(thinned(kept))
@@ -176,7 +176,7 @@ def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
 
 
 def left_out_predictions(samples: ScatteredSamples, prediction: SamplePrediction) -> Array:
-    """Return values (n, 3) at the samples of predictions without each sample and a fifth of the others."""
+    """Return values (n, 3) predicted at the samples by five-fold cross-validation."""
     fold = np.random.default_rng(1).permutation(len(samples.values)) % _N_FOLDS
     values = np.empty(samples.values.shape)
     for number in range(_N_FOLDS):
@@ -211,7 +211,7 @@ def _eigen(places: Array, root: Array) -> tuple[Array, Array]:
 
 
 def _most_probable(x: Array, root: Array, logs: Array) -> tuple[Array, float]:
-    """Return the most probable reach of the kernel (3,), and the noise."""
+    """Return the most probable length scales of the kernel (3,), and the most probable noise."""
     best, reach, noise = -np.inf, _KERNEL_REACH, _NOISE_RATIOS[-1]
     for scale in _REACH_SCALES:
         values, vectors = _eigen(x / (scale * _KERNEL_REACH), root)

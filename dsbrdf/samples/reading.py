@@ -1,8 +1,8 @@
-"""Files with a table of scattered samples.
+"""Read files with a table of scattered samples.
 
-`dsbrdf.samples.layouts` finds the cells of a file, `dsbrdf.samples.columns` their meaning. Faults of a measurement are
-mended here, counted, and described in the notes of the samples: rows without a number, directions at or below the
-horizon, zeros that nobody measured, small negative values, vectors that are nearly of unit length.
+`dsbrdf.samples.layouts` finds the cells of a file, and `dsbrdf.samples.columns` their meaning. This module repairs and
+counts faults of a measurement, and describes them in the notes of the samples: rows without a number, directions at or
+below the horizon, zeros for missing values, small negative values, and vectors that are nearly of unit length.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from dsbrdf.samples.spreadsheet import is_spreadsheet, spreadsheet_text
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 _MAX_FILE_BYTES = 1 << 30
-# Vectors further off unit length are refused; a smaller deviation than the second is not mentioned.
+# Vectors are refused if their length deviates from 1 by more than the first number, and noted beyond the second.
 _MAX_LENGTH_DEVIATION = 0.02
 _ROUNDED_LENGTH_DEVIATION = 1e-3
-# Components of unit vectors that differ by less are the same direction.
+# Unit vectors whose components differ by less count as equal.
 _SAME_COMPONENT = 1e-5
-# Values of one pair of directions contradict each other by this factor, once a fraction of the median is added.
+# Values of one pair of directions contradict each other beyond this factor, after this fraction of the median is added.
 _CONTRADICTION_FACTOR = 1.25
 _DARK_FRACTION = 0.05
-# A negative value is noise up to this fraction of the largest, and all of them up to this fraction of the sum.
+# Negative values are noise up to this fraction of the largest value each, and of the sum of positive values together.
 _MAX_NOISE_FRACTION = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class ReadTable:
-    """A table that was read, the description of its columns, and the number of its rows."""
+    """Hold the samples of a table that was read, a description of its columns, and the number of its rows."""
 
     columns: Description
     n_rows: int
@@ -58,11 +58,11 @@ def read_samples(
     ----------
     path : path-like, or several
         A text, a ``.bsdf`` file of Zemax and others that `docs/formats.md` lists, or, with the extra ``xlsx``, a
-        spreadsheet. Several files of one material are one measurement. The stem of the first becomes the name.
+        spreadsheet. Several files of one material become one measurement. The stem of the first file becomes the name.
     options : TableOptions, optional
-        How the table is read.
+        Options for reading the table.
     **choices
-        Single options by name instead: ``columns``, ``constants``, ``missing``, ``scale``, ``cosine``, ``phi``.
+        Options by name, instead of `options`: ``columns``, ``constants``, ``missing``, ``scale``, ``cosine``, ``phi``.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS
 
 
 def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ReadTable:
-    """Return the samples in the bytes of a table with what was understood; errors are those of `read_samples`."""
+    """Return the samples in the bytes of a table with its description; errors are those of `read_samples`."""
     found = _read(data, options)
     return ReadTable(found.columns, found.n_rows, _joined([found], name))
 
@@ -101,7 +101,7 @@ def _joined(found: Sequence[SampleRows], name: str) -> ScatteredSamples:
 
 
 def _read(data: bytes, options: TableOptions) -> SampleRows:
-    """Return the rows of a file that can be used, however few."""
+    """Return the usable rows of a file, even if they are too few for a fit."""
     if data.startswith(CANONICAL):
         options.refuse("a file of samples, which says everything itself")
         made = ScatteredSamples.decode(data)
@@ -118,7 +118,7 @@ def _read(data: bytes, options: TableOptions) -> SampleRows:
 
 
 def _usable(found: SampleRows, notes: list[str]) -> Array:
-    """Return the rows that hold a measured value above the horizon, their vectors of unit length."""
+    """Return the rows with measured values above the horizon, and make their vectors unit vectors."""
     numbers = found.numbers.copy()
     used = np.asarray(np.isfinite(numbers).all(axis=1))
     notes += _left_out(~used, "no finite number in a column that is needed")
@@ -136,7 +136,7 @@ def _usable(found: SampleRows, notes: list[str]) -> Array:
 
 
 def _in_units(numbers: Array, options: TableOptions, notes: list[str]) -> Array:
-    """Return rows with values in 1/sr and the plane of incidence turned, as the options say."""
+    """Return rows with values in 1/sr, divided by a cosine and with omega_in turned if the options ask for it."""
     omega_in, omega_out, values, weight = np.split(numbers, (3, 6, 9), axis=1)
     is_grey = bool(np.all(values == values[:, :1]))
     values = np.broadcast_to(_without_noise(values[:, :1] if is_grey else values, notes), values.shape)
@@ -149,7 +149,7 @@ def _in_units(numbers: Array, options: TableOptions, notes: list[str]) -> Array:
 
 
 def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Array:
-    """Return vectors made of unit length."""
+    """Return vectors divided by their length; raise MeasurementFormatError if a length is too far from 1."""
     length = np.linalg.norm(vectors, axis=1)
     off = np.where(used, np.abs(length - 1.0), 0.0)
     if count := np.count_nonzero(off > _MAX_LENGTH_DEVIATION):
@@ -163,7 +163,7 @@ def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Ar
 
 
 def _without_noise(values: Array, notes: list[str]) -> Array:
-    """Return values with small negative ones as zero."""
+    """Replace small negative values by 0; raise MeasurementFormatError for large ones."""
     negative = values < 0.0
     count = int(np.count_nonzero(negative))
     if count == 0:
@@ -180,11 +180,11 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
 
 
 def _contradictions(pairs: Array, values: Array) -> list[str]:
-    """Return a sentence on pairs of directions (n, 6) that have several values (n,) far apart."""
+    """Return a sentence if equal pairs of directions (n, 6) have very different values (n,)."""
     if values.size == 0:
         return []
     digits = np.rint(pairs / _SAME_COMPONENT).astype(np.int64)
-    key = digits @ np.random.default_rng(0).integers(1 << 62, size=6)  # Equal pairs have equal keys, in linear time.
+    key = digits @ np.random.default_rng(0).integers(1 << 62, size=6)  # Hashing finds equal pairs in linear time.
     order = np.lexsort((values, key))
     starts = np.flatnonzero(np.diff(key[order], prepend=key[order][:1] - 1))
     lowest, highest = values[order][starts], values[order][np.append(starts[1:], values.size) - 1]

@@ -1,4 +1,4 @@
-"""Files of samples of research: ASTM E1392 as Cornell wrote it, Cornell's spectra, ALTA, and ASAM OpenMATERIAL 3D.
+"""Read research files of samples: ASTM E1392 as Cornell wrote it, Cornell's spectra, ALTA and ASAM OpenMATERIAL 3D.
 
 Sources: Cornell University's Program of Computer Graphics (read by libbsdf, AstmReader, and by ALTA), pbrt-v2
 (`src/materials/measured.cpp`, "Irregularly Sampled Isotropic BRDF"), ALTA's documentation of its data files (Inria),
@@ -32,9 +32,9 @@ _ALTA = {
 
 
 def plain_astm(data: bytes) -> bytes:
-    """Return a file of ASTM E1392 as a table with names and units, each row on its line; any other text as it is.
+    """Convert a file of ASTM E1392 to a text table with names and units; return any other text unchanged.
 
-    Its lines of a word and a value end with the names of the columns after the word VARS; its angles are in radians.
+    The head of such a file ends with the word VARS and the names of the columns; its angles are in radians.
     """
     found = _ASTM_NAMES.search(data)
     if found is None:
@@ -47,7 +47,7 @@ def plain_astm(data: bytes) -> bytes:
 def cornell_spectra_table(data: bytes) -> TextTable | None:
     """Return the samples of a spectral text of Cornell.
 
-    It has a count of wavelengths, the wavelengths, and rows of four angles and a spectrum.
+    The file has a count of wavelengths, the wavelengths, and rows of four angles and a spectrum.
     """
     if not _begins_with_wavelengths(_without_comments(data[:4096])):
         return None

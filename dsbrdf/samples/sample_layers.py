@@ -1,13 +1,13 @@
-"""Layers that explain scattered samples, and how far they may be from the material between the samples.
+"""Fit layers to scattered samples, and estimate the error of the layers between the samples.
 
-Layers by evidence (`dsbrdf.components.layer_fit`) are fitted to the samples; they know how a surface that is seen in
-one plane reflects in all others. Highlights of measured materials are longer across the plane of incidence than those
-of microfacets, to different degrees: between a highlight that is round in half vectors (stretch 0) and one that is
-round in angles about the mirror direction (stretch 1), whose squared tangent of theta_half is
+Structures of layers (`dsbrdf.components.layer_fit`) predict from one plane of incidence how a surface reflects in all
+others. Highlights of measured materials are longer across the plane of incidence than highlights of microfacets. With
+stretch 0, a highlight is round in half vectors; with stretch 1, it is round in angles about the mirror direction. A
+stretch replaces the squared tangent of theta_half by
 
     tan(theta_half)**2 (cos(phi_diff)**2 + cos(theta_diff)**(2 stretch) sin(phi_diff)**2).
 
-The samples decide; where they lie in one plane, the stretches keep their prior probabilities.
+The samples determine the stretch; if they lie in one plane, the stretches keep their prior probabilities.
 """
 
 from collections.abc import Sequence
@@ -25,19 +25,18 @@ from dsbrdf.components.structures import STRUCTURES, LayerStructure
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# Errors of values below this fraction of the median of the channels' mean count alike.
+# Below this fraction of the median of the channels' mean, the weights of relative errors hardly rise any more.
 _DARK_FRACTION = 0.02
-# A highlight in which no sample lies has at least the half width that instruments resolve, or a quarter of theta_half
-# of the nearest sample: a narrower one is seen by its tails alone, which tell nothing of its peak. The second is the
-# smallest half width of any highlight.
+# A highlight without samples has at least the half width that instruments resolve, and a quarter of theta_half of the
+# nearest sample, because its tails alone do not determine a narrower peak. The second is the minimum for any highlight.
 _APERTURE = np.radians(0.3)
 _MIN_HALF_WIDTH = 1e-4
 _NEGLIGIBLE_WEIGHT = 1e-3
 # Prior probabilities of stretches.
 _STRETCHES = {0.0: 0.6, 0.5: 0.3, 1.0: 0.1}
-_LOWEST_COSINE_DIFF = 0.17  # A highlight nearer to grazing angles has no further stretch.
+_LOWEST_COSINE_DIFF = 0.17  # For smaller cosines of theta_diff, the stretch stays constant.
 _N_DRAWS = 32
-# Structures are drawn with this power of their weights, as evidence is surer than it should be.
+# Structures are drawn with this power of their weights, because the evidence is overconfident.
 _DRAWN_POWER = 0.5
 
 Candidate = tuple[LayerStructure, float]
@@ -47,13 +46,13 @@ CANDIDATES = tuple((structure, stretch) for stretch in _STRETCHES for structure 
 
 
 def dark_level(samples: ScatteredSamples) -> float:
-    """Return the value below which errors count alike [1/sr]."""
+    """Return the level that is added to values before logarithms and weights are computed [1/sr]."""
     return float(_DARK_FRACTION * np.median(samples.values.mean(axis=1)) + 1e-9 * samples.values.max())
 
 
 @dataclass(frozen=True, eq=False)
 class SampleLayers:
-    """Structures of layers fitted to samples, whose values are the weighted geometric mean."""
+    """Hold structures of layers fitted to samples; values are the weighted geometric mean over the structures."""
 
     found: tuple[FittedStructure, ...]
     stretches: tuple[float, ...]
@@ -62,7 +61,7 @@ class SampleLayers:
 
     @classmethod
     def fit(cls, samples: ScatteredSamples, candidates: Sequence[Candidate] = UNSTRETCHED) -> "SampleLayers":
-        """Fit candidates; those that hardly count are dropped, and the most probable one comes first."""
+        """Fit candidates, drop those with negligible weight, and sort the others, the most probable first."""
         nearest = float(half_difference(samples.omega_in, samples.omega_out)[0].min())
         narrowest = max(min(nearest, _APERTURE), nearest / 4.0, _MIN_HALF_WIDTH)
         found = list[tuple[FittedStructure, float]]()
@@ -91,11 +90,11 @@ class SampleLayers:
         return np.maximum(np.exp(self._mean_log((theta_half, theta_diff, phi_diff))) - self.dark, 0.0)
 
     def caution(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return by how much the logarithm of the values should be less where no sample is (n, 3).
+        """Return the amount (n, 3) to subtract from the logarithm of values far from all samples.
 
-        If the logarithm of the true value is normal with a mean m and a deviation s, exp(m - 1.5 s**2) has the least
-        expected relative error: a highlight that no sample saw is rather too faint than a needle that nobody measured.
-        Where s is below 1, less of it: there the mean is what layers know of a highlight from its tails.
+        If the logarithm of the true value is normal with mean m and standard deviation s, exp(m - 1.5 s**2) minimises
+        the expected relative error. So a highlight without samples becomes too faint rather than too bright. If s is
+        below 1, less is subtracted, because samples in the tails of the highlight then determine the mean.
         """
         angles = theta_half, theta_diff, phi_diff
         drawn = self.drawn_logs(*angles)
@@ -104,11 +103,11 @@ class SampleLayers:
         return np.minimum(1.5 * variance**2 / (variance + 1.0), below)
 
     def spread(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the standard deviation of the logarithm of the values, over layers that are as probable (n,)."""
+        """Return the standard deviation (n,) of the logarithm of the values over the drawn layers."""
         return np.asarray(np.sqrt(np.mean(np.var(self.drawn_logs(theta_half, theta_diff, phi_diff), axis=0), axis=1)))
 
     def drawn_logs(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return logarithms of the values, the dark level added, of layers that are as probable (draws, n, 3)."""
+        """Return the logarithms (draws, n, 3) of the values plus the dark level, for layers drawn by probability."""
         return self._logs(self._drawn, (theta_half, theta_diff, phi_diff))
 
     @cached_property
@@ -130,7 +129,7 @@ class SampleLayers:
 
 
 def _points(theta_half: Array, theta_diff: Array, phi_diff: Array, stretch: float) -> Points:
-    """Return points of angles at which highlights are longer across the plane of incidence."""
+    """Return the points of angles, with theta_half changed so that highlights are longer across the plane."""
     points = Points.at(theta_half, theta_diff, phi_diff)
     if stretch == 0.0:
         return points
@@ -140,7 +139,7 @@ def _points(theta_half: Array, theta_diff: Array, phi_diff: Array, stretch: floa
 
 
 def _layer_data(samples: ScatteredSamples, stretch: float) -> LayerData:
-    """Return samples, weighted so that layers are fitted to errors relative to f**1.4, and a fraction of plain ones."""
+    """Weigh samples: squared errors are divided by f**1.4 of the values f; absolute errors have some weight too."""
     level, square = samples.values.mean(axis=1), np.sum(samples.values**2, axis=1)
     relative = samples.weight / (level + dark_level(samples)) ** LAYER_POWER
     plain = PLAIN_ERROR_WEIGHT * samples.weight / np.sum(samples.weight * square)

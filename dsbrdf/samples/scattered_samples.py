@@ -1,8 +1,8 @@
-"""Scattered samples: values of a BRDF at any pairs of directions, and the file that holds them.
+"""Hold scattered samples, values of a BRDF at any pairs of directions, and store them in files.
 
-A file of samples is a table in ASCII: the line ``# dsbrdf samples 1``, a line ``# `` with each note, the names of eight
-columns, and a line for each sample: theta_in, phi_in, theta_out, phi_out in degrees, then red, green and blue in 1/sr,
-then the weight, in the fewest digits that restore each number. Equal samples have equal files.
+A file of samples is an ASCII table: the line ``# dsbrdf samples 1``, a line ``# `` with each note, the names of eight
+columns, and a line for each sample: theta_in, phi_in, theta_out, phi_out in degrees, red, green and blue in 1/sr, and
+the weight. Each number has the fewest digits that restore it. Equal samples have equal files.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from dsbrdf.data.merl_validation import MAX_VALUE, MIN_NONZERO_VALUE
 from dsbrdf.errors import MeasurementFormatError
 
 MIN_SAMPLES = 50
-"""Fewer samples than this do not tell what a material is like."""
+"""Fewer samples than this do not determine a material."""
 MAX_WEIGHT = 1e12
 CANONICAL = b"# dsbrdf samples 1\n"
 """The first line of a file of samples."""
 CANONICAL_NAMES = ("theta_in", "phi_in", "theta_out", "phi_out", "red", "green", "blue", "weight")
 _NAMES = ",".join(CANONICAL_NAMES)
 _UNIT_TOLERANCE = 1e-3
-# Angles are kept to so many decimals of a degree: conversions to a unit vector and back change less.
+# Angles are rounded to this number of decimals, because conversions to a unit vector and back change later digits.
 _ANGLE_DECIMALS = 9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScatteredSamples:
-    """Values of a BRDF at n pairs of directions; made by `from_arrays`, which says more of the arrays.
+    """Hold values of a BRDF at n pairs of directions; `from_arrays` checks the arrays and describes them.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class ScatteredSamples:
     name : str
         The material's name.
     notes : tuple of str
-        What the reader of a table decided, a sentence each; the report of a fit begins its warnings with them.
+        A sentence on each decision of the reader of a table; the warnings of a fit begin with the notes.
     """
 
     omega_in: Array
@@ -57,7 +57,7 @@ class ScatteredSamples:
 
     @cached_property
     def sha256(self) -> str:
-        """Hexadecimal digest of `encode`: the identity of the samples, whatever their name."""
+        """Hexadecimal digest of `encode`, which identifies the samples independently of their name."""
         return hashlib.sha256(self.encode()).hexdigest()
 
     def encode(self) -> bytes:
@@ -70,7 +70,7 @@ class ScatteredSamples:
 
     @classmethod
     def decode(cls, content: bytes, name: str = "samples") -> ScatteredSamples:
-        """Return the samples in what `encode` has returned; raise MeasurementFormatError if the content is wrong."""
+        """Return the samples from the content that `encode` returns; raise MeasurementFormatError if it is wrong."""
         head, names, body = content.partition(f"{_NAMES}\n".encode())
         if not head.startswith(CANONICAL) or not names:
             raise MeasurementFormatError(f"A file of samples begins with {CANONICAL.decode().strip()!r} and notes.")
@@ -88,7 +88,7 @@ class ScatteredSamples:
         return replace(self, **arrays)
 
     def divided_by_cosine(self, side: str) -> ScatteredSamples:
-        """Return the samples, values divided by the cosine of theta_in or theta_out; ``side`` is "in" or "out"."""
+        """Divide the values by the cosine of theta_in or theta_out; ``side`` is "in" or "out"."""
         cosine = self.omega_in[:, 2] if side == "in" else self.omega_out[:, 2]
         return replace(self, values=self.values / cosine[:, np.newaxis])
 
@@ -110,15 +110,15 @@ class ScatteredSamples:
         Parameters
         ----------
         omega_in, omega_out : array_like, shape (n, 3)
-            Unit vectors, to 0.001, above the horizon (z > 0); they are kept to 1e-9 degrees.
+            Unit vectors, to 0.001, above the horizon (z > 0); angles are rounded to 1e-9 degrees.
         values : array_like, shape (n, 3)
-            RGB [1/sr], finite and not negative; the largest from 1e-8 to 1e8.
+            RGB [1/sr], finite and not negative; the largest value must be from 1e-8 to 1e8.
         weight : array_like, shape (n,), optional
-            From 1e-12 to 1e12; 1 by default.
+            Weights from 1e-12 to 1e12; 1 by default.
         name : str, optional
             The material's name.
         notes : tuple of str, optional
-            See the attribute.
+            Sentences on decisions of the reader, as in the attribute.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class ScatteredSamples:
 
 
 def _degrees(omega: Array) -> Array:
-    """Return theta and phi of directions (n, 3), shape (n, 2) [degrees]; phi is 0 where theta is."""
+    """Return theta and phi of directions (n, 3), shape (n, 2) [degrees]; phi is 0 if theta is 0."""
     theta = np.degrees(np.arctan2(np.hypot(omega[:, 0], omega[:, 1]), omega[:, 2])).round(_ANGLE_DECIMALS)
     phi = np.degrees(np.arctan2(omega[:, 1], omega[:, 0])).round(_ANGLE_DECIMALS) % 360.0
     return np.stack([theta, np.where(theta > 0.0, phi, 0.0)], axis=1)

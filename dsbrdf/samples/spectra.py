@@ -1,7 +1,7 @@
-"""Spectra to linear sRGB, as the CIE 1931 observer sees them under light of equal energy at all wavelengths.
+"""Convert spectra to linear sRGB, for the CIE 1931 observer under light of equal energy at all wavelengths.
 
 The observer is the analytic fit of Wyman, Sloan and Shirley (JCGT 2(2), 2013). White is adapted, by Bradford's matrix,
-so that a flat spectrum is grey. Between wavelengths a spectrum is linear, beyond the first and the last it is held.
+so that a flat spectrum is grey. A spectrum is linear between its wavelengths, and constant beyond the first and last.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ _D65 = np.array([0.95047, 1.0, 1.08883])
 _FROM_XYZ = np.array(
     [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]]
 )
-# A table of spectra with more places for each row has different wavelengths at different directions.
+# If all pairs of directions times all wavelengths are more than this multiple of the rows, wavelengths differ by pair.
 _MAX_PLACES_PER_ROW = 4
 
 
@@ -39,9 +39,9 @@ def _sensitivities() -> Array:
 
 
 def linear_srgb(wavelengths: Array, spectra: Array) -> Array:
-    """Return RGB, shape (n, 3), of spectra (n, k) at increasing wavelengths (k,) [nm]; one wavelength is grey.
+    """Return RGB, shape (n, 3), of spectra (n, k) at increasing wavelengths (k,) [nm]; one wavelength gives grey.
 
-    Colors outside of sRGB have 0 where they would be negative. Raises MeasurementFormatError if no wavelength is
+    Negative channels of colours outside of sRGB are set to 0. Raises MeasurementFormatError if no wavelength is
     visible.
     """
     if len(wavelengths) > 1 and not np.any((wavelengths >= _VISIBLE_NM[0]) & (wavelengths <= _VISIBLE_NM[1])):
@@ -56,10 +56,10 @@ def linear_srgb(wavelengths: Array, spectra: Array) -> Array:
 
 
 def of_rows(numbers: Array, wavelengths: Array) -> tuple[Array, Array]:
-    """Return the table with one row for each pair of directions, and its wavelengths.
+    """Merge rows of single wavelengths into one row for each pair of directions; return it with the wavelengths.
 
-    `numbers` (n, 10) are the columns of `SampleRows`, with the value at each row's wavelength. A wavelength that occurs
-    twice has the mean; if one is missing, all channels are NaN.
+    `numbers` (n, 10) has the columns of `SampleRows`, with the value at each row's wavelength. Values at a repeated
+    wavelength are averaged; if a wavelength is missing at a pair, all its channels are NaN.
     """
     used = np.isfinite(wavelengths) & np.isfinite(numbers[:, :6]).all(axis=1)
     numbers, wavelengths = numbers[used], wavelengths[used]

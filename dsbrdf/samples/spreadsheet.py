@@ -1,4 +1,4 @@
-"""Spreadsheets, ``.xlsx``, as the text of a table; they need the extra ``xlsx``."""
+"""Convert spreadsheets (``.xlsx``) to the text of a table; this needs the extra ``xlsx``."""
 
 import csv
 import io
@@ -14,13 +14,13 @@ _ARCHIVE = b"PK\x03\x04"
 _WORKBOOK = "xl/workbook.xml"
 _PIECE_BYTES = 1 << 20
 _MAX_UNPACKED_BYTES = 1 << 26
-_MAX_TAGS = 2_000_000  # openpyxl takes 5 s for them; a cell has four.
-_MAX_ROWS = 1 << 20  # The programs that write spreadsheets have no more.
+_MAX_TAGS = 2_000_000  # openpyxl takes 5 s for so many tags; a cell has four tags.
+_MAX_ROWS = 1 << 20  # Spreadsheet programs write at most this number of rows.
 _MAX_TEXT_LENGTH = 1 << 26  # [characters]
 
 
 def is_spreadsheet(data: bytes) -> bool:
-    """Whether bytes are those of such a file."""
+    """Tell whether bytes are a spreadsheet (``.xlsx``)."""
     if not data.startswith(_ARCHIVE):
         return False
     try:
@@ -33,7 +33,7 @@ def is_spreadsheet(data: bytes) -> bool:
 def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
     """Return the longest sheet of a file as text, cells separated by semicolons, and notes on the choice.
 
-    A line of the text is a row of the sheet; a formula has the result that the file keeps. Raises
+    A line of the text is a row of the sheet; a formula is replaced by its result, which the file stores. Raises
     MeasurementFormatError if the file cannot be read or is too long, and MissingExtraError without openpyxl.
     """
     require("xlsx", "openpyxl", purpose="spreadsheets, which can also be saved as .csv")
@@ -68,12 +68,12 @@ def _check_work(archive: zipfile.ZipFile) -> None:
 
 
 def _text(rows: Iterable[Sequence[Any]]) -> str:
-    """Return rows as lines of one width, which end with a separator; those without anything are empty."""
+    """Return rows as lines with equal numbers of cells, which end with a separator; rows without content are empty."""
     lines: list[list[str]] = []
     length = n_cells = 0
     for row in rows:
         n_cells += len(row)
-        # Rows and cells that the file leaves out between others come as empty ones.
+        # openpyxl yields empty rows and cells where the file leaves them out.
         if n_cells > MAX_CELLS or len(lines) == _MAX_ROWS:
             most = f"{_MAX_ROWS} rows or {MAX_CELLS} cells, empty ones between others included"
             raise MeasurementFormatError(f"The sheet has more than {most}; save it as .csv.")

@@ -1,4 +1,4 @@
-"""What can be chosen about how a table of scattered samples is read."""
+"""Define the options for reading a table of scattered samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SCALES = Bounds(1e-12, 1e12)
 @suggesting
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
-    """How a table of scattered samples is read; checked when made.
+    """Choose how a table of scattered samples is read; every choice is checked.
 
     Raises
     ------
@@ -79,11 +79,11 @@ class TableOptions:
         return options or cls(**choices)
 
     def named_columns(self) -> dict[str, str]:
-        """Return the name of the column with each meaning that `columns` gives."""
+        """Return the names of columns, by meaning, that the option `columns` gives."""
         return dict(_parts(pair) for pair in self.columns)
 
     def held(self) -> dict[str, float]:
-        """Return the number of each meaning that `constants` gives."""
+        """Return the numbers, by meaning, that the option `constants` gives."""
         numbers = {}
         for meaning, text in map(_parts, self.constants):
             try:
@@ -93,7 +93,7 @@ class TableOptions:
         return numbers
 
     def refuse(self, what: str) -> None:
-        """Raise InvalidArgumentError if an option is chosen: `what` is read, such as "a MERL file", has none."""
+        """Raise InvalidArgumentError if an option is set, because `what`, such as "a MERL file", has no options."""
         chosen = [one.name for one in fields(self) if getattr(self, one.name) != one.default]
         if chosen:
             verb = "is an option" if len(chosen) == 1 else "are options"
@@ -126,6 +126,6 @@ def _is_number(value: Any) -> bool:
 
 
 AS_WRITTEN = TableOptions()
-"""The table says everything itself."""
+"""Options for a table that needs none."""
 TABLE_OPTIONS = tuple(declared.name for declared in fields(TableOptions))
 """Names of the options of a table."""

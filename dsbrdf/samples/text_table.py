@@ -1,9 +1,9 @@
-"""Tables of numbers as people and instruments write them: bytes -> the cells under each column's name.
+"""Parse tables of numbers as people and instruments write them: from bytes to cells under names of columns.
 
-Cells are separated by commas, semicolons, tabs, bars or blanks; where it is not the comma, numbers may have a decimal
-comma. Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments; the line that names the columns may be one, and
-other lines may stand before it. A line below the names without any number gives the units. A line of a word and a
-number, such as ``#intheta 30``, holds for the rows after it. Where no line has names, see `dsbrdf.samples.unnamed`.
+Cells are separated by commas, semicolons, tabs, bars or blanks; if the separator is not the comma, numbers may have a
+decimal comma. Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments; the line that names the columns may be
+a comment, and other lines may precede it. A line below the names without any number gives the units. A line with a name
+and a number, such as ``#intheta 30``, applies to the rows after it. See `dsbrdf.samples.unnamed` for unnamed columns.
 """
 
 import re
@@ -31,18 +31,18 @@ _BEGINS_NUMBER = tuple("+-.0123456789")
 _NUMBERS = re.compile(r"[-+.,;\s\deE]*")
 _MAX_LINES_BEFORE_NAMES = 500
 _MAX_LINES_OF_UNITS = 20
-_MAX_LINE_LENGTH = 1 << 17  # [characters]; 4096 columns with all their digits are shorter.
-_MAX_HEAD_LENGTH = 1 << 18  # [characters]; the line of names is not looked for behind them.
-_MIN_NAMES = 2  # A line below the names that has so many names as well is one in another language, and has no units.
-# Fewer lines that begin with a name are no table whose columns stand in lines.
+_MAX_LINE_LENGTH = 1 << 17  # [characters]; lines of 4096 numbers with all digits are shorter.
+_MAX_HEAD_LENGTH = 1 << 18  # [characters]; the line of names is searched only up to here.
+_MIN_NAMES = 2  # A line below the names with so many names repeats them in another language, and has no units.
+# Fewer lines that begin with a name do not make a transposed table.
 _MIN_TRANSPOSED_LINES = 3
 
 
 def parse_text_table(data: bytes, named: Collection[str] = ()) -> TextTable:
     """Return the table in the bytes of a text, whose columns may also have the names in `named`, in lower case.
 
-    The line with most names of columns names them. A MeasurementFormatError says in one sentence what is wrong and what
-    would be right.
+    The line with most known names is the line of names. Raises MeasurementFormatError with a sentence that names the
+    mistake and the remedy.
     """
     lines = decoded(data).splitlines()
     longest = max(lines, key=len, default="")
@@ -59,12 +59,12 @@ def parse_text_table(data: bytes, named: Collection[str] = ()) -> TextTable:
 
 
 def rows_of(lines: Sequence[str]) -> NumberedLines:
-    """Return the lines of a text that are no comments, each with its number."""
+    """Return the lines of a text that are not comments, each with its number."""
     return [(number, line.strip()) for number, line in enumerate(lines, 1) if _is_row(line)]
 
 
 def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
-    """Return the table in lines below the line of names; the first of them may give units."""
+    """Return the table in the lines below the line of names; the first of these lines may give units."""
     check_size(len(lines), len(names))
     separator, first = ",", 0
     for number, line in lines[:_MAX_LINES_OF_UNITS]:
@@ -87,7 +87,7 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
 
 
 def _rows_and_constants(lines: Sequence[str], place: int) -> tuple[NumberedLines, dict[int, Constants]]:
-    """Return the rows below the line of names with their numbers, and the constants of each number."""
+    """Return the numbered rows below the line of names, and by this number the constants that apply to each row."""
     rows, held, now = list[tuple[int, str]](), dict[int, Constants](), Constants()
     names = _without_comment(lines[place]) if place >= 0 else None
     for number, line in enumerate(lines, 1):
@@ -120,7 +120,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
         if length - len(line) > _MAX_HEAD_LENGTH:
             break
         words = _without_comment(line)
-        if _NUMBERS.fullmatch(words):  # Names in a row of numbers would take most of the time of a table.
+        if _NUMBERS.fullmatch(words):  # A row of numbers has no names; to search it would be slow.
             continue
         below = filter(_is_row, islice(lines, place + 1, place + 1 + _MAX_LINES_BEFORE_NAMES))
         row = next(below, "").strip(" ")
@@ -128,7 +128,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
         for names in _candidates(words):
             known = count_names(names, named)
             if known == 1 and any(as_number(name, " ") is not None for name in names):
-                continue  # It is a number for all rows, or one column of a table that stands in lines.
+                continue  # The line is a constant, or a column of a transposed table.
             fits = any(_fits(cells, len(names)) for cells in splits)
             if known > 0 and (known + fits, fits) > best[:2]:
                 best = known + fits, fits, place, names
@@ -136,7 +136,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
 
 
 def _candidates(words: str) -> Iterator[tuple[str, ...]]:
-    """Yield what a line names with each separator, and without a label such as "format:" before the names."""
+    """Yield the names in a line for each separator, also without a label such as "format:" before the names."""
     label, _, rest = words.partition(":")
     for text in (words, rest.strip()) if rest and " " not in label else (words,):
         for separator in SEPARATORS:
@@ -147,7 +147,7 @@ def _candidates(words: str) -> Iterator[tuple[str, ...]]:
 
 
 def _transposed(lines: Sequence[str], named: Collection[str]) -> TextTable | None:
-    """Return a table whose columns stand in lines, each after its name; None for another table."""
+    """Return a transposed table, whose lines are columns that begin with their names; None for another table."""
     kept = rows_of(lines)
     for separator in SEPARATORS if kept else ():
         cells = [(number, _cells(line, separator)) for number, line in kept[:_MAX_LINES_BEFORE_NAMES]]
@@ -162,7 +162,7 @@ def _transposed(lines: Sequence[str], named: Collection[str]) -> TextTable | Non
 
 
 def _without_comment(line: str) -> str:
-    """Return a line without the mark that makes it a comment."""
+    """Return a line without the comment mark at its beginning."""
     return _COMMENT.sub("", line, count=1).strip()
 
 
@@ -171,7 +171,7 @@ def _is_row(line: str) -> bool:
 
 
 def _separator_of_row(number: int, line: str, n_names: int) -> str:
-    """Return the separator that gives the first row one cell for each name."""
+    """Return the separator that splits the first row into one cell for each name."""
     splits = {separator: _cells(line, separator) for separator in SEPARATORS}
     for separator, cells in splits.items():
         if _fits(cells, n_names):

@@ -1,9 +1,9 @@
-"""Doubt the units of samples: another factor, a cosine, a turned plane, highlights that one sample saw.
+"""Check samples for wrong units, a cosine in the values, a turned plane, and highlights of a single sample.
 
-Nothing here changes a value. A factor is doubted by energy alone: if a lower bound of the albedo is above 1, the
+Nothing here changes a value. A wrong factor is detected by energy alone: if a lower bound of the albedo is above 1, the
 samples reflect more light than they receive. The bound takes the minimum of neighbouring samples over theta_half, so
-that a highlight in one sample does not count. Layers fit values that were multiplied by a cosine less well than the
-values divided by it.
+that a highlight of a single sample does not count. If values were multiplied by a cosine, layers fit them less well
+than the values divided by this cosine.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ from dsbrdf.samples.sample_layers import SampleLayers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 _MAX_ALBEDO_BOUND = 1.05  # noise may lift the bound of a white material above 1
-# Each factor has a prior probability and words for a sentence.
+# Each factor has a prior probability and a phrase for a sentence.
 _FACTORS = {
     1.0 / np.pi: (0.4, "1/pi (scale 0.3183; are they reflectance factors?)"),
     1.0 / (100.0 * np.pi): (0.35, "1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)"),
@@ -27,36 +27,36 @@ _FACTORS = {
 }
 _MERL_FACTOR = 1.0 / 1500.0
 _OF_INTEGERS = (1.0, "1/1500 (scale 0.0006667; are they the integers of a MERL file?)")
-# Usual albedo, and the standard deviation of its logarithm; factors less probable than the best by more are not named.
+# Prior mean of the albedo, and standard deviation of its logarithm.
 _USUAL_ALBEDO = 0.3
 _ALBEDO_SPREAD = 1.1
-# Samples that are darker are made brighter before layers are fitted to them.
+# Darker samples are scaled to the usual albedo before they are fitted.
 _MIN_LEVEL = 1e-5
 _NAMED_FRACTION = 0.1
 _INCIDENCE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 _NEAR_INCIDENCE = np.radians(7.6)
-_MIN_IN_GROUP = 6  # Fewer samples at an angle of incidence are passed over.
-# The bound of the albedo takes the minimum of so many neighbours over theta_half.
+_MIN_IN_GROUP = 6  # An angle of incidence with fewer samples is ignored.
+# The bound of the albedo takes the minimum of this number of neighbours over theta_half.
 _N_NEIGHBOURS = 4
-# Layers are fitted to at most so many samples.
+# Layers are fitted to at most this number of samples.
 _MAX_ASKED_SAMPLES = 300
-# Values divided by a cosine, or turned, are named if their evidence is better by more; right values reach 6.
+# A cosine or a turned plane is reported if it improves the evidence by more; for correct values, it improves up to 6.
 _MORE_PROBABLE = 15.0
-# Layers that miss the divided values by more do not explain them.
+# Layers with a larger error do not explain the values divided by a cosine.
 _MAX_LAYER_ERROR = 0.3
-# One sample is a spike if it is near the mirror direction and this much brighter than its neighbours.
+# A single sample is a spike if it is near the mirror direction and brighter than its neighbours by this factor.
 _SPIKE_FACTOR = 8.0
 _SPIKE_THETA_HALF = np.radians(3.0)
 
 
 @dataclass(frozen=True)
 class SampleDoubts:
-    """Properties of samples that a user should check.
+    """Hold properties of samples that a user should check.
 
     Attributes
     ----------
     factor : float
-        The factor that gives the samples a usual albedo if theirs is not; 1 otherwise.
+        Factor that gives the samples a usual albedo; 1 if their albedo is usual already.
     sentences : tuple of str
         A sentence on each property to check.
     """
@@ -68,7 +68,7 @@ class SampleDoubts:
 def sample_doubts(samples: ScatteredSamples) -> SampleDoubts:
     """Return the properties of samples that should be checked."""
     bound = albedo_bound(samples)
-    # Where samples are few, the bound is far below the albedo, and the median tells more.
+    # For few samples, the bound is far below the albedo, and the median is a better estimate.
     level = max(bound, np.pi * float(np.median(samples.values)) + 1e-4 * float(samples.values.max()))
     factors = _likely_factors(samples.values, level) if bound > _MAX_ALBEDO_BOUND else []
     sentences = _about_energy(samples, bound, factors) if factors else _about_layers(samples)
@@ -107,7 +107,7 @@ def _about_layers(samples: ScatteredSamples) -> Iterator[str]:
 
 
 def _side_of_cosine(samples: ScatteredSamples, layers: SampleLayers | None = None) -> str | None:
-    """Return the side whose cosine the values were probably multiplied by."""
+    """Return "in" or "out" if the values were probably multiplied by this direction's cosine, else None."""
     evidence = (layers or SampleLayers.fit(samples)).evidence
     found = {side: SampleLayers.fit(samples.divided_by_cosine(side)) for side in ("in", "out")}
     side = min(found, key=lambda name: found[name].evidence)
@@ -116,7 +116,7 @@ def _side_of_cosine(samples: ScatteredSamples, layers: SampleLayers | None = Non
 
 
 def _likely_factors(values: Array, level: float) -> list[tuple[float, str]]:
-    """Return the factors that make the albedo a usual one, the most probable first; it is about `level` here."""
+    """Return the factors that turn an albedo of about `level` into a usual albedo, the most probable first."""
     is_integer = bool(np.all(values == np.rint(values)))
     known = _FACTORS | ({_MERL_FACTOR: _OF_INTEGERS} if is_integer else {})
     scores = {
@@ -131,7 +131,7 @@ def _likely_factors(values: Array, level: float) -> list[tuple[float, str]]:
 
 
 def albedo_bound(samples: ScatteredSamples) -> float:
-    """Return a lower bound of the largest directional albedo of samples, over some angles of incidence and channels.
+    """Return a lower bound of the directional albedo of samples, the largest over angles of incidence and channels.
 
     At each angle of incidence, values are a function of theta_half: the minimum of the samples next to each direction,
     and 0 beyond the last sample.
@@ -146,7 +146,7 @@ def albedo_bound(samples: ScatteredSamples) -> float:
         order = np.argsort(theta_half[near])
         half, values = theta_half[near][order], samples.values[near][order]
         nodes, weight = _outgoing(incidence)
-        # The samples beside each node: one below and the next ones above.
+        # Each node has one neighbour below and the next ones above.
         at = np.searchsorted(half, nodes)[:, np.newaxis] + np.arange(-1, _N_NEIGHBOURS - 1)
         least = values[np.clip(at, 0, half.size - 1)].min(axis=1)
         least[nodes > half[-1]] = 0.0
@@ -156,7 +156,7 @@ def albedo_bound(samples: ScatteredSamples) -> float:
 
 @cache
 def _outgoing(incidence_deg: float) -> tuple[Array, Array]:
-    """Return theta_half of directions of the viewer, shape (n,), and their weights in an integral over the cosine."""
+    """Return theta_half of directions omega_out, shape (n,), and their cosine-weighted solid angles."""
     theta, phi = np.meshgrid(np.radians(np.arange(0.5, 90.0)), np.radians(np.arange(1.5, 180.0, 3.0)), indexing="ij")
     omega_out = spherical(theta.ravel(), phi.ravel())
     omega_in = np.broadcast_to(spherical(np.radians(incidence_deg), np.pi), omega_out.shape)
@@ -165,7 +165,7 @@ def _outgoing(incidence_deg: float) -> tuple[Array, Array]:
 
 
 def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
-    """Yield a sentence on highlights that hold one sample alone, at most angles of incidence."""
+    """Yield a sentence if highlights contain only a single sample at most angles of incidence."""
     theta_half = half_difference(samples.omega_in, samples.omega_out)[0]
     incidence = np.degrees(np.arccos(np.clip(samples.omega_in[:, 2], 0.0, 1.0))).round(1)
     level = samples.values.mean(axis=1)
@@ -176,7 +176,7 @@ def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
             continue
         covered += group.size
         order = group[np.argsort(theta_half[group])]
-        # Several samples of the same pair of directions are one.
+        # Several samples at one pair of directions count as one.
         first = np.flatnonzero(theta_half[order] > theta_half[order[0]] + 1e-3)
         if theta_half[order[0]] > _SPIKE_THETA_HALF or first.size < _MIN_IN_GROUP - 1:
             continue
@@ -185,7 +185,7 @@ def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
         if level[order[0]] > _SPIKE_FACTOR * beside > 0.0:
             ratios.append(float(level[order[0]] / beside))
             gaps.append(float(np.degrees(theta_half[order[first[0]]])))
-    # Of random directions, few have the same angle of incidence.
+    # Random directions seldom have equal angles of incidence, so most samples must be in such groups.
     if ratios and 2 * len(ratios) >= seen and 2 * covered > len(level):
         yield (
             f"At {len(ratios)} angles of incidence one sample alone lies in the highlight: it is up to "

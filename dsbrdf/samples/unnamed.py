@@ -1,7 +1,7 @@
-"""Tables of numbers without any names.
+"""Parse tables of numbers without any names.
 
-Columns are named 1 to n, by their positions. A line of fewer numbers begins a block: its numbers hold for the rows
-below, and their columns are named n + 1 and so on.
+Columns are named 1 to n, by their positions. A line of fewer numbers begins a block: its numbers apply to the rows of
+the block, as further columns that are named n + 1 and so on.
 """
 
 from collections import Counter
@@ -12,15 +12,15 @@ import numpy as np
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import SEPARATORS, TextTable, as_number, check_size, split_cells, wrong_count
 
-# The separator of all lines is the best for so many lines.
+# The separator is chosen by this number of lines.
 _N_TRIED_LINES = 50
 
 NumberedLines = Sequence[tuple[int, str]]
-"""Lines of a text, each after its number from 1."""
+"""Lines of a text, each with its number from 1."""
 
 
 def unnamed_table(numbered: NumberedLines) -> TextTable:
-    """Return the table in some lines; lines before the first number are a title.
+    """Return the table in numbered lines; lines before the first number are a title.
 
     Raises MeasurementFormatError for a line with words between lines of numbers.
     """
@@ -69,6 +69,6 @@ def _layout(numbered: NumberedLines) -> tuple[int, str, int]:
 
 
 def _numbers(cells: Sequence[str], separator: str) -> list[float]:
-    """Return the numbers in cells; none if a cell has words."""
+    """Return the numbers in cells; an empty list if a cell has words."""
     numbers = [number for cell in cells if (number := as_number(cell, separator)) is not None]
     return numbers if len(numbers) == len(cells) else []
