@@ -36,7 +36,7 @@ class FitData:
 
     @classmethod
     def from_samples(cls, values: Array, weight: Array, row: Indices, theta_half: Array, phi_diff: Array) -> "FitData":
-        """Put samples (n, 3) into rows of whole degrees of theta_diff; short rows end with weightless samples."""
+        """Put samples (n, 3) into rows of whole degrees of theta_diff, padded with samples of weight 0."""
         rows, index, counts = np.unique(row, return_inverse=True, return_counts=True)
         order = np.argsort(index, kind="stable")
         place = index[order], np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -48,7 +48,7 @@ class FitData:
         return data
 
     def take_bins(self, bins: Sequence[int]) -> "FitData":
-        """Keep some bins of phi_diff only."""
+        """Keep only some bins of phi_diff."""
         chosen = list(bins)
         return replace(
             self, mean=self.mean[..., chosen], weight=self.weight[..., chosen], cos2_phi=self.cos2_phi[..., chosen]
@@ -57,7 +57,7 @@ class FitData:
     def single(self) -> "FitData":
         """Convert the data to single precision, which halves the time of sums.
 
-        Data whose weights exceed its range, such as values in a wrong unit, stay in double precision.
+        Data beyond the range of single precision, such as values in a wrong unit, stay in double precision.
         """
         if not MAX_SINGLE_VALUE**-1 < self.mean.max(initial=0.0) < MAX_SINGLE_VALUE:
             return self
@@ -109,7 +109,7 @@ class FitData:
 class Block:
     """Hold neighbouring rows with all of their weighted samples."""
 
-    rows: slice  # place of the rows in all rows
+    rows: slice  # indices of these rows among all rows
     mean: Array  # (r, 3, n)
     weight: Array  # (r, 3, n)
     along: Array  # tan(theta_half)**2 cos(phi_diff)**2, (r, 1, n)

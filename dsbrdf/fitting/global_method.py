@@ -1,8 +1,8 @@
 """Fit the whole measurement as one least-squares problem, the default fit.
 
-Where the paper fits slices one by one and interpolates, this fits all rows of theta_diff at once, up to the horizon,
-with the parameters' control values as unknowns: a lobe keeps its identity from knot to knot and from channel to
-channel. The lobes are found on thinned rows and columns, then refined on most of them.
+The paper fits slices one by one and interpolates. This method fits all rows of theta_diff at once, up to the horizon.
+The unknowns are the control values of the parameters, so a lobe keeps its identity over all theta_diff and channels.
+Lobes are searched on thinned rows and columns, then refined on most rows and columns.
 """
 
 import itertools
@@ -30,13 +30,13 @@ from dsbrdf.model.lobes import half_width, width_of_reach
 AMPLITUDE_KNOTS = np.radians([0.0, 30.0, 55.0, 68.0, 75.0, 81.0, 89.0])
 SHAPE_KNOTS = np.radians([0.0, 40.0, 65.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
-"""Knots [rad]: reflectance changes fastest towards grazing angles, its colour faster than its shape."""
+"""Knots [rad], dense towards grazing angles, where reflectance changes fastest."""
 CONSTANT_KNOT = np.zeros(1)
 KNOTS = {
     "full": (AMPLITUDE_KNOTS, SHAPE_KNOTS, ELONGATION_KNOTS),
     "parametric": (np.radians([0.0, 70.0, 89.0]), CONSTANT_KNOT, CONSTANT_KNOT),
 }
-"""Knots of amplitudes, shapes and elongations [rad] for each variation; a single one is a constant."""
+"""Knots of amplitudes, shapes and elongations [rad] for each variation; a single knot is a constant."""
 SEARCH_KNOTS = KNOTS | {"full": (AMPLITUDE_KNOTS, np.radians([0.0, 55.0, 79.0, 89.0]), ELONGATION_KNOTS)}
 FINE_KNOTS = (
     np.radians([0.0, 25.0, 50.0, 65.0, 72.0, 77.0, 81.0, 89.0]),
@@ -46,7 +46,7 @@ FINE_KNOTS = (
 """Knots [rad] for a small fixed number of lobes, which need more flexible parameters."""
 MAX_ITERATIONS = 300
 COARSE_ITERATIONS = 10
-"""Maximum iterations with a few bins of phi_diff; the fit of all bins undoes more."""
+"""Maximum iterations with a few bins of phi_diff; the fit of all bins would undo further ones."""
 REFINE_TOLERANCE = 3e-3
 """Refinement ends after two iterations in a row that lower the cost by a smaller fraction.
 
@@ -65,10 +65,10 @@ USED_ROWS = np.unique(np.concatenate([FIT_ROWS, SEARCH_ROWS, HELD_OUT_ROWS]))
 USED_COLUMNS = np.unique(np.concatenate([FIT_COLUMNS, SEARCH_COLUMNS, HELD_OUT_COLUMNS]))
 """Rows and columns of a table that the fit uses.
 
-They include all last rows within the usual horizon cutoff, where reflectance is largest.
+They include every row from 70 to 80 degrees, within the usual horizon cutoff, where reflectance is largest.
 """
 SEARCH_BINS = (0, 3, 5, 8, 9)
-"""Bins of phi_diff that the search uses; an elongated lobe changes too much within joined bins."""
+"""Bins of phi_diff that the search uses; joined bins would be too wide for elongated lobes."""
 NEIGHBOUR_COLUMNS = 5
 MIN_OUTLIER_RESIDUAL = 1e-2
 """A sample with a smaller relative residual is never an outlier."""
@@ -80,7 +80,7 @@ SAMPLE_SMOOTHING = (1e-7, 3e-6, 1e-6)
 MIN_TABLE_LIKE_SAMPLES = 20_000
 """With fewer scattered samples, the smoothing is stronger in proportion."""
 MIN_BINS_IN_COLUMN = 5
-"""A column with fewer filled bins per knot does not allow lobes as narrow as its spacing."""
+"""A column of theta_half with fewer filled bins per knot is ignored when the data limit how narrow lobes may be."""
 MIN_BINS_BETWEEN_KNOTS = 120
 """A knot with fewer filled bins before it is left out, because parameters between knots would be undetermined."""
 
@@ -121,7 +121,7 @@ def fit_global(
 
 
 def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixture]:
-    """Fit a mixture from bins again, to values at the exact points of the samples.
+    """Refit a mixture that was fitted to bins, to values at the exact angles of the samples.
 
     The data have a row for each whole degree of theta_diff that has samples.
     """
@@ -138,7 +138,7 @@ def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixt
 def _found(structure: Structure, solution: Solution, has_data: Mask) -> tuple[FoundModel, Mixture]:
     """Combine a solution with its report; `has_data` marks the rows with data in each channel.
 
-    The lobes of the model stand from narrow to wide, rings last.
+    The lobes of the model are ordered from narrow to wide, with ring lobes last.
     """
     mixture = Mixture(structure, solution.unknowns)
     shape, k = structure.lobe_shapes(solution.unknowns), structure.n_lobes
@@ -169,7 +169,7 @@ def _search_data(fitted: FitData, held_out: FitData) -> SearchData:
 
 
 def _apart(angles: Array, axis: Array, filled: Indices, fewest: int) -> list[float]:
-    """Keep the first of some angles [rad], and all angles with enough filled bins of an axis before them."""
+    """Keep the first angle [rad], and each angle with at least `fewest` filled bins since the last kept angle."""
     kept = [float(angles[0])]
     for angle in angles[1:].tolist():
         if filled[(axis >= kept[-1]) & (axis < angle)].sum() >= fewest:
@@ -245,8 +245,8 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
 def _trust(values: Array, data: FitData) -> Array:
     """Return weights (3, R, N, 10) of the data, from 0 for outliers to 1.
 
-    A mixture that misses a peak does so on neighbouring columns, an outlier stands alone: what counts is how far the
-    relative residual is from the median of its neighbours' over theta_half.
+    A mixture that misses a peak misses it in neighbouring columns, but an outlier is alone. Therefore a sample is
+    judged by the difference between its relative residual and the median of its neighbours over theta_half.
     """
     filled = data.weight > 0.0
     level = np.sum(data.weight * values, axis=(2, 3), keepdims=True)
@@ -260,7 +260,7 @@ def _trust(values: Array, data: FitData) -> Array:
 
 
 def _exact(data: FitData, mixture: Mixture) -> FitData:
-    """Subtract a mixture's error of binning from the data, so that its values at the bins' means fit them."""
+    """Subtract the binning error of a mixture from the data, which then correspond to values at the bins' means."""
     problem = MixtureProblem(data.single(), mixture.structure)
     return replace(data, mean=data.mean - _lost_in_bins(problem, mixture.unknowns))
 

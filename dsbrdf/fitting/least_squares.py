@@ -7,9 +7,9 @@ with respect to the row's parameters,
 
     normal equations  A = sum_row (B B^T) x (J^T W J) + smoothing,     gradient  g = sum_row B x (J^T W r).
 
-An amplitude concerns its own channel only and a shape all three: J^T W J of a row comes from one small product of lobes
-and derivatives for each channel. The method is Levenberg-Marquardt with the damping update of Nielsen (1999,
-IMM-REP-1999-05) and bounds: an unknown at a bound with an outward step is fixed.
+An amplitude affects only its own channel, and a shape all three. Therefore J^T W J of a row is computed from one small
+product of lobes and derivatives for each channel. The method is Levenberg-Marquardt with the damping update of Nielsen
+(1999, IMM-REP-1999-05) and bounds: an unknown at a bound with an outward step is fixed.
 
 A weak prior determines unknowns without data: `SMOOTHING` times the squared signal for each squared second difference
 of control values. Shapes have the strongest prior, because shapes of a faint lobe would oscillate between knots.
@@ -190,9 +190,9 @@ class MixtureProblem:
 class _Kind:
     """Hold the lobes about the normal, or the ring lobes."""
 
-    part: slice  # place in all lobes
+    part: slice  # indices of these lobes among all lobes
     slopes: Callable[[], LobeSlopes]
-    near: Array  # parts of the squared tangent of theta', along and across the plane of incidence
+    near: Array  # squared tangent of elongated theta_half along, and across the plane of incidence
     far: Array
 
 

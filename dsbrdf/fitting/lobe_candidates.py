@@ -25,11 +25,11 @@ CUSP_CENTER_HALF_WIDTHS = -1.5
 ELONGATIONS = (0.0, 1.0, 3.0)
 START_KAPPA = 1.0
 START_ELONGATION = 0.5
-"""A fit starts at this fraction of a candidate's elongation: it corrects too round a lobe more easily."""
+"""A fit starts at this fraction of a candidate's elongation, because it corrects too round lobes more easily."""
 MIN_START_HEIGHT = 0.02
-"""A lobe starts with at least this fraction of a typical amplitude: a fainter one has no derivatives to follow."""
+"""A lobe starts with at least this fraction of a typical amplitude, because fainter lobes have tiny derivatives."""
 CHOICE_RIDGE = 1e-3
-"""Fraction of the candidates' squares added to normal equations: candidates that are nearly alike share their gain."""
+"""Fraction of the candidates' squares that is added to the normal equations of nearly equal candidates."""
 EQUAL_GAIN = 1e-4
 """Candidates whose gains differ by a smaller fraction explain the data equally well."""
 MIN_VISIBLE_VALUE = 0.02
@@ -81,13 +81,13 @@ class Candidates:
 
     @cached_property
     def is_visible(self) -> Mask:
-        """Mask of the candidates that data exist near the peak of; others would explain their flanks by wild peaks."""
+        """Mask of the candidates with data near their peak; the height of any other candidate would be arbitrary."""
         return np.asarray(self.curves[0].max(axis=1) >= MIN_VISIBLE_VALUE)
 
     def best(self, data: FitData, curves: Array, amplitudes: Array, allowed: Mask) -> int:
         """Return the index of the allowed candidate that explains most beside lobes (R, K, n) of amplitudes (R, 3, K).
 
-        These amplitudes answer to the candidate. Of candidates that do equally well, the widest assumes least.
+        The amplitudes are adjusted to each candidate. The widest of equally good candidates is chosen.
         """
         weighted, gram, _ = normal_equations(data, curves)
         mixed, count = (weighted @ self.curves.transpose(0, 2, 1)[:, None]).astype(float), curves.shape[1]

@@ -1,13 +1,13 @@
 """Search the lobes of a mixture: choose all lobes, fit them, exchange one, and drop useless lobes.
 
 1. **Choice.** `dsbrdf.fitting.lobe_candidates` chooses lobes by normal equations, without a fit in between.
-2. **Fit.** One nonlinear least-squares fit changes all lobes together, at first with kappa held.
-3. **Exchange.** The least useful lobe makes way for the candidate that explains most of the residual.
+2. **Fit.** One nonlinear least-squares fit changes all lobes together, at first with kappa fixed.
+3. **Exchange.** The least useful lobe is replaced by the candidate that explains most of the residual.
 4. **Elimination**, if the number of lobes is free. The least useful lobe is dropped and the others are fitted again, as
    long as the validation error, on rows of theta_diff that no mixture was fitted to, hardly rises.
 
-A few lobes hardly leave the place where they start. If their number is fixed and small, the first three steps are
-repeated from several starts, and the best end is kept.
+With few lobes, the result depends on the start. If their number is fixed and small, the first three steps are repeated
+from several starts, and the best result is kept.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,7 +28,7 @@ MAX_SEARCHED_LOBES = 9
 TOLERATED_RISE = 0.01
 """A lobe is dropped if the validation error rises by a smaller fraction."""
 NEGLIGIBLE_ERROR = 4e-6
-"""A smaller fraction of the weighted squared signal is no error: differences of 0.2 % are invisible."""
+"""A validation error below this fraction of the squared signal is negligible: differences of 0.2 % are invisible."""
 NOISE_CORRELATION = 0.16
 """Neighbouring residuals with a smaller correlation count as noise.
 
@@ -43,14 +43,14 @@ MIN_COLUMNS_FOR_RINGS = 8
 FIXED_KAPPA_ITERATIONS = 8
 FIT_ITERATIONS = 20
 SEARCH_TOLERANCE = 3e-3
-"""An iteration that lowers the cost by a smaller fraction counts as stalled: the refinement goes on anyway."""
+"""An iteration that lowers the cost by a smaller fraction counts as stalled, because a refinement follows."""
 EXCHANGE_ITERATIONS = 8
 MAX_RESTARTED_LOBES = 5
 """A search for a larger fixed number of lobes has a single start."""
 SPARE_LOBES = 3
-"""Number of lobes that one start has in addition, and drops again."""
+"""One start has this number of additional lobes, and drops them again."""
 HEAVY_TAIL_FACTOR = 0.3
-"""A last start multiplies kappa of the best end by this factor: from rounder lobes kappa seldom falls far enough."""
+"""A last start multiplies kappa of the best result by this factor, because fits seldom lower kappa far enough."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Wanted:
     ring_lobes: int | Literal["auto"]
 
     def limited_to(self, data: FitData) -> "Wanted":
-        """Leave out rings, unless asked for, where data have so few angles theta_half that any ring explains them."""
+        """Forbid optional rings if data have so few angles theta_half that any ring would explain them."""
         few = data.theta_half.shape[-1] < MIN_COLUMNS_FOR_RINGS
         return replace(self, ring_lobes=0) if few and self.ring_lobes == "auto" else self
 
@@ -151,7 +151,7 @@ class _Task:
         return any(self.wanted.may_drop(mixture.structure.rings))
 
     def drop_one(self, mixture: Mixture) -> Mixture:
-        """Drop the lobe without which the error is smallest, the amplitudes of the others answering."""
+        """Drop the lobe without which the error is smallest after the amplitudes of the others are solved again."""
         k = mixture.structure.n_lobes
         curves = MixtureProblem(self.data, mixture.structure).curves(mixture.unknowns)
         _, gram, right = normal_equations(self.data, curves)
@@ -177,8 +177,8 @@ def search(
 ) -> tuple[Mixture, list[SearchStep]]:
     """Find the lobes of a mixture on the knots of an `empty` structure, and return it with the steps of the search.
 
-    If only noise is left, errors matter that the bins of phi_diff make of a mixture: `exact` returns data without.
-    `on_stage` is called after each fit.
+    If only noise is left, the binning errors of a mixture over phi_diff matter; `exact` returns data without these
+    errors. `on_stage` is called after each fit.
     """
     task = _Task(data.fitted, empty, Candidates.at(data.fitted, empty.family), wanted.limited_to(data.fitted))
     trials = _Trials(data.held_out, on_stage)
@@ -226,7 +226,7 @@ class _Trials:
 def _simplest(task: _Task, exact: Callable[[Mixture], SearchData], trials: _Trials) -> Mixture | None:
     """Return the smallest mixture that is as good as the first trial, without rings if these are optional.
 
-    The data of each trial are without the errors that bins make of the tried mixture.
+    The data of each trial are without the binning errors of the tried mixture.
     """
     n_rings, (first,) = 0 if task.wanted.ring_lobes == "auto" else task.wanted.ring_lobes, trials.steps
     for n_lobes in range(n_rings + 1, min(n_rings + MAX_SIMPLE_LOBES + 1, first.n_lobes)):
@@ -255,7 +255,7 @@ def _best_of_starts(task: _Task, held_out: FitData, on_stage: Callable[[], None]
 
 
 def _starts(task: _Task) -> Iterator[Mixture]:
-    """Yield fits of the chosen lobes, of lobes with no ring or one if rings are optional, and of more lobes shrunk."""
+    """Yield fits of the chosen lobes, of lobes with 0 or 1 ring if rings are optional, and of reduced extra lobes."""
     n_lobes = task.wanted.max_lobes(task.data)
     yield (first := task.fit())
     if task.wanted.ring_lobes == "auto":
@@ -268,7 +268,7 @@ def _starts(task: _Task) -> Iterator[Mixture]:
 
 
 def _fit(data: FitData, start: Mixture) -> Mixture:
-    """Fit all unknowns, at first with kappa held: it trades against the width."""
+    """Fit all unknowns, at first with kappa fixed, because kappa and the width compensate each other."""
     start = _minimize(data, start, FIXED_KAPPA_ITERATIONS, fixed=start.structure.is_kappa())
     return _minimize(data, start, FIT_ITERATIONS)
 

@@ -4,8 +4,8 @@ For a measurement on a grid, all channels and nodes weigh the same. Nodes count 
 within the horizon cutoff of the normal, and theta_half is at least 1 degree:
 
     relative_rms    = sqrt( sum (f - fit)**2 / sum f**2 )
-    floor           = relative_rms of the mean of f over phi_diff: no model that ignores phi_diff goes below it
-    symmetric_floor = relative_rms of the mean over phi_diff, -phi_diff and pi - phi_diff: no reciprocal one does
+    floor           = relative_rms of the mean of f over phi_diff, the minimum for models that ignore phi_diff
+    symmetric_floor = relative_rms of means at phi_diff, -phi_diff, pi - phi_diff, the minimum for reciprocal models
     excess          = relative_rms / floor
     male            = mean | log(1 + f cos_in) - log(1 + fit cos_in) |
 
@@ -119,21 +119,21 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
     """Compare a model with all samples within the cutoff of the normal [rad]; None means the horizon.
 
     Returns sums of shape (6, 3 channels, 90 theta_diff): of f**2, of (f - fit)**2, of the squared deviations from the
-    mean over phi_diff and from the folded mean, of |log(1 + f cos_in) - log(1 + fit cos_in)|, and how many there are.
+    means of `floor` and `symmetric_floor`, of |log(1 + f cos_in) - log(1 + fit cos_in)|, and the number of samples.
 
     Raises InvalidArgumentError if there is nothing but zeros to compare with.
     """
     sums = np.zeros((6, 3, THETA_DIFF.size))
     for columns in np.array_split(np.flatnonzero(OUTSIDE_CENTER), COLUMN_GROUPS):
         masks = [used_samples(measurement, i, horizon_cutoff) for i in columns.tolist()]
-        # From some theta_diff on, no sample is used.
+        # Rows beyond the last used sample are skipped.
         rows = slice(0, 1 + int(np.flatnonzero(np.any(masks, axis=(0, 1, 3))).max(initial=-1)))
         grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF[rows], PHI_DIFF[:QUARTER])
         for i, used, values in zip(columns.tolist(), masks, grid, strict=True):
-            # The cosine of omega_in to the normal alone: `incident_cosines` finds that of omega_out as well.
+            # Only the cosine of omega_in to the normal is needed; `incident_cosines` computes both cosines.
             swing = (np.sin(THETA_HALF[i]) * np.sin(THETA_DIFF[rows, None])) * np.cos(PHI_DIFF)
             cosine = np.subtract(np.cos(THETA_HALF[i]) * np.cos(THETA_DIFF[rows, None]), swing, out=swing)
-            # Beyond 90 degrees, phi_diff has the values of 180 degrees - phi_diff.
+            # The model has equal values at phi_diff and at 180 degrees - phi_diff.
             folded = np.concatenate([values, values[:, :, -2:0:-1]], axis=2)
             for channel, scale in enumerate(measurement.scale.tolist()):
                 samples, fit = measurement.stored[channel, i, rows] * scale, folded[channel]
@@ -151,7 +151,7 @@ def _column_sums(samples: Array, fit: Array, used: Mask, cosine: Array) -> Array
     mean = np.sum(samples, axis=1) / np.maximum(count, 1.0)
     deviation = samples - mean[:, None]
     deviation *= counted
-    # phi_diff and 180 - phi_diff, 0 its own partner, hold one value of a symmetric material; each is half a step off.
+    # A symmetric material has equal values at phi_diff and 180 - phi_diff; each deviates by half their difference.
     one, partner = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
     step = samples[:, one] - samples[:, partner]
     step *= np.sqrt(0.5) * counted[:, one] * counted[:, partner]
@@ -202,7 +202,7 @@ def sample_metrics(model: DSBRDF, measurement: Measurement, sums: Array, albedo:
     Likeness is that of a sphere under three lights, PSNR at most 200 [dB].
     """
     errors, data = relative_errors(sums), measurement.interpolated
-    # A table has no lobes narrower than its rows: a coarse rule is enough.
+    # A table has no lobes narrower than its rows, so the quadrature needs no knots.
     measured = directional_albedo(data.evaluate, ALBEDO_ANGLES)
     albedo_error = float(np.mean(np.abs(albedo - measured) / np.where(measured > MIN_ALBEDO, measured, np.inf)))
     lit = render_sphere(data.evaluate, size=SPHERE_PIXELS)

@@ -26,7 +26,7 @@ _PAPER_CHOICES: dict[str, tuple[tuple[object, ...], str]] = {
     "weighting": (("auto", "plain", "cosine", "log"), 'has no weighting "balanced": use "plain", "cosine" or "log"'),
 }
 Weighting = Literal["auto", "balanced", "plain", "cosine", "log"]
-"""Weights of the samples, see `dsbrdf.data.weighting`; "auto" leaves them to the method."""
+"""Weights of the samples, see `dsbrdf.data.weighting`; "auto" leaves the choice to the method."""
 
 
 @documented

@@ -99,22 +99,22 @@ class FitReport:
         What a user should know before using the model, one sentence each, see `dsbrdf.report_warnings`; what concerns
         the components is in the `remarks` of `dsbrdf.decompose`.
     metrics : Metrics
-        All None where only profiles were given.
+        Metrics of the fit; all are None if only profiles were fitted.
     by_channel, by_theta_diff : tuple of ChannelErrors, tuple of BandErrors
         Errors of each channel that is not black, and of each band of theta_diff with data; empty without metrics.
     knots : KnotReport
         How the fit went at each knot of theta_diff.
     search, selection : tuple of SearchStep, tuple of SelectionStep
-        The lobes that the method "global" tried, and the numbers of lobes that "paper" compared, if not given one.
+        The lobes that the method "global" tried, and the numbers of lobes that "paper" compared unless one was given.
     directional_albedo, n_numbers : DirectionalAlbedo, int
         The light that the model reflects, and how many numbers it stores.
     timings : dict of str to float
         Time of each step, by its name [s].
     options, versions : FitOptions, Versions
-        Of the fit; the versions are those of the algorithm, this library and what it computes with.
+        Options of the fit, and versions of the algorithm, this library and the packages that it computes with.
     left_out, measure_next : tuple of LeftOutErrors, tuple of SuggestedPair
-        Of scattered samples only: errors at samples that were left out, and where to measure next, the most useful
-        pair first. The second is empty unless the error expected over all directions is large.
+        For scattered samples only: errors at samples that were left out, and directions to measure next, the most
+        useful pair first. There are no pairs unless the error expected over all directions is large.
     samples : str or None
         Digest of the scattered samples, see `dsbrdf.ScatteredSamples`; None for a measurement on a grid.
     """
@@ -151,7 +151,7 @@ class FitReport:
 class FitResult:
     """Hold a model and the report of its fit.
 
-    It is drawn, decomposed, saved and evaluated as its model is: `dsbrdf.render_sphere(result)`.
+    A result can be drawn, decomposed, saved and evaluated like its model, as in `dsbrdf.render_sphere(result)`.
 
     Attributes
     ----------

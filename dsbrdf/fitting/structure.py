@@ -5,9 +5,9 @@ Instead of gamma and center, the unknowns are log reach and offset:
     log reach = log fall_to_half(kappa) - log gamma,
     center = offset where positive, else limit * expm1(offset / limit).
 
-The reach is at half of the height, and the offset is the distance of the peak from the normal. So kappa, which trades
-against gamma, changes while the half width stays, and each bound concerns one unknown. The limit of a
-negative center, a cusp, is the half width, and at most `MAX_CUSP_OFFSET`: a cusp stays about as steep as the lobe.
+The reach determines the half width, and the offset is the distance of the peak from the normal. Therefore kappa can
+change without a change of the half width, and each bound concerns one unknown. A negative center makes a cusp. Its
+limit is the half width, at most `MAX_CUSP_OFFSET`, so that a cusp is about as steep as the lobe.
 """
 
 from collections.abc import Iterable
@@ -78,7 +78,7 @@ class Structure:
     def split(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Return views on the unknowns: amplitude (D, 3 K), shape (S, 2 K + rings) and elongation (E, K).
 
-        Amplitudes are logarithms, channel by channel; shapes log kappa, log reach, and offset of the ring lobes.
+        Amplitudes are logarithms, channel by channel; shapes are log kappa, log reach, and offsets of ring lobes.
         """
         blocks = zip(self.parts, self.blocks, strict=True)
         amplitude, shape, elongation = (unknowns[part].reshape(block) for part, block in blocks)
@@ -109,7 +109,7 @@ class Structure:
     def limit(self, unknowns: Array) -> Array:
         """Clip unknowns to the bounds, and widen lobes narrower than the data's spacing.
 
-        An offset below 0 ends where a lower one would not change the cusp any more.
+        A negative offset is clipped where a lower offset would hardly change the cusp.
         """
         low, high = self.bounds
         limited = np.maximum(np.minimum(unknowns, high), low)
