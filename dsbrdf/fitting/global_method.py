@@ -207,14 +207,22 @@ def _structure(
 
 
 def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:
-    """Take the rows and columns with data nearest to the wanted rows and columns, or all if there are few."""
+    """Take the rows and columns with data nearest to the wanted rows and columns, or all if there are few.
+
+    A column's weight is multiplied by the number of columns with data that it stands for. Otherwise columns close to
+    the mirror direction, which are not thinned out, would count for more than the area that people see.
+    """
     measured = weight.sum(axis=(0, 3)) > 0
     chosen = []
     for axis, wanted in ((1, rows), (0, columns)):
         present = np.flatnonzero(measured.any(axis=axis))
         nearest = np.unique(present[np.abs(wanted[:, None] - present).argmin(axis=1)])
         chosen.append(nearest if nearest.size >= min(MIN_LINES, present.size) else present)
-    return FitData.select(data.folded, weight, chosen[0], chosen[1])
+    rows, columns = chosen
+    position = np.searchsorted(present, columns).astype(float)
+    n_represented = np.gradient(position) if columns.size > 1 else np.ones(1)
+    selected = FitData.select(data.folded, weight, rows, columns)
+    return replace(selected, weight=selected.weight * n_represented[:, None])
 
 
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:

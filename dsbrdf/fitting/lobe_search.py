@@ -1,8 +1,8 @@
-"""Search the lobes of a mixture: choose all lobes, fit them, exchange one, and drop useless lobes.
+"""Search the lobes of a mixture: choose all lobes, fit them, exchange two, and drop useless lobes.
 
 1. **Choice.** `dsbrdf.fitting.lobe_candidates` chooses lobes by normal equations, without a fit in between.
 2. **Fit.** One nonlinear least-squares fit changes all lobes together, at first with kappa fixed.
-3. **Exchange.** The least useful lobe is replaced by the candidate that explains most of the residual.
+3. **Exchange.** Twice, the least useful lobe is replaced by the candidate that explains most of the residual.
 4. **Elimination**, if the number of lobes is free. The least useful lobe is dropped and the others are fitted again, as
    long as the validation error, on rows of theta_diff that no mixture was fitted to, hardly rises.
 
@@ -25,7 +25,7 @@ from dsbrdf.fitting.structure import Mixture, Structure, join_lobes
 
 MAX_SEARCHED_LOBES = 9
 """Elimination starts from this number of lobes."""
-TOLERATED_RISE = 0.01
+TOLERATED_RISE = 0.005
 """A lobe is dropped if the validation error rises by a smaller fraction."""
 NEGLIGIBLE_ERROR = 4e-6
 """A validation error below this fraction of the squared signal is negligible: differences of 0.2 % are invisible."""
@@ -44,6 +44,7 @@ FIXED_KAPPA_ITERATIONS = 8
 FIT_ITERATIONS = 20
 SEARCH_TOLERANCE = 3e-3
 """An iteration that lowers the cost by a smaller fraction counts as stalled, because a refinement follows."""
+EXCHANGES = 2
 EXCHANGE_ITERATIONS = 8
 MAX_RESTARTED_LOBES = 5
 """A search for a larger fixed number of lobes has a single start."""
@@ -195,7 +196,8 @@ def search(
         if (simple := _simplest(task, exact, trials)) is not None:
             return simple, trials.steps
     else:
-        mixture = task.exchange(mixture)
+        for _ in range(EXCHANGES):
+            mixture = task.exchange(mixture)
         trials.add(mixture)
     while is_free and task.may_drop(mixture):
         fewer = task.shrink(mixture)

@@ -19,7 +19,7 @@ def coated_paint() -> Measurement:
 @pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
 @pytest.mark.parametrize(
     ("name", "excess", "albedo_error", "psnr"),
-    [("metal", 0.109, 0.0015, 59.1), ("matte", 0.188, 0.0025, 39.3), ("coated_paint", 0.255, 0.0027, 47.7)],
+    [("metal", 0.118, 0.0015, 59.1), ("matte", 0.188, 0.0025, 39.3), ("coated_paint", 0.255, 0.0027, 47.7)],
 )
 def test_the_default_fit_is_as_accurate_as_it_was_has_no_warnings_and_beats_the_paper(
     name: str, excess: float, albedo_error: float, psnr: float, request: pytest.FixtureRequest
