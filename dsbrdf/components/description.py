@@ -61,7 +61,7 @@ class Misfit:
     half_width : float or None
         Ratio minus 1 of the angles theta_half at half of the peak; None for a diffuse part.
     albedo : float
-        Largest difference of a channel's albedo at 0 and 45 degrees, relative to the largest albedo.
+        Largest error of the layers' albedo in any channel at 0 or 45 degrees, relative to the largest albedo.
     """
 
     peak: float | None

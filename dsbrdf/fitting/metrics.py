@@ -144,7 +144,7 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
 
 
 def _column_sums(samples: Array, fit: Array, used: Mask, cosine: Array) -> Array:
-    """Return the sums (6, R) of one theta_half and channel for samples (R, 180)."""
+    """Return six sums over phi_diff (6, R) of one theta_half and channel, in the order of `relative_errors`."""
     counted = used.astype(float)
     count, fit = counted.sum(axis=1), fit * counted
     samples = samples * counted

@@ -209,8 +209,8 @@ class Mixture:
     def lobes(self) -> tuple[Array, Array, Array]:
         """Return the control values of K lobes, the last axis of each array.
 
-        They are log amplitude (D, 3, K), shape (S, 3, K): log kappa, log reach and offset, 0 without a center, and
-        elongation (E, K).
+        The arrays are the log amplitude (D, 3, K), the shape (S, 3, K) and the elongation (E, K). A shape holds log
+        kappa, log reach and the offset of the module's equations; lobes about the normal have offset 0.
         """
         k = self.structure.n_lobes
         amplitude, shape, elongation = self.structure.split(self.unknowns)

@@ -25,8 +25,8 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
 # Ends of narrow panels [rad]; they resolve a spike of 0.01 degrees, and the edge of the delta term at 1 degree.
 _FINE_PANEL_ENDS = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
 _PANEL_WIDTH = np.radians(4.0)  # Width of the panels beyond the narrow ones [rad].
-# Ends of panels, as fractions of the azimuths with omega_in above the horizon. Panels are short near azimuth 0, where
-# theta_diff changes fastest.
+# Ends of panels, as fractions of the azimuths with omega_in above the horizon. Panels are short near azimuth 0, because
+# there theta_diff varies fastest with the azimuth.
 _AZIMUTH_ENDS = np.array([0.0, 0.2, 0.5, 1.0])
 
 

@@ -16,7 +16,7 @@ Family = Literal["hemi_epd", "student"]
 MAX_CENTER = 1.57
 """Maximum distance of a center from the normal [rad]; closer to pi/2, the sign of its tangent is uncertain."""
 _MIN_LOG = -200.0  # Smaller exponents are clipped: squares of their exponentials are slow subnormal numbers.
-_MIN_SINGLE_LOG = -35.0  # In single precision, exponents are clipped here.
+_MIN_SINGLE_LOG = -35.0  # In single precision, squares of smaller exponentials are subnormal.
 
 Slopes = Callable[[], tuple[Array, Array, Array, Array]]
 """Returns derivatives in log kappa, log gamma, the squared tangent of the offset, and this square at the top."""

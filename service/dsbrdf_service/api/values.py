@@ -171,7 +171,7 @@ async def _measured_values(request: Request, context: Context, stored: StoredMea
 async def _points(request: Request, context: Context) -> tuple[Points, str]:
     """Return the points of a query or a body, and the media type of the answer.
 
-    Many points are read in a turn, and much JSON in a process of its own.
+    The points of a body are parsed in the queue of computations; a long JSON text is parsed in a separate process.
     """
     if request.method == "GET":
         return from_query(request.scope["query_string"]), JSON

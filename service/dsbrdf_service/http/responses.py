@@ -20,7 +20,7 @@ JSON = "application/json"
 NPY = "application/x-npy"
 PIECE_BYTES = 1 << 16
 """Length of the pieces of an answer: a connection whose client does not read keeps two of them in memory."""
-_MAX_HELD_BYTES = 1 << 18  # A longer answer of its own is kept in a file while it is sent.
+_MAX_HELD_BYTES = 1 << 18  # A longer answer is written to a temporary file while it is sent.
 # Files are read in their own threads, so that no other request waits for the pieces of many answers.
 _read_in_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(2))
 _WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)

@@ -356,7 +356,7 @@ class Store:
     def _advance(
         self, change: str, values: tuple[object, ...], key: FitKey, condition: str = IS_UNFINISHED
     ) -> FitRow | None:
-        """Apply `change` to a fit in the right state."""
+        """Apply `change` to a fit that meets the condition, and return its row; return None for any other fit."""
         query = f"UPDATE fits SET {change} {_WHERE_FIT} AND {condition} RETURNING {columns(FitRow)}"  # noqa: S608
         with self.database.transaction() as db:
             return _first(db.execute(query, (*values, *key)).fetchall())
