@@ -1,4 +1,4 @@
-"""The HTTP service: takes measurements, returns fitted DSBRDF models, their values and their components.
+"""Run the HTTP service, which takes measurements and returns fitted DSBRDF models, their values and components.
 
 Subpackages and modules, each importing only those to its left: errors, settings, log, storage, access, queue, compute,
 http, api, app, admin, client, client_engine, __main__.

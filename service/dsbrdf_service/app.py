@@ -1,4 +1,4 @@
-"""The application: `create_app` connects its parts, and the lifespan opens and closes them."""
+"""Make the application: `create_app` connects its parts, and the lifespan opens and closes these parts."""
 
 import asyncio
 import sys
@@ -40,11 +40,11 @@ from .storage.store import Store
 
 _REFERENCED: tuple[type[BaseModel], ...] = (FitRequest, NewName, *FORMS, MeasurementDetails)
 _MAX_WORKER_THREADS = 8  # Every thread keeps its own heap after its first request.
-# The longest computation of a request takes some 15 s of a processor, and fits go before it.
+# The longest computation of a request takes some 15 s of processor time, and fits have a higher priority.
 _COMPUTATION_TIMEOUT_S = 120.0
 _COMPUTATION_PROCESSOR_LIMIT_S = 60.0
 _COMPUTATION_NICENESS = 5
-_SWITCH_INTERVAL_S = 0.0005  # A computing thread delays the event loop by so much at most; Python's default is 0.005.
+_SWITCH_INTERVAL_S = 0.0005  # A busy thread delays the event loop at most by this; Python's default is 0.005.
 
 _DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in the MERL format.
 
@@ -77,7 +77,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         queue = FitQueue(store, engine, settings, metrics.fit_meters)
         parts = settings, store, queue, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)
-        await run_in_threadpool(MerlChecker)  # It computes its tables once, before the first upload.
+        await run_in_threadpool(MerlChecker)  # This computes its tables before the first upload.
         await queue.start()
         try:
             yield
@@ -90,9 +90,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 
 def make_engine(settings: Settings) -> Engine:
-    """Return the engine that the settings ask for, not yet started.
+    """Return the engine that the settings select, not yet started.
 
-    Raises MissingExtraError if it needs what is not installed.
+    Raises MissingExtraError if a package that the engine needs is not installed.
     """
     limits = FitLimits(settings.fit_seconds, settings.fit_memory_mb)
     if settings.engine == "dask":
@@ -117,15 +117,15 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     app.state.settings, app.state.store, app.state.metrics, app.state.keys = settings, store, metrics, keys
     app.openapi = cache(partial(openapi.document_of, app, _REFERENCED))  # type: ignore[method-assign]
     access = Access(settings, keys, metrics.requests_in_progress, is_open)
-    # All of the stack: what Starlette and FastAPI add to it would answer errors a second time.
+    # This is the complete middleware stack: the usual stack of Starlette and FastAPI would answer errors a second time.
     stack = AsyncExitStackMiddleware(app.router)  # FastAPI's routes need it.
     app.middleware_stack = RequestLogMiddleware(stack, access, settings, metrics)
-    # Routes are tried in this order, so the fast ones come first. They are the application's own: in routers that it
-    # includes, each would be looked for twice.
+    # Routes are tried in this order, so the fast ones come first. They are added to the application itself, because
+    # routes in an included router are matched twice.
     of_fits = (values.router, fits.router, components.router, exports.router, pictures.router)
     routers = (*of_fits, values.measured, measurements.router, tables.router, about.router, about.page)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     for route in given:
-        route.unique_id = route.name  # Links and generated clients use it as the name of the operation.
+        route.unique_id = route.name  # Links and generated clients use this name for the operation.
     app.router.routes.extend(given)
     return app

@@ -1,4 +1,4 @@
-"""The service from Python: the library's own objects and errors, over HTTP.
+"""Use the service from Python, with the objects and errors of the library.
 
 with Client("http://127.0.0.1:8000") as client:
     result = client.fit("nickel.binary")  # Like dsbrdf.fit.
@@ -29,10 +29,10 @@ from .queue.fit_options import to_wire
 
 Source = str | os.PathLike[str] | bytes | Measurement
 Document = dict[str, Any]
-"""A fit as ``GET /v1/fits/{id}`` describes it."""
+"""JSON document of a fit, as ``GET /v1/fits/{id}`` returns it."""
 
-_POLL_S = 20.0  # One request waits so long for a fit.
-_PROGRESS_POLL_S = 0.5  # One request waits so long if the caller wants to see the progress.
+_POLL_S = 20.0  # One request waits for a fit at most for this time.
+_PROGRESS_POLL_S = 0.5  # With a progress callback, one request waits at most for this time.
 _LIBRARY_ERRORS: dict[str, type[Exception]] = {
     "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
     "urn:dsbrdf:problem:measurement-too-large": MeasurementFormatError,
@@ -42,10 +42,10 @@ _LIBRARY_ERRORS: dict[str, type[Exception]] = {
 
 
 class ServiceError(Exception):
-    """The service could not do what was asked, for a reason other than the measurement or the options.
+    """The service could not fulfil a request, for a reason other than the measurement or the options.
 
-    `problem` is the problem document, or has at least ``status`` and ``title``. The status is 401 if the service wants
-    another key, and 429 if the key has reached a limit.
+    `problem` is the problem document, or has at least ``status`` and ``title``. The status is 401 if the key is
+    missing or wrong, and 429 if the key has reached a limit.
     """
 
     def __init__(self, problem: Mapping[str, Any]) -> None:
@@ -54,17 +54,17 @@ class ServiceError(Exception):
 
 
 class Client:
-    """Connection to a service.
+    """Connect to a service.
 
     Parameters
     ----------
     base_url : str
         Address of the service.
     key : str, optional
-        API key; by default that of the environment variable ``DSBRDF_KEY``, if there is one.
+        API key; by default the value of the environment variable ``DSBRDF_KEY``, if it is set.
     timeout : float
-        Longest time without an answer, besides the wait for a fit [s]. During this time, a request that the service
-        refuses for now is sent again after the pauses that the service names.
+        Maximum time without an answer, besides the wait for a fit [s]. During this time, a request that the service
+        refuses temporarily is sent again after the pause in ``Retry-After``.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Client:
             base_url=base_url,
             headers={"Authorization": f"Bearer {key}"} if key else {},
             timeout=httpx.Timeout(timeout, read=timeout + _POLL_S),
-            # The service closes idle connections after 5 s; a connection that it may be closing is not used again.
+            # The service closes idle connections after 5 s; a connection that may be closing is not used again.
             limits=httpx.Limits(keepalive_expiry=2.0),
         )
 
@@ -103,26 +103,26 @@ class Client:
         name: str | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> FitResult:
-        """Fit a measurement; return what `dsbrdf.fit` returns, bit for bit.
+        """Fit a measurement; return the same result as `dsbrdf.fit`, bit for bit.
 
         Parameters
         ----------
         measurement : path-like, bytes or Measurement
-            A file as `dsbrdf.fit` takes it, the bytes of a MERL file, or a measurement. It is sent only if the service
-            does not have it.
+            A file as for `dsbrdf.fit`, the bytes of a MERL file, or a measurement. The measurement is sent only if the
+            service does not have it.
         options : FitOptions, optional
-            Defaults to ``FitOptions()``.
+            Options of the fit; ``FitOptions()`` by default.
         table : TableOptions, optional
-            How a table is read.
+            Options for reading a table.
         name : str, optional
-            What the service calls the measurement and the fit; by default the name that they have, or the file's.
+            Name of the measurement and the fit in the service; by default the present name, or that of the file.
         progress : callable, optional
             Called with the progress, 0 to 1, about twice a second.
 
         Raises
         ------
         MeasurementFormatError, InvalidArgumentError, FitError
-            As the library does, with the same sentence.
+            In the same cases as `dsbrdf.fit`, with the same sentence.
         ServiceError
             If the service failed, or the fit was cancelled.
         ConnectionError
@@ -140,7 +140,7 @@ class Client:
         table: TableOptions = AS_WRITTEN,
         name: str | None = None,
     ) -> Document:
-        """Ask for a fit without waiting for it; return its document. Parameters and errors as `fit`."""
+        """Request a fit without waiting for it; return the fit's document. Parameters and errors are as for `fit`."""
         options = options or FitOptions()
         document = {"measurement": self.upload(measurement, table, name=name), "options": to_wire(options)}
         headers = {"Prefer": "respond-async"}
@@ -148,12 +148,12 @@ class Client:
         return found
 
     def get(self, fit_id: str, *, wait: float = 0.0) -> Document:
-        """Return the document of a fit, after at most `wait` seconds or when it has ended."""
+        """Return the document of a fit, when the fit has ended or after at most `wait` seconds."""
         found: Document = self._call("GET", f"/v1/fits/{fit_id}", {"wait": wait}).json()
         return found
 
     def wait(self, fit: Document, progress: Callable[[float], None] | None = None) -> Document:
-        """Return the document of a fit when it has ended; parameters and errors as `fit`."""
+        """Wait until a fit has ended, and return its document; parameters and errors are as for `fit`."""
         while fit["status"] in ("accepted", "running"):
             if progress is not None:
                 progress(fit["progress"])
@@ -176,9 +176,9 @@ class Client:
         return self._call("GET", f"/v1/fits/{fit_id}/export", {"format": "json"}).text
 
     def upload(self, measurement: Source, options: TableOptions = AS_WRITTEN, *, name: str | None = None) -> str:
-        """Make sure that the service has a measurement, and return its sha256; parameters and errors as `fit`.
+        """Make sure that the service has a measurement, and return its sha256; parameters and errors are as for `fit`.
 
-        A table is read here, with its options, and sent as a file of samples.
+        The client reads a table with its options, and sends it as a file of samples.
         """
         headers, own_name = {"Content-Type": "application/octet-stream"}, None
         if isinstance(measurement, str | os.PathLike):
@@ -199,13 +199,13 @@ class Client:
             if error.problem["status"] != 404:
                 raise
             if own_name is not None:
-                with suppress(InvalidArgumentError):  # The service would refuse such a name.
+                with suppress(InvalidArgumentError):  # The service would refuse the name.
                     name = name or check_name(own_name)
             self._call("POST", "/v1/measurements", {"name": name}, content=measurement, headers=headers)
         return sha256
 
     def _call(self, method: str, url: str, params: Mapping[str, Any] | None = None, **request: Any) -> httpx.Response:
-        """Send a request, again while it is refused for now, and return the successful response.
+        """Send a request, repeat it while the service refuses it temporarily, and return the successful response.
 
         Parameters that are None are left out.
         """
@@ -230,7 +230,7 @@ class Client:
 
 def _error(answer: httpx.Response) -> Exception:
     problem: dict[str, Any] = {"status": answer.status_code, "title": f"{answer.status_code} {answer.reason_phrase}"}
-    with suppress(json.JSONDecodeError):  # A proxy answers without JSON.
+    with suppress(json.JSONDecodeError):  # A proxy may answer without JSON.
         problem |= answer.json()
     kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
     return ServiceError(problem) if kind is None else kind(problem["detail"])

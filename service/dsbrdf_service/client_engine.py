@@ -1,4 +1,4 @@
-"""A service elsewhere as an engine, for ``dsbrdf fit --url``."""
+"""Use a remote service as an engine, for ``dsbrdf fit --url``."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -12,9 +12,9 @@ from .client import Client, ServiceError
 
 
 class ClientEngine:
-    """Requests at most `count` fits at once from the service at `url`.
+    """Request at most `count` fits at once from the service at `url`.
 
-    The environment variable ``DSBRDF_KEY`` has the key, if one is needed.
+    The environment variable ``DSBRDF_KEY`` contains the API key, if the service needs a key.
     """
 
     def __init__(self, url: str, count: int) -> None:
@@ -25,15 +25,15 @@ class ClientEngine:
         """Request a fit.
 
         The future raises ConnectionError if the service cannot be reached, or fails for another reason than the
-        measurement or the options. It raises InvalidArgumentError if the service wants a key.
+        measurement or the options. It raises InvalidArgumentError if the service needs another API key.
         """
         return self._threads.submit(self._fit, task, on_progress)
 
     def check(self) -> None:
-        """Do nothing: the first fit says whether the service answers."""
+        """Do nothing, because the first fit shows whether the service answers."""
 
     def close(self) -> None:
-        """Give up the requested fits, and close the connections."""
+        """Stop waiting for the requested fits, and close the connections."""
         self._client.close()
         self._threads.shutdown(cancel_futures=True)
 

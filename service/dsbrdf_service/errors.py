@@ -1,4 +1,4 @@
-"""The errors that the service raises on purpose; `http.problems` answers the library's and the machine's as well."""
+"""Define the errors that the service raises; `http.problems` turns these and other errors into answers."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -34,8 +34,8 @@ class DatabaseLostError(DSBRDFServiceError, OSError):
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 
-    `kind` is a key of `http.problems.KINDS`, which has the status. `detail` is one sentence that says what is wrong,
-    and how to mend it. The response gets `headers`.
+    `kind` is a key of `http.problems.KINDS`, which has the status. `detail` is one sentence with the mistake and the
+    remedy. The response gets `headers`.
     """
 
     def __init__(self, kind: str, detail: str, headers: Mapping[str, str] | None = None) -> None:
@@ -69,7 +69,7 @@ class MeasurementNotFoundError(ProblemError):
 
 
 class MeasurementDamagedError(ProblemError):
-    """The file of a measurement is missing, or its bytes have another sha256: it must be uploaded again."""
+    """The file of a measurement is missing, or its sha256 is wrong, so the measurement must be uploaded again."""
 
     def __init__(self, damage: str) -> None:
         super().__init__("measurement-damaged", f"The stored measurement is damaged ({damage}); upload it again.")

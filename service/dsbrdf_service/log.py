@@ -1,7 +1,7 @@
-"""The service's log: every line of this process, whoever writes it, on stderr: JSON, or words at a terminal.
+"""Write the log of this process to stderr, as lines of JSON, or as plain text if stderr is a terminal.
 
-A line carries the id of the request that caused it, and whatever else was bound, also in the tasks and threads that the
-request has started. Texts that look like keys are cut out of every line. Long texts are cut off.
+A line contains the id of the request that caused it, and other bound values, also in tasks and threads that the request
+started. Texts that look like keys are removed from every line, and long texts are truncated.
 """
 
 import json
@@ -22,22 +22,22 @@ from typing import Any
 from .settings import Settings
 
 _SECRETS = re.compile(r"(dsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic)\s+)[\w.~+/=-]{8,})")
-# Every record has these attributes, and uvicorn adds the message with colours; all others were given as `extra`.
+# Every record has these attributes, and uvicorn adds `color_message`; other attributes were passed as `extra`.
 _NOT_SHOWN = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime", "color_message"))
-_MAX_VALUE_LENGTH = 500  # [characters] Longer values in a line are cut off.
+_MAX_VALUE_LENGTH = 500  # [characters] Longer values in a line are truncated.
 _MAX_TRACEBACK_LENGTH = 20_000  # [characters]
 _bound: ContextVar[Mapping[str, str]] = ContextVar("bound", default=MappingProxyType({}))
-_MAX_QUEUED_LINES = 2000  # Further lines are dropped and counted until a reader takes some.
+_MAX_QUEUED_LINES = 2000  # Further lines are dropped and counted until lines have been written.
 _FLUSH_TIMEOUT_S = 1.0
 
 
 def bind(name: str, value: str) -> None:
-    """Add a value to all lines that this task logs from now on, and the tasks and threads that it starts."""
+    """Add a value to all further lines that this task logs, and that tasks and threads started by it log."""
     _bound.set({**_bound.get(), name: value})
 
 
 def configure(settings: Settings) -> None:
-    """Write all log lines and warnings of this process to stderr, from the level of the settings on."""
+    """Write log lines and warnings of this process to stderr, at or above the level in the settings."""
     handler = LogWriter(sys.stderr.fileno())
     logging.basicConfig(handlers=[handler], level=settings.log_level.upper(), force=True)
     handler.setFormatter(LineFormatter(in_words=sys.stderr.isatty()))
@@ -45,10 +45,10 @@ def configure(settings: Settings) -> None:
 
 
 class LogWriter(logging.Handler):
-    """A handler whose own thread writes the lines, so that logging never waits for a slow reader of the log.
+    """Write lines in a separate thread, so that logging never waits for a slow reader of the log.
 
-    When the queue is full, lines are dropped and counted, and the count is logged. The thread writes to the descriptor
-    itself: it would hold the lock of a Python stream as long as nobody reads.
+    When the queue is full, lines are dropped and counted, and the count is logged. The thread writes to the descriptor,
+    because a blocked write to a Python stream would hold the lock of the stream.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -81,14 +81,14 @@ class LogWriter(logging.Handler):
                 lines.append(self.format(logging.makeLogRecord(about)))
                 n_reported = n_dropped
             rest = "".join(f"{line}\n" for line in lines).encode(errors="replace")
-            with suppress(OSError):  # The reader of the log has gone.
+            with suppress(OSError):  # The reader of the log has ended.
                 while rest:
                     rest = rest[os.write(self._descriptor, rest) :]
             self._lines.task_done()
 
 
 class LineFormatter(logging.Formatter):
-    """A formatter that makes one line of a record: JSON, or words with time, level and event first."""
+    """Format a record as one line: JSON, or plain text that begins with time, level and event."""
 
     def __init__(self, *, in_words: bool = False) -> None:
         super().__init__()
@@ -117,9 +117,9 @@ class LineFormatter(logging.Formatter):
 
 
 def _shown(value: Any, max_length: int) -> Any:
-    """Return a number as it is, and anything else as a text without keys, cut off at `max_length` characters.
+    """Return a number unchanged, and anything else as a text without keys, truncated to `max_length` characters.
 
-    Keys are removed before the text is cut: a part of a key would not be recognised.
+    Keys are removed before the text is truncated, because a part of a key would not be recognised.
     """
     if value is None or isinstance(value, int | float):
         return value

@@ -1,4 +1,4 @@
-"""Everything that an operator may set, from the environment (prefix ``DSBRDF_``) or the command line."""
+"""Define the settings of the service, from the environment (prefix ``DSBRDF_``) or the command line."""
 
 import ipaddress
 from pathlib import Path
@@ -17,7 +17,7 @@ _MAX_LIMIT = 10**12  # The database cannot store any greater limit.
 
 
 class Settings(BaseSettings):
-    """Settings of one service; the environment variable of ``data_dir`` is ``DSBRDF_DATA_DIR``, and so on."""
+    """Hold the settings of one service; the environment variable of ``data_dir`` is ``DSBRDF_DATA_DIR``, and so on."""
 
     model_config = SettingsConfigDict(env_prefix=PREFIX, env_ignore_empty=True, frozen=True)
 
@@ -89,7 +89,7 @@ class Settings(BaseSettings):
 
     @property
     def loopback(self) -> bool:
-        """Whether the address can be reached from this machine only."""
+        """Whether only this machine can reach the address."""
         if self.host == "localhost":
             return True
         try:

@@ -1,4 +1,4 @@
-"""Access control: API keys, and users without one on this machine.
+"""Control access by API keys, and by users of this machine without a key.
 
-`keys` reads the keys with their limits; `authentication` admits requests or refuses them.
+`keys` reads the keys with their limits; `authentication` admits or refuses requests.
 """

@@ -1,8 +1,8 @@
-"""Authentication: whose request it is, whether it is allowed, how often, and how many at once.
+"""Authenticate requests, and limit their rate and their number at once.
 
-A key is needed where other machines can reach the service. On loopback the local user needs none. Two kinds of requests
-reach loopback without being the user's own, and are refused: those of another site's page in the user's browser, and
-those to a foreign host name that was made to resolve to this machine.
+An API key is needed if other machines can reach the service. On loopback, the local user needs no key. Two kinds of
+requests reach loopback but are not from the local user, and are refused: requests of another site's page in the user's
+browser, and requests to a foreign host name that was made to resolve to this machine.
 """
 
 import math
@@ -23,16 +23,16 @@ HEALTH = ("/health/live", "/health/ready")
 CALLER = "dsbrdf.caller"
 """Member of the ASGI scope: the `Caller` whose rows the request sees."""
 CALLER_NAME = "dsbrdf.caller_name"
-"""Member of the ASGI scope: the key or the address that the request counts for."""
+"""Member of the ASGI scope: the key or the address under which the request is counted."""
 _LOCAL = Caller()
 # Names without a dot are allowed: nobody outside of the local network can make them resolve to this machine.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 
 
 class Access:
-    """Admits requests with their callers, or refuses them; one caller can take half of all places.
+    """Admit or refuse requests; one caller can have half of all requests in progress.
 
-    `is_open` says whether a path shows nothing that belongs to a key.
+    `is_open` tells whether a path shows no data of any key.
     """
 
     def __init__(self, settings: Settings, keys: Keys, in_progress: Gauge, is_open: Callable[[str], bool]) -> None:
@@ -45,10 +45,10 @@ class Access:
         in_progress.set_function(lambda: self._places - self._free)
 
     def admit(self, scope: Scope, headers: dict[bytes, bytes]) -> str | None:
-        """Count a request and return its key or its address; None if it asks for the service's health.
+        """Count a request and return its key or its address; None for requests of the service's health.
 
-        Raises ProblemError if the request is not allowed, or all places are taken, or the caller has more requests in
-        progress than places are free.
+        Raises ProblemError if the request is not allowed, if the number of requests in progress is at its limit, or if
+        the caller has as many requests in progress as are left to all callers.
         """
         path = scope["path"]
         if path in HEALTH:
@@ -64,7 +64,7 @@ class Access:
                 caller = f"key {scope[CALLER].owner}"
             else:
                 self._check_local(headers)
-            if not path.isprintable():  # A route takes a line break for the end of the path.
+            if not path.isprintable():  # A route would read a line break as the end of the path.
                 raise ProblemError("not-found", "The path has a control character; GET /docs lists all paths.")
         scope[CALLER_NAME] = caller
         number = self._in_progress[caller]
@@ -76,7 +76,7 @@ class Access:
         return caller
 
     def release(self, caller: str | None) -> None:
-        """Release the place of a request."""
+        """Count a request as ended."""
         if caller is not None:
             self._free += 1
             self._in_progress[caller] -= 1
@@ -86,7 +86,7 @@ class Access:
     def _owner(self, scope: Scope) -> Caller:
         """Return the owner of the key that a request sends, and count the request.
 
-        A key is checked even where none is needed. Two keys are refused, because either could be meant.
+        A key is checked even if none is needed. Two keys are refused, because it is unclear which one counts.
         """
         sent = [value for name, value in scope["headers"] if name == b"authorization"]
         scheme, _, text = sent[0].partition(b" ")

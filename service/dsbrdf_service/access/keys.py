@@ -1,7 +1,7 @@
-"""API keys and their limits.
+"""Manage API keys and their limits.
 
-A key is ``dsbrdf_<id>_<secret>``. The database has the sha256 of its secret only: a secret of 32 random bytes cannot
-be guessed from its hash, so a slow hash would add nothing. The id is public, and owns all that is stored with the key.
+A key is ``dsbrdf_<id>_<secret>``. The database stores only the sha256 of the secret: a secret of 32 random bytes cannot
+be guessed from its hash, so a slow hash would add nothing. The public id owns all data that are stored with the key.
 """
 
 import hashlib
@@ -33,18 +33,18 @@ def add_key(database: Database, name: str, **fields: Any) -> tuple[str, str]:
 
 
 class Keys:
-    """The active keys of a database, which is read at each request; `settings` has the default limits."""
+    """Find the active keys of a database, which is read at each request; `settings` has the default limits."""
 
     def __init__(self, settings: "Settings") -> None:
         self._usual = settings.key_requests_per_second, settings.key_stored_mb, settings.key_queued_fits
-        self._paid_until: dict[str, float] = {}  # By key: when its requests so far end at the rate that it may have.
+        self._paid_until: dict[str, float] = {}  # By key: the time until which its requests use up its rate.
 
     def open(self, database: Database) -> None:
         """Set the database, before the first request."""
         self._database = database
 
     def find(self, text: bytes) -> Caller | None:
-        """Return the caller whose key has this text, or None; the time does not tell which part of it is wrong."""
+        """Return the caller whose key has this text, or None; the duration does not reveal which part is wrong."""
         parts = _KEY.fullmatch(text)
         if parts is None:
             return None
@@ -60,7 +60,7 @@ class Keys:
     def wait(self, caller: Caller) -> float:
         """Count a request and return 0, or return the time until the next one may come [s].
 
-        A burst may have the requests of five seconds, and always one.
+        A burst may have the requests of five seconds, and at least one.
         """
         now, each = monotonic(), 1.0 / caller.requests_per_second
         begin = max(now, self._paid_until.get(caller.owner, now))

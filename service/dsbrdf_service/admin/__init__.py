@@ -1,5 +1,5 @@
-"""The commands ``dsbrdf serve``, ``keys``, ``purge`` and ``doctor``, a module each, which has a `main`.
+"""Define the commands ``dsbrdf serve``, ``keys``, ``purge`` and ``doctor``, each by a module with a `main`.
 
-All but `serve` work on a data folder beside a running server too; they import neither NumPy nor pydantic nor
-FastAPI, so that they answer at once.
+All commands except `serve` may be used while a server runs. They import neither NumPy nor pydantic nor FastAPI, so
+that they answer at once.
 """

@@ -1,4 +1,4 @@
-"""The data folder of a command, and the errors with which commands on a folder end."""
+"""Find the data folder of a command, and report the errors of commands that work on a folder."""
 
 import os
 import sqlite3
@@ -20,9 +20,9 @@ Json = Annotated[bool, Parameter(help="Print one JSON document instead of text."
 
 
 def data_folder(given: Path | None, *, existing: bool = True) -> Path:
-    """Return the given data folder, or else the folder that the environment names, or else the default one.
+    """Return the given data folder, or the folder in ``DSBRDF_DATA_DIR``, or the default folder.
 
-    Raises DataFolderError if it must be an `existing` one and no service has made it.
+    Raises DataFolderError if an `existing` folder is needed and no service has made it.
     """
     folder = given or Path(os.environ.get("DSBRDF_DATA_DIR") or DEFAULT_DATA_DIR)
     if existing and not is_data_folder(folder):
@@ -34,7 +34,7 @@ def run_on_folder(app: App, words: Sequence[str]) -> int:
     """Run an application that works on a data folder with the arguments `words`; return the exit code."""
     try:
         return run_words(app, words)
-    except BrokenPipeError:  # The reader of the output has left; the caller handles that.
+    except BrokenPipeError:  # The reader of the output has ended; the caller handles this.
         raise
     except (DataFolderError, OSError) as error:
         return refuse(str(error))

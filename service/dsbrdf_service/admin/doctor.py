@@ -1,4 +1,4 @@
-"""The command ``dsbrdf doctor``: check the stored database and every stored file, without changing anything."""
+"""Define ``dsbrdf doctor``, which checks the stored database and every stored file without changing anything."""
 
 import sqlite3
 from collections.abc import Sequence
@@ -61,4 +61,4 @@ def _files(folder: Path) -> tuple[bool, str]:
 
 
 CHECKS = {"database": _database, "measurements": _measurements, "files": _files}
-"""The checks in their order; each returns whether all is well, and one sentence."""
+"""The checks in their order; each returns whether it found no fault, and one sentence."""

@@ -1,4 +1,4 @@
-"""The command ``dsbrdf keys``: add, list and revoke API keys, also while a server runs."""
+"""Define ``dsbrdf keys``, which adds, lists and revokes API keys, also while a server runs."""
 
 from collections.abc import Sequence
 from contextlib import closing
@@ -72,7 +72,7 @@ def _revoke(key_id: _KeyId, /, *, data_dir: DataDir = None) -> int:
     with closing(Database(data_folder(data_dir), exclusive=False)) as database:
         if revoke_key(database, key_id):
             return 0
-    # The argument is not repeated: it could be a whole key.
+    # The message does not repeat the argument, because it could be a whole key.
     return refuse("there is no key with this id; dsbrdf keys list shows the ids")
 
 

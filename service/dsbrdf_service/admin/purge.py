@@ -1,7 +1,7 @@
-"""The command ``dsbrdf purge``: remove what is older than a given age, also while a server runs.
+"""Define ``dsbrdf purge``, which removes fits and measurements older than a given age, also while a server runs.
 
-Fits are removed when they ended longer ago, measurements when they were stored longer ago and no remaining fit of their
-owner uses them, files after the last row of any owner. Files that have no row at all go only when that is asked for.
+A fit is removed if it ended before that age. A measurement is removed if it was stored before that age and no remaining
+fit of its owner uses it. A file is removed after its last row of any owner; files without rows are removed on request.
 """
 
 import time

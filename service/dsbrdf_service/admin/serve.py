@@ -1,4 +1,4 @@
-"""The command ``dsbrdf serve``: run the HTTP service, with some of the settings as flags."""
+"""Define ``dsbrdf serve``, which runs the HTTP service, with some of the settings as flags."""
 
 import asyncio
 import faulthandler
@@ -34,8 +34,8 @@ from ..storage.store import Store
 from .data_folder import refuse
 
 _CONNECTIONS_PER_REQUEST = 8  # Most connections are idle; further ones are refused.
-_CLEANUP_TIMEOUT_S = 5.0  # Closing all parts after the last request takes less; then the process is ended.
-_INTERPRETER_EXIT_TIMEOUT_S = 60.0  # A thread that still hangs ends with the process then.
+_CLEANUP_TIMEOUT_S = 5.0  # If closing all parts takes longer, the process is ended.
+_INTERPRETER_EXIT_TIMEOUT_S = 60.0  # After this time, the process ends even if a thread hangs.
 
 logger = logging.getLogger(__name__)
 _PURPOSE = "Run the HTTP service. Further settings are environment variables that begin with DSBRDF_."
@@ -67,7 +67,7 @@ def serve(
                 f"{settings.host} can be reached from other machines and there is no API key: add one with "
                 "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
             )
-        make_engine(settings)  # Raises now if a library is missing.
+        make_engine(settings)  # This raises an error now if a library is missing.
         store = Store(settings.data_dir)  # No other server can open the folder from here on.
     except (DataFolderError, MissingExtraError) as error:
         return refuse(str(error))
@@ -116,13 +116,13 @@ def _run(settings: Settings, store: Store) -> int:
     server = _Server(config)
     logger.info("dsbrdf %s serves the data folder %s", app.version, settings.data_dir.resolve())
     server.run()
-    # All parts are closed. On a busy machine the end of the interpreter takes seconds, which is no failure.
+    # All parts are closed. On a busy machine, the exit of the interpreter takes seconds, which is not a failure.
     faulthandler.dump_traceback_later(_INTERPRETER_EXIT_TIMEOUT_S, exit=True)
     return 0 if server.started else 1
 
 
 class _Server(uvicorn.Server):
-    """A server that ends all waits for fits before it waits for the open requests to end."""
+    """Run uvicorn's server, which ends all waits for fits at shutdown before it waits for open requests."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -137,7 +137,7 @@ class _Server(uvicorn.Server):
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to serve, and print the address at a terminal."""
+        """Start the server, and print its address if stdout is a terminal."""
         await super().startup(sockets)
         if self.started and sys.stdout.isatty():
             host, port = self.servers[0].sockets[0].getsockname()[:2]
@@ -146,9 +146,9 @@ class _Server(uvicorn.Server):
             )
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Stop accepting requests and let those in progress end soon."""
+        """Stop accepting requests, and let the requests in progress end soon."""
         context: Context = cast(FastAPI, self.config.app).state.context
-        # If a part hangs, the process ends all the same: accepted fits are stored, and the next start cleans up.
+        # If a part hangs, the process is ended anyway: accepted fits are stored, and the next start cleans up.
         faulthandler.dump_traceback_later(context.settings.shutdown_seconds + _CLEANUP_TIMEOUT_S, exit=True)
         context.readiness.stop()
         context.queue.release_waiters()
@@ -156,7 +156,7 @@ class _Server(uvicorn.Server):
 
 
 def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
-    """Return one sentence that names the flag or the environment variable of each setting that is wrong."""
+    """Return a sentence that names the flag or the environment variable of each wrong setting."""
     faults = []
     for fault in error.errors():
         name = str(fault["loc"][0])
@@ -166,7 +166,7 @@ def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
 
 
 def _raise_descriptor_limit() -> None:
-    """Raise the limit of open files to the maximum; the usual limit is below the number of connections."""
+    """Raise the limit of open files to the maximum, because the usual limit is below the number of connections."""
     _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(OSError, ValueError):  # Some systems report more than they allow.
         resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))

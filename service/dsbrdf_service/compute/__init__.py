@@ -1,5 +1,5 @@
-"""Computations for requests.
+"""Run computations for requests.
 
-`computations` runs each of them once, in fair turns; `steps` has the functions that run in processes of their own;
-`models` caches fitted models.
+`computations` runs equal computations once, in fair turns of the callers; `steps` has the functions that run in
+separate processes; `models` caches fitted models.
 """

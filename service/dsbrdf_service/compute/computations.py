@@ -1,7 +1,7 @@
-"""Run computations for requests: equal ones once, in fair turns of the callers, as long as a request waits.
+"""Run computations for requests: equal computations run once, callers take turns, and abandoned ones are cancelled.
 
-Every route that computes more than a few values uses `Computations`. A computation of more than some 50 ms runs in a
-process of its own.
+Every route that computes more than a few values uses `Computations`. A computation that takes more than some 50 ms
+runs in a separate process.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ from ..storage.writing import Writing
 T = TypeVar("T")
 
 Place = Literal["short", "medium", "long"]
-"""Place of a computation by its duration: at most some 50 ms, about a second, or longer."""
+"""Class of a computation by its duration: at most some 50 ms, about a second, or longer."""
 _TOO_COSTLY = {
     "MemoryLimit": "The computation takes more than {0.memory_mb} MB, its limit; ask for fewer values at once.",
     "ProcessorLimit": "The computation takes more than {0.processor_seconds:g} s, its limit; ask for fewer values.",
@@ -47,11 +47,11 @@ class _Computation:
 
 
 class Computations:
-    """Computes one thing at a time in each place; callers take turns there.
+    """Run at most one computation of each `Place` at a time; callers take turns.
 
-    A computation is cancelled when the last client that waits for it has closed its connection: its process is killed,
-    and a call in a thread keeps its turn until it returns. Every process has the `limits`; their niceness is for the
-    long computations alone.
+    A computation is cancelled when the last client that waits for it has closed its connection. Then its process is
+    killed, but a call in a thread keeps its turn until it returns. Every process has the `limits`, except that their
+    niceness applies only to long computations.
     """
 
     def __init__(self, limits: FitLimits) -> None:
@@ -60,7 +60,7 @@ class Computations:
         at_once = replace(limits, niceness=0)
         self._processes = {"medium": Processes(1, at_once), "long": Processes(1, limits)}
         self._in_progress: dict[Hashable, _Computation] = {}
-        # Files that answers still send, by the key of their computation.
+        # Files that are still being sent, by the key of their computation.
         self._files: WeakValueDictionary[Hashable, OpenFile] = WeakValueDictionary()
 
     async def run(self, request: Request, key: Hashable, compute: Callable[[], T]) -> T:
@@ -82,10 +82,10 @@ class Computations:
         *arguments: Any,
         place: Place = "medium",
     ) -> Any:
-        """Call ``step(*arguments, on_progress)`` in a process of its own and return its result.
+        """Call ``step(*arguments, on_progress)`` in a separate process and return its result.
 
         `step` must be importable without the service, and `arguments` must be picklable; `key` is as for `run`. Raises
-        InvalidArgumentError too if the step refuses its arguments, and ProblemError if it fails.
+        the errors of `run`, InvalidArgumentError if the step refuses its arguments, and ProblemError if it fails.
         """
         return await self._wait(request, key, partial(self._called, place, step, *arguments), place)
 
@@ -117,7 +117,8 @@ class Computations:
 
         The file is deleted when the last answer has sent it; until then, all requests with its `key` get this file.
 
-        Raises OSError too if the file cannot be written, and ProblemError if the caller has too many files in progress.
+        Raises the errors of `run_in_process`, OSError if the file cannot be written, and ProblemError if the caller has
+        too many files in progress.
         """
 
         async def work() -> OpenFile:
@@ -169,11 +170,11 @@ class Computations:
         if key in self._in_progress and self._in_progress[key].task is task:
             del self._in_progress[key]
         if task.done() and not task.cancelled():
-            task.exception()  # asyncio would log an exception that nobody has read.
+            task.exception()  # Otherwise asyncio would log that the exception was not read.
 
 
 async def departure(request: Request) -> None:
     """Return when the client has closed the connection."""
-    with suppress(ProblemError):  # A body that nobody reads may arrive too slowly.
+    with suppress(ProblemError):  # The rest of the body may arrive too slowly.
         while (await request.receive())["type"] != "http.disconnect":
             pass

@@ -1,4 +1,4 @@
-"""A cache of fitted models with their components, so that a request for values parses nothing."""
+"""Cache fitted models with their components, so that requests for values do not parse stored results."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from ..storage.store import Store
 
 @dataclass(frozen=True)
 class LoadedFit:
-    """A fit's model with its components, and its report."""
+    """Hold the model of a fit with its components, and the report of the fit."""
 
     decomposition: Decomposition
     report: FitReport | None
@@ -26,7 +26,7 @@ class LoadedFit:
         return self.decomposition.model
 
     def part(self, label: str | None) -> DSBRDF | Component:
-        """Return the model, or one of its components; raise ProblemError if that has no light."""
+        """Return the model, or its component with a label; raise ProblemError if the model has no such component."""
         if label is None:
             return self.model
         labels = self.decomposition.labels
@@ -37,7 +37,7 @@ class LoadedFit:
 
 
 class ModelCache:
-    """The `size` models used last, by fit."""
+    """Cache the `size` models that were used last, by fit."""
 
     def __init__(self, store: Store, size: int) -> None:
         self._store = store
@@ -47,14 +47,14 @@ class ModelCache:
     async def get(self, key: FitKey) -> LoadedFit:
         """Return the model of a fit; raise ProblemError if there is no such fit, or it has no result.
 
-        The store is asked each time: another process may have deleted the fit, or computed it once more.
+        The store is queried each time, because another process may have deleted the fit or computed it again.
         """
         stamp = self._store.result_stamp(key)
         if (key, stamp) in self._models:
             self._models.move_to_end((key, stamp))
             return self._models[key, stamp]
         loaded = LoadedFit(*await run_in_threadpool(lambda: fit_from_json(self._store.result(key).decode())))
-        if stamp is not None:  # Without a stamp, the fit has ended since it was read.
+        if stamp is not None:  # Without a stamp, the fit ended after it was read.
             loaded = self._models.setdefault((key, stamp), loaded)  # Another request may have loaded it meanwhile.
             if len(self._models) > self._size:
                 self._models.popitem(last=False)

@@ -1,7 +1,7 @@
-"""Functions that `Computations.run_in_process` calls in processes of their own.
+"""Define the functions that `Computations.run_in_process` calls in separate processes.
 
-Every such process imports this module, so the module imports nothing of the service. The caller has checked the files
-of measurements whose paths it gives.
+Every such process imports this module, so the module imports nothing of the service. The caller has already checked
+the files of measurements whose paths it passes.
 """
 
 import hashlib
@@ -60,19 +60,19 @@ _SAMPLE_FIGURES: dict[str, Callable[[ScatteredSamples, DSBRDF], "Figure"]] = {
     "parameters": lambda samples, model: parameters_figure(model, title=samples.name),
     "residual": samples_residual_figure,
 }
-_MIN_LOGARITHM_VALUE = 1e-6  # [1/sr] `interpolate` adds it to each value, too.
+_MIN_LOGARITHM_VALUE = 1e-6  # [1/sr] It is added to each value, as in `interpolate`.
 
 
 @dataclass(frozen=True)
 class StoredMeasurement:
-    """A measurement that is stored."""
+    """Locate a stored measurement."""
 
     path: Path
     sha256: str
-    name: str | None = None  # Titles of figures show it, or the beginning of the digest without a name.
+    name: str | None = None  # Figures have this title, or the beginning of the digest.
 
     def mapped(self) -> Measurement:
-        """Return the measurement, whose file is mapped."""
+        """Return the measurement, with its file mapped into memory."""
         return replace(map_merl(self.path, self.sha256), name=self.name or self.sha256[:12])
 
 
@@ -82,9 +82,9 @@ Material = ReflectanceModel | StoredMeasurement
 def sphere_step(
     file_format: str, whole: Material, part: Material, light: str | NDArray[np.float32], size: int, _: OnProgress
 ) -> bytes:
-    """Return a lit sphere of a `part` of a model, or of all of it, or of a measurement; the light may be a panorama.
+    """Return a lit sphere of a model, a `part` of a model, or a measurement; the light may be a panorama.
 
-    It is a .png with the exposure of the `whole`, or a .npy of linear RGB radiance, float32 rows from the top.
+    The sphere is a .png with the exposure of the `whole`, or a .npy of linear RGB radiance, float32 rows from the top.
     """
     around = light if isinstance(light, str) else EnvironmentMap.from_pixels(light)
 
@@ -109,7 +109,7 @@ def measured_step(
 def table_step(stored: StoredMeasurement, path: Path, _: OnProgress) -> None:
     """Write a .npy of ln(value + 1e-6) of a measurement at all nodes, float16 (theta_half, theta_diff, phi_diff, RGB).
 
-    Between nodes linear interpolation of them is that of `interpolate`.
+    Linear interpolation of this table between its nodes equals `interpolate`.
     """
     known = stored.mapped().interpolated
     channels = zip(known.measurement.stored, known.measurement.scale, cycle(known.source), strict=False)
@@ -132,15 +132,15 @@ def figure_step(
     dark: bool,
     _: OnProgress,
 ) -> bytes:
-    """Return one of `FIGURES` as a file, perhaps for a dark background.
+    """Return one of `FIGURES` as an image file, optionally for a dark background.
 
-    Raises InvalidArgumentError if there is none of scattered samples.
+    Raises InvalidArgumentError if there is no such figure for scattered samples.
     """
     import matplotlib as mpl
     import matplotlib.style
 
     mpl.style.use("dark_background" if dark else "default")
-    mpl.rcParams["savefig.transparent"] = dark  # Few dark pages are black.
+    mpl.rcParams["savefig.transparent"] = dark  # Dark pages are seldom black.
     mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # Equal figures have equal bytes, because they have equal ETags.
     measured = open_checked(stored.path, stored.sha256)
     name = stored.name or stored.sha256[:12]
@@ -156,7 +156,7 @@ def figure_step(
 
 
 def samples_step(stored: StoredMeasurement, most: int, _: OnProgress) -> bytes:
-    """Return a .npy of omega_in, omega_out and values of samples, float32 (n, 9); of more than `most`, some of them."""
+    """Return a .npy of omega_in, omega_out and values of samples, float32 (n, 9), at most `most` at random."""
     samples = parse_samples(stored.path.read_bytes())
     table = np.concatenate([samples.omega_in, samples.omega_out, samples.values], axis=1)
     if len(table) > most:
@@ -175,16 +175,16 @@ def understood_step(content: bytes, options: TableOptions, _: OnProgress) -> dic
 def export_step(
     model: DSBRDF | LayeredModel | Component, file_format: str, title: str, path: Path, _: OnProgress
 ) -> None:
-    """Write a file with a model, as `export_model` makes it, for formats that take long or make long files."""
+    """Write the file that `export_model` makes, for formats that take long or have long files."""
     path.write_bytes(export_model(model, file_format, title=title))
 
 
 def conversion_step(path: Path, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:
     """Replace an RGL file by a MERL table, or a table by a file of samples.
 
-    Return the sha256 and the length of the content, and the grid nodes with a value, 0 of samples.
+    Return the sha256 and the length of the content, and the number of grid nodes with a value, 0 for samples.
 
-    Raises MeasurementFormatError if the file is wrong, and InvalidArgumentError for options of a table that it is not.
+    Raises MeasurementFormatError if the file is wrong, and InvalidArgumentError for options of a table if it is none.
     """
     if kind_of_file(path) == "samples":
         content, valid_nodes = parse_samples(path.read_bytes(), options=options).encode(), 0

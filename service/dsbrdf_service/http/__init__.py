@@ -1,4 +1,4 @@
-"""The parts of HTTP that all requests share.
+"""Handle the parts of HTTP that all requests have in common.
 
 `request_log` is the middleware; `limits` bounds connections, heads and bodies; `request_body` receives and decodes
 bodies; `responses` makes answers, and `problems` makes them from exceptions; `names` checks names of files; `metrics`

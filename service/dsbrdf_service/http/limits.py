@@ -1,6 +1,6 @@
-"""Limits of one request: its head, and how slowly its body may arrive.
+"""Limit the head of a request, and how slowly its body may arrive.
 
-Slow heads, slow readers and floods are the matter of the proxy in front of a public service: `docker/nginx.conf`.
+The proxy in front of a public service (`docker/nginx.conf`) must limit slow heads, slow readers and floods of requests.
 """
 
 import asyncio
@@ -13,24 +13,24 @@ from ..errors import ProblemError
 
 _MAX_LINE_BYTES = 8192  # Longer headers and addresses are refused.
 _MAX_HEADERS = 100
-_SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")  # With two, either could be meant.
+_SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")  # If one occurs twice, it is unclear which counts.
 _CLOSE_HEADERS = {"Connection": "close"}
 ABORT = "dsbrdf.abort"
 """Member of the ASGI scope: a function that closes the connection at once, without sending buffered data."""
 
 
 class Connection(HttpToolsProtocol):
-    """uvicorn's connection, which would add the fields behind a body in chunks to the headers of its request."""
+    """Keep trailers out of a request's headers, to which uvicorn's connection would add them."""
 
     def on_headers_complete(self) -> None:
-        """Start to answer the request with a copy of its headers, so that trailers do not change them."""
+        """Start to answer the request with a copy of its headers, which trailers after the body do not change."""
         super().on_headers_complete()
         self.headers = self.headers.copy()
         cast(dict[str, Any], self.scope)[ABORT] = self.transport.abort
 
 
 def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
-    """Raise ProblemError if a request's head is too long, or does not say clearly whom it is for.
+    """Raise ProblemError if the head of a request is too long, or has no single host.
 
     `headers` are those of `scope` by name.
     """
@@ -53,12 +53,12 @@ def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
 
 
 class BodyTimeout:
-    """An ASGI `receive` that refuses a body that arrives too slowly.
+    """Wrap an ASGI `receive`, and refuse a body that arrives too slowly.
 
-    Only the time spent waiting for the client counts, not what the service takes itself.
+    Only the time spent waiting for the client counts, not the time that the service takes.
 
-    It is refused after `idle_timeout` seconds without a byte, or when its mean rate after that time is below `min_rate`
-    bytes per second; 0 allows any. `n_bytes` are the bytes received so far.
+    A body is refused after `idle_timeout` seconds without a byte, or when its mean rate after that time is below
+    `min_rate` bytes per second; 0 allows any rate. `n_bytes` is the number of bytes received so far.
     """
 
     def __init__(self, receive: Receive, idle_timeout: float, min_rate: float) -> None:

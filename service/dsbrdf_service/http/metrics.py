@@ -1,4 +1,4 @@
-"""Counts and times for Prometheus; each application has a registry of its own.
+"""Count and time requests and fits for Prometheus; each application has a registry of its own.
 
 Labels have few values: a request counts under the template of its route, never by owner, fit or measurement.
 """
@@ -18,7 +18,7 @@ _BUCKET_BOUNDS_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 10
 
 
 class Metrics:
-    """The metrics of one service."""
+    """Hold the metrics of one service."""
 
     def __init__(self) -> None:
         self._registry = registry = CollectorRegistry()
@@ -28,7 +28,7 @@ class Metrics:
         timed: dict[str, Any] = {"buckets": _BUCKET_BOUNDS_S, "registry": registry}
         from_head_to_end = "Time from a request's head to the end of its answer [s]."
         request_seconds = Histogram("dsbrdf_request_seconds", from_head_to_end, ("method", "route"), **timed)
-        # The cache saves the look-up of the labels, which takes longer than counting.
+        # The cache saves the search for labels, which takes longer than counting.
         self._of_request = cache(lambda *of: (requests.labels(*of), request_seconds.labels(*of[:2])))
         stage_seconds = Histogram("dsbrdf_stage_seconds", "Time of a part of the work [s].", ("stage",), **timed)
         self.upload_seconds = stage_seconds.labels("upload")
@@ -46,7 +46,7 @@ class Metrics:
         histogram.observe(seconds)
 
     def exposition(self, store: Store) -> bytes:
-        """Return all metrics in Prometheus' text format, with the present numbers of the store."""
+        """Return all metrics in Prometheus' text format, with the present counts of the store."""
         numbers = store.fits_by_status()
         for state in get_args(Status):
             self._fits.labels(state).set(numbers.get(state, 0))

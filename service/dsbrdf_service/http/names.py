@@ -1,6 +1,6 @@
-"""Names of measurements and fits, which their senders choose; lists show them, and exported files have them.
+"""Check the names of measurements and fits, which clients choose; lists and exported files have these names.
 
-A name is no part of an identity: a measurement that is sent again under another name is renamed.
+A name does not identify a measurement: a measurement that is sent again under another name is renamed.
 """
 
 import re
@@ -28,12 +28,12 @@ def check_name(text: str) -> str:
 def given_name(given: str | None, content_disposition: str) -> str | None:
     """Return the name in a query, or the file name in a ``Content-Disposition`` (RFC 6266); None without either.
 
-    Raises InvalidArgumentError if it is no name.
+    Raises InvalidArgumentError if the name is not valid.
     """
     if given is not None:
         return check_name(given)
     name = _file_name(content_disposition) if content_disposition else None
-    # The folder is cut off, because it means nothing to the service.
+    # The folder in a file name is removed, because it means nothing to the service.
     return None if name is None else check_name(re.split(r"[/\\]", name)[-1].removesuffix(_SUFFIX))
 
 
@@ -54,12 +54,12 @@ def _file_name(header: str) -> str | None:
     if name is not None:
         name = re.sub(r"\\(.)", r"\1", name[1:-1]) if name.startswith('"') else name
         with suppress(UnicodeError):
-            return name.encode("latin-1").decode()  # Many programs send UTF-8, though HTTP reads it as Latin-1.
+            return name.encode("latin-1").decode()  # Many programs send UTF-8, although headers are decoded as Latin-1.
     return name
 
 
 def content_disposition(file_name: str) -> str:
-    """Return the header with which a file is saved under a name (RFC 6266)."""
+    """Return the ``Content-Disposition`` that saves a file under a name (RFC 6266)."""
     encoded = quote(file_name, safe="")
     plain = f'filename="{file_name}"' if encoded == file_name else f"filename*=UTF-8''{encoded}"
     return f"attachment; {plain}"

@@ -1,4 +1,4 @@
-"""The OpenAPI document: declarations of routes beyond their types, and answers that every operation can give."""
+"""Complete the OpenAPI document: declarations of routes beyond their types, and answers of every operation."""
 
 import json
 from collections.abc import Sequence
@@ -110,13 +110,13 @@ def reference(model: type[BaseModel]) -> dict[str, str]:
 
 def file(media_type: str, **schema: Any) -> dict[str, Any]:
     """Return the content of a binary body or response."""
-    # OpenAPI 3.1 wants the media type alone; generators of clients read `format`.
+    # OpenAPI 3.1 needs only the media type; generators of clients read `format`.
     return {"schema": {"type": "string", "format": "binary", "contentMediaType": media_type, **schema}}
 
 
 def document_of(app: FastAPI, referenced: Sequence[type[BaseModel]]) -> dict[str, Any]:
     """Return the complete OpenAPI document of `app`; FastAPI does not find the models `referenced` itself."""
-    # Readers and generated pages find fits first.
+    # Fits come first in the document and in generated pages.
     routes = sorted((route for route in app.routes if getattr(route, "tags", None)), key=_place)
     document = get_openapi(title=app.title, version=app.version, description=app.description, routes=routes)
     models: tuple[type[BaseModel], ...] = (Problem, *referenced)
@@ -148,8 +148,8 @@ def _complete(content: dict[str, Any]) -> None:
 def option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     """Return an option as a query parameter of a raw upload: `none` stands for null, commas separate a list.
 
-    The description names the default. As `default` of the schema, generated clients would always send it, and so
-    contradict the options in a JSON body.
+    The description names the default. If the schema had a `default`, generated clients would always send it, which
+    would contradict the options in a JSON body.
     """
     none = {"type": "string", "enum": ["none"]}
     described = {**schema}

@@ -1,6 +1,6 @@
-"""From exception to RFC 9457 problem document: one table, used for every status that is an error.
+"""Convert exceptions to RFC 9457 problem documents, by one table for every error status.
 
-A problem's ``type`` is stable: scripts may branch on it. Its ``detail`` is one sentence for a person.
+The ``type`` of a problem is stable, so that scripts may depend on it. Its ``detail`` is one sentence for a person.
 """
 
 import errno
@@ -36,7 +36,7 @@ class Problem(BaseModel):
 
 
 class Kind(NamedTuple):
-    """A kind of problem: its status, its title, and when it is worth asking again [s]."""
+    """Describe a kind of problem: its status, its title, and the time after which a retry may succeed [s]."""
 
     status: int
     title: str
@@ -81,7 +81,7 @@ KINDS: dict[str, Kind] = {
     "disk-full": Kind(507, "The service's disk is full", 30),
 }
 
-# The kinds of the errors that are not the service's own.
+# The kinds of errors that the library raises.
 _KIND_OF_ERROR: dict[type[Exception], str] = {
     MeasurementFormatError: "measurement-format",
     InvalidArgumentError: "invalid-argument",
@@ -97,7 +97,7 @@ def problem_response(error: ProblemError, path: str) -> Response:
     """Return the problem document of `error` as a response."""
     status, title, retry_after = KINDS[error.kind]
     headers = {} if retry_after is None else {"Retry-After": str(retry_after)}
-    # Half of a surrogate pair, which JSON can escape and UTF-8 cannot hold, is told by its escape.
+    # A lone surrogate, which JSON can escape but UTF-8 cannot encode, is shown as its escape sequence.
     detail = error.detail.encode(errors="backslashreplace").decode()
     about = {"title": title, "status": status, "detail": detail, "instance": path}
     return JSONResponse({"type": TYPE_PREFIX + error.kind, **about}, status, headers | error.headers, MEDIA_TYPE)
@@ -108,7 +108,7 @@ def problem_of(request: Request, error: Exception) -> ProblemError:
     path = request.url.path
     if isinstance(error, ProblemError):
         return error
-    if isinstance(error, ClientDisconnect):  # Only the log and the metrics get this answer.
+    if isinstance(error, ClientDisconnect):  # Only the log and the metrics record this answer.
         return ProblemError("bad-request", "The client disconnected before the end of the body.")
     if isinstance(error, RequestValidationError):
         if any(fault["loc"][0] == "path" for fault in error.errors()):  # No resource can have this id or label.

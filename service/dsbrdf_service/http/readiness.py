@@ -19,7 +19,7 @@ logger = logging.getLogger(__name__)
 
 
 class Readiness:
-    """Checks the store, the folder of measurements, the disk and the engine, one after the other."""
+    """Check the store, the folder of measurements, the disk and the engine, one after the other."""
 
     def __init__(self, store: Store, engine: Engine, settings: Settings) -> None:
         self._stopping = False
@@ -29,7 +29,7 @@ class Readiness:
             "The disk": partial(store.check_space, settings.min_free_mb),
             "The engine": engine.check,
         }
-        self._thread = CapacityLimiter(1)  # Requests have other threads, so that none waits before a check.
+        self._thread = CapacityLimiter(1)  # Checks have their own thread, so that they never wait for requests.
         self._current = ""  # The name of the running check.
         self._answer: asyncio.Task[str | None] | None = None
 

@@ -1,4 +1,4 @@
-"""Request bodies, perhaps compressed with gzip: measurements as a stream, other bodies whole."""
+"""Receive request bodies, which may be compressed with gzip: measurements as a stream, other bodies whole."""
 
 import zlib
 from collections import Counter
@@ -31,14 +31,14 @@ def media_type_of(request: Request, *supported: str) -> str:
 
 
 class Bodies:
-    """The request bodies in memory, bounded for each caller."""
+    """Receive request bodies into memory, bounded for each caller."""
 
     def __init__(self) -> None:
         self._held: Counter[str] = Counter()  # Bytes by caller.
 
     @asynccontextmanager
     async def received(self, request: Request, limit: int) -> AsyncIterator[bytes]:
-        """Yield the decoded body of a request, of at most `limit` bytes, which counts until the end of the block.
+        """Yield the decoded body of a request, of at most `limit` bytes.
 
         Raises ProblemError as `decoded`, or if the caller's bodies together take too much memory.
         """
@@ -56,13 +56,13 @@ class Bodies:
             yield bytes(content)
         finally:
             self._held[caller] -= len(content)
-            self._held += Counter()  # Removes callers without bodies.
+            self._held += Counter()  # This removes callers without bodies.
 
 
 async def decoded(request: Request, limit: int) -> AsyncIterator[bytes]:
     """Yield the decoded body; a compressed body, which can become very long, in pieces of at most `PIECE` bytes.
 
-    Raises ProblemError if its encoding is unknown, it is damaged, or longer than `limit` bytes could be when encoded.
+    Raises ProblemError if the encoding is unknown, or the body is damaged or longer than `limit` encoded bytes can be.
     The caller bounds the length of the decoded body.
     """
     names = ",".join(request.headers.getlist("content-encoding")).lower().split(",")
@@ -73,7 +73,7 @@ async def decoded(request: Request, limit: int) -> AsyncIterator[bytes]:
     member, left = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS), limit + limit // 64 + 1024
     async for piece in request.stream():
         left -= len(piece)
-        if left < 0:  # A gzip body can go on without end and decode to nothing.
+        if left < 0:  # An endless gzip body can decode to nothing.
             raise _too_large(limit)
         if not encoding:
             yield piece

@@ -1,6 +1,6 @@
-"""The only middleware: every request gets an id, is let in or refused, gets a line in the log, and is counted.
+"""Define the only middleware: it gives every request an id, admits or refuses it, logs it and counts it.
 
-Every response has the id, and headers that tell browsers and caches what they must not do with it.
+Every response has this id, and headers that restrict browsers and caches.
 """
 
 import asyncio
@@ -24,15 +24,14 @@ from .responses import PIECE_BYTES
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 IS_HEAD = "dsbrdf.is_head"
 """Member of the ASGI scope of a HEAD, which routes see as a GET."""
-# Nothing in a response may run, be framed, be read by a page of another site, or be shown to someone who has not asked
-# with the same key.
+# A response must not run as a script, be framed, be read by a page of another site, or be shown with another key.
 _SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"vary", b"Authorization"),
-    # Kept by the client that has asked, for its If-None-Match, and not used again without asking.
+    # The client may store a response, but must validate it with If-None-Match before each use.
     (b"cache-control", b"private, no-cache"),
 )
 _POLICY = b"content-security-policy"  # The pages have their own policy.
@@ -42,7 +41,7 @@ logger = logging.getLogger(__name__)
 
 
 class RequestLogMiddleware:
-    """Pure ASGI middleware, around all that the application answers."""
+    """Wrap the whole application as pure ASGI middleware."""
 
     def __init__(self, app: ASGIApp, access: Access, settings: Settings, metrics: Metrics) -> None:
         self._app = app
@@ -67,7 +66,7 @@ class RequestLogMiddleware:
             caller = self._access.admit(scope, headers)
             await self._app(scope, body, exchange.send)
         except asyncio.CancelledError:
-            # The server is stopping and has waited as long as it may; its task of this request ends here anyway.
+            # The server is stopping, and its waiting time is over; the task of this request ends here anyway.
             detail = "The service is shutting down and cannot finish this request; ask again later."
             await exchange.refuse(scope, ProblemError("shutting-down", detail))
         except Exception as error:
@@ -105,7 +104,7 @@ class RequestLogMiddleware:
 
 
 class _Exchange:
-    """One request and the state of its response."""
+    """Hold one request and the state of its response."""
 
     __slots__ = (
         *("_abort", "_idle_timeout", "_min_rate", "_n_sent", "_send", "_waited"),
@@ -124,20 +123,20 @@ class _Exchange:
         self.request_id = given_id.decode() if _ACCEPTABLE_ID.fullmatch(given_id) else secrets.token_hex(8)
 
     async def refuse(self, scope: Scope, error: Exception) -> None:
-        """Answer with a problem document, if there is no answer yet."""
+        """Answer with a problem document, unless an answer has begun."""
         if self.status is None:
             request = Request(scope)
             await problem_response(problem_of(request, error), scope["path"])(scope, request.receive, self.send)
 
     async def send(self, message: Message) -> None:
-        """Pass a part of the response on; its head gets the request's id."""
+        """Send a part of the response; add the request's id to its head."""
         if message["type"] == "http.response.start":
             self.status = message["status"]
             headers = [*message.get("headers", ()), *_SECURITY_HEADERS, (b"x-request-id", self.request_id.encode())]
             if _POLICY not in dict(headers):
                 headers.append((_POLICY, _STRICT))
             message["headers"] = headers
-        elif self.method == "HEAD":  # A HEAD has no body: the first piece of one ends the answer.
+        elif self.method == "HEAD":  # The answer of a HEAD has no body, so the first piece of a body ends it.
             if self.complete:
                 return
             message, self.complete = {"type": "http.response.body"}, True
@@ -164,7 +163,7 @@ class _Exchange:
                 self.given_up = True
                 logger.info("gave up a client that does not read its answer")
                 self._abort()
-                await asyncio.sleep(0)  # The server learns of the end of the connection.
+                await asyncio.sleep(0)  # The server processes the end of the connection.
                 raise ClientDisconnect from None
             self._n_sent += len(piece)
             self._waited += perf_counter() - begin

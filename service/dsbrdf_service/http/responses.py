@@ -1,4 +1,4 @@
-"""Responses: JSON documents with strong ETags, files, and links to the next page."""
+"""Make responses: JSON documents with strong ETags, files, and links to the next page."""
 
 import hashlib
 import re
@@ -19,7 +19,7 @@ BINARY = "application/octet-stream"
 JSON = "application/json"
 NPY = "application/x-npy"
 PIECE_BYTES = 1 << 16
-"""Length of the pieces of an answer: a connection whose client does not read keeps two of them in memory."""
+"""Length of the pieces of an answer [bytes]: a connection with a slow client keeps two pieces in memory."""
 _MAX_HELD_BYTES = 1 << 18  # A longer answer is written to a temporary file while it is sent.
 # Files are read in their own threads, so that no other request waits for the pieces of many answers.
 _read_in_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(2))
@@ -29,7 +29,7 @@ _PREFIX = re.compile(r"(?:/[A-Za-z0-9._~-]{1,100}){1,10}")
 
 
 def prefix_of(request: Request) -> str:
-    """Return the path below which a proxy shows the service, as it says with ``X-Forwarded-Prefix``.
+    """Return the path below which a proxy shows the service, from the header ``X-Forwarded-Prefix``.
 
     Any client may send this header; it changes only the addresses in this answer.
     """
@@ -56,14 +56,14 @@ def tag_of(content: bytes) -> str:
 
 
 def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
-    """Return the answer 304 if ``If-None-Match`` has the ETag in `headers`: the client has the current content."""
+    """Return the answer 304 if the ETag in `headers` is in ``If-None-Match``, so the client has the current content."""
     given = [part.strip() for part in ",".join(request.headers.getlist("if-none-match")).split(",")]
     is_current = given == ["*"] or headers["ETag"] in (part.removeprefix("W/") for part in given)
     return Response(None, 304, dict(headers)) if is_current else None
 
 
 class OpenFileResponse(Response):
-    """An open file, which is sent to its end even if it is deleted meanwhile."""
+    """Send an open file to its end, even if it is deleted meanwhile."""
 
     def __init__(self, file: OpenFile, headers: Mapping[str, str]) -> None:
         self._file, self._size = file, file.size
@@ -81,7 +81,7 @@ class OpenFileResponse(Response):
 
 
 async def long_reply(writing: Writing, caller: Caller, content: bytes, headers: Mapping[str, str]) -> Response:
-    """Return the answer with a content that nobody else shares: a long one waits for its reader in a file."""
+    """Return an answer whose content no other request needs; a long answer is sent from a file."""
     if len(content) <= _MAX_HELD_BYTES:
         return Response(content, 200, dict(headers))
     return OpenFileResponse(await writing.answer_with(caller, content), headers)
@@ -90,7 +90,7 @@ async def long_reply(writing: Writing, caller: Caller, content: bytes, headers: 
 def preferred_wait(request: Request, default: float, longest: float) -> float:
     """Return the time to wait that ``Prefer`` asks for (RFC 7240) [s]; other preferences are ignored.
 
-    With ``wait``, ``respond-async`` changes nothing: it says what to do when that time is over, which happens anyway.
+    With ``wait``, ``respond-async`` changes nothing, because the answer is asynchronous anyway when the time is over.
     """
     given = ",".join(request.headers.getlist("prefer"))
     if wait := _WAIT.search(given):
@@ -99,6 +99,6 @@ def preferred_wait(request: Request, default: float, longest: float) -> float:
 
 
 def prefers(request: Request, wanted: str, other: str) -> bool:
-    """Return whether ``Accept`` names one media type, and not the other before it; its weights are not read."""
+    """Return whether ``Accept`` names one media type, and not the other before it; weights are ignored."""
     accepted = ",".join(request.headers.getlist("accept")).lower()
     return re.findall(f"{re.escape(wanted)}|{re.escape(other)}", accepted)[:1] == [wanted]

@@ -1,5 +1,5 @@
-"""The life of a fit.
+"""Queue and run fits.
 
-`fit_queue` runs fits and lets requests wait for them; `turns` shares places fairly between owners; `fit_options`
-converts options to JSON and back.
+`fit_queue` runs fits and lets requests wait for them; `turns` lets owners take fair turns; `fit_options` converts
+options to JSON and back.
 """

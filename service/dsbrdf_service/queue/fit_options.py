@@ -1,6 +1,6 @@
-"""Options on the wire: the fields of `FitOptions` and of `TableOptions` in JSON's types; the library checks them.
+"""Convert options to JSON types and back: fields of `FitOptions` and `TableOptions`, which the library checks.
 
-The Python client uses this module too: it needs neither FastAPI nor pydantic.
+The Python client uses this module too, so the module needs neither FastAPI nor pydantic.
 """
 
 import json
@@ -19,7 +19,7 @@ _NAMES = [field.name for field in fields(FitOptions)]
 
 
 def to_wire(options: FitOptions | TableOptions) -> dict[str, Any]:
-    """Return the options in JSON's types; equal options give equal dicts."""
+    """Return options in JSON types; equal options give equal dicts."""
     wire = {}
     for field in fields(options):
         value = getattr(options, field.name)
@@ -28,7 +28,7 @@ def to_wire(options: FitOptions | TableOptions) -> dict[str, Any]:
 
 
 def from_wire(values: Mapping[str, Any]) -> FitOptions:
-    """Return the options for JSON values; missing ones have their defaults.
+    """Return the options for JSON values; missing options have their defaults.
 
     Raises InvalidArgumentError if a name is unknown, or a value is of a wrong type or out of range.
     """
@@ -36,7 +36,7 @@ def from_wire(values: Mapping[str, Any]) -> FitOptions:
     for name, value in values.items():
         if name not in _NAMES:
             raise InvalidArgumentError(f"Unknown option {name[:60]!r}; known options are {', '.join(_NAMES)}.")
-        is_whole = isinstance(value, float) and value.is_integer()  # JSON and its writers do not tell 3.0 from 3.
+        is_whole = isinstance(value, float) and value.is_integer()  # JSON does not distinguish 3.0 from 3.
         options[name] = int(value) if is_whole else value
     return FitOptions(**options)
 
@@ -66,7 +66,7 @@ def _chosen(items: Iterable[tuple[str, str]], names: Container[str]) -> dict[str
 
 
 def canonical(options: FitOptions) -> dict[str, Any]:
-    """Return the wire form with the method's own choices filled in, so that options of equal fits are equal."""
+    """Return options in JSON types, with the method's defaults filled in, so that equal fits have equal options."""
     wire, paper = to_wire(options), options.method == "paper"
     if wire["knots_deg"] == _USUAL_KNOTS[options.variation]:
         wire["knots_deg"] = "auto"
@@ -77,7 +77,7 @@ def canonical(options: FitOptions) -> dict[str, Any]:
 
 
 def _from_text(text: str) -> Any:
-    """Return the JSON value or values of a text, or else its parts between commas."""
+    """Parse a text as one or several JSON values; if that fails, split it at commas."""
     try:
         values = json.loads(f"[{'null' if text.lower() == 'none' else text.lower()}]")
     except (ValueError, RecursionError):

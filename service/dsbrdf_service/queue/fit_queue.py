@@ -1,7 +1,7 @@
-"""The life of a fit: accepted, running, then succeeded, failed or cancelled.
+"""Run fits: a fit is accepted, then running, then succeeded, failed or cancelled.
 
-The store has the state of every fit. This module has the tasks that wait for a free place or for the engine, their
-progress, and the requests that wait for a change.
+The store has the state of every fit. This module has the tasks that wait for their turn or for the engine, the progress
+of the fits, and the requests that wait for a change.
 """
 
 import asyncio
@@ -31,15 +31,15 @@ logger = logging.getLogger(__name__)
 Values = TypeVarTuple("Values")
 T = TypeVar("T")
 
-_RETRY_DELAY = 5.0  # [s] Pause after the disk refused a write, or the machine a new process.
+_RETRY_DELAY = 5.0  # [s] Pause after a failed write, or after a process could not be started.
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)
-_MIN_POLL_INTERVAL = 0.05  # [s] Pause between two readings of a row whose fit has no task here at the moment.
-_LOST_DELAY = 0.5  # [s] When the machine shuts down, this service learns of it within this time of the fit's end.
+_MIN_POLL_INTERVAL = 0.05  # [s] Pause between two readings of the row of a fit that has no task in this process.
+_LOST_DELAY = 0.5  # [s] At a shutdown of the machine, the service is stopped within this time after the fit.
 
 
 @dataclass
 class _RunningFit:
-    """An unfinished fit in this process. Its scope cancels the task, and lets calls in threads end first."""
+    """Hold an unfinished fit of this process. Its scope cancels the task after calls in threads have returned."""
 
     task: "asyncio.Task[None]"
     scope: CancelScope
@@ -53,7 +53,7 @@ class _RunningFit:
 
 
 class FitMeters(NamedTuple):
-    """Prometheus metrics of fits."""
+    """Hold the Prometheus metrics of fits."""
 
     waiting: Histogram
     fitting: Histogram
@@ -61,7 +61,7 @@ class FitMeters(NamedTuple):
 
 
 class FitQueue:
-    """Runs fits, and lets requests wait for them or follow them."""
+    """Run fits, and let requests wait for fits or follow their progress."""
 
     def __init__(self, store: Store, engine: Engine, settings: Settings, meters: FitMeters) -> None:
         self._store = store
@@ -79,7 +79,7 @@ class FitQueue:
             self._begin(key)
 
     def release_waiters(self) -> None:
-        """End all waits for fits with the present state of each, because the service is about to end."""
+        """End all waits for fits with their present states, because the service is about to stop."""
         if not self._stopping.done():
             self._stopping.set_result(None)
 
@@ -131,14 +131,14 @@ class FitQueue:
             yield row
             if row.ended or any(map(asyncio.Future.done, ends)):
                 return
-            if change is None:  # The fit has no task yet, or no longer; its row will say so soon.
+            if change is None:  # The fit has no task, so only its row shows a change.
                 await asyncio.sleep(_MIN_POLL_INTERVAL)
             else:
                 await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
 
     async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
-        running = self._running.get(key)  # Read before the row changes, because an equal request may begin then.
+        running = self._running.get(key)  # Read this before the row changes, because an equal request may then begin.
         row = await in_write_thread(self._store.cancel_fit, key)
         if row is not None and running is not None:
             running.scope.cancel()
@@ -146,7 +146,7 @@ class FitQueue:
 
     def _begin(self, key: FitKey) -> None:
         previous, scope = self._running.get(key), CancelScope()
-        if previous is not None:  # The row of that fit has ended, so it is not needed any more.
+        if previous is not None:  # The row of the previous fit has ended, so its task is not needed.
             previous.scope.cancel()
         task = asyncio.create_task(self._run(key, scope, previous.task if previous else None))
         self._running[key] = running = _RunningFit(task, scope)
@@ -179,13 +179,13 @@ class FitQueue:
             return True
         self._set_progress(key, 0.0)
         if row.started is not None and row.attempts == 1:
-            seconds = max(0.0, row.started - row.created)  # The clock may have been set back.
+            seconds = max(0.0, row.started - row.created)  # A clock that was set back gives a negative time.
             self._meters.waiting.observe(seconds)
         with self._meters.fitting.time():
             outcome = await self._compute(row)
         if isinstance(outcome, Fault) and outcome.origin == "system":
             await asyncio.sleep(_LOST_DELAY)
-            if self._stopping.done():  # The whole service is being ended, and its next start runs the fit.
+            if self._stopping.done():  # The service is stopping; its next start runs the fit.
                 return True
             if row.attempts < self._settings.fit_attempts:
                 logger.warning("the fit runs again: %s", outcome.message)
@@ -195,7 +195,7 @@ class FitQueue:
         return True
 
     async def _compute(self, row: FitRow) -> Outcome:
-        """Check the file of a row and run its fit; retry as long as no process can be started."""
+        """Check the measurement's file and run the fit of a row; retry while no process can be started."""
 
         def in_loop(progress: float) -> None:
             self._loop.call_soon_threadsafe(self._set_progress, row.key, progress)
@@ -238,7 +238,7 @@ class FitQueue:
 
 
 async def _write(write: Callable[[*Values], T], *values: *Values) -> T:
-    """Call `write` in a thread, and retry while the disk refuses it, so that no computed fit is lost."""
+    """Call `write` in a thread, and retry while it fails, so that no computed fit is lost."""
     while True:
         try:
             return await in_write_thread(write, *values)

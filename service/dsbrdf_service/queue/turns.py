@@ -1,4 +1,4 @@
-"""Fair turns at a bounded number of places, and waiting for the process that uses one."""
+"""Let owners take fair turns at a bounded number of slots, and wait for the process that uses a slot."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -13,10 +13,10 @@ T = TypeVar("T")
 
 
 class FairTurns:
-    """A semaphore of `count` places at which owners alternate.
+    """Limit the work in progress to `count` slots, at which owners alternate.
 
-    Each owner has a queue. Only the first of each queue waits for a place, so an owner with much to do delays another
-    by one turn.
+    Each owner has a queue. Only the first of each queue waits for a slot, so an owner with many tasks delays another
+    owner by only one turn.
     """
 
     def __init__(self, count: int = 1) -> None:
@@ -25,7 +25,7 @@ class FairTurns:
 
     @asynccontextmanager
     async def turn(self, owner: str) -> AsyncIterator[None]:
-        """Wait for the turn of an owner, and hold it during the block."""
+        """Wait for the turn of an owner, and keep the slot during the block."""
         queue = self._queues.setdefault(owner, asyncio.Lock())
         async with queue:
             await self._places.acquire()
@@ -36,7 +36,7 @@ class FairTurns:
 
 
 async def result_of(future: "Future[T]") -> T:
-    """Await the future of a process; when cancelled, wait for the process to end, which keeps its turn so long."""
+    """Await the future of a process; when cancelled, wait for the end of the process, which still uses its slot."""
     try:
         return await asyncio.wrap_future(future)
     except asyncio.CancelledError:

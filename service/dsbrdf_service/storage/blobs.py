@@ -1,7 +1,7 @@
-"""Measurement files on disk: written under a temporary name, then moved into place in one step.
+"""Store measurement files on disk: write a temporary file, then rename it to its final name in one step.
 
-A file is placed before its row is committed, and goes after its row's end: see `removal`. Its name is the sha256 of its
-bytes; whoever reads it compares the two first, by a digest that is computed once as long as the file stays untouched.
+A file gets its final name before its row is committed, and is deleted after its row (see `removal`). The name is the
+sha256 of the content. Before a file is read, its sha256 is checked; it is computed again only if the file has changed.
 """
 
 import errno
@@ -20,19 +20,19 @@ from .database import own_folder
 
 _SUFFIX = ".binary"
 PREFIX = "upload-"
-"""Beginning of the names of temporary files; other files in their folder are not the service's."""
+"""Beginning of the names of temporary files; other files in that folder do not belong to the service."""
 _NAME = re.compile("[0-9a-f]{64}")
 
 
 class Incoming:
-    """A file that is being received; it is either placed by `Blobs.place` or discarded."""
+    """Write a file that is being received; `Blobs.place` stores it, or `discard` removes it."""
 
     def __init__(self, folder: Path) -> None:
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=folder)
         self.path = Path(name)
         self.size = 0  # [bytes]
         self.sha256 = ""  # `close` sets it.
-        self.valid_nodes = 0  # The caller sets it for a grid; samples have none.
+        self.valid_nodes = 0  # The caller sets it for a grid; it stays 0 for samples.
         self._file: BinaryIO = os.fdopen(descriptor, "wb", buffering=0)
         self._digest = hashlib.sha256()
 
@@ -57,7 +57,7 @@ class Incoming:
 
 
 class OpenFile:
-    """A file to be read, which is closed when nobody has it any more; it stays readable if it is deleted meanwhile."""
+    """Read an open file, which stays readable after its deletion and is closed with the last reference to it."""
 
     def __init__(self, descriptor: int, hold: object = None) -> None:
         self._descriptor = descriptor
@@ -70,17 +70,17 @@ class OpenFile:
         return os.fstat(self._descriptor).st_size
 
     def read(self, n_bytes: int, position: int) -> bytes:
-        """Return at most `n_bytes` bytes from a position on."""
+        """Return at most `n_bytes` bytes that begin at a position."""
         return os.pread(self._descriptor, n_bytes, position)
 
 
 class Blobs:
-    """Measurement files, named by the sha256 of their bytes, in ``blobs`` and ``tmp`` of the data folder."""
+    """Manage measurement files, named by the sha256 of their bytes, in ``blobs`` and ``tmp`` of the data folder."""
 
     def __init__(self, folder: Path) -> None:
         self._blobs = folder / "blobs"
         self.temporary = folder / "tmp"
-        # For each measurement whose digest was right, the stat that its file had then.
+        # Stat of each file at the time when its sha256 was checked and right.
         self._sound: dict[str, tuple[int, ...]] = {}
 
     def make_folders(self) -> None:
@@ -89,14 +89,14 @@ class Blobs:
         own_folder(self.temporary)
 
     def path(self, sha256: str) -> Path:
-        """Return where the measurement `sha256` is, or would be."""
+        """Return the path of the measurement `sha256`, which need not exist."""
         return self._blobs / sha256[:2] / f"{sha256}{_SUFFIX}"
 
     @contextmanager
     def temporary_file(self, hold: object) -> Iterator[tuple[OpenFile, Path]]:
-        """Yield a file that the block writes by its path, which has no name any more when the block has ended.
+        """Yield an open file and its path, to which the block writes; the path is removed when the block ends.
 
-        The `hold` lives as long as the file.
+        The file keeps `hold` alive.
         """
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=self.temporary)
         file = OpenFile(descriptor, hold)
@@ -108,7 +108,7 @@ class Blobs:
     def place(self, incoming: Incoming) -> None:
         """Move a closed incoming file to its place; durable when this returns.
 
-        It takes equally long if the file is there already: time must not tell whether another key has it.
+        The move takes equally long if the file exists already, so that time does not reveal whether another key has it.
         """
         target = self.path(incoming.sha256)
         if not target.parent.exists():
@@ -127,14 +127,14 @@ class Blobs:
         path = self.path(sha256)
         try:
             status = path.stat()
-            if not stat.S_ISREG(status.st_mode):  # A pipe would have to be waited for.
+            if not stat.S_ISREG(status.st_mode):  # To open a pipe could block.
                 return "it is no regular file"
             if self._sound.get(sha256) == _stamp(status):
                 return None
             with path.open("rb") as file:
                 right = hashlib.file_digest(file, "sha256").hexdigest() == sha256
         except OSError as error:
-            if error.errno in (errno.EMFILE, errno.ENFILE):  # The file may be sound.
+            if error.errno in (errno.EMFILE, errno.ENFILE):  # The file may be undamaged.
                 raise
             return error.strerror or str(error)
         if right:
@@ -142,7 +142,7 @@ class Blobs:
         return None if right else "its sha256 is another one"
 
     def all(self) -> Iterator[str]:
-        """Yield the sha256 of every file that is one of a measurement."""
+        """Yield the sha256 of every measurement's file."""
         for path in self._blobs.glob(f"??/*{_SUFFIX}"):
             if _NAME.fullmatch(path.stem) and path == self.path(path.stem):
                 yield path.stem

@@ -1,4 +1,4 @@
-"""The SQLite database of a data folder, which must be the service's own, and the lock that keeps other servers out."""
+"""Open the SQLite database of a data folder, and hold the lock that keeps other servers out."""
 
 import fcntl
 import os
@@ -19,10 +19,10 @@ from .schema import VERSION, create_tables
 
 FILE_NAME = "dsbrdf.sqlite"
 RESERVE = "dsbrdf.reserve"
-"""File that gives its room to a service that starts on a full disk, so that measurements can be deleted there."""
-_BUSY_TIMEOUT = 5.0  # [s] When a transaction has waited so long for others, its request is answered with 503.
-_MIN_DATABASE_BYTES = 512  # SQLite takes a shorter file for an empty database, and writes over it.
-_MIN_FREE_BYTES = 1 << 16  # The files beside the database need so much.
+"""File that is deleted if the service starts on a full disk, to free space in which rows can be deleted."""
+_BUSY_TIMEOUT = 5.0  # [s] A transaction that waits longer for others fails, and its request gets 503.
+_MIN_DATABASE_BYTES = 512  # SQLite treats a shorter file as an empty database and overwrites it.
+_MIN_FREE_BYTES = 1 << 16  # SQLite's files beside the database need this space.
 _RESTORE = "restore the folder from a copy; nothing in it has been changed"
 _REMEDIES = {
     sqlite3.SQLITE_CORRUPT: _RESTORE,
@@ -39,13 +39,13 @@ in_write_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
 
 
 class Database:
-    """Connections that all threads of this process share: one writes, others read and never wait for the writer.
+    """Hold the connections of this process: one connection writes; the others read and never wait for the writer.
 
-    The folder is made if it does not exist, for its user alone. A server is `exclusive` and holds the lock, which is on
-    the folder itself, as long as it runs; a command goes without, so that a server may run or start.
+    The folder is made if it does not exist, with access for its user only. A server is `exclusive` and holds the lock
+    on the folder as long as it runs; a command takes no lock, so that a server may run or start.
 
-    Raises DataFolderError if the folder holds anything else than a service's data, another process holds the lock and
-    it is needed, another release has written the database, or it is damaged; then nothing in the folder has changed.
+    Raises DataFolderError if the folder contains other data than a service's, another process holds a needed lock,
+    another release has written the database, or the database is damaged; then nothing in the folder has changed.
     """
 
     def __init__(self, folder: Path, *, exclusive: bool = True) -> None:
@@ -60,7 +60,7 @@ class Database:
                     if _is_full(folder):
                         (folder / RESERVE).unlink(missing_ok=True)
                 check_integrity(folder)
-                with suppress(FileExistsError):  # SQLite gives its other files the same mode
+                with suppress(FileExistsError):  # SQLite gives the mode of this file to its other files.
                     os.close(os.open(self._path, os.O_CREAT | os.O_EXCL, 0o600))
                 self._writer = resources.enter_context(closing(self._connection()))
                 self._reader = resources.enter_context(closing(self._connection()))
@@ -88,9 +88,9 @@ class Database:
             return self._reader.execute(query, values).fetchall()
 
     def row_now(self, query: str, *values: object) -> tuple[Any, ...] | None:
-        """Return the first row that `query` selects; for the event loop, which waits for nobody else's query.
+        """Return the first row that `query` selects, on a connection of the event loop, which waits for no other query.
 
-        A row that is found by an index takes some 10 microseconds.
+        To find a row by an index takes some 10 microseconds.
         """
         row: tuple[Any, ...] | None = self._prompt_reader.execute(query, values).fetchone()
         return row
@@ -99,25 +99,25 @@ class Database:
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """Write all or nothing; the data are durable when the block ends.
 
-        Raises sqlite3.OperationalError if its turn does not come in time, DatabaseLostError if the database or its log
-        is not where it was, also when the block has ended.
+        Raises sqlite3.OperationalError if other transactions take too long, and DatabaseLostError if the database or
+        its log has been removed or replaced before the end of the block.
         """
         if not self._writer_lock.acquire(timeout=_BUSY_TIMEOUT):
             raise sqlite3.OperationalError("other transactions take too long")
         try:
             self._check_files()
-            with self._writer:  # Commits, or rolls back.
+            with self._writer:  # This commits the transaction or rolls it back.
                 self._writer.execute("BEGIN IMMEDIATE")
                 yield self._writer
-            self._check_files()  # Data in a log that has been deleted are not durable.
+            self._check_files()  # Data in a deleted log would be lost.
             self._written_at = monotonic()
         finally:
             self._writer_lock.release()
 
     def check_writing(self) -> None:
-        """Raise sqlite3.Error or OSError unless rows can be written; wait for nobody who writes.
+        """Raise sqlite3.Error or OSError unless rows can be written; do not wait for other writers.
 
-        While others write, the last transaction that has ended is proof enough.
+        While others write, a recent end of a transaction proves that rows can be written.
         """
         self._check_files()
         if not self._writer_lock.acquire(blocking=False):
@@ -125,7 +125,7 @@ class Database:
                 raise sqlite3.OperationalError("a transaction takes too long")
             return
         try:
-            # To write the value that is there is to write, too.
+            # Writing the present value again is a write too.
             self._writer.execute(f"PRAGMA user_version = {VERSION}")
         finally:
             self._writer_lock.release()
@@ -152,7 +152,7 @@ def is_data_folder(folder: Path) -> bool:
 def check_integrity(folder: Path) -> None:
     """Read the whole database of a folder, about a second for two gigabytes; raise DataFolderError if it is damaged.
 
-    A damaged table can lack rows: what they tell of would be answered as if it had never been.
+    A damaged table can lack rows, and the service would answer as if their fits did not exist.
     """
     if not is_data_folder(folder):
         return
@@ -168,7 +168,7 @@ def check_integrity(folder: Path) -> None:
 def read_only(folder: Path, query: str) -> list[tuple[Any, ...]]:
     """Return the rows that `query` selects from the database of a folder, without changing the folder.
 
-    Another connection would write the log of a damaged database into its file when it is closed.
+    A connection that may write would, when closed, write the log of a damaged database into the database file.
     """
     uri = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro"
     with closing(sqlite3.connect(uri, uri=True, timeout=_BUSY_TIMEOUT)) as connection:
@@ -176,9 +176,9 @@ def read_only(folder: Path, query: str) -> list[tuple[Any, ...]]:
 
 
 def own_folder(folder: Path) -> Path:
-    """Return a folder in a data folder, made if it does not exist.
+    """Make a folder in a data folder if it does not exist, and return it.
 
-    Raises DataFolderError if there is a file or a symbolic link in its place.
+    Raises DataFolderError if its path is a file or a symbolic link.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise DataFolderError(f"{folder} is not a folder of the service; remove it, or give another data folder")
@@ -191,7 +191,7 @@ def _is_full(folder: Path) -> bool:
 
 
 def _claim(folder: Path) -> None:
-    """Make the folder; raise DataFolderError if it holds anything, but no database of the service."""
+    """Make the folder; raise DataFolderError if it contains anything, but not the service's database."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except FileExistsError:
@@ -211,9 +211,9 @@ def _claim(folder: Path) -> None:
 
 
 def _cannot_be_opened(folder: Path, error: sqlite3.DatabaseError) -> DataFolderError:
-    """Return an error of SQLite with its remedy: only a damaged database must be restored."""
-    remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)  # The upper bits hold details.
-    if _is_full(folder):  # SQLite says "disk I/O error" then.
+    """Make an error from SQLite's error, with the remedy: only a damaged database must be restored."""
+    remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)  # The upper bits are details.
+    if _is_full(folder):  # SQLite reports a full disk as "disk I/O error".
         remedy = _REMEDIES[sqlite3.SQLITE_FULL]
     return DataFolderError(
         f"the database {folder / FILE_NAME} cannot be opened: {error}" + (f"; {remedy}" if remedy else "")
@@ -222,7 +222,7 @@ def _cannot_be_opened(folder: Path, error: sqlite3.DatabaseError) -> DataFolderE
 
 @contextmanager
 def _lock(folder: Path) -> Iterator[None]:
-    """Hold the lock."""
+    """Hold the exclusive lock on a folder; raise DataFolderError if another server holds it."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

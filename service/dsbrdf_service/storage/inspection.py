@@ -1,4 +1,4 @@
-"""Examine a data folder without changing it, also beside a running server."""
+"""Examine a data folder without changing it, even while a server runs."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ def is_of_this_release(folder: Path) -> bool:
 
 
 def database_faults(folder: Path) -> list[str]:
-    """Return the first faults of the database, which is read whole."""
+    """Read the whole database, and return its first faults."""
     return [fault for (fault,) in read_only(folder, "PRAGMA integrity_check(3)") if fault != "ok"]
 
 
@@ -28,9 +28,9 @@ def measurements_with_rows(folder: Path) -> set[str]:
 
 
 def damaged_files(folder: Path) -> dict[str, str]:
-    """Return what is wrong with files of measurements, by sha256; every file is read.
+    """Read every measurement's file, and return the faults by sha256.
 
-    A measurement whose row has gone meanwhile has no fault.
+    A measurement whose row is deleted meanwhile has no fault.
     """
     blobs = Blobs(folder)
     faults = {sha256: fault for sha256 in measurements_with_rows(folder) if (fault := blobs.damage(sha256))}
@@ -40,5 +40,5 @@ def damaged_files(folder: Path) -> dict[str, str]:
 
 def files_without_rows(folder: Path) -> tuple[set[str], int]:
     """Return the sha256 of files that have no row, and the number of all files."""
-    files = set(Blobs(folder).all())  # These come first, because a file is placed before its row is committed.
+    files = set(Blobs(folder).all())  # Files are listed before rows, because a file is stored before its row.
     return files - measurements_with_rows(folder), len(files)

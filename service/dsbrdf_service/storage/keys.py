@@ -1,4 +1,4 @@
-"""The rows of API keys; the id of a key is the owner of the fits and measurements that are sent with the key."""
+"""Read and write the rows of API keys; the id of a key is the owner of the data that are sent with the key."""
 
 import time
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ _SELECT_ACTIVE = (
 
 
 def insert_key(database: Database, values: Mapping[str, Any]) -> None:
-    """Write the row of a new key, which was made now."""
+    """Write the row of a new key, with the present time."""
     values = {"created": time.time(), **values}
     marks = ", ".join(f":{name}" for name in values)
     with database.transaction() as db:
@@ -25,15 +25,15 @@ def insert_key(database: Database, values: Mapping[str, Any]) -> None:
 
 
 def all_keys(database: Database) -> list[dict[str, Any]]:
-    """Return every key without its secret, in the order in which they were made."""
+    """Return every key without its secret, the oldest key first."""
     rows = database.rows(f"SELECT {', '.join(_SHOWN)} FROM keys ORDER BY rowid")  # noqa: S608
     return [dict(zip(_SHOWN, row, strict=True)) for row in rows]
 
 
 def revoke_key(database: Database, key_id: str) -> bool:
-    """Revoke a key and cancel its waiting fits; return whether there was such a key.
+    """Revoke a key and cancel its waiting fits; return whether the key existed.
 
-    What is stored with the key stays.
+    Fits and measurements of the key stay.
     """
     now = time.time()
     with database.transaction() as db:
@@ -54,8 +54,8 @@ def has_active_key(folder: Path) -> bool:
 def active_key(database: Database, key_id: str, *usual: float) -> tuple[str, float, int, int, int] | None:
     """Return the secret's sha256 and the limits of an active key, for the event loop; None if there is no such key.
 
-    The `usual` limits replace those that the key has not: requests per second, stored MB, queued fits. The last number
-    says whether the key may read the metrics.
+    The `usual` limits replace missing limits of the key: requests per second, stored MB, queued fits. The last returned
+    number tells whether the key may read the metrics.
     """
     return database.row_now(_SELECT_ACTIVE, *usual, key_id)
 

@@ -1,6 +1,6 @@
-"""The removal of fits and measurements: first their rows, then the files that have no row any more.
+"""Remove fits and measurements: first their rows, then the files without remaining rows.
 
-A crash in between leaves a file without a row. It stays until `dsbrdf purge --files-without-rows` removes it.
+A crash in between leaves a file without a row, which `dsbrdf purge --files-without-rows` removes.
 """
 
 import shutil
@@ -17,7 +17,7 @@ _SPARE_DISK_BYTES = 1 << 24  # With less free space, the commit of a removal cou
 _ROWS_PER_TRANSACTION = 50  # A running server waits for one transaction, a few milliseconds.
 
 _OLD_FITS = f"FROM fits WHERE NOT {IS_UNFINISHED} AND coalesce(finished, created) < :before"
-# Old fits are removed before; a fit that remains keeps its measurement.
+# A measurement stays as long as it has an unfinished fit, or a fit that ended after the given time.
 _OLD_MEASUREMENTS = (
     "FROM measurements AS m WHERE created < :before AND NOT EXISTS (SELECT 1 FROM fits AS f"  # noqa: S608
     " WHERE f.owner = m.owner AND f.measurement = m.sha256"
@@ -28,8 +28,8 @@ _OLD_MEASUREMENTS = (
 def remove_rows(db: sqlite3.Connection, blobs: Blobs, rows: Sequence[tuple[int, str]]) -> list[str]:
     """Delete rows of measurements, each given by rowid and sha256, in a write transaction.
 
-    Return the measurements that have no row any more. On a full disk their files go at once, because the commit needs
-    their space.
+    Return the measurements without remaining rows. On a full disk, the files of these measurements are deleted at once,
+    because the commit needs their space.
     """
     db.executemany("DELETE FROM measurements WHERE rowid = ?", [(rowid,) for rowid, _ in rows])
     unwanted = [sha256 for _, sha256 in rows if not _has_row(db, sha256)]
@@ -42,7 +42,7 @@ def remove_rows(db: sqlite3.Connection, blobs: Blobs, rows: Sequence[tuple[int, 
 def remove_files(database: Database, blobs: Blobs, names: Iterable[str]) -> list[int]:
     """Remove the files of measurements that have no row; return their sizes.
 
-    An upload of the same bytes is ordered by the transaction: if it came before, its row is found here.
+    The transaction excludes a simultaneous upload of the same bytes; the row of an earlier upload is found here.
     """
     sizes = []
     with database.transaction() as db:
@@ -60,7 +60,7 @@ def _has_row(db: sqlite3.Connection, sha256: str) -> bool:
 
 
 def purge(folder: Path, before: float | None, *, files_without_rows: bool = False) -> dict[str, int]:
-    """Remove fits and measurements older than `before` [s since 1970], and perhaps the files without rows.
+    """Remove fits and measurements older than `before` [s since 1970], and optionally the files without rows.
 
     Return the numbers of removed fits, measurements and files without rows, and the bytes of all removed files.
 

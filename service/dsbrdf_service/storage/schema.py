@@ -1,6 +1,6 @@
-"""The tables of the database, and their rows as frozen dataclasses; times are seconds since 1970.
+"""Define the tables of the database, and their rows as frozen dataclasses; times are seconds since 1970.
 
-``PRAGMA user_version`` holds a hash of the tables' definition, so that no release misreads another one's.
+``PRAGMA user_version`` is a hash of the definition of the tables, so that no release misreads another release's tables.
 """
 
 import json
@@ -14,11 +14,11 @@ from typing import Any, Literal, NamedTuple
 from ..errors import DataFolderError
 
 # `owner` is the id of an API key, '' without keys. `seq` counts the rows of each owner, so that the cursor of a page
-# does not show how many rows other owners have. `size` of a fit is its size on the disk, and counts as stored bytes.
-# `checksum` covers metrics and result: SQLite does not notice if two of their pages change places. NULL as the limit of
-# a key means the server's default. `metrics` says whether a key may read ``/metrics``, with the totals of all keys.
-ROW_SIZE = 2_000  # [bytes] A fit with its index entries, without its result.
-UNFINISHED_SIZE = 100_000  # [bytes] An unfinished fit counts so much, because few results take more.
+# does not show how many rows other owners have. `size` of a fit is its size on the disk, which counts in the quota.
+# `checksum` covers metrics and result, because SQLite does not notice swapped pages. A limit of a key that is NULL
+# means the server's default. `metrics` tells whether a key may read ``/metrics``, the totals of all keys.
+ROW_SIZE = 2_000  # [bytes] Size of a fit's row with its index entries, without the result.
+UNFINISHED_SIZE = 100_000  # [bytes] An unfinished fit counts with this size, which few results exceed.
 _TABLES = f"""
     CREATE TABLE IF NOT EXISTS measurements (
         owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
@@ -83,7 +83,7 @@ def checksum(metrics: str | None, result: bytes) -> int:
 
 
 class FitKey(NamedTuple):
-    """The owner and the id of a fit; equal requests of two owners have one id, and make two fits."""
+    """Identify a fit by owner and id; equal requests of two owners have equal ids, but make two fits."""
 
     owner: str
     id: str
@@ -94,7 +94,7 @@ class FitKey(NamedTuple):
 
 @dataclass(frozen=True)
 class Caller:
-    """The sender of a request, who sees the rows of one owner, and the sender's limits."""
+    """Hold the sender of a request, who sees the rows of one owner, and the sender's limits."""
 
     owner: str = ""  # The id of the key that was sent.
     stored_bytes: float = math.inf
@@ -105,13 +105,13 @@ class Caller:
 
 @cache
 def columns(row: type) -> str:
-    """Return the columns of a row's table, as SQL lists them."""
+    """Return the names of a row's columns as a list in SQL."""
     return ", ".join(field.name for field in fields(row))
 
 
 @dataclass(frozen=True)
 class MeasurementRow:
-    """A stored measurement; `seq` counts the measurements of its owner."""
+    """Hold the row of a stored measurement; `seq` counts the measurements of its owner."""
 
     owner: str
     seq: int
@@ -129,7 +129,7 @@ class MeasurementRow:
 
 @dataclass(frozen=True)
 class FitRow:
-    """The state of a fit without its result; `seq` counts the fits of its owner.
+    """Hold the row of a fit without its result; `seq` counts the fits of its owner.
 
     `attempts` counts the processes that were started for the fit since the start of the service.
     """
@@ -173,5 +173,5 @@ class FitRow:
 
     @property
     def repeatable(self) -> bool:
-        """Whether an equal request computes the fit again, as it does unless the input is at fault."""
+        """Whether an equal request computes the fit again: it was cancelled, or failed although its input was right."""
         return self.status == "cancelled" or (self.error is not None and self.error["origin"] != "input")

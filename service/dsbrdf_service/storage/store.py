@@ -1,4 +1,4 @@
-"""The rows and files of measurements and fits in one data folder.
+"""Store the rows and files of measurements and fits in one data folder.
 
 Every method is safe to call from any thread and returns when the change is durable.
 """
@@ -45,7 +45,7 @@ _SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # n
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
 _WHERE_MEASUREMENT = "WHERE owner = ? AND sha256 = ?"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
-# A fit that runs again is a new row, at the head of the list.
+# A repeated fit gets a new row, so that it comes first in lists.
 _ADD_FIT = (
     "REPLACE INTO fits (seq, owner, id, name, measurement, options, algorithm, library, status, created)"  # noqa: S608
     f" VALUES ({_NEXT.format('fits')}, ?, ?, ?, ?, ?, ?, ?, 'accepted', ?) RETURNING {columns(FitRow)}"
@@ -59,13 +59,13 @@ _NAME_FIT = f"UPDATE fits SET name = ? {_WHERE_FIT} RETURNING {columns(FitRow)}"
 
 
 def fit_identity(sha256: str, options: Mapping[str, Any]) -> str:
-    """Return the id of a fit: a hash of the measurement, the options on the wire and the algorithm's version."""
+    """Return the id of a fit: a hash of the measurement, the options in JSON types and the algorithm's version."""
     parts = {"measurement": sha256, "options": dict(options), "algorithm": dsbrdf.ALGORITHM_VERSION}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
 
 
 class Store:
-    """Rows and blobs below one folder; made and locked as an exclusive `Database`, whose errors it raises."""
+    """Manage rows and files in one folder, which an exclusive `Database` makes and locks; raises its errors."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -76,9 +76,9 @@ class Store:
         try:
             self.blobs.make_folders()
             self.blobs.clear_temporary()
-            for left in own_folder(self.running).glob("pymp-*"):  # Folders of multiprocessing.
+            for left in own_folder(self.running).glob("pymp-*"):  # These are left by multiprocessing.
                 shutil.rmtree(left, ignore_errors=True)
-            with suppress(OSError):  # A full disk has no room for it, and the service can start without.
+            with suppress(OSError):  # On a full disk, the service starts without the reserve.
                 (folder / RESERVE).touch(mode=0o600)
                 (folder / RESERVE).write_bytes(bytes(_RESERVE_BYTES))
         except BaseException:
@@ -90,7 +90,7 @@ class Store:
         self.database.close()
 
     def keep_temporary_files(self) -> None:
-        """Put this process's temporary files, such as the fork server's socket, where the next start removes them."""
+        """Put temporary files of this process, such as the fork server's socket, where the next start removes them."""
         # A socket's path has at most 107 characters; through the open folder's descriptor it is always short.
         descriptor = Path(f"/proc/self/fd/{os.open(self.running, os.O_RDONLY)}")
         if descriptor.is_dir():
@@ -99,9 +99,9 @@ class Store:
     def add_measurement(
         self, caller: Caller, incoming: Incoming, name: str | None = None
     ) -> tuple[MeasurementRow, bool]:
-        """Store a closed file; return its row, and whether it is new to the caller. A known one takes the name, if any.
+        """Store a closed file; return its row, and whether it is new. A new name replaces the old one.
 
-        Raises ProblemError if the caller would have stored more than it may, or its key has been revoked.
+        Raises ProblemError if the caller's quota would be exceeded, or the caller's key has been revoked.
         """
         sha256 = incoming.sha256
         with self.database.transaction() as db:
@@ -112,7 +112,7 @@ class Store:
                 check_storage(db, caller, incoming.size, "the measurement has")
             values = (caller.owner, caller.owner, sha256, name, incoming.size, incoming.valid_nodes, time.time())
             (row,) = db.execute(_ADD_MEASUREMENT, values).fetchall()
-            # Placed even if it is there: that mends a damaged file, and tells nobody who else has it.
+            # The file is stored even if it exists: this repairs damage, and does not reveal that another key has it.
             self.blobs.place(incoming)
         return MeasurementRow(*row), new
 
@@ -123,23 +123,23 @@ class Store:
         raise MeasurementNotFoundError(sha256)
 
     def sound_file(self, sha256: str) -> Path:
-        """Return the file of a measurement, which has the bytes that it is named by; raises MeasurementDamagedError."""
+        """Check a measurement's file by its sha256 and return its path; raise MeasurementDamagedError if it differs."""
         damage = self.blobs.damage(sha256)
         if damage is not None:
             raise MeasurementDamagedError(damage)
         return self.blobs.path(sha256)
 
     def measurement_file(self, owner: str, sha256: str, kind: Literal["grid", "samples", "any"] = "any") -> Path:
-        """Return the file of a measurement, which has the bytes that it is named by: whoever reads it asks here.
+        """Check a measurement's file by its sha256 and return its path, before the file is read.
 
-        Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if it is damaged,
-        and ProblemError if it is not of the `kind`.
+        Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if its file is
+        damaged, and ProblemError if the measurement is not of the `kind`.
         """
         row = self.measurement(owner, sha256)
         try:
             path = self.sound_file(sha256)
         except MeasurementDamagedError as error:
-            self.measurement(owner, sha256)  # This raises if it has been deleted meanwhile, file and row.
+            self.measurement(owner, sha256)  # This raises if row and file have been deleted meanwhile.
             logger.error("the file of the measurement %s is damaged: %s", sha256, error)  # noqa: TRY400 (no traceback)
             raise
         if kind == "grid" and not row.on_grid:
@@ -152,13 +152,13 @@ class Store:
         return path
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
-        """Return up to `limit` measurements, newest first, older than the row number `before`; those of one name."""
+        """Return up to `limit` measurements, newest first, with `seq` below `before` and optionally one name."""
         return [MeasurementRow(*row) for row in self._page(_SELECT_MEASUREMENT, owner, limit, before, {"name": name})]
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
-        """Remove a measurement, whose file goes after its last owner's row; return whether there was one.
+        """Remove an owner's measurement, and its file if no owner has it any more; return whether it existed.
 
-        Its finished fits stay; raises ProblemError if fits of it are unfinished.
+        Finished fits of the measurement stay; raises ProblemError if fits of it are unfinished.
         """
         with self.database.transaction() as db:
             query = f"SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND {IS_UNFINISHED}"  # noqa: S608
@@ -179,9 +179,9 @@ class Store:
     def add_fit(
         self, caller: Caller, sha256: str, options: Mapping[str, Any], queue_limit: int, name: str | None = None
     ) -> tuple[FitRow, bool]:
-        """Accept a fit of a stored measurement, or find the same one; the flag says whether it has to be computed.
+        """Accept a fit of a stored measurement, or find an equal fit; the flag tells whether it must be computed.
 
-        `options` are in their wire form; without a `name`, the fit has that of its measurement.
+        `options` are in JSON types; without a `name`, the fit gets the name of its measurement.
 
         Raises MeasurementNotFoundError, or ProblemError if `queue_limit` fits are waiting, a quota is reached or the
         caller's key has been revoked.
@@ -235,7 +235,7 @@ class Store:
         status: Status | None = None,
         measurement: str | None = None,
     ) -> list[FitRow]:
-        """Return up to `limit` fits, newest first, older than the row number `before`, which have what is not None."""
+        """Return at most `limit` fits, newest first, `seq` below `before`, of a given name, status or measurement."""
         wanted = {"name": name, "status": status, "measurement": measurement}
         return [FitRow.from_values(row) for row in self._page(_SELECT_FIT, owner, limit, before, wanted)]
 
@@ -245,14 +245,14 @@ class Store:
         return [fit_id for (fit_id,) in self.database.rows(query, sha256, owner, limit)]
 
     def result(self, key: FitKey) -> bytes:
-        """Return the document of a fit that succeeded, as its process has written it.
+        """Return the document of a fit that succeeded, as its process wrote the document.
 
-        Raises FitNotFoundError, or ProblemError if the fit has none, or it is not what was written.
+        Raises FitNotFoundError, or ProblemError if the fit has no document, or the document is damaged.
         """
         return self._result(key)[0]
 
     def thumbnail(self, key: FitKey) -> bytes:
-        """Return the picture of a fit that succeeded; raises as `result`, and ProblemError if none is stored."""
+        """Return the thumbnail of a fit that succeeded; raise as `result`, and ProblemError if none is stored."""
         picture = self._result(key)[1]
         if picture is None:
             detail = "The fit is stored without a thumbnail; figures/sphere.png of the fit draws its sphere."
@@ -282,14 +282,14 @@ class Store:
         return None if row is None else int(row[0])
 
     def start_fit(self, key: FitKey) -> FitRow | None:
-        """Set a fit running, also after the loss of its process; None if it has ended already."""
+        """Mark a fit as running, also after the loss of its process; return None if the fit has ended already."""
         change = "status = 'running', attempts = attempts + 1, started = ?"
         return self._advance(change, (time.time(),), key)
 
     def complete_fit(
         self, key: FitKey, document: str, metrics: Mapping[str, float | None], thumbnail: bytes | None = None
     ) -> FitRow | None:
-        """Write a running fit's result and its state; None if it does not run any more."""
+        """Write the result and the state of a running fit; return None if the fit is not running."""
         change = "status = 'succeeded', finished = ?, metrics = ?, result = ?, thumbnail = ?, size = ?, checksum = ?"
         content, written = document.encode(), json.dumps(metrics)
         size = ROW_SIZE + len(content) + len(thumbnail or b"")
@@ -297,25 +297,25 @@ class Store:
         return self._advance(change, values, key, "status = 'running'")
 
     def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> FitRow | None:
-        """Write a fit's error and its state; None if it has ended already."""
+        """Write the error and the state of a fit; return None if the fit has ended already."""
         change = "status = 'failed', finished = ?, error = ?, size = ?"
         return self._advance(change, (time.time(), json.dumps(error), ROW_SIZE), key)
 
     def cancel_fit(self, key: FitKey) -> FitRow | None:
-        """Mark an unfinished fit as cancelled; None if it has ended already."""
+        """Mark an unfinished fit as cancelled; return None if the fit has ended already."""
         return self._advance("status = 'cancelled', finished = ?, size = ?", (time.time(), ROW_SIZE), key)
 
     def remove_fit(self, key: FitKey) -> bool:
-        """Remove a fit that has ended; return whether there was one."""
+        """Remove a fit that has ended; return whether such a fit existed."""
         query = f"DELETE FROM fits {_WHERE_FIT} AND NOT {IS_UNFINISHED}"  # noqa: S608
         with self.database.transaction() as db:
             return db.execute(query, key).rowcount > 0
 
     def resume(self) -> list[FitKey]:
-        """Set the fits that an earlier process has left running back to accepted; return all accepted, oldest first.
+        """Reset fits that an earlier process left running to accepted; return all accepted fits, oldest first.
 
-        That they were started does not count as an attempt. Fits of another version of the algorithm fail: their ids
-        name results that this release does not compute.
+        Their earlier starts do not count as attempts. Unfinished fits of another version of the algorithm fail, because
+        their ids include a version that this release does not compute.
         """
         other = f"The service has another fit algorithm since this fit was accepted, {dsbrdf.ALGORITHM_VERSION}; send "
         fault = {"origin": "system", "type": "OtherRelease", "message": f"{other}the request again for a new fit."}
@@ -328,7 +328,7 @@ class Store:
             return [FitKey(*row) for row in rows]
 
     def fits_by_status(self) -> dict[Status, int]:
-        """Return how many fits of all owners have each status."""
+        """Return the number of fits of all owners by status."""
         return dict(self.database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
 
     def measurement_bytes(self) -> int:

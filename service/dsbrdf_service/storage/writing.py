@@ -1,4 +1,4 @@
-"""Files in progress in the data folder, by owner, and the quotas of API keys."""
+"""Write unfinished uploads and answers to files, and check the quotas of API keys."""
 
 import asyncio
 import sqlite3
@@ -19,7 +19,7 @@ from .database import Database
 from .schema import IS_UNFINISHED, Caller
 
 in_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
-"""Run a function of an upload in one of a few threads, each of which keeps the memory of its last piece."""
+"""Run a function of an upload in one of four threads, because each thread keeps the memory of its last piece."""
 _STORED = (
     "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
     " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
@@ -28,25 +28,25 @@ _STORED = (
 
 @dataclass(eq=False)
 class Hold:
-    """Room on the disk that an unfinished upload or an unread answer takes, as long as this object lives."""
+    """Reserve disk space for an unfinished upload or an unread answer, as long as this object lives."""
 
     owner: str
     n_bytes: int
 
 
 class Writing:
-    """The files in progress by owner: uploads, and answers until they have been read. They count in the quota."""
+    """Write the files in progress: uploads, and answers until they have been read; these files count in the quota."""
 
     def __init__(self, database: Database, blobs: Blobs) -> None:
         self._database = database
         self._blobs = blobs
-        self._holds: WeakSet[Hold] = WeakSet()  # The event loop alone adds to it.
+        self._holds: WeakSet[Hold] = WeakSet()  # Only the event loop adds to it.
 
     async def hold(self, caller: Caller, n_bytes: int, kind: str) -> Hold:
-        """Reserve room for a file; raise ProblemError of a `kind` if the files in progress fill the caller's quota.
+        """Reserve space for a file; raise ProblemError of a `kind` if the files in progress exceed the caller's quota.
 
-        A caller whose quota is full may still have one file at a time: the service may have the file already, and an
-        answer is deleted when it has been read.
+        A caller whose quota is full may still have one file at a time, because the service may have the uploaded file
+        already, and an answer is deleted when it has been read.
         """
         others = [hold.n_bytes for hold in self._holds if hold.owner == caller.owner]
         held = Hold(caller.owner, n_bytes)
@@ -105,7 +105,7 @@ def check_key(db: sqlite3.Connection, caller: Caller) -> None:
 
 
 def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
-    """Raise ProblemError if the caller has as many unfinished fits as it may have."""
+    """Raise ProblemError if the caller's number of unfinished fits is at its limit."""
     query = f"SELECT count(*) FROM fits WHERE owner = ? AND {IS_UNFINISHED}"  # noqa: S608
     (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
     if unfinished >= caller.queued_fits:
@@ -114,7 +114,7 @@ def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
 
 
 def check_storage(db: sqlite3.Connection, caller: Caller, more: int, said: str) -> None:
-    """Raise ProblemError if the caller has no room for `more` bytes; `said` comes before their number."""
+    """Raise ProblemError if `more` bytes would exceed the caller's quota; `said` precedes this number in the text."""
     (stored,) = db.execute(_STORED, (caller.owner, caller.owner)).fetchone()
     if stored + more > caller.stored_bytes:
         raise _full(caller.stored_bytes, stored, f" and {said} {more / 1e6:.1f} MB")
