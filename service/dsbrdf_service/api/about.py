@@ -1,4 +1,4 @@
-"""The service itself: liveness, readiness, metrics, the OpenAPI document and the files of the web page."""
+"""Describe the service itself: liveness, readiness, metrics, the OpenAPI document and the files of the web page."""
 
 import json
 from typing import Literal

@@ -1,4 +1,4 @@
-"""The components of a fit, and how each is described."""
+"""Return the components of a fit, with their layers, surfaces and ranges."""
 
 from typing import Annotated, Any
 
@@ -16,7 +16,7 @@ from .fields import Label, Range, Rgb, Share
 
 
 class ComponentLobe(BaseModel):
-    """The height of a component's own layers at some angles, one entry in each list for each angle."""
+    """Values of a component's layers at theta_half = 0, one entry in each list for each angle theta_diff."""
 
     theta_diff_deg: Annotated[list[float], Field(description="The angles.")]
     height: Annotated[list[Rgb], Field(description="Value at theta_half = 0 [1/sr].")]
@@ -26,7 +26,7 @@ _RgbRange = Annotated[list[Range], Field(min_length=3, max_length=3)]
 
 
 class ComponentRangesDocument(BaseModel):
-    """Low and high end of a component's figures: each lies between them with a probability of 90 %."""
+    """Low and high end of ranges of a component's parameters, each with a probability of 90 %."""
 
     light_share: Range
     albedo: _RgbRange
@@ -47,7 +47,7 @@ class SurfaceDocument(BaseModel):
 
 
 class MisfitDocument(BaseModel):
-    """Distance of a component's own layers from its values."""
+    """Distance of a component's layers from the component's values."""
 
     peak: Annotated[float | None, Field(description="Ratio of the heights at theta_half = 0, minus 1.")]
     color: Annotated[float, Field(description="Largest difference of a channel, relative to the largest channel.")]
@@ -59,9 +59,9 @@ class MisfitDocument(BaseModel):
 
 
 class ComponentDocument(BaseModel):
-    """One component of a fit that has light; the values of all components add up to the fit's.
+    """One component of a fit that reflects light; the values of all components add up to the values of the fit.
 
-    Its surfaces describe it, the brightest first; a diffuse component has none.
+    The surfaces describe the component, the brightest first; a diffuse component has no surfaces.
     """
 
     label: Label
@@ -90,7 +90,7 @@ class ComponentDocument(BaseModel):
 
 
 class ComponentList(BaseModel):
-    """The components of a fit that have light, from narrow to wide."""
+    """The components of a fit that reflect light, from narrow to wide."""
 
     items: list[ComponentDocument]
 
@@ -102,9 +102,9 @@ router = APIRouter(prefix="/v1/fits/{fit_id}/components", tags=["components"], d
     "", response_model=ComponentList, responses=openapi.TAGGED | openapi.problems("not-found", "fit-not-finished")
 )
 async def get_components(request: Request, context: TheContext, fit: TheFit) -> Response:
-    """Return the components that have light: specular spike, specular lobe, diffuse, or some of them.
+    """Return the components that reflect light: specular spike, specular lobe, diffuse, or some of them.
 
-    Each has a lobe of its own, as values at some angles, its albedo, colour, half width and how clear the split is.
+    Each component has its values at some angles, albedo, colour, half width, layers, surfaces, and ranges.
     """
     result = from_json(await run_in_threadpool(context.store.result, fit))
     return tagged_reply(request, to_json({"items": result["components"]}))

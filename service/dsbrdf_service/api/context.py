@@ -1,4 +1,4 @@
-"""Dependencies of routes: the parts of the running service, the caller, and parameters that several routes share."""
+"""Define the dependencies of routes: the parts of the running service, the caller, and common parameters."""
 
 from collections import Counter
 from collections.abc import Callable, Hashable
@@ -34,7 +34,7 @@ from .fields import FIT_ID, SHA256
 
 @dataclass(frozen=True)
 class Context:
-    """The parts of one service; made when it starts, closed when it ends."""
+    """Hold the parts of one service, which are opened when it starts and closed when it stops."""
 
     settings: Settings
     store: Store
@@ -53,7 +53,7 @@ class Context:
     async def in_process(
         self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, max_bytes: int = 0
     ) -> Any:
-        """Return as `Computations.run_in_process`, or, with `max_bytes`, the file as `Computations.make_file`.
+        """Return the result of `Computations.run_in_process`; with `max_bytes`, the file of `Computations.make_file`.
 
         Raises MeasurementNotFoundError if the measurement is deleted meanwhile.
         """
@@ -133,7 +133,7 @@ TheTableOptions = Annotated[TableOptions, Depends(_table_options_in)]
 
 
 async def check_query(request: Request) -> None:
-    """Refuse a query parameter that the route does not declare, or that is given twice: none is ignored."""
+    """Refuse query parameters that the route does not declare, or that are given twice, instead of ignoring them."""
     if not request.scope["query_string"]:
         return
     route: APIRoute = request.scope["route"]

@@ -1,4 +1,4 @@
-"""Exports of a fit: the model, a component or the layers as files for other programs."""
+"""Export a fit: the model, a component or the layers as files for other programs."""
 
 from functools import partial
 from pathlib import Path
@@ -51,7 +51,7 @@ class Export(Input):
 
 router = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=CHECKED_QUERY)
 _MEDIA_TYPES = (BINARY, *(kind.media_type.partition(";")[0] for kind in FORMATS.values()))
-# Generated clients read an answer as the first type that they know: any of these files is bytes.
+# A generated client reads an answer as the first type that it knows; binary comes first, so it reads bytes.
 _EXPORTED = {name: openapi.file(name) for name in _MEDIA_TYPES} | {JSON: {"schema": {"type": "object"}}}
 
 

@@ -1,6 +1,6 @@
-"""The JSON documents and the queries that clients send, as pydantic models.
+"""Define the JSON documents and the queries that clients send, as pydantic models.
 
-Angles in degrees (``_deg``), RGB order.
+Angles are in degrees (``_deg``), and channels are in the order red, green, blue.
 """
 
 import json
@@ -44,14 +44,14 @@ Name = Annotated[str | None, Field(description="The latest name given; no part o
 
 
 def _check_plain(given: Any) -> Any:
-    """Return the input; raise ValueError if it is a text that Python alone reads as a number, such as 1_000."""
+    """Return the input; raise ValueError for texts such as 1_000, which are numbers only in Python."""
     if isinstance(given, str) and ("_" in given or not given.isascii()):
         raise ValueError(f"{given[:40]!r} is not a number")
     return given
 
 
 PLAIN = BeforeValidator(_check_plain)
-"""Validator of a number in a query, to be listed after its limits; it refuses texts such as 1_000."""
+"""Validator that refuses texts such as 1_000 as numbers in a query; an annotation lists it after the limits."""
 
 
 class Input(BaseModel):
@@ -95,9 +95,9 @@ _Document = TypeVar("_Document", bound=BaseModel)
 
 
 def parse_document(kind: type[_Document], body: bytes) -> _Document:
-    """Return the document of a JSON body.
+    """Parse a JSON body as a document of a `kind`.
 
-    Raises InvalidArgumentError if the body is not such a document.
+    Raises InvalidArgumentError if the body is not a document of this kind.
     """
     try:
         document = kind.model_validate_json(body)
@@ -125,17 +125,17 @@ class Page(Input):
 
     @property
     def before(self) -> int | None:
-        """Number of the row from which the page goes on."""
+        """Number `seq` of the row before the page; the page begins with the next older row."""
         return None if self.cursor is None else int(self.cursor)
 
 
 def as_time(seconds: float | None) -> datetime | None:
-    """Return a time of a row [s since 1970] as JSON shows it."""
+    """Convert a time of a row [s since 1970] to a datetime for JSON."""
     return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
 
 
 def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
-    """Return the ``Link`` header to the next page; `rows` has one row more than a page unless this is the last one."""
+    """Return the ``Link`` header to the next page, if `rows` has more rows than the page; otherwise no header."""
     if len(rows) <= page.limit:
         return {}
     query = urlencode(page.model_dump(exclude_none=True) | {"cursor": rows[page.limit - 1].seq})

@@ -1,4 +1,4 @@
-"""Fits: submit, look up, follow, export, cancel and delete."""
+"""Submit, list, follow, rename, cancel and delete fits."""
 
 import asyncio
 from collections.abc import AsyncIterable
@@ -181,7 +181,7 @@ _SUBMISSION_BODY = openapi.body(
     openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, *TABLE_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
 )
 async def submit_fit(request: Request, context: TheContext, caller: TheCaller, table: TheTableOptions) -> Response:
-    """Fit the measurement that is the body, or a stored one.
+    """Fit the measurement in the body, or a stored measurement.
 
     The answer comes when the fit has ended: 201, or 200 if an equal request was made before. A fit that failed is
     answered in the same way: its `status` is `failed` and its `error` says why. If the fit takes longer than
@@ -208,7 +208,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, t
 
 
 async def _requested(request: Request, context: Context) -> FitRequest:
-    """Return the JSON document of a request; a file that is sent as JSON, as some clients do by default, is named."""
+    """Return the JSON document of a request; explain the mistake if a client sends a file as JSON."""
     if int(request.headers.get("content-length", 0)) > _MAX_JSON_BYTES:  # uvicorn has checked that it is a number.
         raise ProblemError("too-large", _FILE_AS_JSON)
     async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
@@ -231,7 +231,7 @@ async def list_fits(
 
 @router.get("/{fit_id}", response_model=FitDocument, responses=openapi.TAGGED | openapi.problems("not-found"))
 async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit: TheFit, wait: _Wait = 0.0) -> Response:
-    """Return a fit; with `wait`, when it has ended or the time is over."""
+    """Return a fit; with `wait`, return it when it has ended or the time is over."""
     row = await _wait(request, context, caller, fit, min(wait, context.settings.max_wait))
     document = await _document(context, row)
     headers = {} if row.ended else {"Retry-After": "1"}
@@ -328,7 +328,7 @@ def _summary(context: Context, row: FitRow) -> bytes:
 
 
 async def _document(context: Context, row: FitRow) -> bytes:
-    """Return the `FitDocument` of a row: its state and the bytes that are stored of a result, which are not parsed."""
+    """Return the `FitDocument` of a row: its state, and the stored bytes of its result, which are not parsed."""
     result = _NO_RESULT
     if row.status == "succeeded":
         result = await run_in_threadpool(context.store.result, row.key)

@@ -1,4 +1,4 @@
-"""Measurements: upload once, fit often."""
+"""Upload, list, download and delete measurements."""
 
 import os
 from datetime import datetime
@@ -78,11 +78,10 @@ _ACCEPT = openapi.header_parameter("Accept", f"`{BINARY}` asks for the file inst
 async def upload_measurement(
     request: Request, context: TheContext, caller: TheCaller, options: TheTableOptions
 ) -> Response:
-    """Store the measurement that is the body: 201, or 200 if the same is stored already.
+    """Store the measurement in the body: 201, or 200 if it is stored already.
 
-    A MERL file is stored byte for byte. An RGL file, by `.bsdf` at the end of its name, is stored as the MERL table of
-    its values, and a table of samples, which is read with its options, as a file of samples: `sha256` and `size` are
-    those of what is stored.
+    A MERL file is stored byte for byte. An RGL `.bsdf` file is converted to a MERL table, and a table of samples is
+    read with its options and converted to a file of samples. `sha256` and `size` describe the stored file.
     """
     media_type_of(request, *UPLOADED)
     row, new = await receive_upload(request, context, caller, name_of(request), options)
@@ -133,7 +132,7 @@ async def get_measurement(request: Request, context: TheContext, caller: TheCall
     },
 )
 async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Return the file as it is stored; its ETag is its sha256. `HEAD` tells whether it need not be sent again."""
+    """Return the stored file; its ETag is its sha256. `HEAD` tells whether the file is stored, without sending it."""
     return await _content(request, context, caller, sha256)
 
 
@@ -144,7 +143,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),
 )
 async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Delete the file; finished fits of it stay, unfinished ones forbid it (409)."""
+    """Delete a measurement; its finished fits stay. With unfinished fits, the answer is 409."""
     if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
         raise MeasurementNotFoundError(sha256)
     return Response(status_code=204)
@@ -164,7 +163,7 @@ async def _content(request: Request, context: Context, caller: Caller, sha256: s
         headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
         file = OpenFile(os.open(path, os.O_RDONLY))
         return OpenFileResponse(file, headers | {"Content-Type": BINARY})
-    except FileNotFoundError:  # It has been deleted since its row was read.
+    except FileNotFoundError:  # The file was deleted after its row was read.
         raise MeasurementNotFoundError(sha256) from None
 
 

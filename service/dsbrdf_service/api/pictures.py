@@ -1,4 +1,4 @@
-"""Pictures of fits and of measurements."""
+"""Draw pictures of fits and of measurements."""
 
 import hashlib
 from collections.abc import Callable, Hashable
@@ -66,7 +66,7 @@ _PANORAMA = openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {N
 
 
 class _Drawing:
-    """Answers a request with the result of a step, or with 304 if the client has this result."""
+    """Answer a request with the result of a step, or with 304 if the client has this result."""
 
     def __init__(self, request: Request, context: TheContext, caller: TheCaller) -> None:
         self._request, self._context, self._caller = request, context, caller
@@ -74,7 +74,7 @@ class _Drawing:
     async def __call__(
         self, step: Callable[..., Any], *arguments: Any, of: Hashable = None, max_bytes: int = 0
     ) -> Response:
-        """Return the result of a `step`, which address, owner and `of` determine.
+        """Return the result of a `step`, which is determined by the request's address, its owner and `of`.
 
         With `max_bytes`, the step writes a file of at most this length.
         """
@@ -115,8 +115,8 @@ async def draw_sphere(
 ) -> Response:
     """Return a lit sphere of the fit, or of one component: a picture, or its linear RGB radiance.
 
-    The radiance is float32 (size, size, 3), from the top. The picture has the exposure of the fit: the 99th percentile
-    of that whole sphere becomes 1; what is brighter is clipped; then comes the sRGB curve.
+    The radiance is float32 (size, size, 3), from the top. The picture has the exposure of the whole fit, which scales
+    the 99th percentile of the fit's sphere to 1; larger values are clipped, and the sRGB curve is applied.
     """
     return await draw(sphere_step, file_format, fit.model, fit.part(component), lighting, size)
 
@@ -125,7 +125,7 @@ async def draw_sphere(
 async def get_thumbnail(request: Request, context: TheContext, row: TheRow) -> Response:
     """Return a small sphere under three lights: the fit, and on the left its measurement if that is on a grid.
 
-    It is drawn with the fit, and kept as long as it.
+    The thumbnail is drawn when the fit ends, and is stored as long as the fit.
     """
     kept = await run_in_threadpool(context.store.thumbnail, row.key)
     return tagged_reply(request, kept, _MEDIA_TYPES["png"])
@@ -140,7 +140,7 @@ async def draw_sphere_in_panorama(
     size: _Size = 128,
     component: _Component = None,
 ) -> Response:
-    """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
+    """Return a sphere of the fit in a panorama, whose first row is straight up and middle column behind the sphere."""
     pixels, digest = panorama
     return await draw(sphere_step, file_format, fit.model, fit.part(component), pixels, size, of=digest)
 
@@ -157,10 +157,10 @@ async def draw_figure(
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
-    `profiles` measured and fitted values over theta_half; `components` the red channel's components with
-    their own lobes; `lobes` its lobes in the model; `parameters` height, half width, kappa and elongation of the
-    components' own lobes over theta_diff; `residual` the relative difference over theta_half and theta_diff.
-    Of a table of samples, `profiles` and `residual` have the samples; there are no `components` and `lobes`.
+    `profiles` shows measured and fitted values over theta_half; `components` shows the components and their layers in
+    the red channel; `lobes` shows the lobes of the model in the red channel; `parameters` shows the components' values
+    at theta_half = 0 and directional albedos; `residual` shows the relative difference over theta_half and theta_diff.
+    For a table of samples, `profiles` and `residual` show the samples, and there are no `components` and `lobes`.
     """
     stored = await context.stored_measurement(row.owner, row.measurement, row.name, "any")
     require("plot", "matplotlib", purpose="figures")
@@ -175,7 +175,7 @@ async def draw_measurement(
     size: _Size = 128,
     lighting: _Lighting = LIGHTINGS[0],
 ) -> Response:
-    """Return the same of the measurement, which is interpolated; the picture has an exposure of its own."""
+    """Return a lit sphere of the interpolated measurement, as of a fit; the picture has the measurement's exposure."""
     return await draw(sphere_step, file_format, stored, stored, lighting, size)
 
 
@@ -183,7 +183,7 @@ async def draw_measurement(
 async def draw_measurement_in_panorama(
     draw: Draw, stored: TheMeasurement, file_format: _SphereFormat, panorama: _Panorama, size: _Size = 128
 ) -> Response:
-    """Return the same in the light of a panorama: the first row is straight up, the middle column behind the sphere."""
+    """Return a sphere of a measurement in a panorama: first row straight up, middle column behind the sphere."""
     pixels, digest = panorama
     return await draw(sphere_step, file_format, stored, stored, pixels, size, of=digest)
 
@@ -192,7 +192,7 @@ async def draw_measurement_in_panorama(
 async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
     """Return ln(value + 1e-6) at the nodes of the MERL grid: float16 (theta_half, theta_diff, phi_diff, RGB), 8.7 MB.
 
-    Linear interpolation of it is the measurement as the spheres show it; a texture of a graphics card can hold it.
+    Linear interpolation of this table gives the measurement as the spheres show it, for example in a shader's texture.
     """
     return await draw(table_step, stored, max_bytes=_MAX_TABLE_BYTES)
 
@@ -201,6 +201,6 @@ async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
 async def get_samples(
     draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, most: _Most = 5000
 ) -> Response:
-    """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9); of many, some at random."""
+    """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9), at most `most` at random."""
     stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
     return await draw(samples_step, stored, most)

@@ -1,6 +1,6 @@
-"""Points at which values are wanted: angles or directions, in a query, as JSON or as an array.
+"""Read the points of a request for values: angles or directions, in a query, as JSON or as an array.
 
-What they become are half and difference angles.
+All points are converted to half and difference angles.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def _or_one(schema: dict[str, Any]) -> None:
-    """Add to the schema of a list that one of its items may stand for it."""
+    """Allow a single item instead of a list in the schema of the list."""
     schema["anyOf"] = [{"type": schema.pop("type"), "items": schema["items"]}, schema.pop("items")]
 
 
@@ -78,7 +78,7 @@ _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # Every model is 0 at these angles
 
 
 class Points(NamedTuple):
-    """Half and difference angles, shape (n,) each [rad]."""
+    """Hold half and difference angles, shape (n,) each [rad]."""
 
     theta_half: Array
     theta_diff: Array
@@ -91,11 +91,11 @@ _CHOICE = "give theta_half_deg and theta_diff_deg, or theta_in_deg and theta_out
 def from_query(query: bytes) -> Points:
     """Return the points of a query; a name occurs once for each point.
 
-    Raises InvalidArgumentError: with one sentence that says what is wrong and what would be right.
+    Raises InvalidArgumentError with one sentence that names the mistake and the remedy.
     """
     given: dict[str, list[Any]] = {}
     for name, text in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
-        if "_" in text:  # Python alone reads 1_0 as a number.
+        if "_" in text:  # Only Python reads 1_0 as a number.
             raise InvalidArgumentError(f"{name[:40]} must be a number, not {text[:40]!r}.")
         given.setdefault(name, []).append(text.split(",") if name in _DIRECTIONS else text)
     return _points(given, strict=False)
@@ -104,7 +104,7 @@ def from_query(query: bytes) -> Points:
 def from_json(body: bytes) -> Points:
     """Return the points of a JSON document: an `AnglesRequest`, a `SidesRequest` or a `DirectionsRequest`.
 
-    Raises InvalidArgumentError if it is none of them.
+    Raises InvalidArgumentError if the document is none of these.
     """
     try:
         given = parsed(body)
@@ -112,7 +112,7 @@ def from_json(body: bytes) -> Points:
         raise InvalidArgumentError(f"The body is not JSON: {error}.") from None
     if not isinstance(given, dict):
         raise InvalidArgumentError(f"The body must be an object; {_CHOICE}.")
-    for name in given.keys() & _FORM_OF:  # The parser keeps the last one of a name.
+    for name in given.keys() & _FORM_OF:  # The parser silently keeps the last member of a name.
         if body.count(b'"%b"' % name.encode()) > 1:
             raise InvalidArgumentError(f"The member {name!r} is given more than once; give it once.")
     several = {name: [value] if isinstance(value, int | float) else value for name, value in given.items()}
@@ -120,7 +120,7 @@ def from_json(body: bytes) -> Points:
 
 
 def batch_step(body: bytes, _: OnProgress) -> Points:
-    """Return as `from_json`, in a process of its own."""
+    """Call `from_json` in a separate process."""
     return from_json(body)
 
 
@@ -146,16 +146,16 @@ def from_npy(data: bytes) -> Points:
 
 
 def panorama_from_npy(data: bytes) -> NDArray[Any]:
-    """Return the panorama that a .npy file holds; raise InvalidArgumentError if it holds none."""
+    """Return the panorama in a .npy file; raise InvalidArgumentError if the file does not contain a panorama."""
     return read_npy(data, lambda shape: len(shape) == 3 and shape[1:] == (2 * shape[0], 3), _PANORAMA)
 
 
 def read_npy(data: bytes, allowed: Callable[[tuple[int, ...]], bool], wanted: str) -> NDArray[Any]:
-    """Return the array of numbers that a .npy file holds; `wanted` says which shapes are `allowed`."""
+    """Return the array of numbers in a .npy file; `wanted` describes the shapes that are `allowed`."""
     file = BytesIO(data)
     try:
         array: NDArray[Any] = npy.read_array(file, allow_pickle=False, max_header_size=_MAX_NPY_HEADER_BYTES)
-    except Exception:  # NumPy parses the header as Python, which can raise any exception
+    except Exception:  # NumPy parses the header as Python, which can raise any exception.
         raise InvalidArgumentError("The body is not a whole .npy file of numbers.") from None
     if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):
         raise InvalidArgumentError(f"The array holds {array.dtype}; it must hold float64 or float32.")
@@ -167,7 +167,7 @@ def read_npy(data: bytes, allowed: Callable[[tuple[int, ...]], bool], wanted: st
 
 
 def _points(given: Mapping[str, Any], *, strict: bool) -> Points:
-    """Return the points of the form whose name is given first; numbers may be texts unless it is `strict`."""
+    """Return the points in the form to which the first name belongs; numbers may be texts unless `strict`."""
     form = _FORM_OF.get(next(iter(given), ""))
     if form is None:
         fault = f"{next(iter(given))[:60]!r} does not belong to a point" if given else "The request has no point"
@@ -197,7 +197,7 @@ def _of_directions(**omega: Any) -> Points:
 
 
 def _broadcast(columns: Mapping[str, Any]) -> Sequence[Any]:
-    """Return columns of one length; a column of one value counts for all points."""
+    """Return columns of equal length; a column of one value is repeated for all points."""
     counts = set(map(len, columns.values()))
     if len(counts) == 1:
         return list(columns.values())
@@ -217,5 +217,5 @@ _READ: dict[type[Input], Callable[..., Points]] = {
     DirectionsRequest: _of_directions,
 }
 FORMS = tuple(_READ)
-"""Documents of points."""
+"""Pydantic models of documents of points."""
 _FORM_OF = {name: form for form in FORMS for name in form.model_fields}

@@ -1,4 +1,4 @@
-"""Descriptions of tables of samples, to look at before an upload."""
+"""Describe tables of samples, so that they can be checked before an upload."""
 
 import hashlib
 from typing import Annotated
@@ -56,7 +56,7 @@ router = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=CHEC
 async def describe_table(
     request: Request, context: TheContext, caller: TheCaller, options: TheTableOptions
 ) -> TableDocument:
-    """Return columns, units, ranges, planes, warnings and the first samples of the table that is the body.
+    """Return columns, units, ranges, warnings and the first samples of the table in the body.
 
     Nothing is stored, so the right options can be found before the upload.
     """

@@ -1,7 +1,6 @@
-"""Uploads of measurements: MERL files, RGL ``.bsdf`` files, and tables of samples.
+"""Receive uploads of measurements: MERL files, RGL ``.bsdf`` files, and tables of samples.
 
-A file is hashed and checked while it is written, and never held whole in memory. If anything is wrong with it, nothing
-of it stays.
+A file is hashed and checked while it is written, and is never held whole in memory. Nothing of a wrong file is stored.
 """
 
 from collections.abc import AsyncIterator
@@ -53,9 +52,9 @@ OPTION_PARAMETERS, TABLE_PARAMETERS = (
 """Query parameters for the options of a fit, and of a table."""
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
-_PIECE_BYTES = 1 << 16  # Every open upload holds a piece.
-_MAX_SHORT_TEXT_BYTES = 1 << 16  # A text of this size takes at most about a second, and a spreadsheet much longer.
-_ZIP = b"PK"  # Every spreadsheet begins so.
+_PIECE_BYTES = 1 << 16  # Every unfinished upload keeps one piece in memory.
+_MAX_SHORT_TEXT_BYTES = 1 << 16  # A text of this size is read in about a second; a spreadsheet takes longer.
+_ZIP = b"PK"  # Every .xlsx file begins with these bytes.
 MAX_CONVERTED_BYTES = 1 << 23
 """Limit of an RGL file or a table, because reading one takes up to 70 times as much memory."""
 
@@ -63,13 +62,13 @@ MAX_CONVERTED_BYTES = 1 << 23
 async def receive_upload(
     request: Request, context: Context, caller: Caller, name: str | None, options: TableOptions
 ) -> tuple[MeasurementRow, bool]:
-    """Store the measurement that is the body; return its row, and whether it is new to the caller.
+    """Store the measurement in the body; return its row, and whether it is new to the caller.
 
-    The content tells the kind of the file, whatever its type or name. A table is read with the options, and its samples
-    are stored.
+    The content determines the kind of the file, whatever its type or name. A table is read with the options, and its
+    samples are stored.
 
     Raises InvalidArgumentError if options are given for another file than a table, MeasurementFormatError if the file
-    is no measurement, and ProblemError if it is too long, does not decode, or the caller may not store it.
+    is not a measurement, and ProblemError if it is too long, cannot be decoded, or exceeds the caller's quota.
     """
     if name is not None and Path(name).suffix.lower() in _SUFFIXES:
         name = Path(name).stem
@@ -89,7 +88,7 @@ async def receive_upload(
 
 
 async def _receive_merl(request: Request, start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming) -> None:
-    """Write and check a MERL file; its first piece shows a wrong header, or a wrong declared length."""
+    """Write and check a MERL file; its first piece is enough to refuse a wrong header or a wrong declared length."""
     checker, declared = MerlChecker(), request.headers.get("content-length", "")
     length = int(declared) if declared.isdecimal() and "content-encoding" not in request.headers else FILE_SIZE
 
@@ -111,7 +110,7 @@ async def _receive_merl(request: Request, start: bytes, pieces: AsyncIterator[by
 
 
 async def _write_bounded(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming) -> None:
-    """Write a file whose reading takes much more memory than the file, and so has a limit of its own."""
+    """Write a file with a smaller size limit, because reading it takes much more memory than the file."""
     piece = start
     while piece:
         if incoming.size + len(piece) > MAX_CONVERTED_BYTES:
@@ -123,7 +122,7 @@ async def _write_bounded(start: bytes, pieces: AsyncIterator[bytes], incoming: I
 
 
 def place_of_table(start: bytes, size: int) -> Place:
-    """Return where a table of a `size` that begins with some bytes is read: a short text waits for no other file."""
+    """Return the `Place` at which a table is read, by its first bytes and its size: a short text need not wait long."""
     is_short_text = size <= _MAX_SHORT_TEXT_BYTES and measurement_kind(start) == "samples" and start[:2] != _ZIP
     return "medium" if is_short_text else "long"
 
@@ -137,7 +136,7 @@ async def read_table(request: Request, context: Context, *arguments: Any, **name
 
 
 async def _pieces(request: Request) -> AsyncIterator[bytes]:
-    """Yield the decoded body: first as many bytes as tell the kind of the file, a MERL header at once, then pieces."""
+    """Yield the decoded body: first enough bytes to recognise the kind of the file, then pieces."""
     piece, n_wanted = bytearray(), START_BYTES
     async for part in decoded(request, FILE_SIZE):
         piece += part

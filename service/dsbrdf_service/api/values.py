@@ -1,4 +1,4 @@
-"""BRDF values of a fit and of its components, and the components themselves."""
+"""Evaluate BRDF values of fits, of their components, and of measurements."""
 
 from functools import partial
 from io import BytesIO
@@ -29,10 +29,10 @@ from .points import FORMS, Points, batch_step, from_json, from_npy, from_query
 
 
 class _DirectRoute(APIRoute):
-    """A route whose function gets its dependencies and path parameters without FastAPI's validation.
+    """Call a route's function with its dependencies and path parameters, without FastAPI's validation.
 
-    FastAPI describes it like any other. A GET takes a third less time without FastAPI's solving of dependencies,
-    validation and exit stacks; an id that nothing can have is not found.
+    FastAPI describes the route like any other. Without FastAPI's dependencies, validation and exit stacks, a GET takes
+    a third less time. An invalid id is answered as not found.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -64,13 +64,13 @@ _Component = Annotated[Label, Path(description=f"One of {', '.join(LABELS)}.", e
 
 _MAX_INLINE_POINTS = 64  # More points take longer to evaluate than to pass to a thread.
 _BLOCK_POINTS = 4096  # Larger blocks take more memory and are not faster.
-_MAX_BODY_BYTES = 16_000_000  # A hundred thousand pairs of directions as JSON, with all digits, take so much.
+_MAX_BODY_BYTES = 16_000_000  # This is the size of 100,000 pairs of directions as JSON with all digits.
 _MAX_POINTS = 100_000
-_MAX_INLINE_JSON_BYTES = 1 << 20  # The parser reads them in 50 ms, in which no other thread runs; more go to a process.
+_MAX_INLINE_JSON_BYTES = 1 << 20  # The parser blocks all threads for 50 ms; more goes to a process.
 
 
 def _query_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return a member of a document of points as a parameter of a query, which repeats for several points."""
+    """Declare a member of a document of points as a query parameter, which is repeated for several points."""
     several = schema.get("anyOf", [schema])[0]
     is_vector = several["items"]["type"] == "array"
     described = {
@@ -139,7 +139,7 @@ async def post_component_values(request: Request, context: TheContext, fit: TheF
 async def get_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
     """Return the measurement's own values, interpolated between its nodes; parameters repeat for several points.
 
-    A value is null where no node beside it was measured, as below the horizon.
+    A value is null if no neighbouring node was measured, for example below the horizon.
     """
     return await _measured_values(request, context, stored)
 
@@ -151,7 +151,7 @@ async def post_measured_values(request: Request, context: TheContext, stored: Th
 
 
 async def _values(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
-    """Return the values of a fit or of a component: a few at once, more in a turn."""
+    """Return the values of a fit or of a component: few values directly, more in a turn of `Computations`."""
     model = (await context.models.get(fit)).part(label)
     points, media_type = await _points(request, context)
     if points.theta_half.size <= _MAX_INLINE_POINTS and media_type == JSON:
@@ -161,7 +161,7 @@ async def _values(request: Request, context: Context, fit: FitKey, label: str | 
 
 
 async def _measured_values(request: Request, context: Context, stored: StoredMeasurement) -> Response:
-    """Return a measurement's values, which a process of its own interpolates."""
+    """Return a measurement's values, interpolated in a separate process."""
     points, media_type = await _points(request, context)
     values = await context.in_process(request, object(), measured_step, stored, *points)
     content = await run_in_threadpool(_encoded, values, media_type)
@@ -192,16 +192,16 @@ async def _points(request: Request, context: Context) -> tuple[Points, str]:
 
 
 def _in_blocks(model: ReflectanceModel, points: Points) -> Array:
-    """Return a model's values, computed in blocks, which take less memory."""
+    """Return a model's values, computed in blocks to save memory."""
     starts = range(0, points.theta_half.size, _BLOCK_POINTS)
     values = [model.evaluate(*(angle[start : start + _BLOCK_POINTS] for angle in points)) for start in starts]
     return np.concatenate([*values, np.empty((0, 3))])
 
 
 def _encoded(values: Array, media_type: str) -> bytes:
-    """Return values as .npy or JSON, where null stands for NaN; JSON in blocks so that other threads have their turn.
+    """Return values as .npy or JSON, with null for NaN; JSON is encoded in blocks, between which other threads run.
 
-    pydantic's encoder takes a ninth of the time of Python's, and all other threads wait for it.
+    pydantic's encoder takes a ninth of the time of Python's encoder, but blocks all other threads.
     """
     if media_type == NPY:
         file = BytesIO()

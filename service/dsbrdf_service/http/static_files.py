@@ -1,6 +1,6 @@
-"""Files of the web page, and of the page that shows the OpenAPI document; everybody may read them.
+"""Send the files of the web page, and of the page that shows the OpenAPI document; these files need no API key.
 
-They load nothing from the internet. Their addresses are relative, and so work behind a proxy that adds a prefix.
+The pages load nothing from the internet. Their addresses are relative, so they work behind a proxy that adds a prefix.
 """
 
 import gzip
@@ -20,14 +20,14 @@ POLICY = (
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 """Content security policy of pages: they load their scripts and styles, answers of the service, and made pictures."""
-# Every address of this form shows the one page, which itself reports a wrong address.
+# All addresses of this form show the same page, which itself reports an unknown fit or measurement.
 _PAGE_PATHS = re.compile(r"/|/compare|/(fits|measurements)/[0-9A-Za-z_-]{1,100}")
 _TYPES = {"js": "text/javascript", "css": "text/css", "html": "text/html; charset=utf-8"}
 
 
 @dataclass(frozen=True)
 class StaticFile:
-    """A file as it is sent: its bytes, and its media type."""
+    """Hold the bytes of a file that is sent, and its media type."""
 
     content: bytes
     media_type: str
