@@ -226,7 +226,7 @@ SHOWN = {"relative_rms": 12, "excess": 8, "psnr": 7}
 """Metrics in the terminal's table, each with the width of its column; the CSV has all metrics."""
 
 _OF_FILE = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
-_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # METRICS includes psnr, the last of COLUMNS.
+_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # COLUMNS ends with psnr, which METRICS has too.
 
 
 def summary_table(items: Sequence[FileFit]) -> list[str]:

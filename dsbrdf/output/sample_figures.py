@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 MAX_DRAWN_DISTANCE_DEG = 3.0
 """The panel of a slice of theta_diff, or of a plane of incidence, leaves out samples farther from it."""
 _MAX_DRAWN_SAMPLES = 3000  # If there are more samples, a random subset is drawn.
-_SLICE_CANDIDATES_DEG = np.arange(0.0, 86.0, 5.0)  # theta_diff of slices, theta_in of planes
+_SLICE_CANDIDATES_DEG = np.arange(
+    0.0, 86.0, 5.0
+)  # Slices are chosen among these theta_diff, planes among these theta_in.
 _MIN_SLICE_DISTANCE_DEG = 15.0  # The two drawn slices or planes are never closer.
 _CURVE_ANGLES_DEG = np.linspace(0.0, 89.0, 357)
 _CURVE_PHI_DIFF = np.radians(np.arange(0.0, 181.0, 15.0))
@@ -88,7 +90,7 @@ def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles
 
     def draw(ax: Axes, place: float) -> None:
         values = model.evaluate(np.radians(_CURVE_ANGLES_DEG)[:, np.newaxis], np.radians(place), _CURVE_PHI_DIFF)
-        around = np.ma.masked_equal(values, 0.0)  # Zeros, below the horizon, do not enter the mean.
+        around = np.ma.masked_equal(values, 0.0)  # Zeros below the horizon are left out of the mean.
         near = np.abs(theta_diff - place) <= MAX_DRAWN_DISTANCE_DEG
         _draw(ax, theta_half[near], samples.values[near], _CURVE_ANGLES_DEG, around.mean(axis=1))
         for colour, low, high in zip(CHANNEL_COLOURS, around.min(axis=1).T, around.max(axis=1).T, strict=True):
@@ -105,7 +107,9 @@ def _plane_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF) -> Non
     normal = np.cross(first, (0.0, 0.0, 1.0))  # The normal of the plane of incidence is 0 if omega_in is z.
     aside = np.sum(normal * second, axis=1) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
     in_plane = np.abs(np.degrees(np.arcsin(np.clip(aside, -1.0, 1.0)))) <= MAX_DRAWN_DISTANCE_DEG
-    sign = np.where(np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0)  # The side of omega_in is negative.
+    sign = np.where(
+        np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0
+    )  # theta_out is negative on the side of omega_in.
     theta_out = sign * np.degrees(np.arccos(np.clip(second[:, 2], -1.0, 1.0)))
 
     def draw(ax: Axes, place: float) -> None:

@@ -67,7 +67,7 @@ ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
 """Factors that convert units of wavelengths to nanometres."""
 _MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"})
-_N_MATRIX_NAMES = 3  # The first cell of a matrix counts as names of rows, columns and values.
+_N_MATRIX_NAMES = 3  # The first cell of a matrix counts as three names: rows, columns, values.
 _MAX_NAME_LENGTH = 200  # [characters] with the unit.
 _BAND = re.compile(r"(?:(?:value|brdf|bsdf|f_?r?|r|l|w|wl|lambda)_?)?([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?")
 _MIN_BAND_NM = 200.0
