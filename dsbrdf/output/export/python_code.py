@@ -74,7 +74,7 @@ def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]
 
 def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
     """Return a lobe at the squared tangent of the angle to its center; its maximum, 1, is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Exponentials of less are negligible.
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Smaller exponents give negligible values.
     fall = xp.clip(gamma / 2.0 * (xp.log1p(top2) - xp.log1p(square)), low, None)
     top = kappa * xp.exp(xp.clip(-gamma / 2.0 * xp.log1p(top2), low, None))
     return xp.exp(top * xp.expm1(fall)) * xp.expm1(-top * xp.exp(fall)) / xp.expm1(-top)
@@ -82,7 +82,7 @@ def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
 
 def _student(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
     """Return a lobe at the squared tangent of the angle to its center; its maximum, 1, is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Exponentials of less are negligible.
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Smaller exponents give negligible values.
     return xp.exp(xp.clip(kappa * (xp.log1p(gamma * top2) - xp.log1p(gamma * square)), low, None))
 
 
