@@ -47,7 +47,7 @@ from dsbrdf.version import versions
 
 FEW_SAMPLES = 200
 """With fewer scattered samples, the model is only fitted to a predicted table, and not refined at the samples."""
-# Number of refinements at the samples; each moves the samples to whole degrees of theta_diff by the latest model.
+# Number of fits to the exact samples. Before each, the latest model moves the samples to whole degrees of theta_diff.
 REFINEMENT_ROUNDS = 3
 # If there are more samples, a random subset of this size is used for refinement.
 MAX_REFINED_SAMPLES = 30_000

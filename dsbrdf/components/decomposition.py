@@ -263,7 +263,7 @@ class Decomposition:
         return self._received(parts)
 
     def _received(self, parts: Array) -> Array:
-        """Return the values of K components (K, ...) from parts (3, ...): absent ones are added to their receivers."""
+        """Return the values of K components (K, ...): values of labels without a component go to another component."""
         received = parts.copy()
         for place, label in enumerate(LABELS):
             if label not in self.labels:

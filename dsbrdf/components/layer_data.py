@@ -34,14 +34,14 @@ _OWN_POWER = 1.0  # Squared errors of one component are divided by this power of
 _N_OWN_SAMPLES = 500.0  # With so many independent samples, a component's values outweigh the prior.
 _OWN_MODEL_ERROR = 0.08  # A second surface must explain a larger relative error.
 _PEAK_ERROR_WEIGHT = 1.5  # Weight of errors at a highlight's peak, as a fraction of all other weight.
-_RENDERED_PEAK_ERROR_WEIGHT = 0.5  # The same weight in the fit of all components for renderers.
+_RENDERED_PEAK_ERROR_WEIGHT = 0.5  # Weight of peak errors where layers of all components are fitted for a renderer.
 _FULL_WEIGHT_THETA_DIFF = np.radians(50.0)  # At a larger theta_diff, the weight of a peak falls.
 _AROUND_PEAK = int(np.searchsorted(_THETA_HALF, np.radians(60.0)))  # index of theta_half = 60 degrees
 _MIN_PEAK_HEIGHT = 0.05  # The height of a peak above its surroundings counts as at least this fraction.
 _RENDERED_TRUST_POWER = 0.09  # If a sphere's rim counts, the trust near the horizon is raised to this power.
 _MIN_LOG_SCALE_THETA_HALF = np.radians(0.05)  # Below this angle, the scale of theta_half is linear.
 _BAND_WEIGHT = 6.0  # Weight of the errors of the light in bands, as a fraction of all other weight.
-_RENDERED_BAND_WEIGHT = 2.0  # The same weight in the fit of all components for renderers.
+_RENDERED_BAND_WEIGHT = 2.0  # Weight of band errors where layers of all components are fitted for a renderer.
 _BAND_EDGES = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # edges of the bands of theta_diff [rad]
 _MIN_BAND_LIGHT = 0.05  # Errors of a darker band are relative to this fraction of the mean band's light.
 _MAX_VALUE = 1e100  # Its square still fits in double precision.

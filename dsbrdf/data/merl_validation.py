@@ -89,7 +89,7 @@ def check_length(n_bytes: int) -> None:
 class MerlChecker:
     """Check the bytes of a MERL file piece by piece, in bounded memory.
 
-    Pass all bytes in order to `update`, then call `finish`. The checker stores only two bits per node, 0.6 MB, so that
+    Pass all bytes in order to `update`, then call `finish`. The checker stores only two bits per node, 0.4 MB, so that
     many uploads can be checked at the same time. `n_bytes` is the number of bytes so far.
     """
 

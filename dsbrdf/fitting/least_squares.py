@@ -1,4 +1,4 @@
-"""Fit mixtures by least squares over all rows of the folded profiles.
+"""Fit a mixture of lobes to all rows of theta_diff at once, by weighted least squares.
 
 Unknowns are the control values of every lobe's log amplitude in each channel, of its log kappa, log gamma and, for ring
 lobes, center, and of its elongation; between knots they follow the B-splines of `dsbrdf.model.splines`, which are
@@ -121,7 +121,7 @@ class MixtureProblem:
         return matrix, gradient + at.pull
 
     def _assemble(self, products: Array, slopes: Array) -> tuple[Array, Array]:
-        """Return normal equations of control values from each row's and channel's (R, 3, M, M) and (R, 3, M)."""
+        """Sum the normal equations of rows and channels, (R, 3, M, M) and (R, 3, M), to those of the control values."""
         k, first = self.structure.n_lobes, self.structure.parts[0]
         q = 2 * k + self.structure.n_rings
         matrix = np.zeros((self.structure.n_unknowns, self.structure.n_unknowns))

@@ -257,7 +257,10 @@ def _best_of_starts(task: _Task, held_out: FitData, on_stage: Callable[[], None]
 
 
 def _starts(task: _Task) -> Iterator[Mixture]:
-    """Yield fits of the chosen lobes, of lobes with 0 or 1 ring if rings are optional, and of reduced extra lobes."""
+    """Yield mixtures to compare: of the best candidates, with no or one ring lobe, and of more lobes than wanted.
+
+    The last mixture begins with `SPARE_LOBES` more lobes, and its least useful lobes are dropped.
+    """
     n_lobes = task.wanted.max_lobes(task.data)
     yield (first := task.fit())
     if task.wanted.ring_lobes == "auto":

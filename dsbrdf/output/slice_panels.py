@@ -29,7 +29,7 @@ _LEFT_MARGIN_IN = 0.7
 _RIGHT_MARGIN_IN = 0.15
 _LEGEND_LINE_HEIGHT_IN = 0.18
 _MIN_PEAK_RATIO = 1.3  # A curve with a smaller ratio of its highest to its lowest value has no peak.
-_MAX_PEAK_THETA_HALF = np.radians(60.0)  # The lowest value is searched up to this angle [rad].
+_MAX_PEAK_THETA_HALF = np.radians(60.0)  # A peak ends at the lowest value up to this angle [rad].
 
 
 def panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:

@@ -42,7 +42,7 @@ _N_NEIGHBOURS = 4
 _MAX_ASKED_SAMPLES = 300
 # A cosine or a turned plane is reported if it improves the evidence by more; for correct values, it improves up to 6.
 _MORE_PROBABLE = 15.0
-# Layers with a larger error do not explain the values divided by a cosine.
+# A cosine in the values is only reported if layers fit the corrected values with a smaller relative error.
 _MAX_LAYER_ERROR = 0.3
 # A single sample is a spike if it is near the mirror direction and brighter than its neighbours by this factor.
 _SPIKE_FACTOR = 8.0

@@ -121,7 +121,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     stack = AsyncExitStackMiddleware(app.router)  # FastAPI's routes need it.
     app.middleware_stack = RequestLogMiddleware(stack, access, settings, metrics)
     # Routes are tried in this order, so the fast ones come first. They are added to the application itself, because
-    # routes in an included router are matched twice.
+    # an included router would match each request a second time.
     of_fits = (values.router, fits.router, components.router, exports.router, pictures.router)
     routers = (*of_fits, values.measured, measurements.router, tables.router, about.router, about.page)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]

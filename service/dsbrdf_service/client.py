@@ -199,7 +199,7 @@ class Client:
             if error.problem["status"] != 404:
                 raise
             if own_name is not None:
-                with suppress(InvalidArgumentError):  # The service would refuse the name.
+                with suppress(InvalidArgumentError):  # A file name that the service refuses is not sent.
                     name = name or check_name(own_name)
             self._call("POST", "/v1/measurements", {"name": name}, content=measurement, headers=headers)
         return sha256

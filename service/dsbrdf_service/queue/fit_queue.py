@@ -146,7 +146,7 @@ class FitQueue:
 
     def _begin(self, key: FitKey) -> None:
         previous, scope = self._running.get(key), CancelScope()
-        if previous is not None:  # The row of the previous fit has ended, so its task is not needed.
+        if previous is not None:  # The database says that the previous fit has ended: its task is obsolete.
             previous.scope.cancel()
         task = asyncio.create_task(self._run(key, scope, previous.task if previous else None))
         self._running[key] = running = _RunningFit(task, scope)
