@@ -129,8 +129,8 @@ def pairs_to_measure(prediction: SamplePrediction, model: DSBRDF) -> tuple[Sugge
     """Return pairs of directions to measure next, the most useful first."""
     nodes, weight, cosine = _nodes()
     light = weight * cosine * model.evaluate_unmasked(*nodes).mean(axis=1)
-    random = np.random.default_rng(5)
-    drawn = [random.choice(light.size, _N_CANDIDATES // 2, p=p / p.sum()) for p in (light, weight)]
+    generator = np.random.default_rng(5)
+    drawn = [generator.choice(light.size, _N_CANDIDATES // 2, p=p / p.sum()) for p in (light, weight)]
     pairs = directions(*(angle[np.unique(drawn)] for angle in nodes))
     far = np.sum(pairs[0] * pairs[1], axis=1) < _MAX_COSINE_BETWEEN
     omega_in, omega_out = (side[far] for side in pairs)
