@@ -123,10 +123,7 @@ class Description:
 
     def _grazing_remark(self, label: str) -> Iterator[str]:
         if any(surface.f0 is not None and surface.f90 is None for surface in self.surfaces):
-            yield (
-                f"F90 of the {label} is not known: its reflectance rises so steeply towards grazing angles that it "
-                "would exceed 1."
-            )
+            yield f"F90 of the {label} is unknown: extrapolated to grazing incidence, its reflectance would exceed 1."
 
 
 @dataclass(frozen=True, eq=False)

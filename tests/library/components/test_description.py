@@ -93,6 +93,6 @@ def test_f90_is_a_reflectance_or_is_withheld_with_a_sentence() -> None:
     steep = SpecularLayer((0.03,) * 3, 1.0, 0.15, 2.0, (1.5, 0.5), 0.5, 0.0)
     (lobe,) = [part for part in decomposed(steep, GROUND) if part.label == "specular_lobe"]
     assert [found.f90 for found in lobe.surfaces] == [None]
-    assert [sentence.split(":")[0] for sentence in lobe.remarks] == ["F90 of the specular lobe is not known"]
+    assert [sentence.split(":")[0] for sentence in lobe.remarks] == ["F90 of the specular lobe is unknown"]
     flat = decomposed(surface(GREEN, 0.12), GROUND)["specular_lobe"].surfaces[0]
     assert flat.f90 == pytest.approx(0.9, abs=0.1)
