@@ -54,8 +54,11 @@ _COMMANDS = {
         "decompose": ("model_commands:print_components", "Print the specular spike, specular lobe and diffuse part."),
     },
     "Pictures": {
-        "plot": ("picture_commands:plot", "Draw a measurement, its fit, or the parameters of a model."),
-        "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement, or compare two."),
+        "plot": (
+            "picture_commands:plot",
+            "Draw a measurement, its fit, the parameters of a model, or several materials.",
+        ),
+        "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement."),
         "map": ("picture_commands:map_materials", "Draw a map of materials by their likeness, and list neighbours."),
         "compare": ("compare_command:compare", "Compare models or measurements, with their spheres side by side."),
     },

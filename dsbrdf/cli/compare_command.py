@@ -18,7 +18,7 @@ from dsbrdf.cli.parameters import (
     read_measured,
     read_model,
 )
-from dsbrdf.cli.picture_commands import USUAL_LOOK, Look, check_png
+from dsbrdf.cli.picture_commands import USUAL_LOOK, Look, check_png, titles
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.measurement import Measurement
@@ -68,7 +68,7 @@ def compare(
         answer = likeness if len(likeness) > 1 else likeness[0]
         print_json({"items": items, "likeness": answer, "output": None if output is None else str(output)})
         return
-    rows = list(dict.fromkeys(name for column in columns for name in column))
+    rows = list(dict.fromkeys(name for column in columns for name, value in column.items() if value is not None))
     width = max(map(len, rows)) + 2
     print(f"{'':<{width}}" + "".join(f"{path.stem[-20:]:>22}" for path in paths))
     for name in rows:
@@ -96,7 +96,7 @@ def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], *, with_pi
 
 def _spheres(paths: Sequence[Path], sources: Sequence[Any], look: Look, *, with_picture: bool) -> _Comparison:
     is_fit = len(paths) == 2 and isinstance(sources[0], Measurement) and isinstance(sources[1], DSBRDF)
-    names = ["measured", "fit"] if is_fit else _titles(paths)
+    names = ["measured", "fit"] if is_fit else titles(paths)
     light, factor = look.light(), look.exposure
     likeness: list[dict[str, float | None]] = []
     sentences: list[str] = []
@@ -123,12 +123,6 @@ def _spheres(paths: Sequence[Path], sources: Sequence[Any], look: Look, *, with_
         rows += [component_panels(model, name, light, look.size, found.exposure or 1.0) for name, model in models]
     shown = f"{', '.join(title for row in rows for title in row)}; radiance times {found.exposure:.4g}"
     return likeness, sentences, encode_png(one_below_another(rows)) if with_picture else None, shown
-
-
-def _titles(paths: Sequence[Path]) -> list[str]:
-    """Return the names of files without folder and suffix; equal names get numbers."""
-    stems = [path.stem for path in paths]
-    return stems if len({*stems}) == len(stems) else [f"{stem} ({n})" for n, stem in enumerate(stems, 1)]
 
 
 def _source(path: Path, table: TableOptions, component: str | None) -> tuple[Any, dict[str, Any]]:

@@ -1,5 +1,6 @@
 """Define the commands that draw models and measurements."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -107,6 +108,12 @@ def render(source: Path, /, *, output: OutputFile, look: Look = USUAL_LOOK, json
         print(f"{output}: {look.lighting}, radiance times {factor:.4g}, clipped at 1, sRGB curve")
 
 
+def titles(paths: Sequence[Path]) -> list[str]:
+    """Return the names of files without folder and suffix; equal names get numbers."""
+    stems = [path.stem for path in paths]
+    return stems if len({*stems}) == len(stems) else [f"{stem} ({n})" for n, stem in enumerate(stems, 1)]
+
+
 def check_png(output: Path) -> None:
     """Raise InvalidArgumentError unless the name of a picture ends in ``.png``."""
     if output.suffix.lower() != ".png":
@@ -114,43 +121,40 @@ def check_png(output: Path) -> None:
 
 
 def plot(
-    model: Path,
-    measurement: Path | None = None,
-    /,
-    *,
+    *files: RequiredFiles,
     output: OutputFile,
     lobes: bool = False,
     json: Json = False,
     table: AboutTable = NO_TABLE_FLAGS,
 ) -> None:
-    """Draw the fit of a measurement, a measurement alone, or the parameters of a model.
+    """Draw the fit of a measurement, a measurement alone, the parameters of a model, or several materials.
 
     Parameters
     ----------
-    model
-        A .json file from dsbrdf fit, or a .binary or .bsdf measurement alone.
-    measurement
-        The fitted measurement: its profiles are drawn with the fit and the components, or the samples of a table beside
-        the fit and the residual. Without a measurement, the parameters over theta_diff are drawn. The measurement
-        may also be named before the model.
+    files
+        One model, for its parameters over theta_diff; one .binary or .bsdf measurement; a measurement or a table with
+        its model, for the data beside the fit; or several other models and measurements, to compare their profiles
+        and lit spheres.
     output
         The file to write: .png, .svg or .pdf.
     lobes
         Draw the lobes of the model instead of its components.
     """
     image_format = _figure_format(output)
-    if measurement is not None and is_measurement(model):
-        model, measurement = measurement, model
-    if measurement is None and is_measurement(model):
-        what, figure = "the measurement", plot_source(read_grid(model))
-    elif measurement is None:
-        what = "parameters over theta_diff"
-        figure = parameters_figure(read_model(model)[0], title=model.stem, model_lobes=lobes)
-    else:
+    measurement, model = sorted(files, key=is_measurement, reverse=True) if len(files) == 2 else (None, files[0])
+    if len(files) > 2 or (measurement and is_measurement(measurement) == is_measurement(model)):
+        what = f"{len(files)} materials compared"
+        figure = plot_source({name: read_source(path) for name, path in zip(titles(files), files, strict=True)})
+    elif measurement is not None:
         what = "the fit beside what was measured"
         fitted, report = read_model(model)
         options = FitOptions() if report is None else report.options
         figure = plot_fit(fitted, read_measured(measurement, table), options, model_lobes=lobes)
+    elif is_measurement(model):
+        what, figure = "the measurement", plot_source(read_grid(model))
+    else:
+        what = "parameters over theta_diff"
+        figure = parameters_figure(read_model(model)[0], title=model.stem, model_lobes=lobes)
     write_atomically(output, [encode_figure(figure, image_format)])
     print_written(output, what, image_format, json=json)
 
@@ -181,7 +185,7 @@ def map_materials(*files: RequiredFiles, output: OutputFile, json: Json = False)
         places = dict(zip(names, materials.places.tolist(), strict=True))
         print_json({"items": [{"name": name, "place": places[name], "nearest": near[name]} for name in names]})
         return
-    width = max(map(len, names)) + 2
+    width = max(map(len, ("material", *names))) + 2
     print(f"{'material':<{width}}nearest, with the likeness of lit spheres but for colour and brightness")
     for name in names:
         print(f"{name:<{width}}" + ", ".join(f"{other} ({db:.1f} dB)" for other, db in materials.nearest(name)))

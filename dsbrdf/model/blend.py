@@ -57,7 +57,7 @@ def blend(a: RenderableModel, b: RenderableModel, t: float) -> Blend:
     """
     for end in (a, b):
         if not isinstance(end, RenderableModel):
-            raise InvalidArgumentError(f"only models can be blended, not an object of type {type(end).__name__}")
+            raise InvalidArgumentError(f"only models, such as result.model, can be blended, not a {type(end).__name__}")
     if not 0.0 <= t <= 1.0:
         raise InvalidArgumentError(f"t must lie between 0 and 1, not at {t:g}")
     return Blend(a, b, float(t))

@@ -10,7 +10,7 @@ logarithmic axis, which shows the diffuse part, and the peak on a linear axis, a
 
 from __future__ import annotations
 
-from itertools import compress
+from itertools import compress, cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +18,11 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.shares import LABELS
-from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.data.grid import CHANNELS, DEFAULT_HORIZON_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.output.figure_parts import (
     CHANNEL_COLOURS,
+    LINE_STYLES,
     LOBE_COLOURS,
     ROW_HEIGHT_IN,
     empty_figure,
@@ -29,6 +30,7 @@ from dsbrdf.output.figure_parts import (
 )
 from dsbrdf.output.report_text import lobes_in_channel
 from dsbrdf.output.slice_panels import (
+    CURVE_THETA_HALF,
     draw_curve,
     draw_points,
     finish_row,
@@ -38,9 +40,11 @@ from dsbrdf.output.slice_panels import (
     slice_means,
 )
 from dsbrdf.output.sphere_panels import SphereComparison, cut_out
+from dsbrdf.rendering.image_metrics import displayed, exposure
+from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from matplotlib.figure import Figure, FigureBase
 
@@ -55,6 +59,7 @@ DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
 """Values of theta_diff whose slices are drawn by default [rad]."""
 COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
 _SPHERES_HEIGHT_IN = 2.5
+_SPHERE_SIZE_PX = 256
 _MAX_COLOURED_RESIDUAL_PERCENT = 100.0  # Larger residuals get the colour of this residual.
 _RESIDUAL_TICKS_DEG = (0, 5, 20, 45, 90)  # ticks on the axis of theta_half
 
@@ -121,6 +126,34 @@ def overview_figure(
         likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f} {spheres.light}"
         rest[0].suptitle(f"(c) lit spheres; the fit compared with the measurement: {likeness}", fontsize=10)
         _spheres_row(rest[0], spheres.seen)
+    return figure
+
+
+def materials_figure(materials: Mapping[str, Reflectance]) -> Figure:
+    """Compare materials by name: their mean values of the channels in two slices, and their spheres in one exposure.
+
+    Raises InvalidArgumentError if there is no material, or there are more than colours.
+    """
+    if not 1 <= len(materials) <= len(LOBE_COLOURS):
+        raise InvalidArgumentError(
+            f"a figure compares 1 to {len(LOBE_COLOURS)} materials, not {len(materials)}; dsbrdf map shows more"
+        )
+    rows = _nearest_rows(DEFAULT_THETA_DIFF)
+    figure, (above, below) = figure_of_rows("", len(rows), [ROW_HEIGHT_IN, _SPHERES_HEIGHT_IN])
+    above.suptitle("(a) means of the channels and over $\\phi_\\mathrm{diff}$", fontsize=10)
+    below.suptitle("(b) lit spheres under three lights, with the exposure of the first", fontsize=10)
+    pairs = panel_pairs(above, len(rows))
+    within = CURVE_THETA_HALF <= DEFAULT_HORIZON_CUTOFF
+    for row, pair in zip(rows, pairs, strict=True):
+        curves = [slice_means(one, row, DEFAULT_HORIZON_CUTOFF).mean(axis=1) for one in materials.values()]
+        set_limits(pair, row, np.stack(curves, axis=1), np.stack(curves)[:, within])
+        for ax in pair:
+            for name, colour, style, curve in zip(materials, LOBE_COLOURS, cycle(LINE_STYLES), curves, strict=False):
+                draw_curve(ax, curve, colour, style=style, label=name)
+    finish_row(above, [pairs[0][0]], slices=len(rows), columns=4)
+    spheres = [render_sphere(one, size=_SPHERE_SIZE_PX) for one in materials.values()]
+    factor = exposure(spheres[0], sphere_normals(_SPHERE_SIZE_PX)[1])
+    _spheres_row(below, {name: displayed(one, factor) for name, one in zip(materials, spheres, strict=True)})
     return figure
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.output.figure_parts import (
     CHANNEL_COLOURS,
+    LINE_STYLES,
     LOBE_COLOURS,
     ROW_HEIGHT_IN,
     draw_legend,
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from dsbrdf.model.dsbrdf import DSBRDF
 
 _CURVE_THETA_DIFF = np.radians(np.linspace(0.0, 85.0, 200))
-_LINE_STYLES = ("-", "--", "-.", ":")
 
 
 def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = False) -> Figure:
@@ -45,7 +45,7 @@ def components_figure(components: Iterable[Component], title: str) -> Figure:
     heights, albedos = figure.subplots(1, 2)
     degrees, seen = np.degrees(_CURVE_THETA_DIFF), np.linspace(0.0, 80.0, 17)
     for number, part in enumerate(components):
-        style = _LINE_STYLES[number % len(_LINE_STYLES)]
+        style = LINE_STYLES[number % len(LINE_STYLES)]
         reflected = part.directional_albedo(np.radians(seen))
         for ax, angles, values in ((heights, degrees, part.height(_CURVE_THETA_DIFF)), (albedos, seen, reflected)):
             for channel_colour, curve in zip(CHANNEL_COLOURS, values.T, strict=True):
@@ -74,7 +74,7 @@ def _lobes_figure(model: DSBRDF, title: str) -> Figure:
     amplitude = model.parameters_at(_CURVE_THETA_DIFF)["amplitude"].mean(axis=-2)
     at = lobes_in_channel(model, _CURVE_THETA_DIFF, 1)
     for lobe, is_ring in enumerate(model.is_ring):
-        style, colour = _LINE_STYLES[lobe % len(_LINE_STYLES)], LOBE_COLOURS[lobe % len(LOBE_COLOURS)]
+        style, colour = LINE_STYLES[lobe % len(LINE_STYLES)], LOBE_COLOURS[lobe % len(LOBE_COLOURS)]
         label = f"{'ring lobe' if is_ring else 'lobe'} {lobe}"
         shapes = (amplitude, np.degrees(at["half_width"]), at["kappa"], at["elongation"])
         for ax, values in zip((heights, widths, kappas, elongations), shapes, strict=True):

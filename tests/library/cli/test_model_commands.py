@@ -278,6 +278,7 @@ def test_plot_draws_the_profiles_of_a_measurement_and_lobes_on_request(
     sizes = [struct.unpack(">II", picture[16:24]) for picture in pictures]
     assert sizes[0] < sizes[1] == sizes[2]
     assert pictures[2] != pictures[1]
+    assert "2 materials compared" in printed("plot", model_file, model_file, "-o", output)
 
 
 def test_compare_a_measurement_with_its_fit(

@@ -14,6 +14,10 @@ import dsbrdf
 from dsbrdf import FitResult, Measurement, Profiles
 from dsbrdf.notebook_display import register
 from dsbrdf.output.notebook import html as html_of
+from dsbrdf.output.plots import Shown
+from tests.support.mixtures import mixture
+
+PAINT = mixture(2, 0)
 
 
 def thumbnail(html: str) -> bytes:
@@ -82,6 +86,21 @@ def test_plot_draws_the_fit_or_the_parameters(plastic: Measurement, two_lobe_fit
     assert int.from_bytes(preview[16:20]) == pytest.approx(80 * parameters.get_size_inches()[0], abs=1)
 
 
+def test_plot_compares_named_materials_in_profiles_and_spheres(plastic: Measurement) -> None:
+    parts = dsbrdf.decompose(PAINT)
+    mean = dsbrdf.blend(PAINT, parts.layers, 0.5)
+    shown: dict[str, Shown] = {"paint": PAINT, "plastic": plastic, "layers": parts.layers, "mean": mean}
+    figure = dsbrdf.plot(shown)
+    axes = figure.findobj(matplotlib.axes.Axes)
+    assert axes[0].get_legend_handles_labels()[1] == [*shown]
+    assert [ax.get_title() for ax in axes[4:]] == [*shown]
+    curves = {line.get_label(): np.asarray(line.get_xydata()) for line in axes[0].lines}
+    at = np.radians(np.abs(curves["paint"][:, 0]))
+    np.testing.assert_allclose(curves["paint"][:, 1], PAINT.evaluate(at, 0.0).mean(axis=-1), rtol=1e-9, atol=1e-12)
+    assert len(dsbrdf.plot(parts.layers).findobj(matplotlib.axes.Axes)) == 5
+    assert len(dsbrdf.plot(parts).axes[0].lines) == 4 * len(parts)
+
+
 def test_plot_of_a_measurement_draws_its_means_and_what_is_between(plastic: Measurement) -> None:
     figure = dsbrdf.plot(plastic)
     (axes, *_) = figure.findobj(matplotlib.axes.Axes)
@@ -110,3 +129,7 @@ def test_what_cannot_be_drawn_is_refused(plastic: Measurement) -> None:
         dsbrdf.plot(plastic, plastic)
     with pytest.raises(dsbrdf.InvalidArgumentError, match="not an object of type str"):
         dsbrdf.plot("nickel.binary")  # type: ignore[arg-type]
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="to compare materials, name them"):
+        dsbrdf.plot(PAINT, PAINT)  # type: ignore[arg-type]
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="compares 1 to 8 materials, not 9"):
+        dsbrdf.plot({f"paint {number}": PAINT for number in range(9)})
