@@ -220,12 +220,16 @@ def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: 
 def headline(file: Path, result: FitResult) -> str:
     """Return one line with the file, the verdict on the fit, the number of lobes and the time."""
     metrics, seconds = result.report.metrics, sum(result.report.timings.values())
-    close = "fitted" if metrics.relative_rms is None else f"relative_rms {metrics.relative_rms:.3g}"
+    close = "fitted" if metrics.relative_rms is None else f"error {_percent(metrics.relative_rms)} at the samples"
     if metrics.psnr is not None:
         close = likeness(metrics.psnr)
     if metrics.relative_rms_expected is not None:
-        close = f"expected error {metrics.relative_rms_expected:.0%} over all directions, {close} at the samples"
+        close += f", probably below {_percent(metrics.relative_rms_expected)} over all directions"
     return f"{file.stem}: {close}; {lobes_phrase(result.model)}; {seconds:.2f} s"
+
+
+def _percent(error: float) -> str:
+    return f"{100.0 * error:.2g}%" if error < 0.995 else f"{error:.0%}"
 
 
 def likeness(psnr: float) -> str:

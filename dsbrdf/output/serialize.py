@@ -52,11 +52,16 @@ def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     InvalidArgumentError
-        If the suffix is not ``.json``, or the report has a value that JSON cannot store.
+        If the suffix is not ``.json``, the object is neither a model nor a fit, or the report has a value that JSON
+        cannot store.
     OSError
         If the file cannot be written.
     """
     plain, report = (model.model, model.report) if isinstance(model, FitResult) else (model, None)
+    if not isinstance(plain, DSBRDF):
+        raise InvalidArgumentError(
+            f"a {type(plain).__name__} cannot be saved: save the model or its fit, or write a file with dsbrdf.export"
+        )
     _check_suffix(path)
     write_atomically(path, [to_json(plain, report).encode()])
 

@@ -132,6 +132,8 @@ def test_failed_save_keeps_the_existing_file(model: DSBRDF, report: FitReport, t
 def test_unknown_suffix_is_refused(model: DSBRDF, tmp_path: Path) -> None:
     with pytest.raises(InvalidArgumentError, match=r"\.json, unlike 'model\.txt'; dsbrdf\.export writes other kinds"):
         save(model, tmp_path / "model.txt")
+    with pytest.raises(InvalidArgumentError, match=r"a Decomposition cannot be saved"):
+        save(dsbrdf.decompose(model), tmp_path / "model.json")  # type: ignore[arg-type]
     with pytest.raises(InvalidArgumentError, match=r"must end in \.json, unlike 'model'"):
         load(tmp_path / "model")
     with pytest.raises(FileNotFoundError):

@@ -214,8 +214,8 @@ export const nameOf = (/** @type {{name: string | null, measurement: string}} */
 const STATES = /** @type {Record<string, string>} */ ({ accepted: "waiting", running: "fitting", failed: "failed", cancelled: "cancelled", succeeded: "fitted" });
 /** Describes the state of a fit in one or two words. @param {Fit} fit */
 export function stateOf({ status, progress, likeness, metrics }) {
-  const error = 100 * (metrics?.relative_rms_left_out ?? 0); // Only fits of tables have this error.
-  const text = likeness ?? (error ? `error ${error < 10 ? error.toPrecision(2) : Math.round(error)} %` : `${STATES[status]}${status === "running" ? `, ${Math.floor(100 * progress)} %` : ""}`);
+  const error = 100 * (metrics?.relative_rms_expected ?? 0); // Only fits of tables have this error.
+  const text = likeness ?? (error ? `error probably below ${error < 10 ? error.toPrecision(2) : Math.round(error)} %` : `${STATES[status]}${status === "running" ? `, ${Math.floor(100 * progress)} %` : ""}`);
   return text.replace(/ (?=dB|%)/g, "\u00a0");
 }
 export const sizeOf = (/** @type {{size: number}} */ { size }) => (size < 1e6 ? `${(size / 1e3).toPrecision(3)} kB` : `${(size / 1e6).toPrecision(3)} MB`);

@@ -25,8 +25,7 @@ export const tableRow = (cells, heads = false) => make("tr", {}, ...cells.map((c
 /** Shows a number with its range below; if there are several numbers, a tooltip shows the range of each. @param {number | null} value @param {Interval | null | undefined} range @param {number} several @param {(value: number) => string} write */
 function numberCell(value, range, several, write) {
   if (value === null) return "–";
-  const rounded = write === three ? two : write;
-  const text = range ? `${rounded(range[0])} to ${rounded(range[1])}` : "";
+  const text = range ? `${write(range[0])} to ${write(range[1])}` : "";
   return make("span", { title: text && `${text} with a probability of 90 %` }, write(value), ...(text && several === 1 ? [make("small", {}, text)] : []));
 }
 
