@@ -75,6 +75,13 @@ class TextTable:
         except ValueError:  # The column has empty cells, decimal commas, or words.
             return np.array([self._number(place, column) for place in range(len(cells))])
 
+    def varies(self, column: int) -> bool:
+        """Return whether a column has numbers that differ; a column of words does not vary."""
+        try:
+            return bool(np.ptp(np.nan_to_num(self.numbers(column))) > 0.0)
+        except MeasurementFormatError:
+            return False
+
     def with_columns(self, columns: dict[str, Array], *notes: str) -> "TextTable":
         """Return the table with more columns of numbers, by name."""
         return replace(
@@ -144,13 +151,22 @@ def wrong_count(number: int, count: int, separator: str, n_names: int) -> Measur
     )
 
 
+def about_foot(lines: Sequence[tuple[int, str]]) -> tuple[str, ...]:
+    """Return a sentence on the lines behind the last row of a table, if there are any."""
+    if not lines:
+        return ()
+    kind = "line is no row" if len(lines) == 1 else f"{len(lines)} lines are no rows"
+    return (f"The last {kind} of the table, from {lines[0][1][:40]!r} on, and not read.",)
+
+
 def as_number(cell: str, separator: str) -> float | None:
     """Return the number in a cell, NaN for an empty cell or a word such as "n/a", or None for other words."""
     text = cell.strip().rstrip("\N{DEGREE SIGN}").replace("\N{MINUS SIGN}", "-")
     if text.lower() in _MISSING or _NO_NUMBER.fullmatch(text):
         return float("nan")
-    if separator != "," and "." not in text:
-        text = text.replace(",", ".", 1)
+    if separator != "," and "," in text:
+        thousands = "." if text.rfind(",") > text.rfind(".") else ","
+        text = text.replace(thousands, "").replace(",", ".", 1)
     try:
         return float(_FORTRAN_EXPONENT.sub("e", text))
     except ValueError:

@@ -18,19 +18,31 @@ from dsbrdf.data.geometry import directions, spherical
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
-from dsbrdf.samples.meanings import PHIS, THETAS, Column, Description, FoundColumns, find_columns
-from dsbrdf.samples.names import ANGLE_UNITS, HALF_DIFFERENCE, VECTORS, WAVELENGTH_UNITS, is_factor, wavelength_of
+from dsbrdf.samples.meanings import FROM_MIRROR, PHIS, THETAS, Column, Description, FoundColumns, find_columns
+from dsbrdf.samples.missing import without_code
+from dsbrdf.samples.names import (
+    ANGLE_UNITS,
+    COSINE,
+    HALF_DIFFERENCE,
+    VALUE_UNITS,
+    VECTORS,
+    WAVELENGTH_UNITS,
+    is_density,
+    is_factor,
+    is_solar,
+    wavelength_of,
+)
 from dsbrdf.samples.spectra import linear_srgb, of_rows
 from dsbrdf.samples.table_options import TableOptions
 
 _NO_UNIT = ("", "1", "-", "none")
-_VALUE_UNITS = (*_NO_UNIT, "1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
 # Wavelengths without a unit are in metres or micrometres if they are below these limits, otherwise in nanometres.
 _MAX_WAVELENGTH_M = 1e-3
 _MAX_WAVELENGTH_UM = 20.0
 _MAX_THETA_RAD = 1.6  # If no theta is larger, the angles look like radians.
 # If a larger fraction of the rows is at or below the horizon, theta and phi may be exchanged.
 _DOUBTFUL_FRACTION = 0.5
+_PHASE_TOLERANCE = np.radians(1.0)  # Phase angles that are further off for rounding are refused.
 LOWEST_COSINE = 1e-6
 """A direction with a smaller cosine counts as at the horizon, because of rounding errors."""
 
@@ -58,34 +70,34 @@ def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
     table = table.with_columns({name: np.full(table.n_rows, number) for name, number in options.held().items()})
     found = find_columns(table, options)
     columns, wavelengths = found.columns, found.wavelengths
-    written = _written(found, options)
+    notes = list(table.notes)
+    written = _written(found, options, notes)
     colors = linear_srgb(wavelengths, written) if wavelengths.size else np.broadcast_to(written, (table.n_rows, 3))
     weight = columns["weight"].numbers if "weight" in columns else np.ones(table.n_rows)
     numbers = np.column_stack([*_vectors(columns, found.form), colors, weight])
     if "wavelength" in columns:
         numbers, wavelengths = of_rows(numbers, _in_nanometres(columns["wavelength"]))
-    notes = (
-        *table.notes,
+    notes += (
         *_about_directions(found, is_turned=options.phi == "mirror"),
         *_about_unread(table, {column.written for column in columns.values()}),
-        *_about_values(found.values, columns[found.values[0]].written, wavelengths, options),
+        *_about_values(found, wavelengths, options),
     )
-    return SampleRows(numbers, written, notes, found.description, table.n_rows)
+    return SampleRows(numbers, written, tuple(notes), found.description, table.n_rows)
 
 
-def _written(found: FoundColumns, options: TableOptions) -> Array:
+def _written(found: FoundColumns, options: TableOptions, notes: list[str]) -> Array:
     """Return the values as written in the file, missing ones as NaN, shape (n, bands)."""
     columns = [found.columns[name] for name in found.values]
     for name, column in zip(found.values, columns, strict=True):
         is_band = wavelength_of(name) is not None and column.unit in WAVELENGTH_UNITS
-        if column.unit not in _VALUE_UNITS and not is_band and options.scale == 1.0:
+        if column.unit not in (*_NO_UNIT, *VALUE_UNITS) and not is_band and options.scale == 1.0:
             raise MeasurementFormatError(
                 f"The column {name!r} is in {column.unit!r}; the values of a BRDF are in 1/sr: if they are "
                 "those times a factor, give its inverse as the option scale, which is 0.01 for per cent and 0.003183, "
                 "1/(100 pi), for reflectance factors in per cent."
             )
     written = np.stack([column.numbers for column in columns], axis=-1)
-    return np.where(np.isin(written, options.missing), np.nan, written)
+    return without_code(np.where(np.isin(written, options.missing), np.nan, written), notes)
 
 
 def _in_nanometres(column: Column) -> Array:
@@ -99,6 +111,8 @@ def _in_nanometres(column: Column) -> Array:
 
 def _in_radians(name: str, column: Column) -> Array:
     unit = "deg" if column.unit in _NO_UNIT else column.unit
+    if unit == COSINE and np.all(np.abs(column.numbers) <= 1.0):
+        return np.asarray(np.arccos(column.numbers))
     if unit not in ANGLE_UNITS:
         raise MeasurementFormatError(f"The column {name!r} is in {unit!r}; angles are in deg or in rad.")
     angles = np.where(np.isfinite(column.numbers), column.numbers, np.nan) * ANGLE_UNITS[unit]
@@ -110,15 +124,34 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
     if form is VECTORS:
         first, second = (np.stack([columns[name].numbers for name in form[i : i + 3]], axis=-1) for i in (0, 3))
         return first, second
-    angles = {name: _in_radians(name, column) for name, column in columns.items() if name in (*form, *PHIS)}
+    angles = {name: _in_radians(name, column) for name, column in columns.items() if name in (*form, *PHIS, "phase")}
     if angles.keys() >= {*PHIS}:
         _check_not_exchanged(angles, columns)
     _check_sizes(angles, columns)
     if form is HALF_DIFFERENCE:
         return directions(*(angles[name] for name in form))
+    if form is FROM_MIRROR:
+        angles["theta_out"] = angles["theta_in"] + angles["theta_from_mirror"]
+    if "phase" in angles:
+        angles["phi_out"] = _azimuth_of_phase(angles)
     zero = np.zeros_like(angles["theta_in"])
     phi_in = angles.get("phi_in", zero if "phi_out" in angles else zero + np.pi)
     return spherical(angles["theta_in"], phi_in), spherical(angles["theta_out"], angles.get("phi_out", zero))
+
+
+def _azimuth_of_phase(angles: dict[str, Array]) -> Array:
+    """Return the azimuth between light and viewer from the phase angle, by the law of cosines on the sphere."""
+    theta_in, theta_out, phase = (angles[name] for name in (*THETAS, "phase"))
+    lowest, highest = np.abs(theta_in - theta_out), theta_in + theta_out
+    wrong = (phase < lowest - _PHASE_TOLERANCE) | (phase > highest + _PHASE_TOLERANCE)
+    if count := np.count_nonzero(wrong):
+        raise MeasurementFormatError(
+            f"In {count} of {len(phase)} rows the phase angle is not between the difference and the sum of theta_in "
+            "and theta_out, as the angle between light and viewer is."
+        )
+    sines = np.sin(theta_in) * np.sin(theta_out)
+    cosine = (np.cos(phase) - np.cos(theta_in) * np.cos(theta_out)) / np.where(sines == 0.0, 1.0, sines)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _check_not_exchanged(angles: dict[str, Array], columns: dict[str, Column]) -> None:
@@ -159,7 +192,11 @@ def _largest(numbers: Array) -> float:
 
 def _about_directions(found: FoundColumns, *, is_turned: bool) -> Iterator[str]:
     phis = [name for name in PHIS if name in found.columns]
-    if found.form is THETAS and not phis:
+    if found.form is FROM_MIRROR:
+        yield f"The angle theta_out is theta_in plus the column {found.columns['theta_from_mirror'].written!r}."
+    if "phase" in found.columns:
+        yield "The azimuth follows from the phase angle, which is 0 where the viewer looks along the light."
+    elif found.form in (THETAS, FROM_MIRROR) and not phis:
         yield (
             "The table has no phi: all directions are taken to lie in one plane, and theta_out = "
             f"{'-' if is_turned else ''}theta_in to be the mirror direction."
@@ -177,13 +214,16 @@ def _about_unread(table: TextTable, read: Collection[str]) -> Iterator[str]:
         yield f"The table has {'a column that was' if len(others) == 1 else 'columns that were'} not read: {shown}."
 
 
-def _about_values(values: Sequence[str], written: str, wavelengths: Array, options: TableOptions) -> Iterator[str]:
-    if is_factor(written) and options.scale == 1.0:
+def _about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:
+    written, light = found.columns[found.values[0]].written, found.columns.get("theta_in")
+    is_outdoors = light is not None and is_solar(light.written) and not is_density(written)
+    if options.scale == 1.0 and (is_outdoors or is_factor(written)):
+        reason = "is beside an angle of the sun, as" if is_outdoors else "has the name of"
         yield (
-            f"The column {written!r} has the name of reflectance factors, which are pi times the values of a BRDF in "
-            "1/sr: if they are, set scale to 0.3183, or to 0.003183 for per cent."
+            f"The column {written!r} {reason} reflectance factors, which are pi times the values of a BRDF in 1/sr: if "
+            "they are, set scale to 0.3183, or to 0.003183 for per cent."
         )
-    if values == CHANNELS:
+    if found.values == CHANNELS:
         return
     if wavelengths.size == 0:
         yield "The table has one column of values: the material is taken to be grey."

@@ -1,7 +1,7 @@
 """Recognise the layout of a file of samples by its content, and read it.
 
 The readers are in `dsbrdf.samples.optics` (Zemax, LightTools, FRED, Speos) and `dsbrdf.samples.research` (ASTM E1392,
-Cornell's spectral text, ALTA, ASAM OpenMATERIAL 3D), with their published sources. A reader returns None for a text of
+Cornell's spectral text, ALTA, RAMI, JSON), with their published sources. A reader returns None for a text of
 another layout. Any other text is a table of rows (`dsbrdf.samples.text_table`) or a matrix over two angles.
 """
 
@@ -22,13 +22,16 @@ _READERS = (
     optics.fred_table,
     optics.speos_table,
     research.alta_table,
-    research.open_material_table,
+    research.rami_table,
+    research.json_table,
     research.cornell_spectra_table,
 )
 _REFUSED = {
     rb"(?i)\AOPTIS - anisotropic bsdf": "an anisotropic BSDF file of Speos",
     rb"(?i)<WindowElement": "a BSDF file of LBNL WINDOW (Klems XML)",
     rb"(?i)\A\W*TracePro": "a file of TracePro",
+    rb"\A\s*IESNA": "the light distribution of a lamp (IES LM-63)",
+    rb"\A\s*PDS_VERSION_ID": "a label of the Planetary Data System, which describes another file",
 }
 # Files of these formats are refused unless they name their columns.
 _REFUSED_WITHOUT_NAMES = {
@@ -49,7 +52,7 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
     if kind := _format_of(data[:_START_BYTES], _REFUSED) or known_kind(data[:16]):
         raise _not_read(kind)
     kind = _format_of(data, _REFUSED_WITHOUT_NAMES)
-    named = {column.lower() for column in options.named_columns().values()}
+    named = {column.lower() for column in options.named_columns().values() if not column.isdecimal()}
     try:
         table = _unfolded(parse_text_table(research.plain_astm(data), named), options)
     except MeasurementFormatError as error:

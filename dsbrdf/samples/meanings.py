@@ -1,6 +1,7 @@
 """Find the columns of a table that contain directions and values, by their names or the option ``columns``."""
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,13 @@ from dsbrdf.samples.table_options import TableOptions
 THETAS = ("theta_in", "theta_out")
 PHIS = ("phi_in", "phi_out")
 GREY = ("value",)
-_DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS)
+FROM_MIRROR = ("theta_in", "theta_from_mirror")
+_DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS, FROM_MIRROR)
+# Planetary science writes these letters for the angles of incidence, emission and phase.
+_PLANETARY = {"i": "theta_in", "e": "theta_out", "g": "phase", "alpha": "phase"}
+_SOLAR = {"theta_s": "theta_in", "phi_s": "phi_in"}
+# A column that is not understood, and may be an azimuth that the samples need.
+_AZIMUTH = re.compile(r"phi|azi|phase")
 _POSSIBLE = (
     "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
     "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or "
@@ -70,7 +77,8 @@ def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
     bands = {} if places.keys() & {*GREY, *CHANNELS} else _bands(table)
     places |= {name: [place] for name, (place, _) in bands.items()}
     form, values = _chosen(table, places, bands)
-    read = (*form, *values, *(PHIS if form is THETAS else ()), "weight", *(("wavelength",) if values == GREY else ()))
+    azimuths = () if form in (VECTORS, HALF_DIFFERENCE) else PHIS if "phi_out" in places else (PHIS[0], "phase")
+    read = (*form, *values, *azimuths, "weight", *(("wavelength",) if values == GREY else ()))
     columns = {}
     for name in [name for name in read if name in places]:
         place, *others = places[name]
@@ -81,6 +89,8 @@ def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
             )
         columns[name] = Column(written, units.get(name) or unit, table.numbers(place), name in elevations)
     at = {places[name][0]: name for name in columns}
+    if azimuths and not columns.keys() & {*azimuths}:
+        _refuse_unread_azimuth(table, at)
     described = ((name, at.get(place, ""), name_and_unit(name)[1]) for place, name in enumerate(table.names) if name)
     wavelengths = np.array([wavelength for _, wavelength in bands.values()])
     return FoundColumns(columns, form, values, wavelengths, tuple(described))
@@ -97,8 +107,8 @@ def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int
     chosen = {meaning: _places_of(table, name) for meaning, name in named.items()}
     taken = {at for found in chosen.values() for at in found}
     places: dict[str, list[int]] = {}
-    for place, name in enumerate(table.names):
-        known = meaning_of(name)
+    meanings = _meanings(table.names)
+    for place, known in enumerate(meanings):
         if known is not None and place not in taken and not (known in places and place >= table.n_cells):
             places.setdefault(known, []).append(place)
     for meaning, found in chosen.items():
@@ -109,6 +119,23 @@ def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int
             raise MeasurementFormatError(f"The table has no column {named[meaning]!r}; it has {_listed(table.names)}.")
         places[known] = found
     return places, {str(meaning_of(name)): unit for name in named if (unit := name_and_unit(name)[1])}
+
+
+def _meanings(names: Sequence[str]) -> list[str | None]:
+    """Return the meaning of each name, where some names depend on others: "s" is the sun beside "v" for the viewer."""
+    bare = [name_and_unit(name)[0] for name in names]
+    special = _PLANETARY if {"i", "e"} <= {*bare} else _SOLAR if "theta_v" in bare else {}
+    return [special.get(name) or meaning_of(written) for name, written in zip(bare, names, strict=True)]
+
+
+def _refuse_unread_azimuth(table: TextTable, read: Container[int]) -> None:
+    """Raise MeasurementFormatError for a column that varies and may be the azimuth, in a table without one."""
+    for at, name in enumerate(table.names):
+        if at not in read and _AZIMUTH.search(name_and_unit(name)[0]) and table.varies(at):
+            raise MeasurementFormatError(
+                f"The column {name!r} is not understood, and may be an azimuth, which the table lacks otherwise: name "
+                f"it, as in columns phi_out={name}, or leave it out."
+            )
 
 
 def _places_of(table: TextTable, name: str) -> list[int]:
@@ -142,9 +169,10 @@ def _unnamed(table: TextTable) -> MeasurementFormatError:
 
 
 def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
-    """Return index and wavelength [nm], ascending, of columns named by wavelengths; nothing if there is only one."""
+    """Return index and wavelength [nm], ascending, of columns named by wavelengths; a single one needs a word too."""
     found = [(wavelength, place) for place, name in enumerate(table.names) if (wavelength := wavelength_of(name))]
-    return {f"{wavelength:g} nm": (place, wavelength) for wavelength, place in sorted(found)} if len(found) > 1 else {}
+    is_band = len(found) > 1 or (found and not table.names[found[0][1]].isdecimal())
+    return {f"{wavelength:g} nm": (place, wavelength) for wavelength, place in sorted(found)} if is_band else {}
 
 
 def _chosen(table: TextTable, places: dict[str, list[int]], bands: Iterable[str]) -> tuple[tuple[str, ...], ...]:

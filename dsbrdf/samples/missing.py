@@ -9,6 +9,9 @@ import numpy as np
 
 from dsbrdf.arrays import Array, Mask
 
+MAX_NOISE_FRACTION = 0.01
+"""Negative values are noise up to this fraction of the largest value each, and of the sum of all values together."""
+_CERTAIN_CODE = -99.0  # A larger negative number stands for a missing value only if it is repeated.
 # A note on a repeated extreme value needs this number of different values, and this number of equal extreme values.
 _MIN_DIFFERENT_VALUES = 10
 _MIN_EQUAL_VALUES = 4
@@ -23,6 +26,19 @@ _MAX_SCATTER_FACTOR = 4.0
 _MAX_ROUNDED_DIGITS = 10.0
 _MAX_ROUNDED_FRACTION = 1e-4
 _MIN_ZEROS = 3  # Fewer zeros are kept.
+
+
+def without_code(values: Array, notes: list[str]) -> Array:
+    """Replace a negative integer by NaN if all values below the noise are this number, such as -9999."""
+    below = values[values < -MAX_NOISE_FRACTION * np.nanmax(values, initial=0.0)]
+    if below.size == 0 or np.ptp(below) > 0.0 or below[0] != np.rint(below[0]):
+        return values
+    count = np.count_nonzero(np.any(values == below[0], axis=1))
+    if count == 1 and below[0] > _CERTAIN_CODE:
+        return values
+    rows = "1 row" if count == 1 else f"{count} rows"
+    notes.append(f"The value {below[0]:g}, in {rows}, counts as missing, because a BRDF is not negative.")
+    return np.where(values == below[0], np.nan, values)
 
 
 def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[Mask, list[str]]:

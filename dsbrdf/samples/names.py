@@ -3,73 +3,83 @@
 import re
 import unicodedata
 from collections.abc import Collection, Iterator, Sequence
+from functools import lru_cache
 from math import pi
 
 from dsbrdf.data.grid import CHANNELS
 
-# These words name omega_in or omega_out, before or after the name of an angle; the abbreviations occur only after it.
-_SIDES = {
-    "in": ("in", "incident", "incidence", "incoming", "illumination", "light", "source", "src", "solar", "sun"),
+_SIDE_WORDS = {
+    "in": "in i inc incident incidence incoming input ill illum illumination light source src solar sol sun",
     "out": (
-        *("out", "reflected", "reflection", "outgoing", "exitant", "exit", "scattered", "scatter", "scattering"),
-        *("receiver", "detector", "view", "viewing", "viewer", "observer", "observation"),
+        "out o r s v e output ref refl reflected reflection outgoing exitant exit emergent emergence emission scat "
+        "scattered scatter scattering receiver detector det view viewing viewer observer observation obs sensor sen"
     ),
 }
-_SIDE_ABBREVIATIONS = {"in": ("i", "incident"), "out": ("o", "r", "s")}
-_ANGLES = {
-    "theta": ("theta", "zenith", "polar", "zenith_angle", "polar_angle"),
-    "phi": ("phi", "azimuth", "azimuth_angle", "azimuthal_angle"),
-    "elevation": ("elevation", "altitude", "elevation_angle"),
+_ANGLE_WORDS = {
+    "theta": "theta zenith polar zen za z",
+    "phi": "phi azimuth azimuthal azi az aa a",
+    "elevation": "elevation altitude",
 }
-# Abbreviations that follow only a full word, because "in_z" would be a component of a vector.
-_BEHIND_WORDS = {"theta": ("z", "za", "zen"), "phi": ("a", "aa", "az", "azi")}
-_VALUES = (
-    "value",
-    "brdf",
-    "bsdf",
-    "frdb",
-    "luminance",
-    "f_r",
-    "fr",
-    "brdf_mean",
-    "bsdf_mean",
-    "mean_brdf",
-    "mean_bsdf",
+_SIDES = {word: side for side, words in _SIDE_WORDS.items() for word in words.split()}
+_ANGLES = {word: angle for angle, words in _ANGLE_WORDS.items() for word in words.split()}
+# These abbreviations of angles follow only a longer word, because "in_z" would be a component of a vector.
+_SHORT_ANGLES = {"za", "z", "aa", "a"}
+_SHORT_SIDES = {"in", "out", "i", "o", "r", "s", "v", "e"}
+_RELATIVE = {"relative", "rel", "delta", "difference", "d"}
+_FILLERS = {"angle", "angles", "of", "the"}
+_GLUED = re.compile(
+    "(theta|phi|zenith|azimuth|in|out|sol|sen|rel|delta|d)(theta|phi|zenith|azimuth|az|inc|ref|in|out|[iorsvza])"
 )
-_MUELLER = tuple(f"{name}{mark}11" for name in ("f_r", "fr", "f", "m", "s", "mueller", "brdf") for mark in ("", "_"))
-_FACTORS = ("brf", "reflectance", "reflectance_factor", "bidirectional_reflectance_factor", "radiance_factor")
+_FACTORS = (
+    *("brf", "hdrf", "hcrf", "rho", "refl", "reff", "reflectance", "reflectivity", "reflectance_factor"),
+    *("bidirectional_reflectance_factor", "radiance_factor"),
+)
+_DENSITIES = ("value", "brdf", "bsdf", "frdb", "f_r", "fr")
+_VALUES = (
+    *(*_DENSITIES, "luminance"),
+    *(f"{name}_mean" for name in ("brdf", "bsdf")),
+    *(f"mean_{name}" for name in ("brdf", "bsdf")),
+    *(f"{name}{mark}11" for name in ("f_r", "fr", "f", "m", "s", "mueller", "brdf") for mark in ("", "_")),
+)
 _OTHERS = {
-    "theta_in": ("aoi", "angle_of_incidence", "sza", "incidence", "einfallswinkel", "angle_d'incidence", "intheta"),
+    "theta_in": ("aoi", "sza", "incidence", "einfallswinkel", "angle_d'incidence"),
     "theta_out": (
-        *("aor", "aos", "aov", "angle_of_reflection", "angle_of_scatter", "angle_of_view", "vza", "theta", "zenith"),
-        *(
-            "zenith_angle",
-            "scatter",
-            "scatterbeta",
-            "ausfallswinkel",
-            "beobachtungswinkel",
-            "angle_de_réflexion",
-            "outtheta",
-        ),
+        *("aor", "aos", "aov", "vza", "scatter", "scatterbeta", "emission", "emergence"),
+        *("ausfallswinkel", "beobachtungswinkel", "angle_de_réflexion"),
     ),
-    "phi_in": ("saa", "inphi"),
-    "phi_out": ("vaa", "phi", "azimuth", "azimuth_angle", "azimut", "relative_azimuth", "raa", "outphi"),
-    "elevation_out": ("elevation", "elevation_angle"),
-    "value": (*_VALUES, *_MUELLER, *_FACTORS),
+    "phi_in": ("saa",),
+    "phi_out": ("vaa", "azimut", "raa"),
+    "phase": ("phase", "phase_angle"),
+    "theta_from_mirror": ("angle_from_specular", "degrees_from_specular"),
+    "value": (*_VALUES, *_FACTORS),
     "weight": ("weight",),
-    "wavelength": ("wavelength", "lambda", "wl"),
+    "wavelength": ("wavelength", "wavelength_i", "lambda", "wl"),
 }
-VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDES for axis in "xyz")
+VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDE_WORDS for axis in "xyz")
 HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
+COSINE = "cosine"
+"""The unit of an angle whose cosine is given."""
 ANGLE_UNITS = {"deg": pi / 180.0, "degree": pi / 180.0, "degrees": pi / 180.0, "°": pi / 180.0}
 ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 """Factors that convert units of angles to radians."""
 WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
 """Factors that convert units of wavelengths to nanometres."""
-_MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"})
+VALUE_UNITS = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
+"""Units of a BRDF."""
+_GREEK = {"θ": "theta", "φ": "phi", "ϕ": "phi", "λ": "lambda", "ω": "omega", "δ": "delta", "ρ": "rho"}
+_COSINE = re.compile(r"cos(?:ine)?(?:[_ ]?\((.+)\)|[_ ](.+))")
+# A unit may follow a name without brackets, as in "theta / deg" or "BRDF, 1/sr".
+_UNIT_BEHIND = re.compile(
+    rf"(.+?)(?: / |, ?)({'|'.join(map(re.escape, (*ANGLE_UNITS, *WAVELENGTH_UNITS, *VALUE_UNITS, '%')))})"
+)
+_MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"}, {"theta_out", "wavelength"})
 _N_MATRIX_NAMES = 3  # The first cell of a matrix counts as three names: rows, columns, values.
 _MAX_NAME_LENGTH = 200  # [characters] with the unit.
-_BAND = re.compile(r"(?:(?:value|brdf|bsdf|f_?r?|r|l|w|wl|lambda)_?)?([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?")
+_BAND = re.compile(
+    rf"(?:(?:{'|'.join((*_FACTORS, *_DENSITIES))}|rrs|band|b|f|r|l|w|wl|lambda)_?)?"
+    "([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?"
+)
+_FACTOR = re.compile(rf"(?:{'|'.join(_FACTORS)})(?:_?[0-9].*|_[a-z]+)?")
 _MIN_BAND_NM = 200.0
 _MAX_BAND_NM = 3000.0
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
@@ -81,46 +91,79 @@ _HELD = ("theta_in", "phi_in", "elevation_in", "wavelength")
 def _spellings() -> Iterator[tuple[str, str]]:
     for meaning, names in _OTHERS.items():
         yield from ((name, meaning) for name in names)
-    for side, words in _SIDES.items():
-        yield from ((f"{word}_angle", f"theta_{side}") for word in words)
-        for angle, names in _ANGLES.items():
-            for name in names:
-                yield from ((f"{word}_{name}", f"{angle}_{side}") for word in words)
-                for word in (*words, *_SIDE_ABBREVIATIONS[side]):
-                    yield from ((f"{name}{mark}{word}", f"{angle}_{side}") for mark in ("_", ""))
-        for angle, names in _BEHIND_WORDS.items():
-            yield from ((f"{word}_{name}", f"{angle}_{side}") for word in words[1:] for name in names)
+    for side in _SIDE_WORDS:
         for axis in "xyz":
-            yield from ((f"{name}_{axis}", f"omega_{side}_{axis}") for name in (f"omega_{side}", f"omega_{side[0]}"))
-            yield f"w{side[0]}_{axis}", f"omega_{side}_{axis}"
+            for name in (f"omega_{side}", f"omega_{side[0]}", f"w{side[0]}"):
+                yield from ((f"{name}_{axis}", f"omega_{side}_{axis}"), (f"{name}{axis}", f"omega_{side}_{axis}"))
     for name in HALF_DIFFERENCE:
         angle, _, of = name.partition("_")
         yield from ((spelling, name) for spelling in (name, f"{angle}{of}", f"{angle}_{of[0]}"))
     for channel in CHANNELS:
-        yield from ((spelling, channel) for spelling in (channel, channel[0], f"brdf_{channel}", f"brdf_{channel[0]}"))
+        for spelling in (channel, channel[0]):
+            yield spelling, channel
+            yield from ((f"{name}_{spelling}", channel) for name in (*_DENSITIES, *_FACTORS))
 
 
-MEANINGS = dict(_spellings())
-"""Meaning of a column by the spelling of its name."""
+_EXACT = dict(_spellings())
 
 
 def meaning_of(cell: str) -> str | None:
     """Return the meaning of a column with this name, or None if the name is unknown."""
-    return MEANINGS.get(name_and_unit(cell)[0])
+    return _meaning(name_and_unit(cell)[0])
+
+
+@lru_cache(1 << 14)
+def _meaning(name: str) -> str | None:
+    """Return the meaning of a name in lower case, which has a known spelling or words for an angle and a side."""
+    if name in _EXACT:
+        return _EXACT[name]
+    written = [part for word in name.split("_") for part in _parts(word)]
+    words = [word for word in written if word not in _FILLERS]
+    angles = [_ANGLES[word] for word in words if word in _ANGLES]
+    sides = [_SIDES[word] for word in words if word in _SIDES]
+    n_relative = sum(word in _RELATIVE for word in words)
+    if len(angles) + len(sides) + n_relative != len(words) or not words:
+        return None
+    is_short = words[-1] in _SHORT_ANGLES and (len(words) == 1 or words[0] in _SHORT_SIDES)
+    if (angles, sides) == (["theta", "theta"], ["out", "in"]):
+        return "theta_from_mirror"
+    if is_short or len(angles) > 1 or len(sides) > 1:
+        return None
+    if n_relative:
+        return "phi_out" if angles == ["phi"] else None
+    if angles:
+        return f"{angles[0]}_{sides[0] if sides else 'out'}"
+    return f"theta_{sides[0]}" if len(written) > len(words) and words[0] not in _SHORT_SIDES else None
+
+
+def _parts(word: str) -> tuple[str, ...]:
+    """Return the parts of a word such as "thetai" or "dphi"."""
+    found = None if word in _ANGLES or word in _SIDES else _GLUED.fullmatch(word)
+    return found.groups() if found else (word,)
 
 
 def is_factor(cell: str) -> bool:
     """Return whether a cell names reflectance factors, which are pi times the BRDF."""
-    return name_and_unit(cell)[0] in _FACTORS
+    return _FACTOR.fullmatch(name_and_unit(cell)[0]) is not None
+
+
+def is_density(cell: str) -> bool:
+    """Return whether a cell names values of a BRDF, perhaps at a wavelength or in a channel."""
+    return name_and_unit(cell)[0].startswith((*_DENSITIES, "rrs"))
+
+
+def is_solar(cell: str) -> bool:
+    """Return whether a cell names an angle of the sun."""
+    return re.match("s(?:un|ol|za)", name_and_unit(cell)[0]) is not None
 
 
 def matrix_names(cell: str) -> tuple[str, ...]:
     r"""Return the names in a cell such as "theta_out / theta_in" or "AOR \ AOI [deg]", the name of the rows first."""
-    name, unit = name_and_unit(cell)
-    parts = [part.strip("_ ") for part in re.split(r"[/\\|]", name)]
-    if {MEANINGS.get(part) for part in parts} not in _MATRICES or len(parts) != len(_MATRICES[0]):
+    parts = [name_and_unit(part.strip("_ ")) for part in re.split(r"[/\\|]", cell)]
+    if {_meaning(name) for name, _ in parts} not in _MATRICES or len(parts) != len(_MATRICES[0]):
         return ()
-    return tuple(f"{part} [{unit}]" if unit else part for part in parts)
+    units = [unit or ("" if _meaning(name) == "wavelength" else parts[-1][1]) for name, unit in parts]
+    return tuple(f"{name} [{unit}]" if unit else name for (name, _), unit in zip(parts, units, strict=True))
 
 
 def count_names(cells: Sequence[str], named: Collection[str] = ()) -> int:
@@ -148,7 +191,7 @@ def constants_in(line: str) -> dict[str, float]:
     if found is None:
         return {}
     name, unit = name_and_unit(found[1])
-    meaning = "theta_in" if name == "incident_angle" else MEANINGS.get(name)
+    meaning = _meaning(name)
     try:
         numbers = [float(number) for number in re.split(r"[\s,;]+", found[2].strip(" \t,;"))]
     except ValueError:
@@ -165,11 +208,16 @@ def name_and_unit(cell: str) -> tuple[str, str]:
     if len(cell) > _MAX_NAME_LENGTH:
         return cell, ""
     text, unit = unicodedata.normalize("NFKC", cell).strip().strip("'\"").strip().lower(), ""
-    for letter, word in (("θ", "theta"), ("φ", "phi"), ("λ", "lambda"), ("ω", "omega")):
+    for letter, word in _GREEK.items():
         text = text.replace(letter, word)
+    found = _COSINE.fullmatch(text)
+    if found and (_meaning(name := name_and_unit(found[1] or found[2])[0]) or "").startswith("theta"):
+        return name, COSINE
     bracket = min((place for mark in "[(" if (place := text.find(mark)) >= 0), default=-1)
     if bracket >= 0 and text.endswith(("]", ")")):
         text, unit = text[:bracket].rstrip(), text[bracket + 1 : -1].strip()
+    elif found := _UNIT_BEHIND.fullmatch(text):
+        text, unit = found.groups()
     name = re.sub(r"[\s.-]+", "_", text)
     base, _, last = name.rpartition("_")
     is_unit = last in ANGLE_UNITS or (last in WAVELENGTH_UNITS and base in _OTHERS["wavelength"])

@@ -20,7 +20,7 @@ from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.columns import LOWEST_COSINE, SampleRows, read_columns
 from dsbrdf.samples.layouts import table_in
 from dsbrdf.samples.meanings import Description
-from dsbrdf.samples.missing import about_repeated, unmeasured_zeros
+from dsbrdf.samples.missing import MAX_NOISE_FRACTION, about_repeated, unmeasured_zeros
 from dsbrdf.samples.scattered_samples import CANONICAL, CANONICAL_NAMES, ScatteredSamples
 from dsbrdf.samples.spreadsheet import is_spreadsheet, spreadsheet_text
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
@@ -34,8 +34,6 @@ _SAME_COMPONENT = 1e-5
 # Values of one pair of directions contradict each other beyond this factor, after this fraction of the median is added.
 _CONTRADICTION_FACTOR = 1.25
 _DARK_FRACTION = 0.05
-# Negative values are noise up to this fraction of the largest value each, and of the sum of positive values together.
-_MAX_NOISE_FRACTION = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +166,7 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
     count = int(np.count_nonzero(negative))
     if count == 0:
         return values
-    lowest, largest, allowed = -values.min(), values.max(), _MAX_NOISE_FRACTION
+    lowest, largest, allowed = -values.min(), values.max(), MAX_NOISE_FRACTION
     several, they_count = ("1 value is", "it counts") if count == 1 else (f"{count} values are", "they count")
     if lowest > allowed * largest or -values[negative].sum() > allowed * values[~negative].sum():
         raise MeasurementFormatError(

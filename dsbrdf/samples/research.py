@@ -1,16 +1,19 @@
-"""Read research files of samples: ASTM E1392 as Cornell wrote it, Cornell's spectra, ALTA and ASAM OpenMATERIAL 3D.
+"""Read research files of samples: ASTM E1392 as Cornell wrote it, Cornell's spectra, ALTA, RAMI and JSON.
 
 Sources: Cornell University's Program of Computer Graphics (read by libbsdf, AstmReader, and by ALTA), pbrt-v2
 (`src/materials/measured.cpp`, "Irregularly Sampled Isotropic BRDF"), ALTA's documentation of its data files (Inria),
-and `schemas/material_brdf_schema.json` of ASAM OpenMATERIAL 3D 1.1.
+the measurements brfpp and brfop of the RAMI benchmark (JRC), `schemas/material_brdf_schema.json` of ASAM OpenMATERIAL
+3D 1.1, and `data_json_schema_v1.0.json` of the EURAMET project BiRD.
 """
 
 import json
 import re
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
@@ -18,6 +21,8 @@ from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS
 
 _ASTM_NAMES = re.compile(rb"(?m)^VARS[ \t]+(.*)$")
 _NOT_NUMBERS = re.compile(rb"[^-+0-9.eE\s]")
+_RAMI = re.compile(rb"\s*([1-9][0-9]{0,6})[ \t]+5[ \t]+[-+.0-9eE]+[ \t]*\r?\n")
+_JSON_START_BYTES = 100
 _SPHERICAL = ("theta_in", "phi_in", "theta_out", "phi_out")
 # Parametrisations of ALTA: L is the light, V the viewer, T theta, P phi; H and D are the half and difference angles.
 _ALTA = {
@@ -104,14 +109,65 @@ def alta_table(data: bytes) -> TextTable | None:
     return TextTable.of_numbers([*named, *(("value",) if n_out == 1 else CHANNELS)], columns, *note)
 
 
-def open_material_table(data: bytes) -> TextTable | None:
-    """Return the samples of a look-up table of ASAM OpenMATERIAL 3D."""
-    if data.lstrip()[:1] != b"{" or b'"lookupTable"' not in data:
-        return None
+def rami_table(data: bytes) -> TextTable | None:
+    """Return the samples of a measurement of the RAMI benchmark: rows of SZA, VZA, SAA - VAA [rad], BRF and its error.
+
+    The first line has the numbers of rows and columns, and a fraction of rays.
+    """
+    found = _RAMI.match(data)
     try:
-        document: Any = json.loads(data)
-        rows = np.array(document["brdf"]["lookupTable"], dtype=np.float64)
-    except (ValueError, TypeError, KeyError, RecursionError):
+        rows = np.array(data[found.end() :].split(), dtype=np.float64).reshape(int(found[1]), 5) if found else None
+    except ValueError:
+        return None
+    names = ("SZA [rad]", "VZA [rad]", "phi_out [rad]", "BRF")
+    return None if rows is None else TextTable.of_numbers(names, rows.T[:4])
+
+
+def json_table(data: bytes) -> TextTable | None:
+    """Return the samples in JSON: rows of ASAM OpenMATERIAL 3D, or columns or records of numbers by name.
+
+    Each column of the BiRD project's format has its values and their unit, in the object "data".
+    """
+    try:
+        document: Any = json.loads(data) if data[:_JSON_START_BYTES].strip()[:1] in (b"{", b"[") else None
+    except (ValueError, RecursionError):
+        return None
+    if document is None:
+        return None
+    if isinstance(document, dict) and "lookupTable" in (document.get("brdf") or ()):
+        return _open_material_table(document["brdf"])
+    held = document.get("data", document) if isinstance(document, dict) else _columns_of_records(document)
+    columns = dict(_number_columns(held if isinstance(held, dict) else _columns_of_records(held)))
+    length = max((len(numbers) for numbers in columns.values()), default=0)
+    columns = {name: numbers for name, numbers in columns.items() if len(numbers) == length}
+    if not length:
+        raise MeasurementFormatError(
+            "The JSON has no lists of numbers by name, such as theta_in, phi_in, theta_out, phi_out and value, in its "
+            'object or in "data".'
+        )
+    return TextTable.of_numbers([*columns], columns.values())
+
+
+def _number_columns(held: dict[str, Any]) -> Iterator[tuple[str, Array]]:
+    for name, values in held.items():
+        unit = values.get("unit") if isinstance(values, dict) else None
+        try:
+            numbers = np.array(values.get("values") if isinstance(values, dict) else values, dtype=np.float64)
+        except (TypeError, ValueError):
+            continue
+        if numbers.ndim == 1:
+            yield (f"{name} [{unit}]" if unit else name), numbers
+
+
+def _columns_of_records(records: Any) -> dict[str, Any]:
+    is_records = isinstance(records, list) and records and all(isinstance(record, dict) for record in records)
+    return {name: [record.get(name) for record in records] for name in records[0]} if is_records else {}
+
+
+def _open_material_table(brdf: Any) -> TextTable:
+    try:
+        rows = np.array(brdf["lookupTable"], dtype=np.float64)
+    except (ValueError, TypeError, KeyError):
         rows = np.zeros((0, 0))
     if rows.ndim != 2 or rows.shape[1:] != (5,):
         raise MeasurementFormatError(

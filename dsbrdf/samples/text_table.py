@@ -17,13 +17,14 @@ from dsbrdf.samples.cells import (
     SEPARATORS,
     Constants,
     TextTable,
+    about_foot,
     as_number,
     check_size,
     decoded,
     split_cells,
     wrong_count,
 )
-from dsbrdf.samples.names import constants_in, count_names, name_and_unit
+from dsbrdf.samples.names import constants_in, count_names, name_and_unit, wavelength_of
 from dsbrdf.samples.unnamed import NumberedLines, unnamed_table
 
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
@@ -33,6 +34,8 @@ _MAX_LINES_BEFORE_NAMES = 500
 _MAX_LINES_OF_UNITS = 20
 _MAX_LINE_LENGTH = 1 << 17  # [characters]; lines of 4096 numbers with all digits are shorter.
 _MAX_HEAD_LENGTH = 1 << 18  # [characters]; the line of names is searched only up to here.
+_LISTED = re.compile(r"[ \t#%!]*(?:column|col\.?|field)[ \t]*([0-9]+)[ \t]*[-:=.)][ \t]*(\S.*)", re.IGNORECASE)
+_FITS_BONUS = 2  # A line with a name for each cell of the row below it counts as so many names more.
 _MIN_NAMES = 2  # A line below the names with so many names repeats them in another language, and has no units.
 # Fewer lines that begin with a name do not make a transposed table.
 _MIN_TRANSPOSED_LINES = 3
@@ -78,12 +81,15 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
             pairs = zip(names, cells, strict=False)
             names = tuple(name if name_and_unit(name)[1] or not unit else f"{name} [{unit}]" for name, unit in pairs)
     at = [number for number, _ in lines[first:]]
-    rows = list[list[str]]()
-    for number, cells in zip(at, split_cells((line for _, line in lines[first:]), separator), strict=True):
+    found = list(split_cells((line for _, line in lines[first:]), separator))
+    n_rows = len(found)
+    while n_rows and not _fits(found[n_rows - 1], len(names)) and _has_words(found[n_rows - 1], separator):
+        n_rows -= 1
+    for number, cells in zip(at, found[:n_rows], strict=False):
         if not _fits(cells, len(names)):
             raise wrong_count(number, len(cells), "", len(names))
-        rows.append(cells[: len(names)])
-    return TextTable(names, rows, at, separator)
+    rows = [cells[: len(names)] for cells in found[:n_rows]]
+    return TextTable(names, rows, at[:n_rows], separator, notes=about_foot(lines[first + n_rows :]))
 
 
 def _rows_and_constants(lines: Sequence[str], place: int) -> tuple[NumberedLines, dict[int, Constants]]:
@@ -94,9 +100,11 @@ def _rows_and_constants(lines: Sequence[str], place: int) -> tuple[NumberedLines
         text = line.strip(" ")
         bare = text if text[:1] in _BEGINS_NUMBER else _without_comment(text)
         found = constants_in(bare) if bare[:1].isalpha() and bare != names else {}
-        if found:
+        if found or bare == names:
             now = now | found
-        elif bare and number > place + 1 and bare != names and _is_row(text):
+            while rows and rows[-1][1][0].isalpha() and not rows[0][1][0].isalpha():
+                rows.pop()  # The title of a block precedes its constants or its names.
+        elif bare and number > place + 1 and _is_row(text):
             rows.append((number, text))
             held[number] = now
     return rows, held
@@ -113,6 +121,8 @@ def _with_constants(table: TextTable, held: dict[int, Constants]) -> TextTable:
 
 def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tuple[str, ...]]:
     """Return the index of the line that names the columns, and the names; -1 and none if no line does."""
+    if listed := _listed_names(lines):
+        return listed
     best: tuple[int, int, int, tuple[str, ...]] = (0, 0, -1, ())
     length = 0
     for place, line in enumerate(islice(lines, _MAX_LINES_BEFORE_NAMES)):
@@ -127,12 +137,32 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
         splits = [_cells(row, separator) for separator in SEPARATORS]
         for names in _candidates(words):
             known = count_names(names, named)
-            if known == 1 and any(as_number(name, " ") is not None for name in names):
-                continue  # The line is a constant, or a column of a transposed table.
             fits = any(_fits(cells, len(names)) for cells in splits)
-            if known > 0 and (known + fits, fits) > best[:2]:
-                best = known + fits, fits, place, names
+            has_numbers = any(name and not wavelength_of(name) and as_number(name, " ") is not None for name in names)
+            if has_numbers and (known == 1 or not fits):
+                continue  # The line is a constant, a column of a transposed table, or a title.
+            score = known + _FITS_BONUS * fits
+            if known > 0 and (score, fits) > best[:2]:
+                best = score, fits, place, names
     return best[2:] if best[0] > 1 else (-1, ())
+
+
+def _listed_names(lines: Sequence[str]) -> tuple[int, tuple[str, ...]] | None:
+    """Return names that stand in lines of their own, such as "Column 1: theta_in", with the index of the last line."""
+    names = list[str]()
+    for place, line in enumerate(lines[:_MAX_LINES_BEFORE_NAMES]):
+        found = _LISTED.fullmatch(line[:_MAX_HEAD_LENGTH])
+        if found and int(found[1][:9]) == len(names) + 1:
+            names.append(found[2].strip())
+        elif len(names) > _MIN_NAMES and count_names(names) > _MIN_NAMES:
+            return place - 1, tuple(names)
+        else:
+            names = []
+    return None
+
+
+def _has_words(cells: Sequence[str], separator: str) -> bool:
+    return any(as_number(cell, separator) is None for cell in cells)
 
 
 def _candidates(words: str) -> Iterator[tuple[str, ...]]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.cells import SEPARATORS, TextTable, as_number, check_size, split_cells, wrong_count
+from dsbrdf.samples.cells import SEPARATORS, TextTable, about_foot, as_number, check_size, split_cells, wrong_count
 
 # The separator is chosen by this number of lines.
 _N_TRIED_LINES = 50
@@ -28,12 +28,16 @@ def unnamed_table(numbered: NumberedLines) -> TextTable:
     lines = numbered[first:]
     check_size(len(lines), count)
     found = list(split_cells((line for _, line in lines), separator))
+    while found and not (_numbers(found[-1], separator) or _numbers(lines[len(found) - 1][1].split(), separator)):
+        found.pop()
+    lines, foot = lines[: len(found)], lines[len(found) :]
     width = Counter(map(len, found)).most_common(1)[0][0] if found else 0
     if len(found) != len(lines) or count < 2:
         begins = f"begins with {numbered[0][1][:80]!r}" if numbered else "is empty"
+        words = " in words that are understood" if numbered else ""
         raise MeasurementFormatError(
-            f"The table {begins} and has no line that names its columns; it needs one such as "
-            "theta_in, phi_in, theta_out, phi_out, red, green, blue."
+            f"The table {begins} and has no line that names its columns{words}; it needs one such as theta_in, phi_in, "
+            "theta_out, phi_out, red, green, blue."
         )
     rows, at, blocks, block = list[list[str]](), list[int](), list[list[float]](), list[float]()
     for (number, line), cells in zip(lines, found, strict=True):
@@ -52,7 +56,7 @@ def unnamed_table(numbered: NumberedLines) -> TextTable:
     size = max(map(len, blocks))
     columns = np.array([[*block, *[np.nan] * (size - len(block))] for block in blocks]).T
     names = tuple(str(place) for place in range(1, width + size + 1))
-    return TextTable(names, rows, at, separator, tuple(columns) if size else ())
+    return TextTable(names, rows, at, separator, tuple(columns) if size else (), about_foot(foot))
 
 
 def _layout(numbered: NumberedLines) -> tuple[int, str, int]:

@@ -151,7 +151,7 @@ FILES = {
     "bad.exr": b"nothing",
 }
 
-BAD_TABLE = "red.csv: The table begins with 'red' and has no line that names its columns; it needs one such as theta_in"
+BAD_TABLE = "red.csv: The table begins with 'red' and has no line that names its columns in words"
 BAD_TENSORS = "cut.bsdf: The tensor file is damaged or cut off"
 ABSENT = "dsbrdf: model.json: this model has no component specular_spike: it has "
 POINT = "eval model.json --theta-half 1 --theta-diff 1"
@@ -182,7 +182,7 @@ MISTAKES = {
     "fit nickel.binary": "dsbrdf: nickel.binary: The data has only 112 bytes",
     "fit photo.png": "dsbrdf: photo.png: The data is a PNG image; a MERL measurement is a .binary file",
     "fit studio.exr": "dsbrdf: studio.exr: The data is an OpenEXR image; a MERL measurement is a .binary file",
-    "fit paint.json": "dsbrdf: paint.json: The data is JSON, or another text, which is not read: write",
+    "fit paint.json": "dsbrdf: paint.json: The JSON has no lists of numbers by name, such as theta_in",
     "fit cut.bsdf": BAD_TENSORS,
     "fit red.csv": BAD_TABLE,
     "fit none": "dsbrdf: none: ",

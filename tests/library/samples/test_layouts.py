@@ -14,7 +14,6 @@ LAYOUTS = Path(__file__).parent / "layouts"
 REFUSED = {
     "astm_e1392.txt": "is a file of ASTM E1392, which is not read",
     "window_bsdf.txt": r"is a BSDF file of LBNL WINDOW \(Klems XML\), which is not read",
-    "bird.txt": "is JSON",
 }
 
 

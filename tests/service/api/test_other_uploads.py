@@ -220,13 +220,13 @@ def test_a_measurement_on_a_grid_has_no_options_of_a_table(server: Server, merl:
 
 
 def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> None:
-    rows = [f"{incidence},{seen},{25 if seen else -999}" for incidence in (0, 30) for seen in range(0, 61, 2)]
+    rows = [f"{incidence},{seen},{25 if seen else -999.5}" for incidence in (0, 30) for seen in range(0, 61, 2)]
     content = "\n".join(["AOI [deg],AOR,reflectance", *rows])
     headers = {"Content-Type": "text/csv"}
     before = server.files()
     answer = server.http.post("/v1/tables", content=content, headers=headers)
-    assert "-999" in assert_problem(answer, 422, "measurement-format")
-    chosen = {"columns": "value=reflectance", "missing": "-999", "scale": "0.01"}
+    assert "-999.5" in assert_problem(answer, 422, "measurement-format")
+    chosen = {"columns": "value=reflectance", "missing": "-999.5", "scale": "0.01"}
     told = server.http.post("/v1/tables", params=chosen, content=content, headers=headers).json()
     assert [(column["name"], column["read_as"]) for column in told["columns"]] == [
         ("AOI [deg]", "theta_in"),
