@@ -82,6 +82,11 @@ class TextTable:
         except MeasurementFormatError:
             return False
 
+    def words(self, column: int) -> list[str]:
+        """Return the different cells of a column of words, in order; an empty list for a column of numbers."""
+        cells = dict.fromkeys(row[column].strip() for row in self.rows) if column < self.n_cells else {}
+        return [*cells] if any(as_number(cell, self.separator) is None for cell in cells) else []
+
     def with_columns(self, columns: dict[str, Array], *notes: str) -> "TextTable":
         """Return the table with more columns of numbers, by name."""
         return replace(
@@ -161,7 +166,7 @@ def about_foot(lines: Sequence[tuple[int, str]]) -> tuple[str, ...]:
 
 def as_number(cell: str, separator: str) -> float | None:
     """Return the number in a cell, NaN for an empty cell or a word such as "n/a", or None for other words."""
-    text = cell.strip().rstrip("\N{DEGREE SIGN}").replace("\N{MINUS SIGN}", "-")
+    text = cell.partition("±")[0].strip().rstrip("\N{DEGREE SIGN}").replace("\N{MINUS SIGN}", "-")
     if text.lower() in _MISSING or _NO_NUMBER.fullmatch(text):
         return float("nan")
     if separator != "," and "," in text:

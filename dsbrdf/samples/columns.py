@@ -39,6 +39,7 @@ _NO_UNIT = ("", "1", "-", "none")
 # Wavelengths without a unit are in metres or micrometres if they are below these limits, otherwise in nanometres.
 _MAX_WAVELENGTH_M = 1e-3
 _MAX_WAVELENGTH_UM = 20.0
+_MAX_MATERIALS = 20  # A column of more different words names samples or dates.
 _MAX_THETA_RAD = 1.6  # If no theta is larger, the angles look like radians.
 # If a larger fraction of the rows is at or below the horizon, theta and phi may be exchanged.
 _DOUBTFUL_FRACTION = 0.5
@@ -212,6 +213,13 @@ def _about_unread(table: TextTable, read: Collection[str]) -> Iterator[str]:
     if others:
         shown = ", ".join(repr(name) for name in others[:5]) + (" and others" if len(others) > 5 else "")
         yield f"The table has {'a column that was' if len(others) == 1 else 'columns that were'} not read: {shown}."
+    for at, name in enumerate(table.names):
+        words = table.words(at) if name in others else []
+        if 1 < len(words) <= _MAX_MATERIALS:
+            yield (
+                f"The column {name!r} has {len(words)} values, such as {words[0][:40]!r} and {words[1][:40]!r}: if "
+                "they are several materials, leave out all but one."
+            )
 
 
 def _about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:

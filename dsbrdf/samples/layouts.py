@@ -23,6 +23,7 @@ _READERS = (
     optics.speos_table,
     research.alta_table,
     research.rami_table,
+    research.kernels_table,
     research.json_table,
     research.cornell_spectra_table,
 )

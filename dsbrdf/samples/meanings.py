@@ -10,7 +10,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
-from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS, meaning_of, name_and_unit, wavelength_of
+from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS, meaning_of, meanings_of, name_and_unit, wavelength_of
 from dsbrdf.samples.table_options import TableOptions
 
 THETAS = ("theta_in", "theta_out")
@@ -18,9 +18,6 @@ PHIS = ("phi_in", "phi_out")
 GREY = ("value",)
 FROM_MIRROR = ("theta_in", "theta_from_mirror")
 _DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS, FROM_MIRROR)
-# Planetary science writes these letters for the angles of incidence, emission and phase.
-_PLANETARY = {"i": "theta_in", "e": "theta_out", "g": "phase", "alpha": "phase"}
-_SOLAR = {"theta_s": "theta_in", "phi_s": "phi_in"}
 # A column that is not understood, and may be an azimuth that the samples need.
 _AZIMUTH = re.compile(r"phi|azi|phase")
 _POSSIBLE = (
@@ -107,8 +104,7 @@ def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int
     chosen = {meaning: _places_of(table, name) for meaning, name in named.items()}
     taken = {at for found in chosen.values() for at in found}
     places: dict[str, list[int]] = {}
-    meanings = _meanings(table.names)
-    for place, known in enumerate(meanings):
+    for place, known in enumerate(meanings_of(table.names)):
         if known is not None and place not in taken and not (known in places and place >= table.n_cells):
             places.setdefault(known, []).append(place)
     for meaning, found in chosen.items():
@@ -119,13 +115,6 @@ def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int
             raise MeasurementFormatError(f"The table has no column {named[meaning]!r}; it has {_listed(table.names)}.")
         places[known] = found
     return places, {str(meaning_of(name)): unit for name in named if (unit := name_and_unit(name)[1])}
-
-
-def _meanings(names: Sequence[str]) -> list[str | None]:
-    """Return the meaning of each name, where some names depend on others: "s" is the sun beside "v" for the viewer."""
-    bare = [name_and_unit(name)[0] for name in names]
-    special = _PLANETARY if {"i", "e"} <= {*bare} else _SOLAR if "theta_v" in bare else {}
-    return [special.get(name) or meaning_of(written) for name, written in zip(bare, names, strict=True)]
 
 
 def _refuse_unread_azimuth(table: TextTable, read: Container[int]) -> None:

@@ -66,12 +66,18 @@ WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 
 """Factors that convert units of wavelengths to nanometres."""
 VALUE_UNITS = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
 """Units of a BRDF."""
+# Planetary science writes these letters for the angles of incidence, emission and phase.
+_PLANETARY = {"i": "theta_in", "e": "theta_out", "g": "phase", "alpha": "phase"}
+_SOLAR = {"theta_s": "theta_in", "phi_s": "phi_in"}  # "s" is the sun beside "v" for the viewer.
 _GREEK = {"θ": "theta", "φ": "phi", "ϕ": "phi", "λ": "lambda", "ω": "omega", "δ": "delta", "ρ": "rho"}
 _COSINE = re.compile(r"cos(?:ine)?(?:[_ ]?\((.+)\)|[_ ](.+))")
-# A unit may follow a name without brackets, as in "theta / deg" or "BRDF, 1/sr".
+# A unit may follow a name without brackets, as in "theta / deg", "BRDF, 1/sr" or "brdf_sr-1".
 _UNIT_BEHIND = re.compile(
-    rf"(.+?)(?: / |, ?)({'|'.join(map(re.escape, (*ANGLE_UNITS, *WAVELENGTH_UNITS, *VALUE_UNITS, '%')))})"
+    rf"(.+?)(?:(?: / |, ?| in )({'|'.join(map(re.escape, (*ANGLE_UNITS, *WAVELENGTH_UNITS, *VALUE_UNITS, '%')))})|"
+    rf"_({'|'.join(map(re.escape, VALUE_UNITS))}))"
 )
+_MARKUP = re.compile(r"[$\\{}'\"#]|\([^()=]*theta[^()=]*,[^()=]*\)")  # LaTeX, quotation, the arguments of f_r
+_BAND_IN_BRACKETS = re.compile(r"(?:lambda ?= ?)?([0-9.]+ ?(?:nm|um|μm)?)")
 _MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"}, {"theta_out", "wavelength"})
 _N_MATRIX_NAMES = 3  # The first cell of a matrix counts as three names: rows, columns, values.
 _MAX_NAME_LENGTH = 200  # [characters] with the unit.
@@ -107,6 +113,19 @@ def _spellings() -> Iterator[tuple[str, str]]:
 _EXACT = dict(_spellings())
 
 
+def meanings_of(cells: Sequence[str]) -> list[str | None]:
+    """Return the meaning of each name in a table, where the meaning of some names depends on others."""
+    names = [name_and_unit(cell)[0] for cell in cells]
+    special = _PLANETARY if {"i", "e"} <= {*names} else _SOLAR if "theta_v" in names else {}
+    vectors = {
+        f"{word}_{axis}": f"omega_{side}_{axis}"
+        for word, side in _SIDES.items()
+        if f"{word}_x" in names
+        for axis in "xyz"
+    }
+    return [special.get(name) or vectors.get(name) or _meaning(name) for name in names]
+
+
 def meaning_of(cell: str) -> str | None:
     """Return the meaning of a column with this name, or None if the name is unknown."""
     return _meaning(name_and_unit(cell)[0])
@@ -133,7 +152,7 @@ def _meaning(name: str) -> str | None:
         return "phi_out" if angles == ["phi"] else None
     if angles:
         return f"{angles[0]}_{sides[0] if sides else 'out'}"
-    return f"theta_{sides[0]}" if len(written) > len(words) and words[0] not in _SHORT_SIDES else None
+    return f"theta_{sides[0]}" if len(written) > len(words) and len(words[0]) > 1 else None
 
 
 def _parts(word: str) -> tuple[str, ...]:
@@ -207,17 +226,21 @@ def name_and_unit(cell: str) -> tuple[str, str]:
     """Return the name in a cell in lower case, Greek letters as words, and the unit after it, if any."""
     if len(cell) > _MAX_NAME_LENGTH:
         return cell, ""
-    text, unit = unicodedata.normalize("NFKC", cell).strip().strip("'\"").strip().lower(), ""
+    text, unit = unicodedata.normalize("NFKC", cell).strip(), ""
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", text).lower()
     for letter, word in _GREEK.items():
         text = text.replace(letter, word)
+    text = _MARKUP.sub("", text).strip()
     found = _COSINE.fullmatch(text)
     if found and (_meaning(name := name_and_unit(found[1] or found[2])[0]) or "").startswith("theta"):
         return name, COSINE
     bracket = min((place for mark in "[(" if (place := text.find(mark)) >= 0), default=-1)
     if bracket >= 0 and text.endswith(("]", ")")):
         text, unit = text[:bracket].rstrip(), text[bracket + 1 : -1].strip()
+        if found := _BAND_IN_BRACKETS.fullmatch(unit):
+            text, unit = f"{text}_{found[1]}", ""
     elif found := _UNIT_BEHIND.fullmatch(text):
-        text, unit = found.groups()
+        text, unit = found[1], found[2] or found[3]
     name = re.sub(r"[\s.-]+", "_", text)
     base, _, last = name.rpartition("_")
     is_unit = last in ANGLE_UNITS or (last in WAVELENGTH_UNITS and base in _OTHERS["wavelength"])

@@ -1,9 +1,10 @@
-"""Read research files of samples: ASTM E1392 as Cornell wrote it, Cornell's spectra, ALTA, RAMI and JSON.
+"""Read research files of samples: ASTM E1392 as Cornell wrote it, Cornell's spectra, ALTA, RAMI, AMBRALS, JSON.
 
 Sources: Cornell University's Program of Computer Graphics (read by libbsdf, AstmReader, and by ALTA), pbrt-v2
 (`src/materials/measured.cpp`, "Irregularly Sampled Isotropic BRDF"), ALTA's documentation of its data files (Inria),
-the measurements brfpp and brfop of the RAMI benchmark (JRC), `schemas/material_brdf_schema.json` of ASAM OpenMATERIAL
-3D 1.1, and `data_json_schema_v1.0.json` of the EURAMET project BiRD.
+the measurements brfpp and brfop of the RAMI benchmark (JRC), the observations of AMBRALS (jgomezdans/BRDF_modelling),
+`schemas/material_brdf_schema.json` of ASAM OpenMATERIAL 3D 1.1, and `data_json_schema_v1.0.json` of the EURAMET
+project BiRD.
 """
 
 import json
@@ -22,6 +23,7 @@ from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS
 _ASTM_NAMES = re.compile(rb"(?m)^VARS[ \t]+(.*)$")
 _NOT_NUMBERS = re.compile(rb"[^-+0-9.eE\s]")
 _RAMI = re.compile(rb"\s*([1-9][0-9]{0,6})[ \t]+5[ \t]+[-+.0-9eE]+[ \t]*\r?\n")
+_KERNELS = re.compile(rb"BRDF[ \t]+([1-9][0-9]{0,6})[ \t]+([0-9]+(?:[ \t]+[0-9.]+)+)[ \t]*\r?\n")
 _JSON_START_BYTES = 100
 _SPHERICAL = ("theta_in", "phi_in", "theta_out", "phi_out")
 # Parametrisations of ALTA: L is the light, V the viewer, T theta, P phi; H and D are the half and difference angles.
@@ -121,6 +123,25 @@ def rami_table(data: bytes) -> TextTable | None:
         return None
     names = ("SZA [rad]", "VZA [rad]", "phi_out [rad]", "BRF")
     return None if rows is None else TextTable.of_numbers(names, rows.T[:4])
+
+
+def kernels_table(data: bytes) -> TextTable | None:
+    """Return the samples in a file of observations for kernel models (AMBRALS).
+
+    The first line has BRDF, the numbers of rows and bands, and the bands. A row has a day, which may be left out, a
+    mark of validity, VZA, VAA, SZA, SAA and a value at each band.
+    """
+    found = _KERNELS.match(data)
+    try:
+        rows = np.array(data[found.end() :].split(), dtype=np.float64).reshape(int(found[1]), -1) if found else None
+    except ValueError:
+        return None
+    if found is None or rows is None or rows.shape[1] - len(found[2].split()) not in (4, 5):
+        return None
+    _, *bands = found[2].split()
+    rows = rows[:, -len(bands) - 5 :]
+    names = ("VZA", "VAA", "SZA", "SAA", *(f"{float(band):g} nm" for band in bands))
+    return TextTable.of_numbers(names, rows[rows[:, 0] > 0.0, 1:].T)
 
 
 def json_table(data: bytes) -> TextTable | None:

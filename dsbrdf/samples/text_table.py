@@ -183,8 +183,9 @@ def _transposed(lines: Sequence[str], named: Collection[str]) -> TextTable | Non
         cells = [(number, _cells(line, separator)) for number, line in kept[:_MAX_LINES_BEFORE_NAMES]]
         begun = [(number, line) for number, line in cells if len(line) > 2 and count_names(line[:1], named) == 1]
         found = [(number, line) for number, line in begun if as_number(line[1], separator) is not None]
-        if len(found) >= _MIN_TRANSPOSED_LINES and len({len(line) for _, line in found}) == 1:
-            names = tuple(line[0].strip() for _, line in found)
+        names = tuple(line[0].strip() for _, line in found)
+        is_transposed = len(found) >= _MIN_TRANSPOSED_LINES and len({*names}) == len(found)
+        if is_transposed and len({len(line) for _, line in found}) == 1:
             rows = [list(row) for row in zip(*(line[1:] for _, line in found), strict=True)]
             note = "The columns of the table stand in its lines, each after its name."
             return TextTable(names, rows, [found[0][0]] * len(rows), separator, notes=(note,))

@@ -23,6 +23,7 @@ SOURCES = {
     "fred.txt": "Photon Engineering, FRED help, Tabulated BSDF; ua-loft/bsdf-tools, write_fred.m",
     "fred_in_plane.txt": "Photon Engineering, FRED help, Tabulated BSDF, in-plane",
     "fred_scaled.txt": "ua-loft/bsdf-tools, rt300s_to_bsdf_iso.m, head without the words type and format",
+    "kernels.dat": "AMBRALS, jgomezdans/BRDF_modelling, data.r2023.c87.dat",
     "lighttools.bsdf": "libbsdf, LightToolsBsdfReader",
     "micrometres.csv": "a column of wavelengths in um, exit zenith",
     "mueller.csv": "a Mueller matrix in columns, f_r11 its first element",

@@ -103,6 +103,8 @@ OF_INSTRUMENTS = {
     "Greek letters and subscripts": ("Θ_i", "ϕᵢ", "Θ_r", "ϕᵣ"),
     "incident angle": ("incident angle", "phi_incident", "viewing angle", "phi"),
     "angles of a direction": ("Zenith angle of incidence (deg)", "Azimuth of incidence", "Emission angle", "phi_obs"),
+    "camel case": ("incidentAngle", "lightAzimuth", "angleOut", "relativeAzimuth"),
+    "LaTeX": (r"$\theta_i$", r"$\phi_{i}$", r"$\theta_r$", r"$\phi_{r}$"),
     "glued": ("solz", "sola", "senz", "sena"),
     "of the ISO": ("θ_inc / °", "φ_inc / deg", "theta_ref / deg", "phi_ref"),
     "receiver": ("source polar", "source azimuth", "receiver polar", "receiver azimuth"),

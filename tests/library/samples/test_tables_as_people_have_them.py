@@ -143,6 +143,26 @@ def test_columns_in_lines_may_be_in_radians() -> None:
     check_same(parse_samples("\n".join(lines).encode()), ANGLES, RGB)
 
 
+def test_several_materials_in_one_table_are_told() -> None:
+    rows = [",".join([name, *map(repr, row)]) for row in GRID[:, :3].tolist() for name in ("B", "G")]
+    samples = parse_samples(
+        "\n".join(["paint,theta_in,phi_in,theta_out", *rows]).encode(), options=TableOptions(columns="value=phi_in")
+    )
+    assert "The column 'paint' has 2 values, such as 'B' and 'G': if they are several materials" in samples.notes[2]
+
+
+def test_bands_in_brackets_tolerances_and_vectors_of_words_are_read() -> None:
+    omega = np.hstack(directions(GRID))
+    names = [f"{side}_{axis}" for side in ("light", "view") for axis in "xyz"]
+    lines = [
+        ";".join([*map(repr, row), f"{value:.6g} ± 0.01;{value:.6g}"])
+        for row, value in zip(omega.tolist(), TRUE, strict=True)
+    ]
+    samples = parse_samples("\n".join([";".join([*names, "R(450)", "R(λ = 650 nm)"]), *lines]).encode())
+    np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
+    np.testing.assert_allclose(samples.omega_out, omega[:, 3:], atol=1e-9)
+
+
 @pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "missing", "n.a.", "---"])
 def test_words_for_no_number_leave_out_their_row(word: str) -> None:
     samples = parse_samples(changed(5, word))
