@@ -38,6 +38,8 @@ _Vectors = Annotated[
     Field(description="Unit vectors; values are 0 where one is below the horizon (z < 0)."),
 ]
 
+_MIRROR_PHI_DIFF_DEG: Any = (90.0,)  # pydantic would copy a list for every request.
+
 
 class AnglesRequest(Input):
     """Points by half and difference angles in degrees; one angle counts for all points."""
@@ -46,7 +48,7 @@ class AnglesRequest(Input):
     theta_diff_deg: Annotated[_Angles, Field(examples=[[30]])]
     phi_diff_deg: Annotated[
         _Turns, Field(description="90 where it is left out: both directions at one angle to the normal.")
-    ] = [90.0]
+    ] = _MIRROR_PHI_DIFF_DEG
 
 
 class SidesRequest(Input):

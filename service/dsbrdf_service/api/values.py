@@ -14,6 +14,7 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from dsbrdf.components.shares import LABELS
+from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.reflectance import ReflectanceModel
 
 from ..access.authentication import CALLER
@@ -152,10 +153,15 @@ async def post_measured_values(request: Request, context: TheContext, stored: Th
 
 async def _values(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
     """Return the values of a fit or of a component: few values directly, more in a turn of `Computations`."""
-    model = (await context.models.get(fit)).part(label)
-    points, media_type = await _points(request, context)
+    try:
+        points, media_type = await _points(request, context)
+    except (InvalidArgumentError, ProblemError):
+        (await context.models.get(fit)).part(label)  # A wrong address is the first mistake to mend.
+        raise
     if points.theta_half.size <= _MAX_INLINE_POINTS and media_type == JSON:
-        return Response(to_json({"values": model.evaluate(*points).tolist()}), media_type=JSON)
+        values = await context.models.evaluate(fit, label, *points)
+        return Response(to_json({"values": values.tolist()}), media_type=JSON)
+    model = (await context.models.get(fit)).part(label)
     content = await context.computations.run(request, object(), lambda: _encoded(_in_blocks(model, points), media_type))
     return await long_reply(context.store.writing, request.scope[CALLER], content, {"Content-Type": media_type})
 

@@ -1,11 +1,14 @@
 """Cache fitted models with their components, so that requests for values do not parse stored results."""
 
+import asyncio
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from dsbrdf import DSBRDF, Component, Decomposition, FitReport
+from dsbrdf.arrays import Array
 from dsbrdf.output.serialize import fit_from_json
 
 from ..errors import ProblemError
@@ -36,6 +39,15 @@ class LoadedFit:
         return self.decomposition[label]
 
 
+@dataclass
+class _Batch:
+    """Hold the angles of simultaneous requests for values of one model, and the task that evaluates all of them."""
+
+    task: "asyncio.Task[Array]"
+    angles: list[tuple[Array, ...]] = field(default_factory=list)
+    n_points: int = 0
+
+
 class ModelCache:
     """Cache the `size` models that were used last, by fit."""
 
@@ -43,6 +55,7 @@ class ModelCache:
         self._store = store
         self._size = size
         self._models: OrderedDict[tuple[FitKey, int | None], LoadedFit] = OrderedDict()  # By fit and result stamp.
+        self._batches: dict[tuple[FitKey, str | None], _Batch] = {}  # By fit and component.
 
     async def get(self, key: FitKey) -> LoadedFit:
         """Return the model of a fit; raise ProblemError if there is no such fit, or it has no result.
@@ -59,3 +72,25 @@ class ModelCache:
             if len(self._models) > self._size:
                 self._models.popitem(last=False)
         return loaded
+
+    async def evaluate(self, key: FitKey, label: str | None, *angles: Array) -> Array:
+        """Return the values (n, 3) of a fit, or of one component, at a few points with checked angles (n,) each [rad].
+
+        Requests that come while others are read are evaluated together, because NumPy takes as long for 16 points as
+        for one. Raises ProblemError as `get` and `LoadedFit.part`.
+        """
+        batch = self._batches.get((key, label))
+        if batch is None:
+            batch = self._batches[key, label] = _Batch(asyncio.create_task(self._evaluate(key, label)))
+        start, batch.n_points = batch.n_points, batch.n_points + len(angles[0])
+        batch.angles.append(angles)
+        values = await asyncio.shield(batch.task)  # A cancelled request must not cancel the others.
+        return values[start : start + len(angles[0])]
+
+    async def _evaluate(self, key: FitKey, label: str | None) -> Array:
+        """Evaluate the batch of a model, which all requests join that come before the model is there."""
+        try:
+            model = (await self.get(key)).part(label)
+        finally:
+            batch = self._batches.pop((key, label))
+        return model.evaluate(*map(np.concatenate, zip(*batch.angles, strict=True)))
