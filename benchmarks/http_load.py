@@ -1,11 +1,12 @@
 """Light load on a server: many requests on a few connections, large bodies at once, and a process's memory meanwhile.
 
 Requests are sent by ``wrk`` where it is installed (Debian has it), else by a program of raw sockets in a process of its
-own: ``python -m benchmarks.http_load URL CONNECTIONS SECONDS KEY``.
+own: ``python -m benchmarks.http_load URL CONNECTIONS SECONDS``.
 """
 
 import asyncio
 import json
+import os
 import re
 import shutil
 import socket
@@ -16,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import NamedTuple
@@ -29,11 +30,15 @@ _UNITS = {"us": 1e-3, "ms": 1.0, "s": 1e3}
 
 @dataclass(frozen=True)
 class Rate:
-    """Answers of one run: how many a second, and after how long the median and the slowest hundredth came [ms]."""
+    """Hold the rate of answers, the median and the 99th percentile of their times [ms], and the server's time [us].
+
+    The server's time is its processor time for one answer, which other work on the machine hardly changes.
+    """
 
     per_second: float
     p50: float
     p99: float
+    processor_us: float = 0.0
 
 
 class Row(NamedTuple):
@@ -49,20 +54,29 @@ def load_generator() -> str:
     return "wrk" if shutil.which("wrk") else "raw sockets"
 
 
-def get_repeatedly(url: str, connections: int, seconds: float, key: str = "") -> Rate:
-    """Ask for a page again and again on so many connections; every answer has to be 200."""
+def get_repeatedly(url: str, connections: int, seconds: float, server: int) -> Rate:
+    """Ask the process `server` for a page again and again on so many connections; every answer has to be 200."""
+    before, seconds = processor_seconds(server), max(round(seconds), 1)
     if shutil.which("wrk"):
-        command = ["wrk", "--latency", "-t1", f"-c{connections}", f"-d{max(round(seconds), 1)}s", url]
-        command += ["-H", f"Authorization: {key}"] if key else []
+        command = ["wrk", "--latency", "-t1", f"-c{connections}", f"-d{seconds}s", url]
         text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
         if "Non-2xx" in text or "Socket errors" in text:
             raise SystemExit(f"{url} did not answer every request with 200:\n{text}")
-        return _read_wrk(text)
-    program = [sys.executable, "-m", "benchmarks.http_load", url, str(connections), str(seconds), key]
-    run = subprocess.run(program, check=False, capture_output=True, text=True)
-    if run.returncode:
-        raise SystemExit(f"{url} did not answer every request with 200:\n{run.stderr}")
-    return Rate(*json.loads(run.stdout))
+        rate = _read_wrk(text)
+    else:
+        command = [sys.executable, "-m", "benchmarks.http_load", url, str(connections), str(seconds)]
+        run = subprocess.run(command, check=False, capture_output=True, text=True)
+        if run.returncode:
+            raise SystemExit(f"{url} did not answer every request with 200:\n{run.stderr}")
+        rate = Rate(*json.loads(run.stdout))
+    used = processor_seconds(server) - before
+    return replace(rate, processor_us=1e6 * used / (rate.per_second * seconds))
+
+
+def processor_seconds(pid: int) -> float:
+    """Return the processor time that a process has used [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _read_wrk(text: str) -> Rate:
@@ -76,10 +90,9 @@ def _read_wrk(text: str) -> Rate:
     return Rate(float(per_second[1]), latency("50"), latency("99"))
 
 
-async def _get_from_here(url: str, connections: int, seconds: float, key: str) -> Rate:
+async def _get_from_here(url: str, connections: int, seconds: float) -> Rate:
     parts = urlsplit(url)
-    authorization = f"Authorization: {key}\r\n" if key else ""
-    head = f"GET {parts.path}?{parts.query} HTTP/1.1\r\nHost: {parts.netloc}\r\n{authorization}\r\n".encode()
+    head = f"GET {parts.path}?{parts.query} HTTP/1.1\r\nHost: {parts.netloc}\r\n\r\n".encode()
     loop = asyncio.get_running_loop()
     end = loop.time() + seconds
     times: list[float] = []
@@ -157,8 +170,8 @@ class PeakMemory:
 
 
 @contextmanager
-def program(command: Sequence[str], log: Path) -> Iterator[str]:
-    """Run a server that says in its log where it listens; yield its address."""
+def program(command: Sequence[str], log: Path) -> Iterator[tuple[str, int]]:
+    """Run a server that says in its log where it listens; yield its address and its process id."""
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=output)
     try:
@@ -166,12 +179,12 @@ def program(command: Sequence[str], log: Path) -> Iterator[str]:
             if process.poll() is not None:
                 raise SystemExit(f"{command} did not start:\n{log.read_text()}")
             time.sleep(0.02)
-        yield found[1]
+        yield found[1], process.pid
     finally:
         process.terminate()
         process.wait(20)
 
 
 if __name__ == "__main__":
-    figures = asyncio.run(_get_from_here(sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), sys.argv[4]))
+    figures = asyncio.run(_get_from_here(sys.argv[1], int(sys.argv[2]), float(sys.argv[3])))
     print(json.dumps([figures.per_second, figures.p50, figures.p99]))

@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import astuple
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -70,28 +71,25 @@ class Place(NamedTuple):
 
 
 def gets(place: Place) -> list[Row]:
-    """Measure values of one point, compared with FastAPI alone, and while fits run."""
-    url = f"{place.fitted()}/brdf?{_POINT}"
-    service, baseline = [], []
-    with program(
-        [sys.executable, "-m", "benchmarks.fastapi_baseline"], place.harness.folder / "baseline.log"
-    ) as address:
-        for target, seconds in ((url, 1.0), (f"{address}/values", 1.0)):
-            get_repeatedly(target, CONNECTIONS, seconds)
-        for _ in range(place.runs):
-            baseline.append(get_repeatedly(f"{address}/values", CONNECTIONS, 3.0))
-            service.append(get_repeatedly(url, CONNECTIONS, 3.0))
-    ratio = statistics.median(
-        ours.per_second / theirs.per_second for ours, theirs in zip(service, baseline, strict=True)
-    )
-    measured = f"{ratio:.2f}: {_shown(service)}; FastAPI alone {_shown(baseline)}"
+    """Measure values of one point, compared with FastAPI alone with and without parameters, and while fits run."""
+    service = f"{place.fitted()}/brdf?{_POINT}", place.server.process.pid
+    command = [sys.executable, "-m", "benchmarks.fastapi_baseline"]
+    with program(command, place.harness.folder / "baseline.log") as (address, pid):
+        same = f"{address}{service[0].removeprefix(place.address)}", pid
+        targets = (service, same, (f"{address}/values", pid))
+        for target, server in targets:
+            get_repeatedly(target, CONNECTIONS, 1.0, server)
+        runs = [[get_repeatedly(url, CONNECTIONS, 3.0, server) for url, server in targets] for _ in range(place.runs)]
+    ours, *theirs = zip(*runs, strict=True)
+    rows = []
+    for known, said in zip(theirs, ("the same parameters", "no parameters"), strict=True):
+        ratio = statistics.median(one.processor_us / our.processor_us for one, our in zip(known, ours, strict=True))
+        asked = f"GET of BRDF values, {CONNECTIONS} connections, processor time: >= 0.7 of FastAPI alone with {said}"
+        rows.append(Row(asked, f"{ratio:.2f}: {_shown(ours)}; FastAPI alone {_shown(known)}", ratio >= 0.7))
     with _fits_running(place):
-        busy = [get_repeatedly(url, CONNECTIONS, 3.0) for _ in range(place.runs)]
+        busy = [get_repeatedly(service[0], CONNECTIONS, 3.0, service[1]) for _ in range(place.runs)]
     p99 = statistics.median(rate.p99 for rate in busy)
-    return [
-        Row(f"GET of BRDF values, {CONNECTIONS} connections: >= 0.7 of FastAPI alone", measured, ratio >= 0.7),
-        Row("the same with 2 fits running: p99 <= 150 ms", _shown(busy), p99 <= 150.0),
-    ]
+    return [*rows, Row("the same with 2 fits running: p99 <= 150 ms", _shown(busy), p99 <= 150.0)]
 
 
 def npy(place: Place) -> list[Row]:
@@ -250,8 +248,8 @@ def _timed(call: Callable[[], object]) -> float:
 
 
 def _shown(rates: Sequence[Rate]) -> str:
-    figures = [statistics.median(getattr(rate, name) for rate in rates) for name in ("per_second", "p50", "p99")]
-    return f"{figures[0]:.0f}/s, p50 {figures[1]:.1f} ms, p99 {figures[2]:.1f} ms"
+    per_second, p50, p99, used = (statistics.median(values) for values in zip(*map(astuple, rates), strict=True))
+    return f"{per_second:.0f}/s, p50 {p50:.1f} ms, p99 {p99:.1f} ms, {used:.0f} us"
 
 
 def main(argv: Sequence[str]) -> int:
