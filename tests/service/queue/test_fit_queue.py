@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 import dsbrdf
@@ -276,6 +277,23 @@ async def test_model_is_that_of_the_fit_as_it_is_now(place: Race) -> None:
     await place.end(await place.submit())
     again = await models.get(key)
     assert await models.get(key) is again is not first
+
+
+async def test_simultaneous_requests_for_values_share_one_evaluation(place: Race) -> None:
+    models, model = ModelCache(place.store, 8), random_model()
+    key = await place.submit()
+    await place.end(key)
+    angles = [np.random.default_rng(n).uniform(0.0, 0.7, (3, n)) for n in (1, 3, 2)]
+    requests = [asyncio.create_task(models.evaluate(key, None, *given)) for given in angles]
+    left = asyncio.create_task(models.evaluate(key, None, *angles[1]))
+    unknown = asyncio.create_task(models.evaluate(FitKey("", "f" * 32), None, *angles[0]))
+    await asyncio.sleep(0)
+    left.cancel()
+    for given, values in zip(angles, await asyncio.gather(*requests), strict=True):
+        np.testing.assert_array_equal(values, model.evaluate(*given))
+    with pytest.raises(FitNotFoundError):
+        await unknown
+    np.testing.assert_array_equal(await models.evaluate(key, None, *angles[0]), model.evaluate(*angles[0]))
 
 
 async def test_restart_does_not_count_as_an_attempt(place: Race) -> None:
