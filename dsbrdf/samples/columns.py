@@ -134,7 +134,7 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
     if form is FROM_MIRROR:
         angles["theta_out"] = angles["theta_in"] + angles["theta_from_mirror"]
     if "phase" in angles:
-        angles["phi_out"] = _azimuth_of_phase(angles)
+        angles |= {"phi_out": _azimuth_of_phase(angles), "theta_out": np.abs(angles["theta_out"])}
     zero = np.zeros_like(angles["theta_in"])
     phi_in = angles.get("phi_in", zero if "phi_out" in angles else zero + np.pi)
     return spherical(angles["theta_in"], phi_in), spherical(angles["theta_out"], angles.get("phi_out", zero))
@@ -142,7 +142,7 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
 
 def _azimuth_of_phase(angles: dict[str, Array]) -> Array:
     """Return the azimuth between light and viewer from the phase angle, by the law of cosines on the sphere."""
-    theta_in, theta_out, phase = (angles[name] for name in (*THETAS, "phase"))
+    theta_in, theta_out, phase = (np.abs(angles[name]) for name in (*THETAS, "phase"))
     lowest, highest = np.abs(theta_in - theta_out), theta_in + theta_out
     wrong = (phase < lowest - _PHASE_TOLERANCE) | (phase > highest + _PHASE_TOLERANCE)
     if count := np.count_nonzero(wrong):

@@ -12,7 +12,8 @@ _SIDE_WORDS = {
     "in": "in i inc incident incidence incoming input ill illum illumination light source src solar sol sun",
     "out": (
         "out o r s v e output ref refl reflected reflection outgoing exitant exit emergent emergence emission scat "
-        "scattered scatter scattering receiver detector det view viewing viewer observer observation obs sensor sen"
+        "scattered scatter scattering receiver detector detection det view viewing viewer observer observation obs "
+        "sensor sen"
     ),
 }
 _ANGLE_WORDS = {
@@ -69,7 +70,7 @@ VALUE_UNITS = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
 # Planetary science writes these letters for the angles of incidence, emission and phase.
 _PLANETARY = {"i": "theta_in", "e": "theta_out", "g": "phase", "alpha": "phase"}
 _SOLAR = {"theta_s": "theta_in", "phi_s": "phi_in"}  # "s" is the sun beside "v" for the viewer.
-_GREEK = {"θ": "theta", "φ": "phi", "ϕ": "phi", "λ": "lambda", "ω": "omega", "δ": "delta", "ρ": "rho"}
+_GREEK = {"θ": "theta", "φ": "phi", "ϕ": "phi", "λ": "lambda", "ω": "omega", "δ": "delta", "ρ": "rho", "β": "beta"}
 _COSINE = re.compile(r"cos(?:ine)?(?:[_ ]?\((.+)\)|[_ ](.+))")
 # A unit may follow a name without brackets, as in "theta / deg", "BRDF, 1/sr" or "brdf_sr-1".
 _UNIT_BEHIND = re.compile(
@@ -82,10 +83,10 @@ _MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"}, {"theta_out", 
 _N_MATRIX_NAMES = 3  # The first cell of a matrix counts as three names: rows, columns, values.
 _MAX_NAME_LENGTH = 200  # [characters] with the unit.
 _BAND = re.compile(
-    rf"(?:(?:{'|'.join((*_FACTORS, *_DENSITIES))}|rrs|band|b|f|r|l|w|wl|lambda)_?)?"
+    rf"(?:(?:{'|'.join((*_FACTORS, *_DENSITIES))}|beta|rrs|band|b|f|r|l|w|wl|lambda)_?)?"
     "([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?"
 )
-_FACTOR = re.compile(rf"(?:{'|'.join(_FACTORS)})(?:_?[0-9].*|_[a-z]+)?")
+_FACTOR = re.compile(rf"(?:{'|'.join(_FACTORS)})(?:_?[0-9].*|_[a-z]+)?|beta_?[0-9].*")
 _MIN_BAND_NM = 200.0
 _MAX_BAND_NM = 3000.0
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
@@ -123,7 +124,12 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
         if f"{word}_x" in names
         for axis in "xyz"
     }
-    return [special.get(name) or vectors.get(name) or _meaning(name) for name in names]
+    found = [special.get(name) or vectors.get(name) or _meaning(name) for name in names]
+    # Beside the direction of the viewer, a scattering angle is the one to the direction of the light.
+    is_apart = found.count("theta_out") > 1
+    return [
+        None if is_apart and name == "scattering_angle" else known for name, known in zip(names, found, strict=True)
+    ]
 
 
 def meaning_of(cell: str) -> str | None:
@@ -206,6 +212,10 @@ def wavelength_of(cell: str) -> float | None:
 
 def constants_in(line: str) -> dict[str, float]:
     """Return the numbers that a line such as "#intheta 30" or "AOI [deg]: 30" gives to all rows below it."""
+    parts = re.split(r"[,;]\s*(?=[^\W\d])", line[:_MAX_NAME_LENGTH])
+    if len(parts) > 1:
+        each = [constants_in(part) for part in parts]
+        return {name: number for part in each for name, number in part.items()} if all(each) else {}
     found = _CONSTANT.fullmatch(line) if len(line) <= _MAX_NAME_LENGTH else None
     if found is None:
         return {}
@@ -241,7 +251,7 @@ def name_and_unit(cell: str) -> tuple[str, str]:
             text, unit = f"{text}_{found[1]}", ""
     elif found := _UNIT_BEHIND.fullmatch(text):
         text, unit = found[1], found[2] or found[3]
-    name = re.sub(r"[\s.-]+", "_", text)
+    name = re.sub(r"[\s.,-]+", "_", text)
     base, _, last = name.rpartition("_")
     is_unit = last in ANGLE_UNITS or (last in WAVELENGTH_UNITS and base in _OTHERS["wavelength"])
     return (base, last) if is_unit else (name, unit.replace("\N{MINUS SIGN}", "-"))

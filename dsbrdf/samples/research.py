@@ -157,9 +157,9 @@ def json_table(data: bytes) -> TextTable | None:
         return None
     if isinstance(document, dict) and "lookupTable" in (document.get("brdf") or ()):
         return _open_material_table(document["brdf"])
-    held = document.get("data", document) if isinstance(document, dict) else _columns_of_records(document)
-    columns = dict(_number_columns(held if isinstance(held, dict) else _columns_of_records(held)))
-    length = max((len(numbers) for numbers in columns.values()), default=0)
+    places = [document, *document.values()] if isinstance(document, dict) else [document]
+    columns = max((dict(_number_columns(place)) for place in places), key=len)
+    length = max(map(len, columns.values()), default=0)
     columns = {name: numbers for name, numbers in columns.items() if len(numbers) == length}
     if not length:
         raise MeasurementFormatError(
@@ -169,8 +169,11 @@ def json_table(data: bytes) -> TextTable | None:
     return TextTable.of_numbers([*columns], columns.values())
 
 
-def _number_columns(held: dict[str, Any]) -> Iterator[tuple[str, Array]]:
-    for name, values in held.items():
+def _number_columns(held: Any) -> Iterator[tuple[str, Array]]:
+    """Yield the columns of numbers in a dict of columns, or in a list of records, by name."""
+    if isinstance(held, list) and held and all(isinstance(record, dict) for record in held):
+        held = {name: [record.get(name) for record in held] for name in held[0]}
+    for name, values in held.items() if isinstance(held, dict) else ():
         unit = values.get("unit") if isinstance(values, dict) else None
         try:
             numbers = np.array(values.get("values") if isinstance(values, dict) else values, dtype=np.float64)
@@ -178,11 +181,6 @@ def _number_columns(held: dict[str, Any]) -> Iterator[tuple[str, Array]]:
             continue
         if numbers.ndim == 1:
             yield (f"{name} [{unit}]" if unit else name), numbers
-
-
-def _columns_of_records(records: Any) -> dict[str, Any]:
-    is_records = isinstance(records, list) and records and all(isinstance(record, dict) for record in records)
-    return {name: [record.get(name) for record in records] for name in records[0]} if is_records else {}
 
 
 def _open_material_table(brdf: Any) -> TextTable:

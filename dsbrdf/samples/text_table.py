@@ -24,7 +24,7 @@ from dsbrdf.samples.cells import (
     split_cells,
     wrong_count,
 )
-from dsbrdf.samples.names import constants_in, count_names, name_and_unit, wavelength_of
+from dsbrdf.samples.names import constants_in, count_names, meaning_of, name_and_unit, wavelength_of
 from dsbrdf.samples.unnamed import NumberedLines, unnamed_table
 
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
@@ -34,7 +34,9 @@ _MAX_LINES_BEFORE_NAMES = 500
 _MAX_LINES_OF_UNITS = 20
 _MAX_LINE_LENGTH = 1 << 17  # [characters]; lines of 4096 numbers with all digits are shorter.
 _MAX_HEAD_LENGTH = 1 << 18  # [characters]; the line of names is searched only up to here.
-_LISTED = re.compile(r"[ \t#%!]*(?:column|col\.?|field)[ \t]*([0-9]+)[ \t]*[-:=.)][ \t]*(\S.*)", re.IGNORECASE)
+_LISTED = re.compile(
+    r"[ \t]*(?:[#%!]+[ \t]*(?:column|col\.?|field)?|column|col\.?|field)[ \t]*([0-9]+)[ \t]*[-:=.)][ \t]*(\S.*)", re.I
+)
 _FITS_BONUS = 2  # A line with a name for each cell of the row below it counts as so many names more.
 _MIN_NAMES = 2  # A line below the names with so many names repeats them in another language, and has no units.
 # Fewer lines that begin with a name do not make a transposed table.
@@ -144,7 +146,21 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
             score = known + _FITS_BONUS * fits
             if known > 0 and (score, fits) > best[:2]:
                 best = score, fits, place, names
-    return best[2:] if best[0] > 1 else (-1, ())
+    _, _, place, names = best if best[0] > 1 else (0, 0, -1, ())
+    above = next(filter(_is_row, reversed(lines[:place])), "") if len({*names}) < len(names) else ""
+    return place, _with_groups(names, above)
+
+
+def _with_groups(names: tuple[str, ...], above: str) -> tuple[str, ...]:
+    """Return repeated names, such as theta, phi, theta, phi, each behind its group in the line above."""
+    for groups in (_cells(above, separator) for separator in SEPARATORS):
+        if 1 < len(groups) <= len(names) + 1:
+            group, found = "", list[str]()
+            for at, name in enumerate(names):
+                group = groups[at].strip() or group if at < len(groups) else group
+                found.append(f"{group} {name}" if meaning_of(f"{group} {name}") else name)
+            return tuple(found)
+    return names
 
 
 def _listed_names(lines: Sequence[str]) -> tuple[int, tuple[str, ...]] | None:
