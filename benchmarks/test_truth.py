@@ -10,7 +10,13 @@ import pytest
 from benchmarks.truth import drawn, load_truth, save_truth
 from dsbrdf.arrays import Array
 from dsbrdf.data import spherical
-from tests.support.foreign_bsdfs import burley_diffuse, lambert, oren_nayar, principled_diffuse
+from tests.support.foreign_bsdfs import (
+    burley_diffuse,
+    dielectric_transmittance,
+    lambert,
+    oren_nayar,
+    principled_diffuse,
+)
 from tests.support.foreign_materials import CATALOGUE, Material
 from tests.support.foreign_truth import RULES, Truth, judged
 
@@ -56,6 +62,13 @@ def test_reflectance_at_the_normal_is_that_of_the_refractive_index() -> None:
     assert CATALOGUE["coat_on_copper"].f0 is None
 
 
+def test_reflectance_at_70_degrees_is_that_of_the_refractive_index() -> None:
+    for name, ior in (("plastic_green_03", 1.5), ("plastic_orange_25_beckmann", 1.55), ("plastic_brown_15_mixed", 1.7)):
+        expected = 1.0 - dielectric_transmittance(np.cos(np.radians([[70.0]])), ior / AIR)[0, 0, 0]
+        assert CATALOGUE[name].f70 == pytest.approx([expected] * 3, rel=1e-3)
+    assert CATALOGUE["coat_on_copper"].f70 is None
+
+
 def test_a_seed_draws_the_same_materials_and_more_of_them_follow() -> None:
     few, many, others = drawn(7, 3), drawn(12, 3), drawn(7, 4)
     assert list(few) == list(many)[:7]
@@ -67,13 +80,19 @@ class KnownParts(list[Any]):
     """A decomposition that reflects a share of the diffuse light and states a range and a surface."""
 
     structure = "known"
-    remarks = ("The split into specular and diffuse light is open.",)
+    remarks = ("The measurement does not determine how much of the light is diffuse: it may be 0% to 90%.",)
 
     def __init__(self, material: Material, share: float, stated: tuple[float, float], alpha: float) -> None:
         assert material.f0 is not None
         f0 = tuple(np.array([1.1, 1.0, 0.95]) * material.f0)
+        f70 = None if material.f70 is None else tuple(1.05 * material.f70)
         surface = SimpleNamespace(
-            alpha=alpha, alpha_range=(0.9 * alpha, alpha), f0=f0, f0_range=[(0.96 * one, 1.04 * one) for one in f0]
+            alpha=alpha,
+            alpha_range=(0.9 * alpha, alpha),
+            f0=f0,
+            f0_range=[(0.96 * one, 1.04 * one) for one in f0],
+            f70=f70,
+            f70_range=[(0.95 * one, 1.05 * one) for one in f70 or ()],
         )
         self.diffuse = SimpleNamespace(
             light_share=0.9,
@@ -95,10 +114,10 @@ def test_what_is_wrong_is_found(tmp_path: Path) -> None:
         assert found.moved[0] == pytest.approx((1.0 - kept) * share, rel=1e-6)
         assert (found.inside, found.is_warned) == (inside, True)
         assert found.surface is not None
-        assert [found.share, found.surface.alpha, found.surface.f0] == pytest.approx(
-            [kept * share, alpha / 0.03 - 1.0, 0.1]
+        assert [found.share, found.surface.alpha, found.surface.f0, found.surface.f70] == pytest.approx(
+            [kept * share, alpha / 0.03 - 1.0, 0.1, 0.05]
         )
-        assert (found.surface.alpha_inside, found.surface.f0_inside) == (inside, False)
+        assert (found.surface.alpha_inside, found.surface.f0_inside, found.surface.f70_inside) == (inside, False, True)
 
 
 def test_a_missing_surface_is_an_error_of_all_of_it() -> None:

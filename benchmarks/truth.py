@@ -2,8 +2,8 @@
 
 Moved is the light on the wrong side of specular and diffuse as a share of all light, channels added: the mean of
 0, 40 and 70 degrees to the normal. Where one layer of microfacets is all specular light, its roughness alpha and its
-reflectance F0 are compared. The fraction of true values that lie within the stated 90 % ranges is printed for alpha, F0
-and the diffuse light at normal incidence.
+reflectance at normal incidence (F0) and at 70 degrees (F70) are compared. The fraction of true values that lie within
+the stated 90 % ranges is printed for alpha, F0, F70 and the diffuse light at normal incidence.
 """
 
 import argparse
@@ -117,17 +117,16 @@ def save_truth(truth: Truth, path: Path) -> None:
     """Write an .npz file, so that a decomposition can be judged again without Mitsuba."""
     sides = {"specular": truth.specular, "diffuse": truth.diffuse}
     arrays = {f"{side}_{k}": values for side, parts in sides.items() for k, values in enumerate(parts)}
-    alpha, f0 = np.nan if truth.alpha is None else truth.alpha, np.zeros(3) if truth.f0 is None else truth.f0
-    np.savez(path, allow_pickle=False, alpha=alpha, f0=f0, **arrays)
+    layer = {"alpha": truth.alpha, "f0": truth.f0, "f70": truth.f70}
+    np.savez(path, allow_pickle=False, **arrays, **{name: one for name, one in layer.items() if one is not None})
 
 
 def load_truth(path: Path) -> Truth:
     """Read what `save_truth` wrote."""
     with np.load(path) as file:
         specular, diffuse = (tuple(file[f"{side}_{k}"] for k in range(len(RULES))) for side in ("specular", "diffuse"))
-        alpha, f0 = float(file["alpha"]), file["f0"]
-        one_layer = np.isfinite(alpha)
-        return Truth(specular, diffuse, alpha if one_layer else None, f0 if one_layer else None)
+        alpha, f0, f70 = (file.get(name) for name in ("alpha", "f0", "f70"))
+        return Truth(specular, diffuse, None if alpha is None else float(alpha), f0, f70)
 
 
 def fitted(name: str, material: Material, noise: float, folder: Path | None) -> tuple[dsbrdf.DSBRDF, Truth]:
@@ -143,9 +142,10 @@ def print_row(name: str, found: Judgement) -> None:
     """Print one line of the table."""
     surface = found.surface
     alpha = None if surface is None else surface.alpha
-    f0 = None if surface is None else surface.f0
+    f0, f70 = (None, None) if surface is None else (surface.f0, surface.f70)
     layer = "" if alpha is None else f", alpha {alpha:+6.1%}"
     layer += "" if f0 is None else f", F0 {f0:5.1%}"
+    layer += "" if f70 is None else f", F70 {f70:5.1%}"
     low, high = found.range
     stated = f"{low:.3f} to {high:.3f} {'holds' if found.inside else 'MISSES'} {found.true_share:.3f}"
     angles = " ".join(f"{moved:6.1%}" for moved in found.moved)
@@ -161,12 +161,14 @@ def print_summary(rows: Sequence[Judgement]) -> None:
     pairs = {
         "alpha": [(one.alpha, one.alpha_inside) for one in surfaces],
         "F0": [(one.f0, one.f0_inside) for one in surfaces],
+        "F70": [(one.f70, one.f70_inside) for one in surfaces],
     }
     for name, found in pairs.items():
         if sizes := [abs(error) for error, _ in found if error is not None]:
             holds = np.mean([inside for _, inside in found if inside is not None])
+            median, p90, largest = np.quantile(sizes, [0.5, 0.9, 1.0])
             print(
-                f"{name} of {len(sizes)} with one layer: median {np.median(sizes):.1%}, largest {max(sizes):.1%}, "
+                f"{name} of {len(sizes)} with one layer: median {median:.1%}, p90 {p90:.1%}, largest {largest:.1%}, "
                 f"inside its range: {holds:.0%}"
             )
     widths = [row.range[1] - row.range[0] for row in rows]

@@ -1,9 +1,10 @@
 """Decompose a reflectance into components by fitting physical layers."""
 
 from dsbrdf.components.decomposition import Component, Decomposition, decompose
-from dsbrdf.components.description import Misfit, Surface
 from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components.misfit import Misfit
 from dsbrdf.components.shares import LABELS
+from dsbrdf.components.surfaces import Surface
 
 __all__ = [
     "LABELS",

@@ -19,15 +19,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.description import PROFILE, Description, Misfit, OwnValues, Surface, describe, renderer_layers
+from dsbrdf.components.description import Description, describe, renderer_layers
 from dsbrdf.components.layer_data import grid_points as layer_points
 from dsbrdf.components.layer_data import grid_values, material_data
 from dsbrdf.components.layer_fit import fit_structures, structure_weights
 from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
+from dsbrdf.components.misfit import PROFILE, Misfit, OwnValues
 from dsbrdf.components.points import Points, grid_points
 from dsbrdf.components.ranges import ComponentRanges, DrawnLayers, Range
 from dsbrdf.components.shares import LABELS, NORMAL, LightRule, WeightedLayers, light_rules
 from dsbrdf.components.structures import RARE_STRUCTURES, STRUCTURES
+from dsbrdf.components.surfaces import Surface
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -225,8 +227,8 @@ class Decomposition:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences about an undetermined diffuse fraction, withheld parameters, sheen and retro-reflection."""
-        own = (remark for component in self for remark in component.remarks)
+        """Sentences about an undetermined diffuse fraction, withheld alpha or F0, sheen and retro-reflection."""
+        own = (remark for component in self for remark in component.description.misfit_remarks(component.label))
         return (*self._open_split(), *own, *self._other_light())
 
     def receiver(self, label: str) -> str:
@@ -238,7 +240,7 @@ class Decomposition:
         return self._split(self.model.evaluate_unmasked(*rule.angles).T, rule.points)
 
     def own_values(self, reflected: Sequence[Array]) -> tuple[OwnValues, ...]:
-        """Return the values to which each component's layers are fitted, from the albedos of `LABELS` at two angles."""
+        """Return the values to which layers are fitted, from the albedos of `LABELS` by angles of `light_rules`."""
         grids = self._split(grid_values(self.model), layer_points())
         profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
         albedos = np.stack([self._received(light) for light in reflected], axis=1)
@@ -347,7 +349,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
             has_retro=any(RetroLayer in one.kinds_of(label) for one in structures),
             has_ground=LABELS[2] not in labels,
         )
-        for label, own in zip(labels, split.own_values(reflected[:2]), strict=True)
+        for label, own in zip(labels, split.own_values(reflected), strict=True)
     )
     return replace(split, descriptions=descriptions)
 

@@ -32,10 +32,12 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.points import COAT_F0, Points, grid_points
+from dsbrdf.components.points import COAT_F0, Points, fresnel_rise, grid_points
 from dsbrdf.model.reflectance import RenderableModel
 
 Color: TypeAlias = tuple[float, float, float]
+GRAZING_ANGLE = float(np.radians(70.0))
+"""Reflectance beyond normal incidence is stated at this theta_diff, because many measurements are wrong beyond it."""
 
 
 class Linearized(NamedTuple):
@@ -85,10 +87,26 @@ class SpecularLayer:
         """F0 as seen through the coat, if any, RGB, shape (3,)."""
         return np.array(self.f0) * (1.0 - COAT_F0) ** (2.0 * self.under_coat)
 
-    @property
-    def grazing_reflectance(self) -> float:
-        """Reflectance of its facets at grazing incidence."""
-        return float(self.f90 * np.exp(sum(self.rise)))
+    def reflectance_at(self, theta_diff: float) -> Color:
+        """Return the reflectance of its facets at an angle of incidence [rad], RGB."""
+        low, high = self._reflectance_parts(theta_diff)
+        red, green, blue = (low + high).tolist()
+        return red, green, blue
+
+    def reflectance_slopes(self, theta_diff: float) -> Array:
+        """Return the derivatives (3, 10) of the logarithm of `reflectance_at` in the unknowns."""
+        low, high = self._reflectance_parts(theta_diff)
+        rise, slopes = 1.0 - np.cos(theta_diff), np.zeros((3, 10))
+        slopes[:, :3] = np.diag(low / (low + high))
+        slopes[:, 3] = high / (low + high)
+        slopes[:, 4:6] = rise, rise**2
+        return slopes
+
+    def _reflectance_parts(self, theta_diff: float) -> tuple[Array, float]:
+        """Return the terms of the reflectance in F0 (3,) and in F90."""
+        rise, fresnel = 1.0 - np.cos(theta_diff), fresnel_rise(np.cos(theta_diff))
+        bend = np.exp(self.rise[0] * rise + self.rise[1] * rise**2)
+        return np.array(self.f0) * (1.0 - fresnel) * bend, float(self.f90 * fresnel * bend)
 
     @property
     def half_width(self) -> float:

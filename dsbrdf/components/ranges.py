@@ -2,6 +2,10 @@
 
 Layers are drawn from every structure that explains the values, in proportion to its weight. Within a structure, they
 are drawn from the Gaussian that the normal equations of its fit define.
+
+The draws do not cover light that the layers miss, although this light may belong to any component. At a pair of
+directions where a component has the fraction p of the layers, 2 min(p, 1 - p) of the missed light counts as doubtful:
+all of it if p is one half, and none if p is 0 or 1. The doubtful light widens the ranges, as an independent error.
 """
 
 from collections.abc import Sequence
@@ -12,7 +16,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.layer_fit import EVIDENCE_SCALE, FittedStructure, structure_weights
-from dsbrdf.components.layers import SpecularLayer
+from dsbrdf.components.layers import GRAZING_ANGLE, SpecularLayer
 from dsbrdf.components.shares import LABELS, NORMAL, WeightedLayers
 from dsbrdf.model.reflectance import ReflectanceModel
 
@@ -45,49 +49,67 @@ class ComponentRanges:
 
 
 class SurfaceSpread(NamedTuple):
-    """Hold the standard deviations of the logarithms of a component's roughness and F0 (3,)."""
+    """Hold the standard deviations of the logarithms of a component's roughness, F0 (3,) and F70 (3,)."""
 
     alpha: float
     f0: Array
+    f70: Array
 
 
 class DrawnLayers(NamedTuple):
-    """Hold D draws of a model's layers, their weights (D,), and the albedos (D, 3, 3) of `LABELS` by channel."""
+    """Hold D draws of a model's layers, and the light at normal incidence that they give the components of `LABELS`.
+
+    Attributes
+    ----------
+    layers : sequence of WeightedLayers
+        The draws.
+    weight : Array
+        Their weights (D,).
+    albedos : Array
+        Albedo of each component by channel, (D, 3, 3).
+    doubtful : Array
+        Doubtful light of each component by channel, (3, 3).
+    """
 
     layers: Sequence[WeightedLayers]
     weight: Array
     albedos: Array
+    doubtful: Array
 
     @classmethod
     def of(cls, model: ReflectanceModel, found: Sequence[FittedStructure]) -> "DrawnLayers":
         """Draw layers from structures fitted to a model, the best first."""
         generator = np.random.default_rng(7)
         values = model.evaluate_unmasked(*NORMAL.angles).T
-        drawn = []
+        drawn, doubtful = [], np.zeros((len(LABELS), 3))
         for one, weight in zip(found, structure_weights(found), strict=True):
             count = _MIN_DRAWS + int(_N_SHARED_DRAWS * weight)
             own = (one.model, *one.draw(generator, count))
             is_diffuse, each = one.structure.is_diffuse, float(weight) / len(own)
             drawn += [WeightedLayers(one.structure.name, each, layers, is_diffuse) for layers in own]
+            doubtful += weight * (drawn[-len(own)].doubtful(values, NORMAL.points) @ NORMAL.weight)
         albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])
-        return cls(drawn, np.array([one.weight for one in drawn]), albedos)
+        return cls(drawn, np.array([one.weight for one in drawn]), albedos, doubtful)
 
     def ranges(self, label: str) -> ComponentRanges:
         """Return the ranges of the component with a label."""
-        albedo = self.albedos[:, LABELS.index(label)]
+        number = LABELS.index(label)
+        albedo = self.albedos[:, number]
         there = albedo.sum(axis=1) > 0.0
         color = albedo[there] / albedo[there].max(axis=1, keepdims=True)
-        return ComponentRanges(
-            self.light_range(label), _channels(albedo, self.weight), _channels(color, self.weight[there])
-        )
+        of_albedo = _channels(albedo, self.weight, self.doubtful[number])
+        return ComponentRanges(self.light_range(label), of_albedo, _channels(color, self.weight[there], np.zeros(3)))
 
     def light_range(self, label: str) -> Range:
         """Return the range of a component's fraction of the light at normal incidence."""
-        share = self.albedos[:, LABELS.index(label)].sum(axis=1) / self.albedos.sum(axis=(1, 2))
-        return _range(share, self.weight)
+        number, every = LABELS.index(label), self.albedos.sum(axis=(1, 2))
+        low, high = _range(
+            self.albedos[:, number].sum(axis=1) / every, self.weight, self.doubtful[number].sum() / every[0]
+        )
+        return low, min(high, 1.0)
 
     def surface_spread(self, label: str) -> SurfaceSpread:
-        """Return the spread of the brightest surface's roughness and of all surfaces' summed F0."""
+        """Return the spread of the brightest surface's roughness, and of the summed F0 and F70 of all surfaces."""
         own = [
             [layer for layer, found in zip(one.model.layers, one.labels, strict=True) if found == label]
             for one in self.layers
@@ -95,11 +117,14 @@ class DrawnLayers(NamedTuple):
         surfaces = [[layer for layer in layers if isinstance(layer, SpecularLayer)] for layers in own]
         there = [number for number, some in enumerate(surfaces) if some]
         if not there:
-            return SurfaceSpread(0.0, np.zeros(3))
+            return SurfaceSpread(0.0, np.zeros(3), np.zeros(3))
         f0 = np.array([np.sum([layer.f0 for layer in surfaces[number]], axis=0) for number in there])
+        f70 = np.array(
+            [np.sum([layer.reflectance_at(GRAZING_ANGLE) for layer in surfaces[number]], axis=0) for number in there]
+        )
         alpha = np.array([max(surfaces[number], key=lambda layer: sum(layer.f0)).alpha for number in there])
-        spread = _POSTERIOR_FACTOR * _deviation(np.log(np.column_stack([alpha, f0])), self.weight[there])
-        return SurfaceSpread(float(spread[0]), spread[1:])
+        spread = _POSTERIOR_FACTOR * _deviation(np.log(np.column_stack([alpha, f0, f70])), self.weight[there])
+        return SurfaceSpread(float(spread[0]), spread[1:4], spread[4:])
 
 
 def _deviation(values: Array, weight: Array) -> Array:
@@ -108,15 +133,20 @@ def _deviation(values: Array, weight: Array) -> Array:
     return np.asarray(np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weight)))
 
 
-def _channels(values: Array, weight: Array) -> RgbRange:
-    red, green, blue = (_range(channel, weight) for channel in values.T)
+def _channels(values: Array, weight: Array, doubtful: Array) -> RgbRange:
+    red, green, blue = (_range(channel, weight, doubt) for channel, doubt in zip(values.T, doubtful, strict=True))
     return red, green, blue
 
 
-def _range(values: Array, weight: Array) -> Range:
-    """Return the central range of weighted values (n,) that holds `PROBABILITY` of the weight."""
+def _range(values: Array, weight: Array, doubt: float) -> Range:
+    """Return the central range of weighted positive values (n,) that holds `PROBABILITY` of the weight.
+
+    `doubt` is an independent error of the values, which widens the range to both sides of their mean.
+    """
     order = np.argsort(values)
     cumulative = np.cumsum(weight[order])
     middle = (cumulative - 0.5 * weight[order]) / cumulative[-1]
     low, high = np.interp([0.5 * (1.0 - PROBABILITY), 0.5 * (1.0 + PROBABILITY)], middle, values[order]).tolist()
-    return low, high
+    mean = float(np.average(values, weights=weight))
+    low, high = mean - np.hypot(max(mean - low, 0.0), doubt), mean + np.hypot(max(high - mean, 0.0), doubt)
+    return max(float(low), 0.0), float(high)

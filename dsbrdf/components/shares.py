@@ -118,6 +118,14 @@ class WeightedLayers:
         lobe = np.minimum(rest, wide * (1.0 + missed * (wide / specular) ** _DIFFERENCE_POWER))
         return np.stack([rest - lobe, lobe, ground])
 
+    def doubtful(self, values: Array, points: Points) -> Array:
+        """Return the part of the missed values that may or may not belong to each of `LABELS`, (3, 3, N)."""
+        layers = self.model.layer_values(points)
+        place = np.array([LABELS.index(label) for label in self.labels])
+        total = layers.sum(axis=0) + _MIN_LAYER_LIGHT
+        fraction = np.array([layers[place == number].sum(axis=0) / total for number in range(len(LABELS))])
+        return np.asarray(np.abs(values - total) * 2.0 * np.minimum(fraction, 1.0 - fraction))
+
     def kinds_of(self, label: str) -> set[type[Layer]]:
         """Return the kinds of the layers of a component."""
         layers = zip(self.model.layers, self.labels, strict=True)

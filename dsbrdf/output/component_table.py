@@ -14,9 +14,7 @@ COLUMNS = (
     *(f"light_share{end}" for end in _RANGES),
     *(f"alpha{end}" for end in _RANGES),
     "tail_exponent",
-    *(f"f0_{channel}{end}" for channel in CHANNELS for end in _RANGES),
-    "f90",
-    *(f"albedo_{channel}{end}" for channel in CHANNELS for end in _RANGES),
+    *(f"{name}_{channel}{end}" for name in ("f0", "f70", "albedo") for channel in CHANNELS for end in _RANGES),
     *("half_width_deg", "psnr"),
 )
 """Columns of the table; ``_low`` and ``_high`` are the ends of the 90 % range of a value."""
@@ -31,9 +29,11 @@ def component_rows(
         own |= _with_range("light_share", part["light_share"], part["ranges"]["light_share"])
         own |= _by_channel("albedo", part["albedo"], part["ranges"]["albedo"])
         for number, surface in enumerate(part["surfaces"], 1):
-            row = own | {"surface": number, "tail_exponent": surface["tail_exponent"], "f90": surface["f90"]}
+            row = own | {"surface": number, "tail_exponent": surface["tail_exponent"]}
             row |= _with_range("alpha", surface["alpha"], surface["alpha_range"])
-            yield row | _by_channel("f0", surface["f0"], surface["f0_range"])
+            for name in ("f0", "f70"):
+                row |= _by_channel(name, surface[name], surface[f"{name}_range"])
+            yield row
         if not part["surfaces"]:
             yield own
 
@@ -66,7 +66,7 @@ _LATEX = {
     "alpha": "$\\alpha$",
     "tail_exponent": "tail",
     "f0": "$F_0$ (r, g, b)",
-    "f90": "$F_{90}$",
+    "f70": "$F_{70}$ (r, g, b)",
     "albedo": "albedo (r, g, b)",
     "psnr": "dB",
 }
@@ -81,7 +81,7 @@ def table_latex(rows: Iterable[Mapping[str, Any]]) -> bytes:
         cells = [row["material"], row["component"].replace("_", " ") + surface]
         cells = [re.sub(r"([&%#$_{}])", r"\\\1", cell) for cell in cells]
         cells += [_latex_range(row, "light_share", "{:.0f}", 100.0), _latex_range(row, "alpha", "{:.3g}", 1.0)]
-        cells += [_number(row.get("tail_exponent")), _rgb(row, "f0"), _number(row.get("f90")), _rgb(row, "albedo")]
+        cells += [_number(row.get("tail_exponent")), *(_rgb(row, name) for name in ("f0", "f70", "albedo"))]
         cells.append(_number(row["psnr"]))
         lines.append(" & ".join(cells) + r" \\")
     return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""]).encode()

@@ -77,11 +77,10 @@ def _surface_lines(number: int, surface: Mapping[str, Any]) -> list[str]:
     if surface["alpha"] is not None:
         rows += [("alpha", _with_range(surface["alpha"], surface["alpha_range"]))]
         rows += [("tail", f"{surface['tail_exponent']:.3g}")]
-    if surface["f0"] is not None:
-        spreads = zip(CHANNELS, surface["f0"], surface["f0_range"], strict=True)
-        rows += [(f"F0 {channel}", _with_range(value, spread)) for channel, value, spread in spreads]
-    if surface["f90"] is not None:
-        rows += [("F90", f"{surface['f90']:.3g}")]
+    for name in ("f0", "f70"):
+        if surface[name] is not None:
+            spreads = zip(CHANNELS, surface[name], surface[f"{name}_range"], strict=True)
+            rows += [(f"{name.upper()} {channel}", _with_range(value, spread)) for channel, value, spread in spreads]
     heads = [f"surface {number}"] + [""] * (len(rows) - 1)
     return [f"  {head:<12}{name:<10}{text}" for head, (name, text) in zip(heads, rows, strict=False)]
 

@@ -27,6 +27,7 @@ from tests.support.foreign_bsdfs import (
 )
 
 UP = np.array([[0.0, 0.0, 1.0]])
+TO_LIGHT_AT_70 = np.array([[np.sin(np.radians(70.0)), 0.0, np.cos(np.radians(70.0))]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,16 @@ class Material:
         if self.alpha is None:  # GGX's distribution and Beckmann's are 1 / (pi alpha**2) at the normal
             return None
         return np.asarray(self.specular_values(UP, UP)[0] * 4.0 * np.pi * self.alpha**2)
+
+    @property
+    def f70(self) -> Array | None:
+        """Reflectance of the layer at 70 degrees, RGB, shape (3,), by a rough mirror of its roughness."""
+        if self.alpha is None:
+            return None
+        pair = TO_LIGHT_AT_70, TO_LIGHT_AT_70 * [-1.0, -1.0, 1.0]
+        return np.asarray(
+            self.specular_values(*pair)[0] / conductor(self.alpha, distribution=self.distribution)(*pair)[0]
+        )
 
 
 def _sum(parts: tuple[Part, ...], omega_in: Array, omega_out: Array) -> Array:

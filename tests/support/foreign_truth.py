@@ -6,6 +6,8 @@ import numpy as np
 
 import dsbrdf
 from dsbrdf.arrays import Array
+from dsbrdf.components.layers import Color
+from dsbrdf.components.ranges import RgbRange
 from tests.support.foreign_materials import Material
 
 ANGLES_DEG = (0.0, 40.0, 70.0)
@@ -41,13 +43,14 @@ class Truth:
     diffuse: tuple[Array, ...]
     alpha: float | None
     f0: Array | None
+    f70: Array | None
 
     @classmethod
     def of(cls, material: Material) -> "Truth":
         """Evaluate the parts of a material."""
         specular = tuple(material.specular_values(light, eye) for light, eye, _ in RULES)
         diffuse = tuple(material.diffuse_values(light, eye) for light, eye, _ in RULES)
-        return cls(specular, diffuse, material.alpha, material.f0)
+        return cls(specular, diffuse, material.alpha, material.f0, material.f70)
 
     @property
     def diffuse_share(self) -> float:
@@ -58,15 +61,17 @@ class Truth:
 
 @dataclass(frozen=True)
 class SurfaceJudgement:
-    """Relative errors of a surface's roughness and of F0's worst channel, and whether their ranges hold the truth.
+    """Relative errors of a surface's roughness and of F0's and F70's worst channels, and whether ranges hold the truth.
 
-    All are None if the parameter is withheld, and for F0 if the true surface is black.
+    All are None if the parameter is withheld, and for F0 and F70 if the true surface is black.
     """
 
     alpha: float | None
     alpha_inside: bool | None
     f0: float | None
     f0_inside: bool | None
+    f70: float | None
+    f70_inside: bool | None
 
 
 @dataclass(frozen=True)
@@ -107,25 +112,36 @@ def judged(parts: dsbrdf.Decomposition, truth: Truth) -> Judgement:
         float(shares[0]),
         truth.diffuse_share,
         parts.diffuse_range,
-        any("is open" in sentence for sentence in parts.remarks),
+        any("does not determine how much of the light is diffuse" in sentence for sentence in parts.remarks),
     )
 
 
 def surface_judgement(parts: dsbrdf.Decomposition, truth: Truth) -> SurfaceJudgement | None:
     """Compare the brightest surface with the truth, which counts as missed without any surface."""
-    if truth.alpha is None or truth.f0 is None:
+    if truth.alpha is None or truth.f0 is None or truth.f70 is None:
         return None
-    bright = truth.f0 > MIN_F0
     found = [part for part in parts if part.surfaces]
     if not found:
-        return SurfaceJudgement(1.0, False, 1.0, False) if bright.any() else SurfaceJudgement(1.0, False, None, None)
+        missed = (1.0, False) if (truth.f0 > MIN_F0).any() else (None, None)
+        return SurfaceJudgement(1.0, False, *missed, *missed)
     surface = max(found, key=lambda part: part.light_share).surfaces[0]
-    alpha, alpha_inside, f0, f0_inside = None, None, None, None
+    alpha, alpha_inside = None, None
     if surface.alpha is not None and surface.alpha_range is not None:
         low, high = surface.alpha_range
         alpha, alpha_inside = surface.alpha / truth.alpha - 1.0, low <= truth.alpha <= high
-    if surface.f0 is not None and surface.f0_range is not None and bright.any():
-        f0 = float(np.abs(np.array(surface.f0) / truth.f0 - 1.0)[bright].max())
-        lows, highs = np.transpose(surface.f0_range)
-        f0_inside = bool(np.all(((lows <= truth.f0) & (truth.f0 <= highs))[bright]))
-    return SurfaceJudgement(alpha, alpha_inside, f0, f0_inside)
+    of_f0 = _reflectance_judgement(surface.f0, surface.f0_range, truth.f0)
+    return SurfaceJudgement(
+        alpha, alpha_inside, *of_f0, *_reflectance_judgement(surface.f70, surface.f70_range, truth.f70)
+    )
+
+
+def _reflectance_judgement(
+    found: Color | None, stated: RgbRange | None, true: Array
+) -> tuple[float, bool] | tuple[None, None]:
+    """Return the relative error of the worst channel, and whether the ranges of all channels hold the truth."""
+    bright = true > MIN_F0
+    if found is None or stated is None or not bright.any():
+        return None, None
+    lows, highs = np.transpose(stated)
+    error = float(np.abs(np.array(found) / true - 1.0)[bright].max())
+    return error, bool(np.all(((lows <= true) & (true <= highs))[bright]))

@@ -100,7 +100,7 @@ FORMATS = {
         holds_parameters=True,
     ),
     "components": ExportFormat(
-        "a table of the components: light, alpha, tail exponent, F0, F90, albedo and their ranges",
+        "a table of the components: light, alpha, tail exponent, F0, F70, albedo and their ranges",
         "csv",
         "text/csv; charset=utf-8",
         _components,

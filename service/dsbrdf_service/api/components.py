@@ -41,9 +41,10 @@ class SurfaceDocument(BaseModel):
         float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller number has longer tails.")
     ]
     f0: Annotated[Rgb | None, Field(description="Reflectance of its facets at normal incidence.")]
-    f90: Annotated[float | None, Field(description="Reflectance of its facets at grazing incidence.")]
+    f70: Annotated[Rgb | None, Field(description="Reflectance of its facets at 70 degrees of incidence.")]
     alpha_range: Annotated[Range | None, Field(description="Interval that contains alpha with a probability of 90 %.")]
     f0_range: Annotated[_RgbRange | None, Field(description="Interval that contains F0 with a probability of 90 %.")]
+    f70_range: Annotated[_RgbRange | None, Field(description="Interval that contains F70 with a probability of 90 %.")]
 
 
 class MisfitDocument(BaseModel):

@@ -7,7 +7,9 @@ import pytest
 
 import dsbrdf
 from dsbrdf.components import Component, DiffuseLayer, Layer, LayeredModel, SpecularLayer
-from dsbrdf.components.description import MAX_PEAK_MISFIT, Description, Misfit, Surface
+from dsbrdf.components.description import Description
+from dsbrdf.components.misfit import MAX_PEAK_MISFIT, Misfit
+from dsbrdf.components.surfaces import Surface
 from tests.support.random_models import random_model
 
 GREEN = (0.02, 0.14, 0.08)
@@ -79,7 +81,7 @@ def test_parameters_that_do_not_describe_are_withheld_with_a_sentence() -> None:
 
 
 def test_sentences_name_the_misfit() -> None:
-    empty = Surface(None, None, None, None, None, None)
+    empty = Surface(None, None, None, None, None, None, None)
     found = Description(LayeredModel(()), (empty,), Misfit(0.5, 0.2, 0.4, 0.2))
     assert found.half_width is None
     (sentence,) = found.remarks("specular_lobe")
@@ -89,10 +91,19 @@ def test_sentences_name_the_misfit() -> None:
     )
 
 
-def test_f90_is_a_reflectance_or_is_withheld_with_a_sentence() -> None:
-    steep = SpecularLayer((0.03,) * 3, 1.0, 0.15, 2.0, (1.5, 0.5), 0.5, 0.0)
-    (lobe,) = [part for part in decomposed(steep, GROUND) if part.label == "specular_lobe"]
-    assert [found.f90 for found in lobe.surfaces] == [None]
-    assert [sentence.split(":")[0] for sentence in lobe.remarks] == ["F90 of the specular lobe is unknown"]
-    flat = decomposed(surface(GREEN, 0.12), GROUND)["specular_lobe"].surfaces[0]
-    assert flat.f90 == pytest.approx(0.9, abs=0.1)
+def test_reflectance_at_70_degrees_is_that_of_the_layer() -> None:
+    """A coat whose exact Fresnel term (index 1.5) is 0.0400 at 0 and 0.1710 at 70 degrees."""
+    coat = SpecularLayer((0.04,) * 3, 1.0, 0.12, 2.0, (0.0, 0.0), 0.5, 0.0)
+    (found,) = decomposed(coat, GROUND)["specular_lobe"].surfaces
+    assert found.f70 == pytest.approx([0.171] * 3, rel=0.03)
+    assert found.f70_range is not None
+    for low, high in found.f70_range:
+        assert low < 0.171 < high < 1.5 * low
+
+
+def test_an_uncertain_reflectance_at_70_degrees_is_left_out_with_a_sentence() -> None:
+    sure, unsure = (Surface(0.1, 2.0, (0.04,) * 3, f70, None, None, None) for f70 in ((0.17,) * 3, None))
+    found = Description(LayeredModel(()), (sure, unsure), Misfit(0.1, 0.1, 0.1, 0.1))
+    assert found.remarks("specular_lobe") == (
+        "F70 of surface 2 of the specular lobe is left out: it is uncertain by more than a factor of 2.",
+    )

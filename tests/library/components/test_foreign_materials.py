@@ -84,6 +84,8 @@ def test_roughness_and_reflectance_of_a_layer_come_out_as_they_were_put_in(name:
     assert found.surface.alpha == pytest.approx(0.0, abs=0.03)
     assert found.surface.f0 == pytest.approx(0.0, abs=0.10)
     material, component = CATALOGUE[name], parts[parts.labels[0]]
+    assert found.surface.f70_inside
+    assert found.surface.f70 == pytest.approx(0.0, abs=0.3 if material.distribution == "beckmann" else 0.08)
     assert material.f0 is not None
     np.testing.assert_allclose(component.color, material.f0 / material.f0.max(), atol=0.06)
     surface = component.surfaces[0]
@@ -116,7 +118,9 @@ def test_metal_and_flakes_give_their_highlight_their_colour_and_a_coat_none(
 def test_what_an_open_split_is_worth_is_said() -> None:
     """A black dielectric of alpha 0.55, half as wide as a matte surface: its light may as well be diffuse."""
     black = Material((conductor(0.55, color=(0.04, 0.04, 0.04)),))
-    assert judged(decomposed(black), Truth.of(black)).inside
+    found = judged(decomposed(black), Truth.of(black))
+    assert found.inside
+    assert found.is_warned
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -14,7 +14,7 @@ const OF_COMPONENTS = [
   ["height", "height in 1/sr", two],
 ];
 /** @type {[string, string, (value: number) => string][]} */
-const OF_SURFACES = [["alpha", "alpha", three], ["tail_exponent", "tail", three], ["f0", "F0", two], ["f90", "F90", two]];
+const OF_SURFACES = [["alpha", "alpha", three], ["tail_exponent", "tail", three], ["f0", "F0", two], ["f70", "F70", two]];
 
 /** Makes a table row whose first cell, or every cell with `heads`, is a header. @param {(Node | string | number)[]} cells @param {boolean} [heads] */
 export const tableRow = (cells, heads = false) => make("tr", {}, ...cells.map((cell, i) => {
@@ -50,7 +50,7 @@ export function showComponents(box, fits) {
   const rows = OF_COMPONENTS.map(([property, title, write]) => [title, ...shown.map(({ part }) => cellOf(part && { ...part, height: part.lobe.height[0] }, property, write))]);
   if (shown.length) components.append(tableRow(["", ...shown.map(headOf)], true), ...rows.map((cells) => tableRow(cells)));
   else components.append(tableRow(["There are no components: the fit is black."]));
-  const all = shown.flatMap((one) => (one.part?.surfaces ?? []).map((surface) => ({ ...surface, ranges: { alpha: surface.alpha_range, f0: surface.f0_range } })).map((surface) => tableRow([headOf(one), ...OF_SURFACES.map(([property, , write]) => cellOf(surface, property, write))])));
+  const all = shown.flatMap((one) => (one.part?.surfaces ?? []).map((surface) => ({ ...surface, ranges: { alpha: surface.alpha_range, f0: surface.f0_range, f70: surface.f70_range } })).map((surface) => tableRow([headOf(one), ...OF_SURFACES.map(([property, , write]) => cellOf(surface, property, write))])));
   surfaces.append(tableRow(["surface", ...OF_SURFACES.map(([, title]) => title)], true), ...all);
   find(box, ".of-surfaces").hidden = !all.length;
   fill(box, { which: fits.map(nameOf).join(" and ") });

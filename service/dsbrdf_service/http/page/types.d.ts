@@ -9,7 +9,7 @@ interface Component {
   ranges: { light_share: Interval; albedo: Interval[]; color: Interval[] };
 }
 
-interface Surface { alpha: number | null; tail_exponent: number | null; f0: Rgb | null; f90: number | null; alpha_range: Interval | null; f0_range: Interval[] | null }
+interface Surface { alpha: number | null; tail_exponent: number | null; f0: Rgb | null; f70: Rgb | null; alpha_range: Interval | null; f0_range: Interval[] | null; f70_range: Interval[] | null }
 
 interface Fit {
   id: string; name: string | null; status: string; progress: number; measurement: string; likeness: string | null;
