@@ -9,6 +9,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
+from dsbrdf.components.misfit import Misfit
+from dsbrdf.components.ranges import ComponentRanges, RgbRange
+
 from ..http import openapi
 from ..http.responses import tagged_reply
 from .context import CHECKED_QUERY, TheContext, TheFit
@@ -22,17 +25,6 @@ class ComponentLobe(BaseModel):
     height: Annotated[list[Rgb], Field(description="Value at theta_half = 0 [1/sr].")]
 
 
-_RgbRange = Annotated[list[Range], Field(min_length=3, max_length=3)]
-
-
-class ComponentRangesDocument(BaseModel):
-    """Low and high end of ranges of a component's parameters, each with a probability of 90 %."""
-
-    light_share: Range
-    albedo: _RgbRange
-    color: _RgbRange
-
-
 class SurfaceDocument(BaseModel):
     """One rough surface of a component; a parameter that does not describe the component is null."""
 
@@ -43,20 +35,8 @@ class SurfaceDocument(BaseModel):
     f0: Annotated[Rgb | None, Field(description="Reflectance of its facets at normal incidence.")]
     f70: Annotated[Rgb | None, Field(description="Reflectance of its facets at 70 degrees of incidence.")]
     alpha_range: Annotated[Range | None, Field(description="Interval that contains alpha with a probability of 90 %.")]
-    f0_range: Annotated[_RgbRange | None, Field(description="Interval that contains F0 with a probability of 90 %.")]
-    f70_range: Annotated[_RgbRange | None, Field(description="Interval that contains F70 with a probability of 90 %.")]
-
-
-class MisfitDocument(BaseModel):
-    """Distance of a component's layers from the component's values."""
-
-    peak: Annotated[float | None, Field(description="Ratio of the heights at theta_half = 0, minus 1.")]
-    color: Annotated[float, Field(description="Largest difference of a channel, relative to the largest channel.")]
-    half_width: Annotated[float | None, Field(description="Ratio of the half widths, minus 1.")]
-    albedo: Annotated[
-        float,
-        Field(description="Largest difference of the albedo at 0 and 45 degrees, relative to the largest albedo."),
-    ]
+    f0_range: Annotated[RgbRange | None, Field(description="Interval that contains F0 with a probability of 90 %.")]
+    f70_range: Annotated[RgbRange | None, Field(description="Interval that contains F70 with a probability of 90 %.")]
 
 
 class ComponentDocument(BaseModel):
@@ -81,13 +61,13 @@ class ComponentDocument(BaseModel):
         Field(description="Layers fitted to the values of the component, in the form of the export of layers."),
     ]
     surfaces: Annotated[list[SurfaceDocument], Field(description="Its rough surfaces, at most two.", max_length=2)]
-    misfit: MisfitDocument
+    misfit: Misfit
     remarks: Annotated[
         list[str],
         Field(description="Sentences about parameters that are null, because they do not describe the component."),
     ]
     lobe: ComponentLobe
-    ranges: ComponentRangesDocument
+    ranges: ComponentRanges
 
 
 class ComponentList(BaseModel):

@@ -14,7 +14,7 @@ from dsbrdf.samples.table_options import TableOptions
 
 from ..access.authentication import CALLER
 from ..access.keys import Keys
-from ..compute.computations import Computations
+from ..compute.computations import Computations, Place
 from ..compute.models import LoadedFit, ModelCache
 from ..compute.steps import StoredMeasurement
 from ..errors import ProblemError
@@ -46,12 +46,14 @@ class Context:
     computations: Computations
     bodies: Bodies
 
-    async def fit_row(self, fit: FitKey) -> FitRow:
-        """Return a fit's row; raises as `Store.fit`."""
-        return await run_in_threadpool(self.store.fit, fit)
-
     async def in_process(
-        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, max_bytes: int = 0
+        self,
+        request: Request,
+        key: Hashable,
+        step: Callable[..., Any],
+        *arguments: Any,
+        max_bytes: int = 0,
+        place: Place = "medium",
     ) -> Any:
         """Return the result of `Computations.run_in_process`; with `max_bytes`, the file of `Computations.make_file`.
 
@@ -59,14 +61,13 @@ class Context:
         """
         try:
             if not max_bytes:
-                return await self.computations.run_in_process(request, key, step, *arguments)
-            of_file: dict[str, Any] = {"writing": self.store.writing, "max_bytes": max_bytes}
-            return await self.computations.make_file(request, key, step, *arguments, **of_file)
+                return await self.computations.run_in_process(request, key, step, *arguments, place=place)
+            named: dict[str, Any] = {"writing": self.store.writing, "max_bytes": max_bytes, "place": place}
+            return await self.computations.make_file(request, key, step, *arguments, **named)
         except ProblemError:
-            owner = (await caller_of(request)).owner
             for stored in arguments:
                 if isinstance(stored, StoredMeasurement):
-                    await in_thread(self.store.measurement_file, owner, stored.sha256)
+                    await in_thread(self.store.measurement_file, request.scope[CALLER].owner, stored.sha256)
             raise
 
     async def stored_measurement(
@@ -104,7 +105,7 @@ TheFit = Annotated[FitKey, Depends(fit_key)]
 
 
 async def _fit_row(context: TheContext, fit: TheFit) -> FitRow:
-    return await context.fit_row(fit)
+    return await run_in_threadpool(context.store.fit, fit)
 
 
 async def _loaded_fit(context: TheContext, fit: TheFit) -> LoadedFit:

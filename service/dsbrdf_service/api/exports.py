@@ -79,17 +79,8 @@ async def export_fit(
     if wanted.example and wanted.format != "glsl":  # Only the example for GLSL contains the exported file.
         return _example(Path(file), wanted, b"")
     if place != "short":
-        made = await context.computations.make_file(
-            request,
-            key,
-            export_step,
-            model,
-            wanted.format,
-            name,
-            writing=context.store.writing,
-            max_bytes=FILE_SIZE,
-            place=place,
-        )
+        arguments = model, wanted.format, name
+        made = await context.in_process(request, key, export_step, *arguments, max_bytes=FILE_SIZE, place=place)
         return OpenFileResponse(made, headers)
     report = loaded.report if wanted.component is None else None
     export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)

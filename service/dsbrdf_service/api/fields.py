@@ -129,9 +129,11 @@ class Page(Input):
         return None if self.cursor is None else int(self.cursor)
 
 
-def as_time(seconds: float | None) -> datetime | None:
-    """Convert a time of a row [s since 1970] to a datetime for JSON."""
-    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
+def members_of(document: type[BaseModel], row: FitRow | MeasurementRow) -> dict[str, Any]:
+    """Return the members of a document that a row has, with times as datetimes instead of seconds since 1970."""
+    members = {name: getattr(row, name) for name in document.model_fields if hasattr(row, name)}
+    times = ((name, members.get(name)) for name in ("created", "started", "finished"))
+    return members | {name: datetime.fromtimestamp(at, UTC) for name, at in times if at is not None}
 
 
 def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:

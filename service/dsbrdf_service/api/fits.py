@@ -29,7 +29,20 @@ from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
 from .components import ComponentDocument
 from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheRow, TheTableOptions, name_of
-from .fields import FIT_ID, PLAIN, SHA256, Input, Name, Options, Page, Range, Share, as_time, next_page, parse_document
+from .fields import (
+    FIT_ID,
+    PLAIN,
+    SHA256,
+    Input,
+    Name,
+    Options,
+    Page,
+    Range,
+    Share,
+    members_of,
+    next_page,
+    parse_document,
+)
 from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLE_PARAMETERS, TABLES, receive_upload
 
 
@@ -163,19 +176,10 @@ _SUBMISSION_BODY = openapi.body(
     "",
     status_code=201,
     response_model=FitDocument,
-    response_description="The fit has ended; `Location` is its address.",
     responses={
-        200: {
-            "description": "The same was asked before; its fit has ended.",
-            "model": FitDocument,
-            **openapi.headers("Location"),
-        },
-        201: openapi.headers("Location"),
-        202: {
-            "description": "The fit has not ended; ask again at `Location`.",
-            "model": FitDocument,
-            **openapi.headers("Location", "Retry-After"),
-        },
+        200: openapi.answer("The same was asked before; its fit has ended.", FitDocument, "Location"),
+        201: openapi.answer("The fit has ended; `Location` is its address.", FitDocument, "Location"),
+        202: openapi.answer("The fit has not ended; ask again at `Location`.", FitDocument, "Location", "Retry-After"),
         **openapi.problems("not-found", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
     },
     openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, *TABLE_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
@@ -264,7 +268,7 @@ async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> Re
         return RemovedFit(id=fit.id, status="cancelled")
     if only != "cancel" and await in_write_thread(context.store.remove_fit, fit):
         return RemovedFit(id=fit.id, status="deleted")
-    row = await context.fit_row(fit)
+    row = await run_in_threadpool(context.store.fit, fit)
     if row.ended:
         ended = f"The fit has ended as {row.status}, there is nothing to cancel; only=delete deletes it."
         raise ProblemError("fit-ended", ended)
@@ -294,7 +298,7 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
     The wait ends early when the client leaves. Raises InvalidKeyError if the key was revoked meanwhile.
     """
     if not seconds:
-        return await context.fit_row(fit)
+        return await run_in_threadpool(context.store.fit, fit)
     gone = asyncio.create_task(departure(request))
     try:
         row = await context.queue.wait(fit, seconds, gone)
@@ -308,23 +312,8 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
 def _summary(context: Context, row: FitRow) -> bytes:
     """Return the `FitSummary` of a row as JSON."""
     psnr = (row.metrics or {}).get("psnr")
-    state = {
-        "id": row.id,
-        "name": row.name,
-        "status": row.status,
-        "progress": context.queue.progress(row),
-        "measurement": row.measurement,
-        "options": row.options,
-        "metrics": row.metrics,
-        "error": row.error,
-        "created": as_time(row.created),
-        "started": as_time(row.started),
-        "finished": as_time(row.finished),
-        "algorithm": row.algorithm,
-        "library": row.library,
-        "likeness": None if psnr is None else likeness(psnr),
-    }
-    return to_json(state)
+    more = {"progress": context.queue.progress(row), "likeness": None if psnr is None else likeness(psnr)}
+    return to_json(members_of(FitSummary, row) | more)
 
 
 async def _document(context: Context, row: FitRow) -> bytes:

@@ -2,7 +2,7 @@
 
 import os
 from datetime import datetime
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 from pydantic import BaseModel, Field
@@ -18,10 +18,10 @@ from ..http.request_log import IS_HEAD
 from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefers, prefix_of, tagged_reply
 from ..storage.blobs import OpenFile
 from ..storage.database import in_write_thread
-from ..storage.schema import Caller, MeasurementRow
+from ..storage.schema import Caller
 from ..storage.writing import in_thread
 from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions, name_of
-from .fields import SHA256, Name, Page, as_time, next_page
+from .fields import SHA256, Name, Page, members_of, next_page
 from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
 
 
@@ -54,20 +54,20 @@ router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencie
 _VARY = {"Vary": "Accept"}
 _MAX_LISTED_FITS = 200
 _ACCEPT = openapi.header_parameter("Accept", f"`{BINARY}` asks for the file instead of the document.")
+_FILE: openapi.Responses = {
+    200: {"content": {BINARY: openapi.file(BINARY)}, **openapi.headers("ETag")},
+    304: openapi.TAGGED[304],
+    **openapi.problems("not-found", "measurement-damaged"),
+}
 
 
 @router.post(
     "",
     status_code=201,
     response_model=MeasurementDocument,
-    response_description="The measurement is stored; `Location` is its address.",
     responses={
-        200: {
-            "description": "The measurement was stored before.",
-            "model": MeasurementDocument,
-            **openapi.headers("Location"),
-        },
-        201: openapi.headers("Location"),
+        200: openapi.answer("The measurement was stored before.", MeasurementDocument, "Location"),
+        201: openapi.answer("The measurement is stored; `Location` is its address.", MeasurementDocument, "Location"),
         **openapi.problems(*openapi.UPLOAD_PROBLEMS),
     },
     openapi_extra={
@@ -86,7 +86,7 @@ async def upload_measurement(
     media_type_of(request, *UPLOADED)
     row, new = await receive_upload(request, context, caller, name_of(request), options)
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}"}
-    return Response(to_json(_document(row)), 201 if new else 200, headers, JSON)
+    return Response(to_json(members_of(MeasurementDocument, row)), 201 if new else 200, headers, JSON)
 
 
 @router.get("", response_model=MeasurementList, responses={200: openapi.headers("Link"), **openapi.problems()})
@@ -95,20 +95,11 @@ async def list_measurements(
 ) -> Response:
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
     rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, page.before, page.name)
-    items = [_document(row) for row in rows[: page.limit]]
+    items = [members_of(MeasurementDocument, row) for row in rows[: page.limit]]
     return Response(to_json({"items": items}), 200, next_page(request, page, rows), JSON)
 
 
-@router.get(
-    "/{sha256}",
-    response_model=MeasurementDetails,
-    responses={
-        200: {"content": {BINARY: openapi.file(BINARY)}, **openapi.headers("ETag")},
-        304: openapi.TAGGED[304],
-        **openapi.problems("not-found", "measurement-damaged"),
-    },
-    openapi_extra={"parameters": [_ACCEPT]},
-)
+@router.get("/{sha256}", response_model=MeasurementDetails, responses=_FILE, openapi_extra={"parameters": [_ACCEPT]})
 async def get_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Return the document of a measurement: name, size, time of the upload and fits. `HEAD` tells whether it is stored.
 
@@ -118,18 +109,14 @@ async def get_measurement(request: Request, context: TheContext, caller: TheCall
         return await _content(request, context, caller, sha256)
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MAX_LISTED_FITS)
-    return tagged_reply(request, to_json(_document(row) | {"fits": fits}), headers=_VARY)
+    return tagged_reply(request, to_json(members_of(MeasurementDocument, row) | {"fits": fits}), headers=_VARY)
 
 
 @router.get(
     "/{sha256}/content",
     response_class=FileResponse,
     response_description="The file, byte for byte as it is stored.",
-    responses={
-        200: {"content": {BINARY: openapi.file(BINARY)}, **openapi.headers("ETag")},
-        304: openapi.TAGGED[304],
-        **openapi.problems("not-found", "measurement-damaged"),
-    },
+    responses=_FILE,
 )
 async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Return the stored file; its ETag is its sha256. `HEAD` tells whether the file is stored, without sending it."""
@@ -165,8 +152,3 @@ async def _content(request: Request, context: Context, caller: Caller, sha256: s
         return OpenFileResponse(file, headers | {"Content-Type": BINARY})
     except FileNotFoundError:  # The file was deleted after its row was read.
         raise MeasurementNotFoundError(sha256) from None
-
-
-def _document(row: MeasurementRow) -> dict[str, Any]:
-    """Return the members of a `MeasurementDocument`."""
-    return {name: getattr(row, name) for name in MeasurementDocument.model_fields} | {"created": as_time(row.created)}

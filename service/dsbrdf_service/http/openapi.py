@@ -85,6 +85,11 @@ def headers(*names: str) -> dict[str, Any]:
     return {"headers": {name: {"description": _HEADERS[name], "schema": {"type": "string"}} for name in names}}
 
 
+def answer(description: str, model: type[BaseModel], *names: str) -> dict[str, Any]:
+    """Return the declaration of an answer with a document, and with the headers `names`."""
+    return {"description": description, "model": model, **headers(*names)}
+
+
 def body(description: str, content: dict[str, Any]) -> dict[str, Any]:
     """Return the declaration of a request body that FastAPI does not read; `content` by media type."""
     return {"requestBody": {"required": True, "description": description, "content": content}}
