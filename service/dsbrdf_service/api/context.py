@@ -19,7 +19,6 @@ from ..compute.models import LoadedFit, ModelCache
 from ..compute.steps import StoredMeasurement
 from ..errors import ProblemError
 from ..http.metrics import Metrics
-from ..http.names import given_name
 from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
 from ..http.readiness import Readiness
 from ..http.request_body import Bodies
@@ -119,11 +118,6 @@ async def _measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -
 TheRow = Annotated[FitRow, Depends(_fit_row)]
 TheLoadedFit = Annotated[LoadedFit, Depends(_loaded_fit)]
 TheMeasurement = Annotated[StoredMeasurement, Depends(_measurement)]
-
-
-def name_of(request: Request) -> str | None:
-    """Return the name that a request gives to its upload or fit, if any."""
-    return given_name(request.query_params.get("name"), request.headers.get("content-disposition", ""))
 
 
 async def _table_options_in(request: Request) -> TableOptions:

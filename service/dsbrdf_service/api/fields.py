@@ -118,15 +118,10 @@ class Page(Input):
     """Query parameters of a page of a list."""
 
     limit: Annotated[int, Field(ge=1, le=200, description="Items in the answer."), PLAIN] = 50
-    cursor: Annotated[
-        str | None, Field(pattern=r"^[0-9]{1,18}$", description="From the `Link` of the page before.")
-    ] = None
+    cursor: Annotated[int | None, Field(ge=0, lt=10**18, description="From the `Link` of the page before."), PLAIN] = (
+        None
+    )
     name: Annotated[str | None, Field(description="Only what has this name.")] = None
-
-    @property
-    def before(self) -> int | None:
-        """Number `seq` of the row before the page; the page begins with the next older row."""
-        return None if self.cursor is None else int(self.cursor)
 
 
 def members_of(document: type[BaseModel], row: FitRow | MeasurementRow) -> dict[str, Any]:

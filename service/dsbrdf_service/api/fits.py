@@ -21,14 +21,14 @@ from dsbrdf.output.report_text import likeness
 from ..compute.computations import departure
 from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
-from ..http.names import MAX_LENGTH, check_name
+from ..http.names import MAX_LENGTH, check_name, given_name
 from ..http.request_body import media_type_of
 from ..http.responses import BINARY, JSON, preferred_wait, prefix_of, tagged_reply
 from ..queue.fit_options import canonical, from_query, from_wire
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
 from .components import ComponentDocument
-from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheRow, TheTableOptions, name_of
+from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheRow, TheTableOptions
 from .fields import (
     FIT_ID,
     PLAIN,
@@ -192,7 +192,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, t
     `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202, and `Location` is the
     address at which to ask again.
     """
-    name, chosen = name_of(request), from_query(request.query_params.multi_items())
+    name, chosen = given_name(request), from_query(request.query_params.multi_items())
     if media_type_of(request, BINARY, JSON, *TABLES) != JSON:
         stored, _ = await receive_upload(request, context, caller, name, table)
         sha256, options, name = stored.sha256, canonical(chosen), name and stored.name
@@ -227,7 +227,7 @@ async def list_fits(
 ) -> Response:
     """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
     rows = await run_in_threadpool(
-        context.store.fits, caller.owner, page.limit + 1, page.before, page.name, page.status, page.measurement
+        context.store.fits, caller.owner, page.limit + 1, page.cursor, page.name, page.status, page.measurement
     )
     items = b",".join(_summary(context, row) for row in rows[: page.limit])
     return Response(b'{"items":[%b]}' % items, 200, next_page(request, page, rows), JSON)

@@ -12,7 +12,7 @@ from starlette.responses import FileResponse, Response
 
 from ..errors import MeasurementNotFoundError
 from ..http import openapi
-from ..http.names import content_disposition
+from ..http.names import content_disposition, given_name
 from ..http.request_body import media_type_of
 from ..http.request_log import IS_HEAD
 from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefers, prefix_of, tagged_reply
@@ -20,7 +20,7 @@ from ..storage.blobs import OpenFile
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller
 from ..storage.writing import in_thread
-from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions, name_of
+from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions
 from .fields import SHA256, Name, Page, members_of, next_page
 from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
 
@@ -84,7 +84,7 @@ async def upload_measurement(
     read with its options and converted to a file of samples. `sha256` and `size` describe the stored file.
     """
     media_type_of(request, *UPLOADED)
-    row, new = await receive_upload(request, context, caller, name_of(request), options)
+    row, new = await receive_upload(request, context, caller, given_name(request), options)
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}"}
     return Response(to_json(members_of(MeasurementDocument, row)), 201 if new else 200, headers, JSON)
 
@@ -94,7 +94,7 @@ async def list_measurements(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
 ) -> Response:
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
-    rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, page.before, page.name)
+    rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, page.cursor, page.name)
     items = [members_of(MeasurementDocument, row) for row in rows[: page.limit]]
     return Response(to_json({"items": items}), 200, next_page(request, page, rows), JSON)
 

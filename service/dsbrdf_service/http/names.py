@@ -5,9 +5,13 @@ A name does not identify a measurement: a measurement that is sent again under a
 
 import re
 from contextlib import suppress
+from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote_to_bytes
 
 from dsbrdf.errors import InvalidArgumentError
+
+if TYPE_CHECKING:  # The Python client, which needs no Starlette, checks names too.
+    from starlette.requests import Request
 
 MAX_LENGTH = 100
 _SUFFIX = ".binary"
@@ -25,14 +29,17 @@ def check_name(text: str) -> str:
     return text
 
 
-def given_name(given: str | None, content_disposition: str) -> str | None:
-    """Return the name in a query, or the file name in a ``Content-Disposition`` (RFC 6266); None without either.
+def given_name(request: "Request") -> str | None:
+    """Return the name that a request gives to its upload or fit, if any.
+
+    It is in the query, or it is the name of the file in ``Content-Disposition`` (RFC 6266).
 
     Raises InvalidArgumentError if the name is not valid.
     """
-    if given is not None:
-        return check_name(given)
-    name = _file_name(content_disposition) if content_disposition else None
+    if "name" in request.query_params:
+        return check_name(request.query_params["name"])
+    header = request.headers.get("content-disposition")
+    name = _file_name(header) if header else None
     # The folder in a file name is removed, because it means nothing to the service.
     return None if name is None else check_name(re.split(r"[/\\]", name)[-1].removesuffix(_SUFFIX))
 

@@ -3,6 +3,7 @@
 from urllib.parse import urlencode
 
 import pytest
+from starlette.requests import Request
 
 from dsbrdf import FitOptions, InvalidArgumentError
 from dsbrdf_service.client import Client
@@ -82,13 +83,18 @@ def test_invalid_names_are_refused_and_nothing_is_stored(server: Server, name: s
     ],
 )
 def test_name_of_a_file_is_read_from_its_header(header: str, name: str | None) -> None:
-    assert given_name(None, header) == name
+    assert given_name(with_disposition(header)) == name
 
 
 @pytest.mark.parametrize("part", [";", ';"', '; a="', "; filename=", "=\\"])
 def test_only_a_short_header_is_read_for_a_name(part: str) -> None:
     with pytest.raises(InvalidArgumentError, match="at most 1024 characters"):
-        given_name(None, part * 1025)
+        given_name(with_disposition(part * 1025))
+
+
+def with_disposition(header: str) -> Request:
+    headers = [(b"content-disposition", header.encode("latin-1"))]
+    return Request({"type": "http", "query_string": b"", "headers": headers})
 
 
 def numbers(items: list[dict[str, dict[str, int]]]) -> list[int]:
