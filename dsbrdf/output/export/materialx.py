@@ -2,8 +2,10 @@
 
 Lit spheres of the surface and of the model are compared as a screen shows them, under both lightings of
 `dsbrdf.render_sphere`. Nonlinear least squares, started from the layers of the model, finds the inputs of the surface.
-OpenPBR has about a dozen numbers, so a difference remains. The file states this difference as the PSNR of the whole
-sphere, of its highlights (the brightest tenth), of pixels viewed at more than 60 degrees, and of the other pixels.
+A dielectric or a metal, whose inputs a person can read and edit, is preferred to a mixture of both that looks somewhat
+more like the model. OpenPBR has about a dozen numbers, so a difference remains. The file states this difference as the
+PSNR of the whole sphere, of its highlights (the brightest tenth), of pixels viewed at more than 60 degrees, and of the
+other pixels.
 """
 
 import re
@@ -39,6 +41,11 @@ _INPUT_BOUNDS = (
     np.array([1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]),  # 0.18 and 0.1 are F0 of the indices 2.5 and 1.9.
 )
 _ABSENT_COAT_START = (0.05, 0.1, 0.053)  # start of weight, roughness and F0 without a coat in the layers
+# Indices of the unknowns of simple surfaces; their other inputs keep the values of a dielectric or a metal.
+_DIELECTRIC = (0, 1, 2, 7, 8)
+_METAL = (0, 1, 2, 3, 4, 5, 8)
+_COAT = (9, 10, 11)
+_MAX_COST_RATIO = 2.0  # A simple surface with a larger squared error than this times the smallest (3 dB) is refused.
 _MIN_BOUND_DISTANCE = 0.02  # A start is moved away from both bounds by this fraction of their distance.
 _START_WEIGHT = 0.003  # This weak pull to the start determines inputs without effect on the spheres.
 _DIFFUSE_ANGLES = np.radians([[40.0, 50.0, 60.0], [10.0, 20.0, 5.0], [90.0, 90.0, 90.0]])
@@ -87,31 +94,40 @@ def _input(name: str, value: float | Color) -> str:
 
 
 def fit_openpbr(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
-    """Find the OpenPBR surface that looks most like a material, starting from its layers."""
+    """Find the OpenPBR surface that looks most like a material, starting from its layers; prefer a simple surface."""
     targets = [_target(evaluate, lighting, size) for lighting, size in _FITTED_SPHERE_SIZES_PX.items()]
 
-    def difference(numbers: Array, start: Array) -> Array:
-        surface = _surface(numbers)
-        return np.concatenate([target(surface.evaluate) for target in targets] + [_START_WEIGHT * (numbers - start)])
+    def fit(start: Array, free: list[int]) -> tuple[float, OpenPBR]:
+        def surface(numbers: Array) -> OpenPBR:
+            whole = start.copy()
+            whole[free] = numbers
+            return _surface(whole)
 
-    ends = [
-        least_squares(
+        def difference(numbers: Array) -> Array:
+            pull = _START_WEIGHT * (numbers - start[free])
+            return np.concatenate([*(target(surface(numbers).evaluate) for target in targets), pull])
+
+        end = least_squares(
             difference,
-            start,
-            bounds=_INPUT_BOUNDS,
+            start[free],
+            bounds=(_INPUT_BOUNDS[0][free], _INPUT_BOUNDS[1][free]),
             diff_step=_DERIVATIVE_STEPS,
             ftol=_COST_TOLERANCE,
             max_nfev=_MAX_FIT_STEPS,
-            args=(start,),
         )
-        for start in _starts(layers)
-    ]
-    surface = _surface(min(ends, key=lambda end: end.cost).x)
+        return float(end.cost), surface(end.x)
+
+    ends = [fit(start, free) for start, free in _starts(layers)]
+    limit = _MAX_COST_RATIO * min(cost for cost, _ in ends)
+    surface = next(surface for cost, surface in ends if cost <= limit)
     return FoundSurface(surface, *_likeness(evaluate, surface))
 
 
-def _starts(layers: LayeredModel) -> list[Array]:
-    """Return start values of a metal and a dielectric with these layers; the narrower of two highlights is a coat."""
+def _starts(layers: LayeredModel) -> list[tuple[Array, list[int]]]:
+    """Return starts with the indices of their unknowns: simple surfaces first, then mixtures of all inputs.
+
+    The narrower of two highlights is a coat.
+    """
     specular = sorted((one for one in layers.layers if isinstance(one, SpecularLayer)), key=lambda one: one.alpha)
     ground = LayeredModel(tuple(one for one in layers.layers if not isinstance(one, SpecularLayer)))
     color = np.median(ground.evaluate(*_DIFFUSE_ANGLES), axis=0) * np.pi
@@ -121,13 +137,23 @@ def _starts(layers: LayeredModel) -> list[Array]:
     base = specular[-1] if specular else SpecularLayer((0.01,) * 3, 0.5, 0.5, 2.0, (0.0, 0.0), 0.0, 0.0)
     f0, roughness = np.array(base.f0), _roughness(base)
     tint = f0 / f0.max()
-    starts = (
-        (*np.maximum(color, f0), 0.9, 0.9, 0.9, 0.9, 0.04, roughness, *coat),
-        (*color, *tint, 0.05, f0.max(), roughness, *coat),
-    )
     lower, upper = _INPUT_BOUNDS
     margin = _MIN_BOUND_DISTANCE * (upper - lower)
-    return [np.clip(start, lower + margin, upper - margin) for start in starts]
+    metal, dielectric = (
+        np.clip(start, lower + margin, upper - margin)
+        for start in (
+            (*np.maximum(color, f0), 0.9, 0.9, 0.9, 0.9, 0.04, roughness, *coat),
+            (*color, *tint, 0.05, f0.max(), roughness, *coat),
+        )
+    )
+    plastic, pure = dielectric.copy(), metal.copy()
+    plastic[3:7], pure[6] = (1.0, 1.0, 1.0, 0.0), 1.0
+    simple = [(plastic, [*_DIELECTRIC]), (pure, [*_METAL])]
+    if len(specular) > 1:
+        simple = [(start, [*free, *_COAT]) for start, free in simple]
+    else:
+        plastic[9] = pure[9] = 0.0
+    return [*simple, *((start, [*range(lower.size)]) for start in (metal, dielectric))]
 
 
 def _roughness(layer: SpecularLayer) -> float:

@@ -79,6 +79,26 @@ def test_a_surface_is_found_again_and_the_error_is_that_of_the_spheres(fitted: F
         assert stated > 40.0
 
 
+def test_a_dielectric_and_a_metal_are_found_without_a_mixture_of_both() -> None:
+    plastic = OpenPBR((0.5, 0.2, 0.1), specular_roughness=0.3, specular_ior=1.5)
+    layers = LayeredModel(
+        (
+            SpecularLayer((0.05, 0.05, 0.05), 0.8, 0.1, 2.0, (0.0, 0.0), 0.0, 0.0),
+            DiffuseLayer((0.4, 0.2, 0.1), (0.0,) * 6),
+        )
+    )
+    found = fit_openpbr(plastic.evaluate, layers).surface
+    assert (found.base_metalness, found.specular_color, found.coat_weight) == (0.0, (1.0, 1.0, 1.0), 0.0)
+    assert found.base_color == pytest.approx(plastic.base_color, abs=0.01)
+    assert (found.specular_roughness, found.specular_ior) == pytest.approx((0.3, 1.5), abs=0.01)
+    gold = OpenPBR((0.9, 0.6, 0.2), 1.0, (0.9, 0.9, 0.9), specular_roughness=0.4)
+    layers = LayeredModel((SpecularLayer((0.8, 0.6, 0.3), 0.8, 0.2, 2.0, (0.0, 0.0), 0.0, 0.0),))
+    found = fit_openpbr(gold.evaluate, layers).surface
+    assert (found.base_metalness, found.coat_weight) == (1.0, 0.0)
+    assert found.base_color == pytest.approx(gold.base_color, abs=0.01)
+    assert found.specular_roughness == pytest.approx(0.4, abs=0.01)
+
+
 def test_the_error_of_a_region_is_that_of_its_pixels(fitted: FoundSurface) -> None:
     squares = []
     for lighting in LIGHTINGS:
