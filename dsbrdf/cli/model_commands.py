@@ -190,8 +190,8 @@ def export(
     shown = [example_of(output, kind, content, name or NAME)] if example else []
     for file, what in ((output, content), *shown):
         write_atomically(file, [what])
-    of = "" if component is None else f" of the {component.replace('_', ' ')}"
-    print_written(output, f"{FORMATS[kind].purpose.partition(',')[0]}{of}", kind, json=json)
+    of = "" if component is None else f", {component.replace('_', ' ')} alone"
+    print_written(output, f"{FORMATS[kind].purpose.partition(' (')[0]}{of}", kind, json=json)
     for file, _ in () if json else shown:
         print_written(file, "an example that shows it")
 

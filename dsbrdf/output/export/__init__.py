@@ -70,10 +70,10 @@ _BINARY_TYPE = "application/octet-stream"
 _TEXT_TYPE = "text/plain; charset=utf-8"
 FORMATS = {
     "json": ExportFormat(
-        "the model and its report, without loss", "json", "application/json", _json, holds_parameters=True
+        "all numbers without loss (a model with its report)", "json", "application/json", _json, holds_parameters=True
     ),
     "merl": ExportFormat(
-        "a table of values in the MERL format, 35 MB",
+        "a table of values in the MERL format (35 MB)",
         "binary",
         _BINARY_TYPE,
         lambda source, _: encode_merl(source.tabulate()),
@@ -100,7 +100,7 @@ FORMATS = {
         holds_parameters=True,
     ),
     "components": ExportFormat(
-        "a table of the components: light, alpha, tail exponent, F0, F70, albedo and their ranges",
+        "a table of the components (light, alpha, tail exponent, F0, F70, albedo and their ranges)",
         "csv",
         "text/csv; charset=utf-8",
         _components,
@@ -115,7 +115,7 @@ FORMATS = {
         time="medium",
     ),
     "materialx": ExportFormat(
-        "the OpenPBR surface that looks most like it, which takes some seconds",
+        "a similar OpenPBR surface (takes some seconds)",
         "mtlx",
         "application/xml",
         lambda model, extras: materialx_document(model, extras.title),

@@ -12,12 +12,12 @@ from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.output.export.templates import filled, template
 
 EXAMPLES = {
-    "glsl": ("html", "three.html"),
-    "bsdf": ("xml", "mitsuba.xml"),
-    "bsdf-spectral": ("pbrt", "scene.pbrt"),
-    "materialx": ("py", "blender.txt"),
+    "glsl": (".html", "three.html"),
+    "bsdf": (".xml", "mitsuba.xml"),
+    "bsdf-spectral": (".pbrt", "scene.pbrt"),
+    "materialx": ("_blender.py", "blender.txt"),
 }
-"""Suffix and template of the example, by the name of the exported format."""
+"""End of the example's name and its template, by the name of the exported format."""
 
 
 def example(path: Path, file_format: str, content: bytes, name: str) -> tuple[Path, bytes]:
@@ -27,9 +27,9 @@ def example(path: Path, file_format: str, content: bytes, name: str) -> tuple[Pa
     """
     if file_format not in EXAMPLES:
         raise InvalidArgumentError(f"there is an example for {one_of(list(EXAMPLES))}, not for {file_format}")
-    suffix, file = EXAMPLES[file_format]
-    beside = path.with_suffix(f".{suffix}")
+    end, file = EXAMPLES[file_format]
+    beside = path.with_name(path.stem + end)
     words = {"SELF": beside.name, "STEM": path.stem, "FILE": path.name}
-    quoted = {word: escape(one) if suffix in ("html", "xml") else dumps(one)[1:-1] for word, one in words.items()}
+    quoted = {word: escape(one) if end in (".html", ".xml") else dumps(one)[1:-1] for word, one in words.items()}
     shader = content.decode() if file_format == "glsl" else ""
     return beside, filled(template(file), quoted | {"FUNCTION": name, "SHADER": shader}).encode()

@@ -203,7 +203,7 @@ def test_exports_are_those_of_the_library(
 def test_a_refused_export_writes_nothing_and_another_says_what_it_has_written(model_file: Path, tmp_path: Path) -> None:
     run("export", model_file, "-o", tmp_path / "paint.csv", "--name", "paint", code=2)
     said = printed("export", model_file, "-o", tmp_path / "model.json")
-    assert said.startswith(f"{tmp_path / 'model.json'}: the model and its report (")
+    assert said.startswith(f"{tmp_path / 'model.json'}: all numbers without loss (")
     assert list(tmp_path.iterdir()) == [tmp_path / "model.json"]
 
 
