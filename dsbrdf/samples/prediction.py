@@ -193,6 +193,12 @@ def _places(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
     return np.stack([np.log(theta_half + _OFFSET), theta_diff, across], axis=-1)
 
 
+def smooth_covariance(theta_half: Array, theta_diff: Array, phi_diff: Array, scale: float) -> Array:
+    """Return the kernel (n, n) between angles (n,), for a multiple `scale` of the usual length scales."""
+    places = _places(theta_half, theta_diff, phi_diff) / (scale * _KERNEL_REACH)
+    return _kernel(places, places)
+
+
 def _kernel(first: Array, second: Array) -> Array:
     along, across = (_gaussian(first[:, part], second[:, part]) for part in (slice(2), slice(2, 3)))
     return along * (_COMMON_FRACTION + (1.0 - _COMMON_FRACTION) * across)

@@ -41,7 +41,6 @@ _DRAWN_POWER = 0.5
 
 Candidate = tuple[LayerStructure, float]
 """A structure of layers and its stretch."""
-UNSTRETCHED = tuple((structure, 0.0) for structure in STRUCTURES)
 CANDIDATES = tuple((structure, stretch) for stretch in _STRETCHES for structure in STRUCTURES)
 
 
@@ -60,7 +59,7 @@ class SampleLayers:
     dark: float
 
     @classmethod
-    def fit(cls, samples: ScatteredSamples, candidates: Sequence[Candidate] = UNSTRETCHED) -> "SampleLayers":
+    def fit(cls, samples: ScatteredSamples, candidates: Sequence[Candidate] = CANDIDATES) -> "SampleLayers":
         """Fit candidates, drop those with negligible weight, and sort the others, the most probable first."""
         nearest = float(half_difference(samples.omega_in, samples.omega_out)[0].min())
         narrowest = max(min(nearest, _APERTURE), nearest / 4.0, _MIN_HALF_WIDTH)
@@ -74,11 +73,6 @@ class SampleLayers:
         kept = [at for at in np.argsort(-weights, kind="stable") if weights[at] > _NEGLIGIBLE_WEIGHT]
         fits, stretches = zip(*(found[at] for at in kept), strict=True)
         return cls(fits, stretches, weights[kept] / weights[kept].sum(), dark_level(samples))
-
-    @property
-    def evidence(self) -> float:
-        """Return the evidence of the structure that explains the samples best; less is better."""
-        return self.found[0].evidence
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:

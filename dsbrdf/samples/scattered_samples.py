@@ -87,11 +87,6 @@ class ScatteredSamples:
         arrays = {name: getattr(self, name)[chosen] for name in ("omega_in", "omega_out", "values", "weight")}
         return replace(self, **arrays)
 
-    def divided_by_cosine(self, side: str) -> ScatteredSamples:
-        """Divide the values by the cosine of theta_in or theta_out; ``side`` is "in" or "out"."""
-        cosine = self.omega_in[:, 2] if side == "in" else self.omega_out[:, 2]
-        return replace(self, values=self.values / cosine[:, np.newaxis])
-
     def __repr__(self) -> str:
         return f"<ScatteredSamples: {self.name!r}, {len(self.values)} samples>"
 

@@ -2,8 +2,12 @@
 
 Nothing here changes a value. A wrong factor is detected by energy alone: if a lower bound of the albedo is above 1, the
 samples reflect more light than they receive. The bound takes the minimum of neighbouring samples over theta_half, so
-that a highlight of a single sample does not count. If values were multiplied by a cosine, layers fit them less well
-than the values divided by this cosine.
+that a highlight of a single sample does not count.
+
+A cosine and a turned plane are detected by symmetry. A BRDF stays equal if light and viewer are exchanged, and a BRDF
+times one cosine does not. Therefore the logarithms of the values are compared with a Gaussian process whose kernel is
+that of `dsbrdf.samples.prediction`, a smooth function of the half and difference angles, plus the usual terms of a
+diffuse layer. The values divided by a cosine, or with the light turned by 180 degrees, may be more probable.
 """
 
 from collections.abc import Iterator
@@ -11,11 +15,13 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from dsbrdf.arrays import Array
+from dsbrdf.components.points import Points
 from dsbrdf.data.geometry import half_difference, spherical
-from dsbrdf.samples.prediction import thinned
-from dsbrdf.samples.sample_layers import SampleLayers
+from dsbrdf.samples.prediction import smooth_covariance, thinned
+from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 _MAX_ALBEDO_BOUND = 1.05  # noise may lift the bound of a white material above 1
@@ -38,12 +44,22 @@ _NEAR_INCIDENCE = np.radians(7.6)
 _MIN_IN_GROUP = 6  # An angle of incidence with fewer samples is ignored.
 # The bound of the albedo takes the minimum of this number of neighbours over theta_half.
 _N_NEIGHBOURS = 4
-# Layers are fitted to at most this number of samples.
-_MAX_ASKED_SAMPLES = 300
-# A cosine or a turned plane is reported if it improves the evidence by more; for correct values, it improves up to 6.
-_MORE_PROBABLE = 15.0
-# A cosine in the values is only reported if layers fit the corrected values with a smaller relative error.
-_MAX_LAYER_ERROR = 0.3
+# Symmetry is examined at no more than this number of samples.
+_MAX_ASKED_SAMPLES = 150
+# Length scales of the Gaussian process, as a multiple of those in `dsbrdf.samples.prediction`.
+_KERNEL_SCALE = 2.0
+# Variances of the common level and of the noise, as fractions of the kernel's variance, and the minimum of the latter.
+# Noise is that of a sample, and a drift of the instrument that samples of nearly the same theta_in have in common.
+_LEVEL_VARIANCE = 10.0
+_NOISE_VARIANCE = 0.01
+_MIN_VARIANCE = 0.03
+_SAME_INCIDENCE = np.radians(2.0)
+# Standard deviations of the exponents of a diffuse layer, as fractions of the kernel's.
+_GROUND_DEVIATIONS = np.array([0.5, 0.4, 0.4, 0.3, 0.25, 0.4])
+# A cosine or a turned plane is reported if it raises twice the log likelihood by more; for correct values, a cosine
+# raises it by up to 10, and a turned plane by up to 35.
+_MIN_COSINE_LEAD = 25.0
+_MIN_TURNED_LEAD = 50.0
 # A single sample is a spike if it is near the mirror direction and brighter than its neighbours by this factor.
 _SPIKE_FACTOR = 8.0
 _SPIKE_THETA_HALF = np.radians(3.0)
@@ -71,14 +87,13 @@ def sample_doubts(samples: ScatteredSamples) -> SampleDoubts:
     # For few samples, the bound is far below the albedo, and the median is a better estimate.
     level = max(bound, np.pi * float(np.median(samples.values)) + 1e-4 * float(samples.values.max()))
     factors = _likely_factors(samples.values, level) if bound > _MAX_ALBEDO_BOUND else []
-    sentences = _about_energy(samples, bound, factors) if factors else _about_layers(samples)
+    sentences = _about_energy(samples, bound, factors) if factors else _about_symmetry(samples)
     factor = factors[0][0] if factors else 1.0 if level > _MIN_LEVEL else _USUAL_ALBEDO / level
     return SampleDoubts(factor, (*sentences, *_about_spikes(samples)))
 
 
 def _about_energy(samples: ScatteredSamples, bound: float, factors: list[tuple[float, str]]) -> Iterator[str]:
-    asked = thinned(samples, _MAX_ASKED_SAMPLES)
-    side = _side_of_cosine(replace(asked, values=asked.values * factors[0][0]))
+    side = _side_of_cosine(_leads(samples))
     named = " or ".join(words for _, words in factors)
     cosine = "" if side is None else f', and set cosine to "{side}": they look like a BRDF times that cosine'
     yield (
@@ -87,32 +102,51 @@ def _about_energy(samples: ScatteredSamples, bound: float, factors: list[tuple[f
     )
 
 
-def _about_layers(samples: ScatteredSamples) -> Iterator[str]:
-    asked = thinned(samples, _MAX_ASKED_SAMPLES)
-    layers = SampleLayers.fit(asked)
-    turned = replace(asked, omega_in=asked.omega_in * np.array([-1.0, -1.0, 1.0]))
-    if SampleLayers.fit(turned).evidence < layers.evidence - _MORE_PROBABLE:
+def _about_symmetry(samples: ScatteredSamples) -> Iterator[str]:
+    leads = _leads(samples)
+    if leads["turned"] > _MIN_TURNED_LEAD:
         yield (
             "The brightest samples lie back towards the light, as those of a retro-reflector do: if the material is "
             "none, light and viewer have the same phi in the mirror direction here, and phi must be set to "
             '"mirror", which turns the plane.'
         )
-        return
-    side = _side_of_cosine(asked, layers)
-    if side is not None:
+    elif (side := _side_of_cosine(leads)) is not None:
         yield (
             f"The values look like a BRDF times the cosine of theta_{side}: divided by it they are those of a usual "
             f'material, and as they are they are not; if so, set cosine to "{side}".'
         )
 
 
-def _side_of_cosine(samples: ScatteredSamples, layers: SampleLayers | None = None) -> str | None:
+def _side_of_cosine(leads: dict[str, float]) -> str | None:
     """Return "in" or "out" if the values were probably multiplied by this direction's cosine, else None."""
-    evidence = (layers or SampleLayers.fit(samples)).evidence
-    found = {side: SampleLayers.fit(samples.divided_by_cosine(side)) for side in ("in", "out")}
-    side = min(found, key=lambda name: found[name].evidence)
-    is_clear = found[side].evidence < evidence - _MORE_PROBABLE and found[side].found[0].error < _MAX_LAYER_ERROR
-    return side if is_clear else None
+    side = max(("in", "out"), key=leads.__getitem__)
+    return side if leads[side] > _MIN_COSINE_LEAD else None
+
+
+def _leads(samples: ScatteredSamples) -> dict[str, float]:
+    """Return how much more probable samples divided by a cosine, or turned, are than as they are, by `_likelihood`."""
+    dark = dark_level(samples)
+    asked = thinned(samples.take(samples.values.mean(axis=1) > dark), _MAX_ASKED_SAMPLES)
+    turned = replace(asked, omega_in=asked.omega_in * np.array([-1.0, -1.0, 1.0]))
+    logs = np.log(asked.values.mean(axis=1) + dark)
+    cosines = np.log([asked.omega_in[:, 2], asked.omega_out[:, 2]])
+    as_is, over_in, over_out = _likelihood(asked, np.stack([logs, *(logs - cosines)], axis=1)).tolist()
+    (around,) = _likelihood(turned, logs[:, np.newaxis]).tolist()
+    return {"in": over_in - as_is, "out": over_out - as_is, "turned": around - as_is}
+
+
+def _likelihood(samples: ScatteredSamples, logs: Array) -> Array:
+    """Return twice the log likelihood (k,) of logarithms of values (n, k), with the most likely variance."""
+    angles = half_difference(samples.omega_in, samples.omega_out)
+    ground = Points.at(*angles).ground
+    shapes = (ground - ground.mean(axis=1, keepdims=True)) * _GROUND_DEVIATIONS[:, np.newaxis]
+    smooth = smooth_covariance(*angles, _KERNEL_SCALE) + shapes.T @ shapes
+    theta_in = np.arccos(samples.omega_in[:, 2])
+    drift = np.exp(-0.5 * (np.subtract.outer(theta_in, theta_in) / _SAME_INCIDENCE) ** 2)
+    root = np.linalg.cholesky(smooth + _LEVEL_VARIANCE + _NOISE_VARIANCE * (np.eye(len(logs)) + drift))
+    whitened = solve_triangular(root, logs - logs.mean(axis=0), lower=True)
+    variance = np.mean(whitened**2, axis=0) + _MIN_VARIANCE
+    return np.asarray(-len(logs) * np.log(variance) - 2.0 * np.sum(np.log(np.diag(root))))
 
 
 def _likely_factors(values: Array, level: float) -> list[tuple[float, str]]:
@@ -145,23 +179,24 @@ def albedo_bound(samples: ScatteredSamples) -> float:
             continue
         order = np.argsort(theta_half[near])
         half, values = theta_half[near][order], samples.values[near][order]
-        nodes, weight = _outgoing(incidence)
-        # Each node has one neighbour below and the next ones above.
-        at = np.searchsorted(half, nodes)[:, np.newaxis] + np.arange(-1, _N_NEIGHBOURS - 1)
-        least = values[np.clip(at, 0, half.size - 1)].min(axis=1)
-        least[nodes > half[-1]] = 0.0
-        largest = max(largest, float((weight @ least).max()))
+        # Directions whose theta_half is between two samples have one neighbour below and the next ones above.
+        beside = np.arange(half.size)[:, np.newaxis] + np.arange(-1, _N_NEIGHBOURS - 1)
+        least = values[np.clip(beside, 0, half.size - 1)].min(axis=1)
+        nodes, light = _outgoing(incidence)
+        between = np.diff(light[np.searchsorted(nodes, half, side="right")], prepend=0.0)
+        largest = max(largest, float((between @ least).max()))
     return largest
 
 
 @cache
 def _outgoing(incidence_deg: float) -> tuple[Array, Array]:
-    """Return theta_half of directions omega_out, shape (n,), and their cosine-weighted solid angles."""
+    """Return theta_half of directions omega_out (n,), ascending, and the light (n + 1,) of those below each."""
     theta, phi = np.meshgrid(np.radians(np.arange(0.5, 90.0)), np.radians(np.arange(1.5, 180.0, 3.0)), indexing="ij")
     omega_out = spherical(theta.ravel(), phi.ravel())
     omega_in = np.broadcast_to(spherical(np.radians(incidence_deg), np.pi), omega_out.shape)
-    weight = np.sin(theta) * np.cos(theta)
-    return half_difference(omega_in, omega_out)[0], np.pi * (weight / weight.sum()).ravel()
+    theta_half, weight = half_difference(omega_in, omega_out)[0], (np.sin(theta) * np.cos(theta)).ravel()
+    order = np.argsort(theta_half)
+    return theta_half[order], np.pi * np.cumsum([0.0, *weight[order]]) / weight.sum()
 
 
 def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:

@@ -5,7 +5,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError, ScatteredSamples
-from dsbrdf.data import THETA_DIFF, THETA_HALF, half_difference, synthetic_measurement
+from dsbrdf.data import THETA_DIFF, THETA_HALF, half_difference, spherical, synthetic_measurement
 from dsbrdf.fitting import Metrics
 from dsbrdf.report_warnings import sample_warnings
 from dsbrdf.samples.bins import predicted_profiles, sample_rows, scattered_metrics
@@ -67,17 +67,16 @@ def scaled(samples: ScatteredSamples, factor: Any, notes: tuple[str, ...] = ()) 
     return ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, samples.values * factor, notes=notes)
 
 
-def test_cosines_are_divided_out_notes_are_warnings_progress_rises_and_grey_stays_grey() -> None:
+def test_notes_are_warnings_progress_rises_and_grey_stays_grey() -> None:
     known, shares = scattered_samples(TRUTH, 60), list[float]()
     samples = ScatteredSamples.from_arrays(known.omega_in, known.omega_out, known.values[:, [1, 1, 1]])
     expected = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0)
     np.testing.assert_array_equal(expected.model.amplitude, expected.model.amplitude[[1, 1, 1]])
-    multiplied = scaled(samples, samples.omega_out[:, 2:], notes=("Grey.",))
-    divided = multiplied.divided_by_cosine("out")
-    found = dsbrdf.fit(divided, n_lobes=1, ring_lobes=0, progress=shares.append)
+    noted = scaled(samples, 1.0, notes=("Grey.",))
+    found = dsbrdf.fit(noted, n_lobes=1, ring_lobes=0, progress=shares.append)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
-    np.testing.assert_allclose(found.model.evaluate(0.2, 0.5), expected.model.evaluate(0.2, 0.5), rtol=1e-4)
+    np.testing.assert_array_equal(found.model.evaluate(0.2, 0.5), expected.model.evaluate(0.2, 0.5))
     assert found.report.warnings == ("Grey.", *expected.report.warnings)
 
 
@@ -244,6 +243,19 @@ def test_units_far_off_are_named(factor: float, side: str | None, words: tuple[s
     said = sample_doubts(samples).sentences
     assert len(said) == bool(words), said
     assert all(word in said[0] for word in words)
+
+
+def test_zeros_near_the_horizon_and_a_drift_are_no_cosine(truth: dsbrdf.DSBRDF) -> None:
+    samples = scattered_samples(truth, 300)
+    assert not sample_doubts(scaled(samples, samples.omega_out[:, 2:] > 0.35)).sentences
+    theta_in, theta_out = np.meshgrid(np.radians([20.0, 30.0]), np.radians(np.arange(-80.0, 81.0, 2.5)))
+    pairs = (
+        spherical(theta_in.ravel(), np.full(theta_in.size, np.pi)),
+        spherical(theta_out.ravel(), theta_in.ravel() * 0),
+    )
+    highlight = 0.1 + 3.0 * np.exp(-((half_difference(*pairs)[0] / 0.1) ** 2))
+    drifted = highlight * np.where(theta_in.ravel() < 0.4, 0.85, 1.0)
+    assert not sample_doubts(ScatteredSamples.from_arrays(*pairs, np.repeat(drifted[:, None], 3, axis=1))).sentences
 
 
 @pytest.mark.parametrize("plane", [True, False])
