@@ -36,18 +36,22 @@ class Grid(Protocol):
     def scale(self) -> Array: ...  # noqa: D102
     @property
     def valid(self) -> Mask: ...  # noqa: D102
+    @property
+    def known(self) -> Mask: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
 class InterpolatedMeasurement:
     """Evaluate a measurement at any angles; `interpolate` makes it.
 
-    `source` has for each node the flat index of the node whose value it has: its own index if its value was measured.
-    C = 3 if a node has values in some channels only, otherwise C = 1.
+    A node has the value of another node, or of itself if its value was measured: at the theta_diff `diff`, and at the
+    theta_half and phi_diff whose flat index with theta_diff = 0 is `start`. C = 3 if a node has values in some channels
+    only, otherwise C = 1.
     """
 
     measurement: Grid
-    source: NDArray[np.int32]  # (C, 90, 90, 180)
+    diff: NDArray[np.int8]  # (C, 90, 90, 180)
+    start: NDArray[np.int32]  # (C, 90, 180)
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return values (..., 3) [1/sr] at half and difference angles (...) that broadcast [rad]; never negative.
@@ -65,6 +69,11 @@ class InterpolatedMeasurement:
             values[block] = self._values(*(angle[block] for angle in flat)).T
         return values.reshape(*angles[0].shape, 3)
 
+    @property
+    def source(self) -> NDArray[np.int32]:
+        """Flat index of the node whose value each node has, (C, 90, 90, 180)."""
+        return np.asarray(self.start[:, :, np.newaxis] + np.int32(GRID_SHAPE[2]) * self.diff)
+
     def is_measured(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Mask:
         """Return a mask (...) of the angles with at least one valid node among those of the interpolation."""
         angles = np.broadcast_arrays(*checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff))
@@ -79,7 +88,7 @@ class InterpolatedMeasurement:
         scale = self.measurement.scale[:, np.newaxis]
         logarithm = np.zeros((3, theta_half.size))
         for weight, (row, diff, column) in _corners(theta_half, theta_diff, phi_diff):
-            nodes = self.source[:, row, diff, column]
+            nodes = self.start[:, row, column] + np.int32(GRID_SHAPE[2]) * self.diff[:, row, diff, column]
             found = stored[:, nodes[0]] if len(nodes) == 1 else np.take_along_axis(stored, nodes, axis=1)
             logarithm += weight * np.log(found * scale + _LOG_OFFSET_PER_SR)
         return np.maximum(np.exp(logarithm) - _LOG_OFFSET_PER_SR, 0.0)
@@ -109,10 +118,9 @@ def interpolate(measurement: Grid) -> InterpolatedMeasurement:
     """Return a continuous function that equals the measurement at its valid nodes."""
     if not measurement.valid.any():
         raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")
-    known = measurement.valid & (measurement.stored >= 0.0)
-    everywhere_alike = bool((known.sum(axis=(1, 2, 3)) == np.count_nonzero(measurement.valid)).all())
-    sources = [_nearest_valid(channel) for channel in (known[:1] if everywhere_alike else known)]
-    return InterpolatedMeasurement(measurement, np.stack(sources))
+    sources = [_nearest_valid(channel) for channel in measurement.known]
+    diff, start = (np.stack(parts) for parts in zip(*sources, strict=True))
+    return InterpolatedMeasurement(measurement, diff, start)
 
 
 def _cells(position: Array, count: int) -> tuple[Indices, Array]:
@@ -121,14 +129,16 @@ def _cells(position: Array, count: int) -> tuple[Indices, Array]:
     return lower, np.minimum(position - lower, 1.0)
 
 
-def _nearest_valid(valid: Mask) -> NDArray[np.int32]:
-    """Return for each node the flat index of the nearest node with a value.
+def _nearest_valid(valid: Mask) -> tuple[NDArray[np.int8], NDArray[np.int32]]:
+    """Return `diff` and `start` of the nearest node with a value, as in `InterpolatedMeasurement`.
 
     The search first goes towards theta_diff = 0, away from the horizon, then in the other direction along theta_diff,
     and finally to the nearest (theta_half, phi_diff) with a valid node.
     """
     steps = np.arange(GRID_SHAPE[1], dtype=np.int8)[:, np.newaxis]
-    diff = np.maximum.accumulate(np.where(valid, steps, np.int8(-1)), axis=1)
+    diff = np.where(valid, steps, np.int8(-1))
+    for step in range(1, GRID_SHAPE[1]):
+        np.maximum(diff[:, step], diff[:, step - 1], out=diff[:, step])
     if (diff[:, 0] < 0).any():
         diff = np.where(diff < 0, valid.argmax(axis=1, keepdims=True).astype(np.int8), diff)
     row, column = np.indices((GRID_SHAPE[0], GRID_SHAPE[2]), dtype=np.int32)
@@ -136,7 +146,4 @@ def _nearest_valid(valid: Mask) -> NDArray[np.int32]:
     if empty.any():
         row, column = distance_transform_edt(empty, return_distances=False, return_indices=True)
         diff = np.moveaxis(diff, 1, 0)[:, row, column].swapaxes(0, 1)
-    source = diff.astype(np.int32)
-    source *= np.int32(GRID_SHAPE[2])
-    source += (row * np.int32(GRID_SHAPE[1] * GRID_SHAPE[2]) + column)[:, np.newaxis]
-    return source
+    return diff, row * np.int32(GRID_SHAPE[1] * GRID_SHAPE[2]) + column

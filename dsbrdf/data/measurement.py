@@ -72,9 +72,12 @@ class Measurement:
         """The measurement as a function that has values at all angles, extrapolated where nodes are not valid."""
         return interpolate(self)
 
-    def known(self, row: int) -> Mask:
-        """Return the mask (3, 90 theta_diff, 180 phi_diff) of measured values in a theta_half row."""
-        return self.valid[row] & (self.stored[:, row] >= 0.0)
+    @cached_property
+    def known(self) -> Mask:
+        """Mask (C, 90, 90, 180) of measured values, with C = 1 if all channels are measured at the same nodes."""
+        masks = [self.valid & (channel >= 0.0) for channel in self.stored]
+        alike = all(np.array_equal(mask, self.valid) for mask in masks)
+        return self.valid[np.newaxis] if alike else np.stack(masks)
 
     @property
     def values(self) -> Array:

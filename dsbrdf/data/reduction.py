@@ -130,7 +130,7 @@ def profiles(
     mean, weight, within = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     folded = FoldedProfiles(np.zeros((*shape, N_BINS)), np.zeros((*shape, N_BINS)), np.zeros((*shape[1:], N_BINS)))
     for i, theta_half in enumerate(THETA_HALF):
-        used, known = used_samples(measurement, i, horizon_cutoff), measurement.known(i)
+        used, known = used_samples(measurement, i, horizon_cutoff), measurement.known[:, i]
         samples = measurement.stored[:, i] * measurement.scale[:, None, None]
         _fold(folded, i, samples, known, robust=robust)
         weights = used.astype(float)
@@ -146,16 +146,19 @@ def profiles(
 
 
 def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
-    """Return the mask (3, 90 theta_diff, 180 phi_diff) of the used samples in the theta_half row ``i``."""
+    """Return the mask (C, 90 theta_diff, 180 phi_diff) of the used samples in the theta_half row ``i``.
+
+    C is 1 if the mask is common to all channels, otherwise 3.
+    """
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
-    return measurement.known(i) & nodes_above_horizon(cutoff)[i]
+    return measurement.known[:, i] & nodes_above_horizon(cutoff)[i]
 
 
 def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust: bool) -> None:
     """Sum the samples (3, 90, 180) of the theta_half row ``i`` into the folded profiles, in place."""
     weights, valid = known.astype(float), known.any(axis=0)
     if robust:
-        weights = _trusted_in_bins(samples, known)
+        weights = _trusted_in_bins(samples, np.broadcast_to(known, samples.shape))
     total = weights @ IN_BIN
     folded.weight[:, :, i] = total
     folded.mean[:, :, i] = (weights * samples) @ IN_BIN / np.where(total > 0.0, total, 1.0)
@@ -185,7 +188,7 @@ def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
     total = weights.sum(-1)
     mean = np.einsum("...p,...p->...", weights, samples) / np.where(total > 0, total, 1.0)
     deviation = samples - mean[..., None]
-    return mean, total, np.einsum("...p,...p,...p->...", weights, deviation, deviation)
+    return mean, total, np.einsum("...p,...p->...", weights * deviation, deviation)
 
 
 def _outlier_weights(samples: Array, used: Mask) -> Array:

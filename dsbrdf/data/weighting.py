@@ -30,7 +30,6 @@ DARK_VALUE_FRACTION = 0.02
 """Smaller values than this fraction of a typical value have the weight of a value of this fraction."""
 # Minimum of the floor relative to the squared signal; without it, a floor near 0 would make weights infinite.
 _MIN_RELATIVE_FLOOR = 1e-4
-_TRUST_POWER = 8
 TINY = 1e-300
 """Added to sums of weights that are divisors, so that they are not 0."""
 # Minimum weight of nodes near theta_half = 0: their solid angle is nearly 0, but they have the peak value.
@@ -67,22 +66,23 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
 
 def _floor(folded: FoldedProfiles, weight: Array) -> float:
     """Return the weighted squared deviation from the mean over phi_diff, plus 1e-4 of the squared signal."""
-    mean = _over_phi(folded.mean, weight)[..., None]
-    scatter = float(np.sum(weight * (folded.mean - mean) ** 2))
-    signal = float(np.sum(weight * folded.mean**2))
+    deviation = folded.mean - _over_phi(folded.mean, weight)[..., None]
+    scatter = float(np.vdot(weight * deviation, deviation))
+    signal = float(np.vdot(weight * folded.mean, folded.mean))
     return scatter + _MIN_RELATIVE_FLOOR * signal or 1.0
 
 
 def _over_phi(values: Array, weight: Array) -> Array:
-    total = weight.sum(axis=3)
-    return np.asarray(np.sum(weight * values, axis=3) / np.where(total > 0.0, total, 1.0))
+    total = np.einsum("...p->...", weight)
+    return np.asarray(np.einsum("...p,...p->...", weight, values) / np.where(total > 0.0, total, 1.0))
 
 
 def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
     """Return 1 within the cutoff, falling to 0 at the horizon, from the `lowest` of both cosines to the normal."""
     if horizon_cutoff is None or np.cos(horizon_cutoff) < 1e-9:
         return np.ones_like(lowest)
-    return np.asarray(np.minimum(lowest / np.cos(horizon_cutoff), 1.0) ** _TRUST_POWER)
+    squared = np.square(np.minimum(lowest / np.cos(horizon_cutoff), 1.0))
+    return np.asarray(np.square(np.square(squared)))
 
 
 def seen_weight(lit: Array, mean: Array, typical: float, power: float = SEEN_POWER) -> Array:

@@ -22,6 +22,7 @@ By visibility, over all directions:
 
 from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -135,34 +136,49 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
             cosine = np.subtract(np.cos(THETA_HALF[i]) * np.cos(THETA_DIFF[rows, None]), swing, out=swing)
             # The model has equal values at phi_diff and at 180 degrees - phi_diff.
             folded = np.concatenate([values, values[:, :, -2:0:-1]], axis=2)
-            for channel, scale in enumerate(measurement.scale.tolist()):
-                samples, fit = measurement.stored[channel, i, rows] * scale, folded[channel]
-                sums[:, channel, rows] += _column_sums(samples, fit, used[channel, rows], cosine)
+            channels = [_Counted.at(mask) for mask in used[:, rows]] * (3 // len(used))
+            for channel, (scale, counted) in enumerate(zip(measurement.scale.tolist(), channels, strict=True)):
+                samples = measurement.stored[channel, i, rows] * scale
+                sums[:, channel, rows] += _column_sums(samples, folded[channel], counted, cosine)
     if not sums[0].any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
     return sums
 
 
-def _column_sums(samples: Array, fit: Array, used: Mask, cosine: Array) -> Array:
+# A symmetric material has equal values at phi_diff and at its partner, 180 degrees - phi_diff.
+_ONE, _PARTNER = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
+
+
+class _Counted(NamedTuple):
+    """Hold 1 for each used sample of one theta_half and channel (R, 180), otherwise 0, with derived arrays."""
+
+    samples: Array
+    total: Array  # sums over phi_diff (R,)
+    pairs: Array  # sqrt(1/2) if a sample and its partner are used, (R, 89)
+
+    @classmethod
+    def at(cls, used: Mask) -> "_Counted":
+        counted = used.astype(float)
+        return cls(counted, counted.sum(axis=1), np.sqrt(0.5) * counted[:, _ONE] * counted[:, _PARTNER])
+
+
+def _column_sums(samples: Array, fit: Array, counted: _Counted, cosine: Array) -> Array:
     """Return six sums over phi_diff (6, R) of one theta_half and channel, in the order of `relative_errors`."""
-    counted = used.astype(float)
-    count, fit = counted.sum(axis=1), fit * counted
-    samples = samples * counted
-    mean = np.sum(samples, axis=1) / np.maximum(count, 1.0)
+    samples = samples * counted.samples
+    mean = np.sum(samples, axis=1) / np.maximum(counted.total, 1.0)
     deviation = samples - mean[:, None]
-    deviation *= counted
-    # A symmetric material has equal values at phi_diff and 180 - phi_diff; each deviates by half their difference.
-    one, partner = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
-    step = samples[:, one] - samples[:, partner]
-    step *= np.sqrt(0.5) * counted[:, one] * counted[:, partner]
-    squares = [np.einsum("rp,rp->r", part, part) for part in (samples, samples - fit, deviation, step)]
-    ratio = samples * cosine
-    ratio += 1.0
-    fit *= cosine
-    fit += 1.0
-    ratio /= fit
-    log_error = np.sum(np.abs(np.log(ratio, out=ratio), out=ratio), axis=1)
-    return np.stack([*squares, log_error, count])
+    deviation *= counted.samples
+    # Each of two partners deviates from their mean by half their difference.
+    step = samples[:, _ONE] - samples[:, _PARTNER]
+    step *= counted.pairs
+    error = samples - fit
+    error *= counted.samples
+    squares = [np.einsum("rp,rp->r", part, part) for part in (samples, error, deviation, step)]
+    # (1 + f cos_in) / (1 + fit cos_in) = 1 + (f - fit) cos_in / (1 + fit cos_in)
+    error *= cosine
+    error /= 1.0 + fit * cosine
+    log_error = np.sum(np.abs(np.log1p(error, out=error), out=error), axis=1)
+    return np.stack([*squares, log_error, counted.total])
 
 
 def relative_errors(sums: Array, channels: slice = slice(None), rows: slice = slice(None)) -> RelativeErrors | None:

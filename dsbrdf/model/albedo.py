@@ -12,6 +12,7 @@ that the integrand is smooth in every part: the azimuth where theta_diff passes 
 begins or ceases to be among the theta_diff of its azimuths. Models with splines have no kinks.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,8 @@ def directional_albedo(evaluate: Evaluate, theta_out: Array, knots: Array = _NO_
     `evaluate` may have kinks where theta_diff is one of the `knots` (D,) [rad]. The relative error is below 1e-5 for
     lobes about the normal that are wider than 0.01 degrees, and below 5e-4 for ring lobes wider than 2 degrees.
     """
-    rules = (half_vector_rule(float(angle), knots) for angle in theta_out.ravel())
+    angles = theta_out.ravel().tolist()
+    rules = (half_vector_rule(angle, knots) if knots.size else _smooth_rule(angle) for angle in angles)
     rows = [rule.weight @ evaluate(rule.theta_half, rule.theta_diff, rule.phi_diff) for rule in rules]
     return np.array(rows).reshape(*theta_out.shape, 3)
 
@@ -68,6 +70,11 @@ def half_vector_rule(theta_out: float, knots: Array = _NO_KNOTS) -> HalfVectorRu
     phi_diff = np.arccos(np.clip(cos_phi, -1.0, 1.0))
     parts = np.broadcast_arrays(theta_half, theta_diff, phi_diff, phi, cos_in, measure)
     return HalfVectorRule(*(part.ravel() for part in parts))
+
+
+@lru_cache(maxsize=8)
+def _smooth_rule(theta_out: float) -> HalfVectorRule:
+    return half_vector_rule(theta_out)
 
 
 def _half_angle_rule(theta_out: float, knots: Array) -> tuple[Array, Array]:
