@@ -212,7 +212,7 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
     A column's weight is multiplied by the number of columns with data that it stands for. Otherwise columns close to
     the mirror direction, which are not thinned out, would count for more than the area that people see.
     """
-    measured = weight.sum(axis=(0, 3)) > 0
+    measured = np.any(weight, axis=(0, 3))
     chosen = []
     for axis, wanted in ((1, rows), (0, columns)):
         present = np.flatnonzero(measured.any(axis=axis))

@@ -15,8 +15,10 @@ A weak prior determines unknowns without data: `SMOOTHING` times the squared sig
 of control values. Shapes have the strongest prior, because shapes of a faint lobe would oscillate between knots.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -67,6 +69,8 @@ class MixtureProblem:
             for basis, weight in zip(self.bases, smoothing, strict=True)
         ]
         k = structure.n_lobes
+        # `linearize` overwrites the lower triangle, except for products of different channels, which stay 0.
+        self._matrix = np.zeros((structure.n_unknowns, structure.n_unknowns))
         self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
 
     def values(self, unknowns: Array) -> Array:
@@ -98,39 +102,60 @@ class MixtureProblem:
         return Evaluation(unknowns, cost, parameters[0], parts, pull)
 
     def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
-        """Return the lower triangle of the Gauss-Newton matrix (U, U), and half the gradient (U,) of the cost."""
+        """Return the lower triangle of the Gauss-Newton matrix (U, U), and half the gradient (U,) of the cost.
+
+        The next call overwrites the matrix.
+        """
         k, count = self.structure.n_lobes, self._lobe_of.size
-        products = np.empty((len(at.amplitude), 3, count, count + 1), self.data.mean.dtype)
+        products, columns_of_blocks, weighted_of_blocks = self._buffers
         for block, curves, kinds, residual in at.parts:
             # The columns are the derivatives, then the residual.
-            columns = np.empty((len(curves), count + 1, curves.shape[2]), curves.dtype)
+            shape = len(curves), count + 1, curves.shape[2]
+            columns = columns_of_blocks[: math.prod(shape)].reshape(shape)
+            weighted = weighted_of_blocks[: columns[:, :count].size].reshape(columns[:, :count].shape)
             columns[:, :k] = curves
             for place, values in (column for kind in kinds for column in self._slopes(block, kind)):
                 columns[:, place] = values
             for channel in range(3):
                 columns[:, count] = residual[:, channel]
-                weighted = columns[:, :count] * block.weight[:, channel, None]
+                np.multiply(columns[:, :count], block.weight[:, channel, None], out=weighted)
                 np.matmul(weighted, columns.transpose(0, 2, 1), out=products[block.rows, channel])
-        scale = at.amplitude[:, :, self._lobe_of]
-        products = products * scale[..., None]
-        matrix, gradient = self._assemble(products[..., :count] * scale[..., None, :], products[..., count])
+        matrix, gradient = self._assemble(products, at.amplitude[:, :, self._lobe_of])
         self.structure.chain(at.unknowns, matrix, gradient)
         for part, pull in zip(self.structure.parts, self._pulls, strict=True):
             square = matrix[part, part].reshape(len(pull), -1, len(pull), (part.stop - part.start) // len(pull))
             np.einsum("dpep->dep", square)[...] += pull[:, :, None]
         return matrix, gradient + at.pull
 
-    def _assemble(self, products: Array, slopes: Array) -> tuple[Array, Array]:
-        """Sum the normal equations of rows and channels, (R, 3, M, M) and (R, 3, M), to those of the control values."""
-        k, first = self.structure.n_lobes, self.structure.parts[0]
-        q = 2 * k + self.structure.n_rings
-        matrix = np.zeros((self.structure.n_unknowns, self.structure.n_unknowns))
-        own = self._spread(0, 0, products[:, :, :k, :k])
+    @cached_property
+    def _buffers(self) -> tuple[Array, Array, Array]:
+        """Arrays that `linearize` reuses, so that they stay in a processor's cache.
+
+        They are the products of derivatives (R, 3, M, M + 1), and the flat columns and weighted columns of a block.
+        """
+        count, dtype = self._lobe_of.size, self.data.mean.dtype
+        size = max(block.along.size for block in self.data.blocks)
+        products = np.empty((len(self.data.theta_diff), 3, count, count + 1), dtype)
+        return products, np.empty(size * (count + 1), dtype), np.empty(size * count, dtype)
+
+    def _assemble(self, products: Array, scale: Array) -> tuple[Array, Array]:
+        """Sum the products of derivatives, and with the residual, (R, 3, M, M + 1), to those of the control values.
+
+        The products are of lobes with height 1; `scale` (R, 3, M) are their amplitudes.
+        """
+        k, (first, *_), bases = self.structure.n_lobes, self.structure.parts, self.bases
+        q, matrix = 2 * k + self.structure.n_rings, self._matrix
+        own = self._spread(0, 0, products[:, :, :k, :k] * scale[:, :, :k, None] * scale[:, :, None, :k])
         into = matrix[first, first].reshape(len(own), 3, k, len(own), 3, k)
         for channel in range(3):
             into[:, channel, :, :, channel] = own[:, :, channel].transpose(0, 2, 1, 3)
-        mixed = products[:, :, k:, :k].transpose(0, 2, 1, 3).reshape(len(products), -1, 3 * k)
-        shared = products[:, :, k:, k:].sum(axis=1)
+        below = products[:, :, k:] * scale[:, :, k:, None]
+        mixed = np.empty((len(below), below.shape[2], 3 * k))
+        by_channel = mixed.reshape(*mixed.shape[:2], 3, k).transpose(0, 2, 1, 3)
+        np.multiply(below[..., :k], scale[:, :, None, :k], out=by_channel)
+        shared = below[:, 0, :, k:-1] * scale[:, 0, None, k:]
+        for channel in (1, 2):
+            shared += below[:, channel, :, k:-1] * scale[:, channel, None, k:]
         for i, j, block in (
             (1, 0, mixed[:, :q]),
             (2, 0, mixed[:, q:]),
@@ -140,9 +165,9 @@ class MixtureProblem:
         ):
             spread = self._spread(i, j, block).transpose(0, 2, 1, 3)
             matrix[self.structure.parts[i], self.structure.parts[j]].reshape(spread.shape)[...] = spread
-        by_shared = slopes[:, :, k:].sum(axis=1)
-        rows = slopes[:, :, :k].reshape(len(slopes), -1), by_shared[:, :q], by_shared[:, q:]
-        return matrix, np.concatenate([(basis.T @ part).ravel() for basis, part in zip(self.bases, rows, strict=True)])
+        by_amplitude, by_shared = products[:, :, :k, -1] * scale[:, :, :k], below[..., -1].sum(axis=1)
+        rows = by_amplitude.reshape(len(below), -1), by_shared[:, :q], by_shared[:, q:]
+        return matrix, np.concatenate([(basis.T @ part).ravel() for basis, part in zip(bases, rows, strict=True)])
 
     def _spread(self, i: int, j: int, blocks: Array) -> Array:
         """Sum first basis x second basis x block over rows, to shape (D, E, ...) for blocks (R, ...)."""
@@ -286,7 +311,7 @@ def _step(
     if failed:  # A singular matrix gives no step, so that the damping grows.
         return np.zeros_like(gradient)
     half = trtrs(factor, np.where(held, 0.0, -gradient), trans=1)[0]  # Solve with the first of the two triangles.
-    solved, places, columns = trtrs(factor, half)[0], np.zeros(0, np.intp), np.zeros((held.size, 0))
+    solved, places, columns = trtrs(factor, half)[0], np.zeros(0, np.intp), np.zeros((held.size, 0), order="F")
     stopped = np.zeros(held.size, bool)
     for _ in range(LIMIT_PASSES):
         step = (
@@ -297,7 +322,7 @@ def _step(
             break
         stopped[newly] = True
         places = np.concatenate([places, newly])
-        unit = np.zeros((held.size, newly.size), order="F")
+        unit = np.zeros((held.size, newly.size), precision, order="F")
         unit[newly, np.arange(newly.size)] = 1.0
         columns = np.concatenate([columns, trtrs(factor, unit, trans=1, overwrite_b=True)[0]], axis=1)
         force = gesv(columns.T @ columns, step[places] - columns.T @ half)[2]

@@ -84,16 +84,22 @@ class Candidates:
         """Mask of the candidates with data near their peak; the height of any other candidate would be arbitrary."""
         return np.asarray(self.curves[0].max(axis=1) >= MIN_VISIBLE_VALUE)
 
-    def best(self, data: FitData, curves: Array, amplitudes: Array, allowed: Mask) -> int:
-        """Return the index of the allowed candidate that explains most beside lobes (R, K, n) of amplitudes (R, 3, K).
+    def mixed(self, data: FitData, curves: Array) -> Array:
+        """Return the weighted products (R, 3, K, C) of lobes (R, K, n) with the candidates."""
+        weighted = curves[:, None] * data.rows[1][:, :, None]
+        return np.asarray((weighted @ self.curves.transpose(0, 2, 1)[:, None]).astype(float))
 
-        The amplitudes are adjusted to each candidate. The widest of equally good candidates is chosen.
+    def best(self, gram: Array, mixed: Array, amplitudes: Array, allowed: Mask) -> int:
+        """Return the index of the allowed candidate that explains most beside K lobes of amplitudes (R, 3, K).
+
+        The lobes are given by their products with each other (R, 3, K, K) and with the candidates (R, 3, K, C). The
+        amplitudes are adjusted to each candidate. The widest of equally good candidates is chosen.
         """
-        weighted, gram, _ = normal_equations(data, curves)
-        mixed, count = (weighted @ self.curves.transpose(0, 2, 1)[:, None]).astype(float), curves.shape[1]
+        count = gram.shape[-1]
         residual = self.right - np.einsum("rhkc,rhk->rhc", mixed, amplitudes)
         ridge = CHOICE_RIDGE * np.trace(gram, axis1=2, axis2=3)[..., None, None] / max(count, 1) + TINY
-        unexplained = self.size - np.sum(mixed * np.linalg.solve(gram + ridge * np.eye(count), mixed), axis=2)
+        adjusted = np.linalg.inv(gram + ridge * np.eye(count)) @ mixed
+        unexplained = self.size - np.einsum("rhkc,rhkc->rhc", mixed, adjusted)
         gains = np.maximum(residual, 0.0) ** 2 / np.maximum(unexplained, CHOICE_RIDGE * self.size + TINY)
         allowed = allowed & self.is_visible if np.any(allowed & self.is_visible) else allowed
         gain = np.where(allowed, gains.sum(axis=(0, 1)), -1.0)
@@ -112,26 +118,31 @@ class Candidates:
         return replace(mixture, unknowns=mixture.structure.limit(mixture.unknowns))
 
 
-def normal_equations(data: FitData, curves: Array) -> tuple[Array, Array, Array]:
-    """Return weighted lobes (R, 3, K, n), their products (R, 3, K, K), and those with the data (R, 3, K)."""
+def normal_equations(data: FitData, curves: Array) -> tuple[Array, Array]:
+    """Return the weighted products of lobes (R, K, n) with each other (R, 3, K, K), and with the data (R, 3, K)."""
     mean, weight = data.rows
     weighted = curves[:, None] * weight[:, :, None]
     gram, right = weighted @ curves.transpose(0, 2, 1)[:, None], weighted @ mean[..., None]
-    return weighted, gram.astype(float), right[..., 0].astype(float)
+    return gram.astype(float), right[..., 0].astype(float)
 
 
-def solved_amplitudes(data: FitData, curves: Array, start: Array) -> Array:
-    """Return the amplitudes (R, 3, K), none negative, of lobes (R, K, n), from a start for the first of them.
+def solved_amplitudes(gram: Array, right: Array, start: Array) -> Array:
+    """Solve `normal_equations` for amplitudes (R, 3, K), none negative, from a start for the first of them.
 
     Coordinate descent takes an exact step in one amplitude after the other.
     """
-    _, gram, right = normal_equations(data, curves)
-    amplitudes = np.pad(start, ((0, 0), (0, 0), (0, curves.shape[1] - start.shape[2])))
+    k, count = right.shape[-1], right[..., 0].size
+    amplitudes = np.pad(start, ((0, 0), (0, 0), (0, k - start.shape[2]))).reshape(count, k)
+    rows = gram.reshape(count, k, k).transpose(1, 0, 2).copy()
+    goals, squares = right.reshape(count, k).T.copy(), np.diagonal(gram, axis1=2, axis2=3).reshape(count, k).T + TINY
+    steps = list(zip(amplitudes.T, rows, goals, squares, strict=True))
     for _ in range(AMPLITUDE_SWEEPS):
-        for k in range(right.shape[-1]):
-            slope = right[..., k] - np.einsum("rhk,rhk->rh", gram[..., k, :], amplitudes)
-            amplitudes[..., k] = np.maximum(amplitudes[..., k] + slope / (gram[..., k, k] + TINY), 0.0)
-    return amplitudes
+        for amplitude, row, goal, square in steps:
+            step = goal - np.einsum("nk,nk->n", row, amplitudes)
+            step /= square
+            step += amplitude
+            np.maximum(step, 0.0, out=amplitude)
+    return amplitudes.reshape(right.shape)
 
 
 def _log_amplitudes(data: FitData, structure: Structure, amplitudes: Array) -> Array:

@@ -120,13 +120,16 @@ class _Task:
 
     def _choose(self, wanted: Wanted) -> Mixture:
         """Choose candidates one after the other."""
-        candidates, chosen = self.candidates, list[int]()
-        amplitudes = np.zeros((*candidates.right.shape[:2], 0))
+        candidates, chosen, shape = self.candidates, list[int](), self.candidates.size.shape
+        amplitudes, gram = np.zeros((*shape[:2], 0)), np.zeros((*shape[:2], 0, 0))
+        mixed = np.zeros((*shape[:2], 0, shape[2]))
         for _ in range(wanted.max_lobes(self.data)):
             allowed = np.isin(candidates.is_ring, wanted.kinds_to_add(tuple(candidates.is_ring[chosen].tolist())))
             allowed[chosen] = False
-            chosen.append(candidates.best(self.data, candidates.curves[:, chosen], amplitudes, allowed))
-            amplitudes = solved_amplitudes(self.data, candidates.curves[:, chosen], amplitudes)
+            chosen.append(candidates.best(gram, mixed, amplitudes, allowed))
+            gram, right = normal_equations(self.data, candidates.curves[:, chosen])
+            amplitudes = solved_amplitudes(gram, right, amplitudes)
+            mixed = np.append(mixed, candidates.mixed(self.data, candidates.curves[:, chosen[-1:]]), axis=2)
         return candidates.start(self.data, self.empty, chosen, amplitudes)
 
     def exchange(self, mixture: Mixture) -> Mixture:
@@ -136,11 +139,12 @@ class _Task:
         fewer, candidates = self.drop_one(mixture), self.candidates
         problem = MixtureProblem(self.data, fewer.structure)
         curves, start = problem.curves(fewer.unknowns), problem.evaluate(fewer.unknowns).amplitude
-        amplitudes = solved_amplitudes(self.data, curves, start)
+        gram, right = normal_equations(self.data, curves)
+        amplitudes = solved_amplitudes(gram, right, start)
         allowed = np.isin(candidates.is_ring, self.wanted.kinds_to_add(fewer.structure.rings))
-        best = candidates.best(self.data, curves, amplitudes, allowed)
+        best = candidates.best(gram, candidates.mixed(self.data, curves), amplitudes, allowed)
         lobes = np.append(curves, candidates.curves[:, [best]], axis=1)
-        amplitudes = solved_amplitudes(self.data, lobes, amplitudes)
+        amplitudes = solved_amplitudes(*normal_equations(self.data, lobes), amplitudes)
         added = candidates.start(self.data, self.empty, [best], amplitudes[..., -1:])
         is_ring = np.array(fewer.structure.rings + added.structure.rings)
         joined = (np.concatenate(parts, axis=-1) for parts in zip(fewer.lobes(), added.lobes(), strict=True))
@@ -155,7 +159,7 @@ class _Task:
         """Drop the lobe without which the error is smallest after the amplitudes of the others are solved again."""
         k = mixture.structure.n_lobes
         curves = MixtureProblem(self.data, mixture.structure).curves(mixture.unknowns)
-        _, gram, right = normal_equations(self.data, curves)
+        gram, right = normal_equations(self.data, curves)
         ridge = 1e-6 * np.trace(gram, axis1=2, axis2=3)[..., None, None] / k + TINY
         inverse = np.linalg.inv(gram + ridge * np.eye(k))
         loss = (inverse @ right[..., None])[..., 0] ** 2 / np.diagonal(inverse, axis1=2, axis2=3)

@@ -116,7 +116,7 @@ class Structure:
         if self.n_rings:
             reach, offset = self._of_rings(limited)
             if offset.min() < 0.0:
-                np.maximum(offset, -MAX_OFFSET_LIMITS * self._cusp_limit(reach)[0], out=offset)
+                np.maximum(offset, -MAX_OFFSET_LIMITS * self._cusp_limit(reach), out=offset)
             np.maximum(reach, self._narrowest(offset), out=reach)
         return limited
 
@@ -125,7 +125,7 @@ class Structure:
         shape, k = self.split(unknowns)[1].copy(), self.n_lobes
         offset = shape[:, 2 * k :]
         if offset.min(initial=0.0) < 0.0:
-            limit, _ = self._cusp_limit(shape[:, 2 * k - self.n_rings : 2 * k])
+            limit = self._cusp_limit(shape[:, 2 * k - self.n_rings : 2 * k])
             offset[...] = np.maximum(offset, 0.0) + limit * np.expm1(np.minimum(offset, 0.0) / limit)
         shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
         return shape
@@ -145,7 +145,7 @@ class Structure:
         """Return the unknowns of control values, the inverse of `split` and `lobe_shapes`."""
         shape, k = lobe_shapes.copy(), self.n_lobes
         shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
-        limit, _ = self._cusp_limit(shape[:, 2 * k - self.n_rings : 2 * k])
+        limit = self._cusp_limit(shape[:, 2 * k - self.n_rings : 2 * k])
         center = shape[:, 2 * k :]
         negative = np.maximum(np.minimum(center, 0.0) / limit, np.expm1(-MAX_OFFSET_LIMITS))
         shape[:, 2 * k :] = np.maximum(center, 0.0) + limit * np.log1p(negative)
@@ -157,34 +157,34 @@ class Structure:
         Only the lower triangle of the matrix is used.
         """
         shape, k, part = self.split(unknowns)[1], self.n_lobes, self.parts[1]
-        size, kappa, ring = shape.shape[1], np.arange(k), np.arange(2 * k, shape.shape[1])
-        turn = np.zeros((len(shape), size, size))  # derivatives of control values in unknowns
-        turn[:, kappa, kappa] = turn[:, ring, ring] = 1.0
-        turn[:, kappa, k + kappa] = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))
-        turn[:, k + kappa, k + kappa] = -1.0
-        reach, offset = self._of_rings(unknowns)
-        if offset.min(initial=0.0) < 0.0:
-            limit, slope = self._cusp_limit(reach)
-            saturation = np.minimum(offset, 0.0) / limit
-            turn[:, ring, ring] = np.exp(saturation)
-            turn[:, ring - self.n_rings, ring] = slope * (np.expm1(saturation) - saturation * np.exp(saturation))
+        by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))[..., None]  # log gamma in log kappa
         rows = matrix[part, : part.stop].reshape(*shape.shape, -1)
         columns = matrix[part.start :, part].reshape(-1, *shape.shape).transpose(1, 2, 0)
+        reach, offset = self._of_rings(unknowns)
+        has_cusps = offset.min(initial=0.0) < 0.0
+        if has_cusps:
+            limit = self._cusp_limit(reach)
+            slope = FAMILIES[self.family].slope_of_width(np.exp(reach), np.tan(limit)) * (limit < MAX_CUSP_OFFSET)
+            saturation = np.minimum(offset, 0.0) / limit
+            by_offset = np.exp(saturation)[..., None]  # center in offset, then in log reach
+            by_reach = (slope * (np.expm1(saturation) - saturation * np.exp(saturation)))[..., None]
         for derivatives in (gradient[part].reshape(*shape.shape, 1), rows, columns):
-            derivatives[...] = turn @ derivatives
+            by_gamma = derivatives[:, k : 2 * k]
+            derivatives[:, :k] += by_kappa * by_gamma
+            np.negative(by_gamma, out=by_gamma)
+            if has_cusps:
+                by_center = derivatives[:, 2 * k :]
+                by_gamma[:, k - self.n_rings :] += by_reach * by_center
+                by_center *= by_offset
 
     def _of_rings(self, unknowns: Array) -> tuple[Array, Array]:
         """Return views (S, rings) on log reach and offset of the ring lobes."""
         shape, k = self.split(unknowns)[1], self.n_lobes
         return shape[:, 2 * k - self.n_rings : 2 * k], shape[:, 2 * k :]
 
-    def _cusp_limit(self, log_reach: Array) -> tuple[Array, Array]:
-        """Return the maximum distance of a center below 0 [rad], and its derivative in log reach."""
-        reach = np.exp(log_reach)
-        width = width_of_reach(reach, self.family)
-        slope = FAMILIES[self.family].slope_of_width(reach, np.tan(width))
-        narrow = width < MAX_CUSP_OFFSET
-        return np.where(narrow, width, MAX_CUSP_OFFSET), np.where(narrow, slope, 0.0)
+    def _cusp_limit(self, log_reach: Array) -> Array:
+        """Return the maximum distance of a center below 0 [rad]."""
+        return np.minimum(width_of_reach(np.exp(log_reach), self.family), MAX_CUSP_OFFSET)
 
     def _narrowest(self, offset: Array) -> Array:
         """Return the log reach of a lobe as narrow as the data's spacing at its center."""

@@ -52,7 +52,7 @@ def _hemi_epd_slope(kappa: Array) -> Array:
 
 
 def _hemi_epd_curve(square: Array, kappa: Array, gamma: Array, top: Array | None) -> tuple[Array, Slopes]:
-    per_log, plus_one = -0.5 * gamma, 1.0 + square
+    per_log = -0.5 * gamma
     fall, largest = per_log * np.log1p(square), kappa
     if top is not None:
         fall_to_top = per_log * np.log1p(top)
@@ -69,7 +69,7 @@ def _hemi_epd_curve(square: Array, kappa: Array, gamma: Array, top: Array | None
         per_value = largest * (scale + 1.0)
         by_log_kappa = value * -per_value
         by_log_kappa += by_fall
-        by_log_gamma, by_square = by_fall * fall, by_fall * (per_log / plus_one)
+        by_log_gamma, by_square = by_fall * fall, by_fall * (per_log / (1.0 + square))
         if top is None:
             return by_log_kappa, by_log_gamma, by_square, np.zeros(())
         by_log_gamma += by_log_kappa * fall_to_top
