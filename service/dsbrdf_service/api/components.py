@@ -3,7 +3,7 @@
 from typing import Annotated, Any
 
 from fastapi import APIRouter
-from pydantic import BaseModel, Field
+from pydantic import Field
 from pydantic_core import from_json, to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -15,23 +15,22 @@ from dsbrdf.components.ranges import ComponentRanges, RgbRange
 from ..http import openapi
 from ..http.responses import tagged_reply
 from .context import CHECKED_QUERY, TheContext, TheFit
-from .fields import Label, Range, Rgb, Share
+from .fields import Document, Label, Range, Rgb, Share
 
 
-class ComponentLobe(BaseModel):
+class ComponentLobe(Document):
     """Values of a component's layers at theta_half = 0, one entry in each list for each angle theta_diff."""
 
     theta_diff_deg: Annotated[list[float], Field(description="The angles.")]
     height: Annotated[list[Rgb], Field(description="Value at theta_half = 0 [1/sr].")]
 
 
-class SurfaceDocument(BaseModel):
+class SurfaceDocument(Document):
     """One rough surface of a component; a parameter that does not describe the component is null."""
 
     alpha: Annotated[float | None, Field(description="Roughness, as in the GGX and Beckmann distributions.")]
-    tail_exponent: Annotated[
-        float | None, Field(description="Exponent of the tails: 2 is GGX, a smaller number has longer tails.")
-    ]
+    tail_exponent: float | None
+    """Exponent of the tails: 2 is GGX, a smaller number has longer tails."""
     f0: Annotated[Rgb | None, Field(description="Reflectance of its facets at normal incidence.")]
     f70: Annotated[Rgb | None, Field(description="Reflectance of its facets at 70 degrees of incidence.")]
     alpha_range: Annotated[Range | None, Field(description="Interval that contains alpha with a probability of 90 %.")]
@@ -39,38 +38,36 @@ class SurfaceDocument(BaseModel):
     f70_range: Annotated[RgbRange | None, Field(description="Interval that contains F70 with a probability of 90 %.")]
 
 
-class ComponentDocument(BaseModel):
+class ComponentDocument(Document):
     """One component of a fit that reflects light; the values of all components add up to the values of the fit.
 
     The surfaces describe the component, the brightest first; a diffuse component has no surfaces.
     """
 
     label: Label
-    structure: Annotated[str, Field(description="The most probable structure of layers that has the component.")]
-    light_share: Annotated[
-        Share, Field(description="Fraction of the reflected light that belongs to the component, at normal incidence.")
-    ]
-    albedo: Annotated[Rgb, Field(description="Directional albedo at normal incidence.")]
-    color: Annotated[Rgb, Field(description="The albedo divided by its largest channel.")]
-    half_width_deg: Annotated[
-        float | None,
-        Field(description="theta_half at which the facets of its surfaces are half as frequent as at theta_half = 0."),
-    ]
-    layers: Annotated[
-        list[dict[str, Any]],
-        Field(description="Layers fitted to the values of the component, in the form of the export of layers."),
-    ]
-    surfaces: Annotated[list[SurfaceDocument], Field(description="Its rough surfaces, at most two.", max_length=2)]
+    structure: str
+    """The most probable structure of layers that has the component."""
+    light_share: Share
+    """Fraction of the reflected light that belongs to the component, at normal incidence."""
+    albedo: Rgb
+    """Directional albedo at normal incidence."""
+    color: Rgb
+    """The albedo divided by its largest channel."""
+    half_width_deg: float | None
+    """theta_half at which the facets of its surfaces are half as frequent as at theta_half = 0."""
+    layers: list[dict[str, Any]]
+    """Layers fitted to the values of the component, in the form of the export of layers."""
+    surfaces: Annotated[list[SurfaceDocument], Field(max_length=2)]
+    """Its rough surfaces, at most two."""
     misfit: Misfit
-    remarks: Annotated[
-        list[str],
-        Field(description="Sentences about parameters that are null, because they do not describe the component."),
-    ]
+    remarks: list[str]
+    """Sentences about parameters that are null, because they do not describe the component."""
     lobe: ComponentLobe
     ranges: ComponentRanges
+    """Intervals that contain light, albedo and colour with a probability of 90 %."""
 
 
-class ComponentList(BaseModel):
+class ComponentList(Document):
     """The components of a fit that reflect light, from narrow to wide."""
 
     items: list[ComponentDocument]

@@ -54,7 +54,13 @@ PLAIN = BeforeValidator(_check_plain)
 """Validator that refuses texts such as 1_000 as numbers in a query; an annotation lists it after the limits."""
 
 
-class Input(BaseModel):
+class Document(BaseModel):
+    """A document of the service; a text below a member describes it."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+
+class Input(Document):
     """A document that clients send; an unknown member is an error."""
 
     model_config = ConfigDict(extra="forbid")

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from pydantic import BaseModel, Field
+from pydantic import Field
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
@@ -33,6 +33,7 @@ from .fields import (
     FIT_ID,
     PLAIN,
     SHA256,
+    Document,
     Input,
     Name,
     Options,
@@ -59,7 +60,7 @@ class NewName(Input):
     name: Annotated[str | None, Field(max_length=MAX_LENGTH, description="null takes the name away.")]
 
 
-class FitSummary(BaseModel):
+class FitSummary(Document):
     """A fit without its model."""
 
     id: Annotated[str, Field(pattern=FIT_ID)]
@@ -69,66 +70,55 @@ class FitSummary(BaseModel):
     measurement: Annotated[str, Field(pattern=SHA256)]
     options: Options
     metrics: Metrics | None
-    error: Annotated[Fault | None, Field(description="The same request runs again unless `origin` is `input`.")]
+    error: Fault | None
+    """The same request runs again unless `origin` is `input`."""
     created: datetime
     started: datetime | None
     finished: datetime | None
-    algorithm: Annotated[str, Field(description="Version of the fit algorithm.")]
-    library: Annotated[str, Field(description="Version of the library that accepted the fit.")]
+    algorithm: str
+    """Version of the fit algorithm."""
+    library: str
+    """Version of the library that accepted the fit."""
 
-    likeness: Annotated[
-        str | None, Field(description="How alike lit spheres of measurement and fit look, in words and dB.")
-    ]
+    likeness: str | None
+    """How alike lit spheres of measurement and fit look, in words and dB."""
 
 
 class FitDocument(FitSummary):
     """A fit: its state, and once it has succeeded its metrics, warnings, components and model."""
 
-    warnings: Annotated[list[str], Field(description="What to know before the fit is used, one sentence each.")]
-    measure_next: Annotated[
-        list[SuggestedPair],
-        Field(description="Directions at which further samples would help most, the best first; empty on a grid."),
-    ]
-    components: Annotated[
-        list[ComponentDocument] | None, Field(description="Those that have light, from narrow to wide.")
-    ]
-    diffuse_range: Annotated[
-        Range | None, Field(description="Where the diffuse fraction of all light lies with a probability of 90 %.")
-    ]
-    structures: Annotated[
-        list[dict[str, Any]] | None,
-        Field(description="The structures of layers that explain the model, each with its probability as `weight`."),
-    ]
-    model: Annotated[
-        dict[str, Any] | None,
-        Field(
-            description="The model's own parameters as its file has them, which `export?format=json` gives: knots in "
-            "radians, and control values, which are no values at angles; for those take `components`, or `/brdf`."
-        ),
-    ]
-    report: Annotated[
-        dict[str, Any] | None,
-        Field(description="How the fit went and how good it is: the fields of `dsbrdf.FitReport`."),
-    ]
-    format: Annotated[
-        Literal["dsbrdf"] | None,
-        Field(description="What the document is as a file: `dsbrdf.load` reads that of a fit that succeeded."),
-    ]
-    version: Annotated[int | None, Field(description="Version of the format.")]
+    warnings: list[str]
+    """What to know before the fit is used, one sentence each."""
+    measure_next: list[SuggestedPair]
+    """Directions at which further samples would help most, the best first; empty on a grid."""
+    components: list[ComponentDocument] | None
+    """Those that have light, from narrow to wide."""
+    diffuse_range: Range | None
+    """Where the diffuse fraction of all light lies with a probability of 90 %."""
+    structures: list[dict[str, Any]] | None
+    """The structures of layers that explain the model, each with its probability as `weight`."""
+    model: dict[str, Any] | None
+    """The model's own parameters as its file has them, which `export?format=json` gives: knots in radians, and
+    control values, which are no values at angles; for those take `components`, or `/brdf`.
+    """
+    report: dict[str, Any] | None
+    """How the fit went and how good it is: the fields of `dsbrdf.FitReport`."""
+    format: Literal["dsbrdf"] | None
+    """What the document is as a file: `dsbrdf.load` reads that of a fit that succeeded."""
+    version: int | None
+    """Version of the format."""
 
 
 RESULT_MEMBERS = tuple(FitDocument.model_fields)[len(FitSummary.model_fields) :]
 """Members that the process of a fit writes into the stored document."""
 
 
-class RemovedFit(BaseModel):
+class RemovedFit(Document):
     """The outcome of a DELETE."""
 
     id: Annotated[str, Field(pattern=FIT_ID)]
-    status: Annotated[
-        Literal["cancelled", "deleted"],
-        Field(description="`cancelled`: it was unfinished and stays in the list. `deleted`: it had ended and is gone."),
-    ]
+    status: Literal["cancelled", "deleted"]
+    """`cancelled`: it was unfinished and stays in the list. `deleted`: it had ended and is gone."""
 
 
 class FitPage(Page):
@@ -138,7 +128,7 @@ class FitPage(Page):
     measurement: Annotated[str | None, Field(pattern=SHA256, description="Only fits of this measurement.")] = None
 
 
-class FitList(BaseModel):
+class FitList(Document):
     """A page of fits, newest first."""
 
     items: list[FitSummary]

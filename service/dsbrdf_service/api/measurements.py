@@ -5,7 +5,7 @@ from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
-from pydantic import BaseModel, Field
+from pydantic import Field
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
@@ -21,19 +21,18 @@ from ..storage.database import in_write_thread
 from ..storage.schema import Caller
 from ..storage.writing import in_thread
 from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions
-from .fields import SHA256, Name, Page, members_of, next_page
+from .fields import SHA256, Document, Name, Page, members_of, next_page
 from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
 
 
-class MeasurementDocument(BaseModel):
+class MeasurementDocument(Document):
     """A stored measurement."""
 
     sha256: Annotated[str, Field(pattern=SHA256, description="Its identity: the sha256 of the file's bytes.")]
     name: Name
     size: Annotated[int, Field(description="Length of the file [bytes].")]
-    valid_nodes: Annotated[
-        int, Field(description="Grid nodes with a value in all channels, above the horizon; 0 for samples.")
-    ]
+    valid_nodes: int
+    """Grid nodes with a value in all channels, above the horizon; 0 for samples."""
     created: datetime
 
 
@@ -43,7 +42,7 @@ class MeasurementDetails(MeasurementDocument):
     fits: Annotated[list[str], Field(description="Ids of its fits, newest first, at most 200 of them.")]
 
 
-class MeasurementList(BaseModel):
+class MeasurementList(Document):
     """A page of measurements, newest first."""
 
     items: list[MeasurementDocument]

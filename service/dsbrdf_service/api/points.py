@@ -46,9 +46,8 @@ class AnglesRequest(Input):
 
     theta_half_deg: Annotated[_Angles, Field(examples=[[10]])]
     theta_diff_deg: Annotated[_Angles, Field(examples=[[30]])]
-    phi_diff_deg: Annotated[
-        _Turns, Field(description="90 where it is left out: both directions at one angle to the normal.")
-    ] = _MIRROR_PHI_DIFF_DEG
+    phi_diff_deg: _Turns = _MIRROR_PHI_DIFF_DEG
+    """90 where it is left out: both directions at one angle to the normal."""
 
 
 class SidesRequest(Input):
@@ -57,9 +56,8 @@ class SidesRequest(Input):
     theta_in_deg: _Angles
     theta_out_deg: _Angles
     phi_in_deg: _Turns = [0.0]
-    phi_out_deg: Annotated[_Turns, Field(description="180, the side of the mirror direction, where left out.")] = [
-        180.0
-    ]
+    phi_out_deg: _Turns = [180.0]
+    """180, the side of the mirror direction, where left out."""
 
 
 class DirectionsRequest(Input):
