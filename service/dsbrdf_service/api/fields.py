@@ -100,7 +100,7 @@ Options = Annotated[dict[str, Any], WithJsonSchema(OPTIONS_SCHEMA)]
 _Document = TypeVar("_Document", bound=BaseModel)
 
 
-def parse_document(kind: type[_Document], body: bytes) -> _Document:
+def parse(kind: type[_Document], body: bytes) -> _Document:
     """Parse a JSON body as a document of a `kind`.
 
     Raises InvalidArgumentError if the body is not a document of this kind.
@@ -130,11 +130,11 @@ class Page(Input):
     name: Annotated[str | None, Field(description="Only what has this name.")] = None
 
 
-def members_of(document: type[BaseModel], row: FitRow | MeasurementRow) -> dict[str, Any]:
+def members(document: type[BaseModel], row: FitRow | MeasurementRow) -> dict[str, Any]:
     """Return the members of a document that a row has, with times as datetimes instead of seconds since 1970."""
-    members = {name: getattr(row, name) for name in document.model_fields if hasattr(row, name)}
-    times = ((name, members.get(name)) for name in ("created", "started", "finished"))
-    return members | {name: datetime.fromtimestamp(at, UTC) for name, at in times if at is not None}
+    known = {name: getattr(row, name) for name in document.model_fields if hasattr(row, name)}
+    times = ((name, known.get(name)) for name in ("created", "started", "finished"))
+    return known | {name: datetime.fromtimestamp(at, UTC) for name, at in times if at is not None}
 
 
 def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:

@@ -29,21 +29,7 @@ from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
 from .components import ComponentDocument
 from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheRow, TheTableOptions
-from .fields import (
-    FIT_ID,
-    PLAIN,
-    SHA256,
-    Document,
-    Input,
-    Name,
-    Options,
-    Page,
-    Range,
-    Share,
-    members_of,
-    next_page,
-    parse_document,
-)
+from .fields import FIT_ID, PLAIN, SHA256, Document, Input, Name, Options, Page, Range, Share, members, next_page, parse
 from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLE_PARAMETERS, TABLES, receive_upload
 
 
@@ -79,7 +65,6 @@ class FitSummary(Document):
     """Version of the fit algorithm."""
     library: str
     """Version of the library that accepted the fit."""
-
     likeness: str | None
     """How alike lit spheres of measurement and fit look, in words and dB."""
 
@@ -154,8 +139,6 @@ _Only = Annotated[
 _PREFER = openapi.header_parameter(
     "Prefer", "`wait=N`: wait at most N seconds for the fit. `respond-async`: do not wait."
 )
-
-
 _SUBMISSION_BODY = openapi.body(
     "A MERL file, an RGL .bsdf file, a table of scattered samples, or a reference to a stored measurement.",
     CONTENT | {JSON: {"schema": openapi.reference(FitRequest)}},
@@ -208,7 +191,7 @@ async def _requested(request: Request, context: Context) -> FitRequest:
     async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
         if body[:1].strip() not in (b"", b"{", b"[", b'"'):
             raise InvalidArgumentError(_FILE_AS_JSON)
-        return parse_document(FitRequest, body)
+        return parse(FitRequest, body)
 
 
 @router.get("", response_model=FitList, responses={200: openapi.headers("Link"), **openapi.problems()})
@@ -242,7 +225,7 @@ async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Resp
     """Rename a fit, or remove its name; nothing else can be changed."""
     media_type_of(request, JSON)
     async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
-        given = parse_document(NewName, body)
+        given = parse(NewName, body)
     name = None if given.name is None else check_name(given.name)
     row = await in_write_thread(context.store.rename_fit, fit, name)
     return Response(await _document(context, row), media_type=JSON)
@@ -303,7 +286,7 @@ def _summary(context: Context, row: FitRow) -> bytes:
     """Return the `FitSummary` of a row as JSON."""
     psnr = (row.metrics or {}).get("psnr")
     more = {"progress": context.queue.progress(row), "likeness": None if psnr is None else likeness(psnr)}
-    return to_json(members_of(FitSummary, row) | more)
+    return to_json(members(FitSummary, row) | more)
 
 
 async def _document(context: Context, row: FitRow) -> bytes:

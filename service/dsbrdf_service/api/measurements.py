@@ -21,7 +21,7 @@ from ..storage.database import in_write_thread
 from ..storage.schema import Caller
 from ..storage.writing import in_thread
 from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions
-from .fields import SHA256, Document, Name, Page, members_of, next_page
+from .fields import SHA256, Document, Name, Page, members, next_page
 from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
 
 
@@ -85,7 +85,7 @@ async def upload_measurement(
     media_type_of(request, *UPLOADED)
     row, new = await receive_upload(request, context, caller, given_name(request), options)
     headers = {"Location": f"{prefix_of(request)}/v1/measurements/{row.sha256}"}
-    return Response(to_json(members_of(MeasurementDocument, row)), 201 if new else 200, headers, JSON)
+    return Response(to_json(members(MeasurementDocument, row)), 201 if new else 200, headers, JSON)
 
 
 @router.get("", response_model=MeasurementList, responses={200: openapi.headers("Link"), **openapi.problems()})
@@ -94,7 +94,7 @@ async def list_measurements(
 ) -> Response:
     """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
     rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, page.cursor, page.name)
-    items = [members_of(MeasurementDocument, row) for row in rows[: page.limit]]
+    items = [members(MeasurementDocument, row) for row in rows[: page.limit]]
     return Response(to_json({"items": items}), 200, next_page(request, page, rows), JSON)
 
 
@@ -108,7 +108,7 @@ async def get_measurement(request: Request, context: TheContext, caller: TheCall
         return await _content(request, context, caller, sha256)
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MAX_LISTED_FITS)
-    return tagged_reply(request, to_json(members_of(MeasurementDocument, row) | {"fits": fits}), headers=_VARY)
+    return tagged_reply(request, to_json(members(MeasurementDocument, row) | {"fits": fits}), headers=_VARY)
 
 
 @router.get(

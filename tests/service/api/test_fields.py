@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from dsbrdf import InvalidArgumentError
-from dsbrdf_service.api.fields import parse_document
+from dsbrdf_service.api.fields import parse
 from dsbrdf_service.api.fits import NewName
 from dsbrdf_service.api.points import from_json
 
@@ -29,8 +29,8 @@ from dsbrdf_service.api.points import from_json
             b'{"omega_in": [[0, 1]], "omega_out": []}',
             "omega_in.0 must have at least 3 items, not 2.",
         ),
-        (partial(parse_document, NewName), b'{"nam": "x"}', "Unknown 'nam'; known are name."),
-        (partial(parse_document, NewName), b'{"name": 5}', "name must be a text, not 5."),
+        (partial(parse, NewName), b'{"nam": "x"}', "Unknown 'nam'; known are name."),
+        (partial(parse, NewName), b'{"name": 5}', "name must be a text, not 5."),
     ],
 )
 def test_fault_of_a_document_is_said_in_plain_words(read: Any, body: bytes, said: str) -> None:
