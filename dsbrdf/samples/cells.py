@@ -78,7 +78,7 @@ class TextTable:
     def varies(self, column: int) -> bool:
         """Return whether a column has numbers that differ; a column of words does not vary."""
         try:
-            return bool(np.ptp(np.nan_to_num(self.numbers(column))) > 0.0)
+            return len(np.unique(self.numbers(column))) > 1
         except MeasurementFormatError:
             return False
 

@@ -27,9 +27,7 @@ from dsbrdf.samples.names import (
     VALUE_UNITS,
     VECTORS,
     WAVELENGTH_UNITS,
-    is_density,
     is_factor,
-    is_solar,
     wavelength_of,
 )
 from dsbrdf.samples.spectra import linear_srgb, of_rows
@@ -224,12 +222,10 @@ def _about_unread(table: TextTable, read: Collection[str]) -> Iterator[str]:
 
 def _about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:
     written, light = found.columns[found.values[0]].written, found.columns.get("theta_in")
-    is_outdoors = light is not None and is_solar(light.written) and not is_density(written)
-    if options.scale == 1.0 and (is_outdoors or is_factor(written)):
-        reason = "is beside an angle of the sun, as" if is_outdoors else "has the name of"
+    if options.scale == 1.0 and is_factor(written, light.written if light else ""):
         yield (
-            f"The column {written!r} {reason} reflectance factors, which are pi times the values of a BRDF in 1/sr: if "
-            "they are, set scale to 0.3183, or to 0.003183 for per cent."
+            f"The names suggest that the column {written!r} has reflectance factors, which are pi times the values of "
+            "a BRDF in 1/sr: if they are, set scale to 0.3183, or to 0.003183 for per cent."
         )
     if found.values == CHANNELS:
         return

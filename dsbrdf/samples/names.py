@@ -87,8 +87,8 @@ _BAND = re.compile(
     "([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?"
 )
 _FACTOR = re.compile(rf"(?:{'|'.join(_FACTORS)})(?:_?[0-9].*|_[a-z]+)?|beta_?[0-9].*")
-_MIN_BAND_NM = 200.0
-_MAX_BAND_NM = 3000.0
+MIN_BAND_NM = 200.0
+MAX_BAND_NM = 3000.0
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _CONSTANT = re.compile(rf"(.*?[^\s:=,;])[\s:=,;]+({_NUMBER}(?:[\s,;]+{_NUMBER})?)[\s,;]*([A-Za-zμ°]*)")
 # A line can give these quantities to all rows below it.
@@ -167,19 +167,11 @@ def _parts(word: str) -> tuple[str, ...]:
     return found.groups() if found else (word,)
 
 
-def is_factor(cell: str) -> bool:
-    """Return whether a cell names reflectance factors, which are pi times the BRDF."""
-    return _FACTOR.fullmatch(name_and_unit(cell)[0]) is not None
-
-
-def is_density(cell: str) -> bool:
-    """Return whether a cell names values of a BRDF, perhaps at a wavelength or in a channel."""
-    return name_and_unit(cell)[0].startswith((*_DENSITIES, "rrs"))
-
-
-def is_solar(cell: str) -> bool:
-    """Return whether a cell names an angle of the sun."""
-    return re.match("s(?:un|ol|za)", name_and_unit(cell)[0]) is not None
+def is_factor(cell: str, light: str) -> bool:
+    """Return whether values with a name are reflectance factors, by this name or by the name of the light's angle."""
+    name, is_solar = name_and_unit(cell)[0], re.match("s(?:un|ol|za)", name_and_unit(light)[0])
+    is_density = name.startswith((*_DENSITIES, "rrs"))
+    return _FACTOR.fullmatch(name) is not None or (is_solar is not None and not is_density)
 
 
 def matrix_names(cell: str) -> tuple[str, ...]:
@@ -207,7 +199,7 @@ def wavelength_of(cell: str) -> float | None:
     """Return the wavelength [nm] in the name of a column, such as "450 nm", "0.45um" or "brdf_450nm", or None."""
     found = _BAND.fullmatch(name_and_unit(cell)[0])
     number = 0.0 if found is None else float(found[1].replace("_", ".")) * WAVELENGTH_UNITS[found[2] or "nm"]
-    return number if _MIN_BAND_NM <= number <= _MAX_BAND_NM else None
+    return number if MIN_BAND_NM <= number <= MAX_BAND_NM else None
 
 
 def constants_in(line: str) -> dict[str, float]:

@@ -16,8 +16,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable, check_size, decoded
 from dsbrdf.samples.names import VECTORS
-from dsbrdf.samples.text_table import rows_of
-from dsbrdf.samples.unnamed import unnamed_table
+from dsbrdf.samples.text_table import rows_of, unnamed_table
 
 _HEAD_BYTES = 1 << 16  # The head of a Zemax or LightTools file ends before this.
 _ZEMAX_LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
@@ -80,7 +79,11 @@ def _lighttools_table(text: str) -> TextTable:
         state |= dict(line.split()[:2] for line in words.splitlines())
         if "TristimulusValue" in state:
             raise MeasurementFormatError("The file of LightTools has tristimulus values; only Monochrome is read.")
-        values = np.array(numbers.split(), dtype=np.float64)
+        try:
+            values = np.array(numbers.split(), dtype=np.float64)
+            incidence, wavelength = float(state["AOI"]), float(state["Wavelength"])
+        except ValueError:
+            raise MeasurementFormatError("The file of LightTools is cut off or damaged.") from None
         if values.size == 0 or (state["ScatterType"], state["Side"]) != ("BRDF", "Front"):
             continue
         if values.size != phi.size * theta.size:
@@ -89,7 +92,7 @@ def _lighttools_table(text: str) -> TextTable:
                 f"{phi.size * theta.size}."
             )
         values = values.reshape(phi.size, theta.size)
-        blocks.append(_block(theta, phi, values, float(state["AOI"]), 90.0, float(state["Wavelength"])))
+        blocks.append(_block(theta, phi, values, incidence, 90.0, wavelength))
     if not blocks:
         raise MeasurementFormatError("The file of LightTools has no BRDF of the front side.")
     return _table_of_blocks(blocks)
@@ -155,7 +158,7 @@ def _block(*columns: ArrayLike) -> Array:
 def _table_of_blocks(blocks: Sequence[Array]) -> TextTable:
     """Join blocks into a table, without the wavelength if all blocks have the same one."""
     columns = np.concatenate(blocks, axis=1)
-    is_spectral = np.ptp(columns[5]) > 0.0
+    is_spectral = len(np.unique(columns[5])) > 1
     return TextTable.of_numbers(_NAMES[: 5 + is_spectral], columns[: 5 + is_spectral])
 
 

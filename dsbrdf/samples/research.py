@@ -18,12 +18,12 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
-from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS
+from dsbrdf.samples.names import HALF_DIFFERENCE, MAX_BAND_NM, MIN_BAND_NM, VECTORS
 
 _ASTM_NAMES = re.compile(rb"(?m)^VARS[ \t]+(.*)$")
 _NOT_NUMBERS = re.compile(rb"[^-+0-9.eE\s]")
 _RAMI = re.compile(rb"\s*([1-9][0-9]{0,6})[ \t]+5[ \t]+[-+.0-9eE]+[ \t]*\r?\n")
-_KERNELS = re.compile(rb"BRDF[ \t]+([1-9][0-9]{0,6})[ \t]+([0-9]+(?:[ \t]+[0-9.]+)+)[ \t]*\r?\n")
+_KERNELS = re.compile(rb"BRDF[ \t]+([1-9][0-9]{0,6})[ \t]+[0-9]+((?:[ \t]+[0-9.]+)+)[ \t]*\r?\n")
 _JSON_START_BYTES = 100
 _SPHERICAL = ("theta_in", "phi_in", "theta_out", "phi_out")
 # Parametrisations of ALTA: L is the light, V the viewer, T theta, P phi; H and D are the half and difference angles.
@@ -56,30 +56,23 @@ def cornell_spectra_table(data: bytes) -> TextTable | None:
 
     The file has a count of wavelengths, the wavelengths, and rows of four angles and a spectrum.
     """
-    if not _begins_with_wavelengths(_without_comments(data[:4096])):
+    start, first = _without_comments(data[:4096]), _without_comments(data[:4096]).split()[:-1]  # The last may be cut.
+    count = int(first[0][:4]) if first and first[0].isdigit() else 0
+    if _NOT_NUMBERS.search(start) or not 2 <= count < len(first):
         return None
     try:
-        numbers = np.array(_without_comments(data).split(), dtype=np.float64)
-        count = int(numbers[0])
-        rows = numbers[1 + count :].reshape(-1, 4 + count)
+        bands = np.array(first[1 : 1 + count], dtype=np.float64)
+        if bands.min() <= MIN_BAND_NM or bands.max() >= MAX_BAND_NM or np.diff(bands).min() <= 0.0:
+            return None
+        rows = np.array(_without_comments(data).split()[1 + count :], dtype=np.float64).reshape(-1, 4 + count)
     except ValueError:
         raise MeasurementFormatError(
             "The file begins as a spectral text of Cornell: after a count of wavelengths and the wavelengths, each "
             "sample has theta_in, phi_in, theta_out, phi_out and a value for each wavelength."
         ) from None
-    names = [f"{name} [rad]" for name in _SPHERICAL] + [f"{wavelength:g} nm" for wavelength in numbers[1 : 1 + count]]
-    return TextTable.of_numbers(names, rows.T)
-
-
-def _begins_with_wavelengths(text: bytes) -> bool:
-    first = text.split()[:-1]  # The last word may be cut off.
-    if _NOT_NUMBERS.search(text) or len(first) < 3 or not first[0].isdigit() or not 2 <= int(first[0]) < 1000:
-        return False
-    try:
-        wavelengths = np.array(first[1 : 1 + int(first[0])], dtype=np.float64)
-    except ValueError:
-        return False
-    return bool(np.all((wavelengths > 200.0) & (wavelengths < 3000.0)) and np.all(np.diff(wavelengths) > 0.0))
+    return TextTable.of_numbers(
+        [*(f"{name} [rad]" for name in _SPHERICAL), *(f"{band:g} nm" for band in bands)], rows.T
+    )
 
 
 def _without_comments(data: bytes) -> bytes:
@@ -116,13 +109,9 @@ def rami_table(data: bytes) -> TextTable | None:
 
     The first line has the numbers of rows and columns, and a fraction of rays.
     """
-    found = _RAMI.match(data)
-    try:
-        rows = np.array(data[found.end() :].split(), dtype=np.float64).reshape(int(found[1]), 5) if found else None
-    except ValueError:
-        return None
+    rows = _rows_behind(_RAMI.match(data), data)
     names = ("SZA [rad]", "VZA [rad]", "phi_out [rad]", "BRF")
-    return None if rows is None else TextTable.of_numbers(names, rows.T[:4])
+    return TextTable.of_numbers(names, rows.T[:4]) if rows.shape[1] == len(names) + 1 else None
 
 
 def kernels_table(data: bytes) -> TextTable | None:
@@ -132,16 +121,21 @@ def kernels_table(data: bytes) -> TextTable | None:
     mark of validity, VZA, VAA, SZA, SAA and a value at each band.
     """
     found = _KERNELS.match(data)
-    try:
-        rows = np.array(data[found.end() :].split(), dtype=np.float64).reshape(int(found[1]), -1) if found else None
-    except ValueError:
+    rows, bands = _rows_behind(found, data), found[2].split() if found else []
+    if rows.shape[1] - len(bands) not in (5, 6):
         return None
-    if found is None or rows is None or rows.shape[1] - len(found[2].split()) not in (4, 5):
-        return None
-    _, *bands = found[2].split()
     rows = rows[:, -len(bands) - 5 :]
     names = ("VZA", "VAA", "SZA", "SAA", *(f"{float(band):g} nm" for band in bands))
     return TextTable.of_numbers(names, rows[rows[:, 0] > 0.0, 1:].T)
+
+
+def _rows_behind(found: re.Match[bytes] | None, data: bytes) -> Array:
+    """Return the rows of numbers behind a first line, whose first group counts them; no columns for another text."""
+    try:
+        numbers = np.array(data[found.end() :].split() if found else [], dtype=np.float64)
+        return numbers.reshape(int(found[1]) if found else 0, -1)
+    except ValueError:
+        return np.zeros((0, 0))
 
 
 def json_table(data: bytes) -> TextTable | None:

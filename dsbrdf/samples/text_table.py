@@ -3,10 +3,11 @@
 Cells are separated by commas, semicolons, tabs, bars or blanks; if the separator is not the comma, numbers may have a
 decimal comma. Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments; the line that names the columns may be
 a comment, and other lines may precede it. A line below the names without any number gives the units. A line with a name
-and a number, such as ``#intheta 30``, applies to the rows after it. See `dsbrdf.samples.unnamed` for unnamed columns.
+and a number, such as ``#intheta 30``, applies to the rows after it.
 """
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from itertools import islice
 
@@ -25,8 +26,10 @@ from dsbrdf.samples.cells import (
     wrong_count,
 )
 from dsbrdf.samples.names import constants_in, count_names, meaning_of, name_and_unit, wavelength_of
-from dsbrdf.samples.unnamed import NumberedLines, unnamed_table
 
+NumberedLines = Sequence[tuple[int, str]]
+"""Lines of a text, each with its number from 1."""
+_N_TRIED_LINES = 50  # The separator of a table without names is chosen by this number of lines.
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
 _BEGINS_NUMBER = tuple("+-.0123456789")
 _NUMBERS = re.compile(r"[-+.,;\s\deE]*")
@@ -85,7 +88,7 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
     at = [number for number, _ in lines[first:]]
     found = list(split_cells((line for _, line in lines[first:]), separator))
     n_rows = len(found)
-    while n_rows and not _fits(found[n_rows - 1], len(names)) and _has_words(found[n_rows - 1], separator):
+    while n_rows and not _fits(found[n_rows - 1], len(names)) and not _numbers(found[n_rows - 1], separator):
         n_rows -= 1
     for number, cells in zip(at, found[:n_rows], strict=False):
         if not _fits(cells, len(names)):
@@ -177,10 +180,6 @@ def _listed_names(lines: Sequence[str]) -> tuple[int, tuple[str, ...]] | None:
     return None
 
 
-def _has_words(cells: Sequence[str], separator: str) -> bool:
-    return any(as_number(cell, separator) is None for cell in cells)
-
-
 def _candidates(words: str) -> Iterator[tuple[str, ...]]:
     """Yield the names in a line for each separator, also without a label such as "format:" before the names."""
     label, _, rest = words.partition(":")
@@ -234,3 +233,62 @@ def _fits(cells: Sequence[str], n_names: int) -> bool:
 
 def _cells(line: str, separator: str) -> list[str]:
     return next(split_cells([line], separator), [])
+
+
+def unnamed_table(numbered: NumberedLines) -> TextTable:
+    """Return the table in numbered lines without names; lines before the first number are a title.
+
+    Columns are named 1 to n, by their positions. A line of fewer numbers begins a block: its numbers apply to the rows
+    of the block, as columns n + 1 and so on. Raises MeasurementFormatError for words between lines of numbers.
+    """
+    count, separator, first = _layout(numbered)
+    lines = numbered[first:]
+    check_size(len(lines), count)
+    found = list(split_cells((line for _, line in lines), separator))
+    while found and not (_numbers(found[-1], separator) or _numbers(lines[len(found) - 1][1].split(), separator)):
+        found.pop()
+    width = Counter(map(len, found)).most_common(1)[0][0] if found else 0
+    if not found or count < 2:
+        begins = f"begins with {numbered[0][1][:80]!r}" if numbered else "is empty"
+        words = " in words that are understood" if numbered else ""
+        raise MeasurementFormatError(
+            f"The table {begins} and has no line that names its columns{words}; it needs one such as theta_in, phi_in, "
+            "theta_out, phi_out, red, green, blue."
+        )
+    rows, at, blocks, block = list[list[str]](), list[int](), list[list[float]](), list[float]()
+    for (number, line), cells in zip(lines, found, strict=False):
+        if len(cells) > width:
+            raise wrong_count(number, len(cells), separator, width)
+        if len(cells) == width:
+            rows.append(cells)
+            at.append(number)
+            blocks.append(block)
+            continue
+        block = _numbers(cells, separator) or _numbers(line.split(), separator)
+        if not block:
+            raise MeasurementFormatError(
+                f"Line {number} of the table has {line[:40]!r} between lines of numbers alone."
+            )
+    size = max(map(len, blocks))
+    columns = np.array([[*block, *[np.nan] * (size - len(block))] for block in blocks]).T
+    names = tuple(str(place) for place in range(1, width + size + 1))
+    return TextTable(names, rows, at, separator, tuple(columns) if size else (), about_foot(lines[len(found) :]))
+
+
+def _layout(numbered: NumberedLines) -> tuple[int, str, int]:
+    """Return the largest number of cells of a line of numbers, their separator, and the index of the first line."""
+    best = (0, " ", 0)
+    for separator in SEPARATORS:
+        cells = list(split_cells((line for _, line in numbered[:_N_TRIED_LINES]), separator))
+        lines = zip(cells, numbered, strict=False)
+        widest = max((len(row) for row in cells if _numbers(row, separator)), default=0)
+        if widest > best[0]:
+            begins = (bool(_numbers(row, separator) or _numbers(line.split(), separator)) for row, (_, line) in lines)
+            best = (widest, separator, list(begins).index(True))
+    return best
+
+
+def _numbers(cells: Sequence[str], separator: str) -> list[float]:
+    """Return the numbers in cells; an empty list if a cell has words."""
+    numbers = [number for cell in cells if (number := as_number(cell, separator)) is not None]
+    return numbers if len(numbers) == len(cells) else []

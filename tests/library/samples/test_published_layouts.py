@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf.samples.reading import read_samples
+from dsbrdf import MeasurementFormatError
+from dsbrdf.samples.reading import parse_samples, read_samples
 from tests.library.samples.test_layouts import truth
 
 FOLDER = Path(__file__).parent / "published"
@@ -41,6 +42,25 @@ SOURCES = {
     "transposed.csv": "a spreadsheet whose columns stand in lines, as J&C's RT-300S writes A, I, R",
     "viewing_by_wavelength.csv": "NIST STARR, wavelengths down and viewing angles across",
 }
+
+
+REFUSED = {
+    "The column 'camera azimuth' is not understood, and may be an azimuth, which the table lacks": (
+        "theta_in,camera azimuth,theta_out,brdf\n10,20,30,1\n10,40,30,1\n"
+    ),
+    "In 2 of 2 rows the phase angle is not between the difference and the sum of theta_in and theta_out": (
+        "incidence phase emission value\n10 70 20 1\n30 5 60 1\n"
+    ),
+    "The JSON has no lists of numbers by name, such as theta_in": '{"data": {"theta_i": [], "brdf": "dark"}}',
+    "is a label of the Planetary Data System, which describes another file": "PDS_VERSION_ID = PDS3\n",
+    "The file of LightTools is cut off or damaged": "ScatterAzimuth 1\n0\nScatterRadial 1\n0\nDataBegin\nAOI 0\n1e\n",
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_other_files_are_refused_with_the_reason(words: str) -> None:
+    with pytest.raises(MeasurementFormatError, match=words):
+        parse_samples(REFUSED[words].encode())
 
 
 @pytest.mark.parametrize("name", SOURCES)

@@ -263,19 +263,6 @@ WRONG = [
         "green, blue; not understood are 'alpha', 'beta', 'gamma', 'delta'. Directions are theta_in, phi_in, "
         "theta_out, phi_out in degrees (without phi: in one plane), or",
     ),
-    (
-        table(("theta_in", "camera azimuth", "theta_out", "x", *CHANNELS)),
-        "The column 'camera azimuth' is not understood, and may be an azimuth, which the table lacks otherwise: name",
-    ),
-    (
-        table(("incidence", "phase", "emission", "x", *CHANNELS)),
-        "rows the phase angle is not between the difference and the sum of theta_in and theta_out",
-    ),
-    (
-        b'{"data": {"theta_i": [], "brdf": "dark"}}',
-        "The JSON has no lists of numbers by name, such as theta_in, phi_in",
-    ),
-    (b"PDS_VERSION_ID = PDS3\n", "is a label of the Planetary Data System, which describes another file"),
     (NO_Z, "The table lacks columns for the directions: omega_out_z. It has omega_in_x, "),
     (table((*DIRECTION, "red", "green", "violet")), "The table lacks columns for the values: blue. It has theta_in"),
     (
