@@ -1,11 +1,11 @@
-"""Check a MERL ``.binary`` file piece by piece, while it arrives.
+"""Check a MERL ``.binary`` file: its header before its length, and its length before its values.
 
-The header is checked before the length, and the length before the values, so that the error message of a file does not
-depend on the sizes of the pieces. `dsbrdf.data.merl` describes the format.
+`dsbrdf.data.merl` describes the format.
 """
 
 import hashlib
 import struct
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from dsbrdf.errors import MeasurementFormatError
 HEADER = struct.pack("<3i", *GRID_SHAPE)
 HEADER_SIZE = len(HEADER)
 NODES = 90 * 90 * 180
+N_ROWS, *_ROW_SHAPE = GRID_SHAPE
+ROW_NODES = NODES // N_ROWS
 FILE_SIZE = HEADER_SIZE + 3 * NODES * 8
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
 SCALE.flags.writeable = False
@@ -27,7 +29,6 @@ MIN_NONZERO_FRACTION = 0.001  # A file with a smaller fraction of nonzero nodes 
 
 _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 SHAPE = (len(CHANNELS), *GRID_SHAPE)
-_PIECE_BYTES = 1 << 20
 _AXES = ("theta_half", "theta_diff", "phi_diff")
 _MAX_LIKELY_SIZE = 100_000  # Larger numbers are not the dimensions of a grid: the file is of another kind.
 _NOT_FINITE = "NaN or infinite; every value must be finite."
@@ -86,112 +87,81 @@ def check_length(n_bytes: int) -> None:
     raise MeasurementFormatError(f"The data has only {n_bytes} bytes and seems cut off; {right}.")
 
 
-class MerlChecker:
-    """Check the bytes of a MERL file piece by piece, in bounded memory.
+def check_values(rows: Iterable[Array]) -> Mask:
+    """Check the values of a file; return the mask (90, 90, 180) of valid nodes.
 
-    Pass all bytes in order to `update`, then call `finish`. The checker stores only two bits per node, 0.4 MB, so that
-    many uploads can be checked at the same time. `n_bytes` is the number of bytes so far.
+    A valid node is above the horizon and not negative in at least one channel. `rows` yields the values of each row of
+    theta_half, shape (16200,): 90 rows of red, then 90 of green and 90 of blue. A check takes 4 MB and one row.
+
+    Raises MeasurementFormatError if a value is NaN, infinite or above 1e8/sr, a channel is negative at more than 99 %
+    of the nodes above the horizon, or almost all are zero.
     """
+    above = nodes_above_horizon().reshape(N_ROWS, ROW_NODES)
+    valid, nonzero = np.zeros_like(above), np.zeros_like(above)
+    n_measured = [0] * len(CHANNELS)
+    not_finite, too_large = _Fault(_NOT_FINITE, "is", "are"), _Fault(_TOO_LARGE, "exceeds", "exceed")
+    for number, values in enumerate(rows):
+        channel, row = divmod(number, N_ROWS)
+        # NumPy would warn about comparisons with signalling NaN.
+        with np.errstate(invalid="ignore"):
+            largest, smallest, limit = values.max(), values.min(), MAX_VALUE / SCALE[channel]
+            if not (np.isfinite(largest) and np.isfinite(smallest)):
+                not_finite.add(channel, row, ~np.isfinite(values))
+            # This is false if the maximum is NaN, which has been recorded above.
+            if largest > limit:
+                too_large.add(channel, row, (values > limit) & above[row])
+            measured = (values >= 0.0) & above[row]
+            nonzero[row] |= values >= MIN_NONZERO_VALUE / SCALE[channel]
+        n_measured[channel] += int(np.count_nonzero(measured))
+        valid[row] |= measured
+    not_finite.check()
+    too_large.check()
+    _check_numbers(n_measured, int(np.count_nonzero((valid & nonzero)[1:])), int(above.sum()))
+    return valid.reshape(GRID_SHAPE)
 
-    def __init__(self) -> None:
-        self.n_bytes = 0
-        self._header = b""
-        # The last bytes of a piece that do not fill a group of eight values; eight values fill a byte of bits.
-        self._rest = b""
-        self._n_values = 0
-        # Bits of the nodes at which a channel is not negative, and at which a channel is at least `MIN_NONZERO_VALUE`.
-        self._measured = np.zeros(NODES // 8, dtype=np.uint8)
-        self._nonzero = np.zeros(NODES // 8, dtype=np.uint8)
-        # For each channel, the number of nodes above the horizon that are not negative.
-        self._n_measured = [0] * len(CHANNELS)
-        self._above = nodes_above_horizon().reshape(-1)
-        # For each fault, the number of faulty values and the position of the first one.
-        self._faults: dict[str, tuple[int, str]] = {}
 
-    def update(self, piece: bytes | bytearray | memoryview) -> None:
-        """Check the next bytes, of any length.
+def _check_numbers(n_measured: Sequence[int], n_nonzero: int, n_above: int) -> None:
+    """Check the numbers of measured nodes of each channel, and of nodes with light at a theta_half above 0.
 
-        Raises MeasurementFormatError as soon as the header is wrong or there are too many bytes. `finish` reports wrong
-        values, because the message contains their number.
-        """
-        view = memoryview(piece).cast("B")
-        self.n_bytes += len(view)
-        if len(self._header) < HEADER_SIZE:
-            taken = HEADER_SIZE - len(self._header)
-            self._header += bytes(view[:taken])
-            view = view[taken:]
-            if len(self._header) == HEADER_SIZE:
-                check_header(self._header)
-        if self.n_bytes > FILE_SIZE:
-            check_length(self.n_bytes)
-        if self._rest:
-            view = memoryview(self._rest + bytes(view))
-        whole = len(view) // 64 * 64
-        self._check_values(np.frombuffer(view[:whole], dtype="<f8"))
-        self._rest = bytes(view[whole:])
+    Nodes at theta_half = 0 have no solid angle.
+    """
+    fewest = int(np.argmin(n_measured))
+    if n_measured[fewest] < MIN_VALID_FRACTION * n_above:
+        raise MeasurementFormatError(
+            f"The {CHANNELS[fewest]} channel has valid values (not negative) at {n_measured[fewest]} of the "
+            f"{n_above} nodes above the horizon; every channel needs at least {MIN_VALID_FRACTION:.0%}."
+        )
+    if n_nonzero < MIN_NONZERO_FRACTION * n_above:
+        raise MeasurementFormatError(
+            f"{n_nonzero} of the {n_above} nodes above the horizon have a value of at least "
+            f"{MIN_NONZERO_VALUE:g}/sr at a theta_half above 0; a measurement needs at least "
+            f"{MIN_NONZERO_FRACTION:.1%} of the nodes. {_UNIT}"
+        )
 
-    def finish(self) -> Mask:
-        """Return the mask (90, 90, 180) of valid nodes: above the horizon and not negative in at least one channel.
 
-        Call it after the last byte. Raises MeasurementFormatError if the length is wrong, a value is NaN, infinite or
-        above 1e8/sr, a channel is negative at more than 99 % of the nodes above the horizon, or almost all are zero.
-        """
-        # `update` checks the header only if it is complete.
-        check_header(self._header)
-        check_length(self.n_bytes)
-        for fault, (verb, verb_of_many) in (_NOT_FINITE, ("is", "are")), (_TOO_LARGE, ("exceeds", "exceed")):
-            count, first = self._faults.get(fault, (0, ""))
-            if count:
-                said = (
-                    f"1 value, {first}, {verb}" if count == 1 else f"{count} values, the first {first}, {verb_of_many}"
-                )
-                raise MeasurementFormatError(f"{said} {fault}")
-        valid = np.unpackbits(self._measured).view(np.bool_)
-        valid &= self._above
-        n_above = int(self._above.sum())
-        fewest = int(np.argmin(self._n_measured))
-        if self._n_measured[fewest] < MIN_VALID_FRACTION * n_above:
-            raise MeasurementFormatError(
-                f"The {CHANNELS[fewest]} channel has valid values (not negative) at {self._n_measured[fewest]} of the "
-                f"{n_above} nodes above the horizon; every channel needs at least {MIN_VALID_FRACTION:.0%}."
-            )
-        # Nodes at theta_half = 0 do not count, because they have no solid angle.
-        n_nonzero = int(np.bitwise_count(np.packbits(valid) & self._nonzero)[NODES // 90 // 8 :].sum())
-        if n_nonzero < MIN_NONZERO_FRACTION * n_above:
-            raise MeasurementFormatError(
-                f"{n_nonzero} of the {n_above} nodes above the horizon have a value of at least "
-                f"{MIN_NONZERO_VALUE:g}/sr at a theta_half above 0; a measurement needs at least "
-                f"{MIN_NONZERO_FRACTION:.1%} of the nodes. {_UNIT}"
-            )
-        return valid.reshape(GRID_SHAPE)
+class _Fault:
+    """Count the values with one fault, and remember the position of the first one."""
 
-    def _check_values(self, values: Array) -> None:
-        """Check consecutive values, a multiple of eight; they may begin in one channel and end in another."""
-        while values.size:
-            channel, node = divmod(self._n_values, NODES)
-            part, values = values[: NODES - node], values[NODES - node :]
-            self._n_values += part.size
-            nodes, octets = slice(node, node + part.size), slice(node // 8, (node + part.size) // 8)
-            # NumPy would warn about comparisons with signalling NaN.
-            with np.errstate(invalid="ignore"):
-                largest, smallest, limit = part.max(), part.min(), MAX_VALUE / SCALE[channel]
-                if not (np.isfinite(largest) and np.isfinite(smallest)):
-                    self._record(_NOT_FINITE, ~np.isfinite(part), channel, node)
-                # This is false if the maximum is NaN, which has been recorded above.
-                if largest > limit:
-                    self._record(_TOO_LARGE, (part > limit) & self._above[nodes], channel, node)
-                measured = part >= 0.0
-                self._n_measured[channel] += int(np.count_nonzero(measured & self._above[nodes]))
-                self._measured[octets] |= np.packbits(measured)
-                self._nonzero[octets] |= np.packbits(part >= MIN_NONZERO_VALUE / SCALE[channel])
+    def __init__(self, fault: str, verb: str, verb_of_many: str) -> None:
+        self._fault, self._verb, self._verb_of_many = fault, verb, verb_of_many
+        self._count, self._first = 0, ""
 
-    def _record(self, fault: str, where: Mask, channel: int, start: int) -> None:
+    def add(self, channel: int, row: int, where: Mask) -> None:
+        """Count the nodes of a row that a mask selects."""
         found = np.flatnonzero(where)
-        if found.size:
-            node = tuple(int(index) for index in np.unravel_index(start + found[0], GRID_SHAPE))
-            place = f"in the {CHANNELS[channel]} channel at (theta_half, theta_diff, phi_diff) node {node}"
-            count, first = self._faults.get(fault, (0, place))
-            self._faults[fault] = count + found.size, first
+        if found.size and not self._count:
+            node = tuple(int(index) for index in (row, *np.unravel_index(found[0], _ROW_SHAPE)))
+            self._first = f"in the {CHANNELS[channel]} channel at (theta_half, theta_diff, phi_diff) node {node}"
+        self._count += found.size
+
+    def check(self) -> None:
+        """Raise MeasurementFormatError if values have been counted."""
+        if self._count == 1:
+            raise MeasurementFormatError(f"1 value, {self._first}, {self._verb} {self._fault}")
+        if self._count:
+            raise MeasurementFormatError(
+                f"{self._count} values, the first {self._first}, {self._verb_of_many} {self._fault}"
+            )
 
 
 def checked_values(data: bytes | memoryview) -> tuple[Array, Mask, str]:
@@ -200,12 +170,9 @@ def checked_values(data: bytes | memoryview) -> tuple[Array, Mask, str]:
     The numbers are a read-only view of the data. Raises MeasurementFormatError if the file is faulty.
     """
     view = memoryview(data).cast("B")
-    checker, digest = MerlChecker(), hashlib.sha256()
-    for start in range(0, len(view), _PIECE_BYTES):
-        piece = view[start : start + _PIECE_BYTES]
-        checker.update(piece)
-        digest.update(piece)
-    valid = checker.finish()
+    check_header(view)
+    check_length(len(view))
+    stored = np.frombuffer(view, dtype="<f8", offset=HEADER_SIZE)
+    valid = check_values(stored.reshape(-1, ROW_NODES))
     valid.flags.writeable = False
-    stored = np.frombuffer(view, dtype="<f8", offset=HEADER_SIZE).reshape(SHAPE)
-    return stored, valid, digest.hexdigest()
+    return stored.reshape(SHAPE), valid, hashlib.sha256(view).hexdigest()

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
 import dsbrdf
-from dsbrdf.data.merl_validation import MerlChecker
+from dsbrdf.data.grid import nodes_above_horizon
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, FitLimits
 from dsbrdf.engines.local import LocalEngine
@@ -77,7 +77,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         queue = FitQueue(store, engine, settings, metrics.fit_meters)
         parts = settings, store, queue, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)
-        await run_in_threadpool(MerlChecker)  # This computes its tables before the first upload.
+        await run_in_threadpool(nodes_above_horizon)  # The mask is cached before the first upload.
         await queue.start()
         try:
             yield

@@ -7,9 +7,18 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from fastapi import Request
 
-from dsbrdf.data.merl_validation import FILE_SIZE, HEADER, MerlChecker, check_length
+from dsbrdf.data.merl_validation import (
+    FILE_SIZE,
+    HEADER,
+    HEADER_SIZE,
+    ROW_NODES,
+    check_header,
+    check_length,
+    check_values,
+)
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from dsbrdf.samples.measurement_files import START_BYTES, measurement_kind
 from dsbrdf.samples.table_options import TableOptions
@@ -52,7 +61,7 @@ OPTION_PARAMETERS, TABLE_PARAMETERS = (
 """Query parameters for the options of a fit, and of a table."""
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
-_PIECE_BYTES = 1 << 16  # Every unfinished upload keeps one piece in memory.
+_PIECE_BYTES = 1 << 15  # Every unfinished upload keeps one piece in memory.
 _MAX_SHORT_TEXT_BYTES = 1 << 16  # A text of this size is read in about a second; a spreadsheet takes longer.
 _ZIP = b"PK"  # Every .xlsx file begins with these bytes.
 MAX_CONVERTED_BYTES = 1 << 23
@@ -80,7 +89,7 @@ async def receive_upload(
                 options.refuse("a MERL file")
                 await _receive_merl(request, start, pieces, incoming)
             else:
-                await _write_bounded(start, pieces, incoming)
+                await _write(start, pieces, incoming, MAX_CONVERTED_BYTES, "A .bsdf file or a table")
                 key, place = ("upload", incoming.path), place_of_table(start, incoming.size)
                 found = await read_table(request, context, key, conversion_step, incoming.path, options, place=place)
                 incoming.sha256, incoming.size, incoming.valid_nodes = found
@@ -88,35 +97,42 @@ async def receive_upload(
 
 
 async def _receive_merl(request: Request, start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming) -> None:
-    """Write and check a MERL file; its first piece is enough to refuse a wrong header or a wrong declared length."""
-    checker, declared = MerlChecker(), request.headers.get("content-length", "")
+    """Write and check a MERL file; its first piece is enough to refuse a wrong header or a wrong declared length.
+
+    Values are checked when all have arrived, so that an unfinished upload needs no memory for this check.
+    """
+    declared = request.headers.get("content-length", "")
     length = int(declared) if declared.isdecimal() and "content-encoding" not in request.headers else FILE_SIZE
-
-    def write(piece: bytes) -> None:
-        try:
-            checker.update(piece)
-            check_length(length)
-        except MeasurementFormatError as error:
-            if max(checker.n_bytes, length) > FILE_SIZE:
-                raise ProblemError("measurement-too-large", str(error)) from None
-            raise
-        incoming.write(piece)
-
-    await in_thread(write, start)
-    async for piece in pieces:
-        await in_thread(write, piece)
-    incoming.valid_nodes = int((await in_thread(checker.finish)).sum())
-    await in_thread(incoming.close)
+    try:
+        check_header(start)
+        check_length(length)
+    except MeasurementFormatError as error:
+        if length > FILE_SIZE:
+            raise ProblemError("measurement-too-large", str(error)) from None
+        raise
+    await _write(start, pieces, incoming, FILE_SIZE, "A MERL file")
+    check_length(incoming.size)
+    incoming.valid_nodes = await in_thread(_count_valid_nodes, incoming.path)
 
 
-async def _write_bounded(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming) -> None:
-    """Write a file with a smaller size limit, because reading it takes much more memory than the file."""
+def _count_valid_nodes(path: Path) -> int:
+    """Check the values of a MERL file; return the number of its nodes with a value."""
+    with path.open("rb") as file:
+        file.seek(HEADER_SIZE)
+        rows = (np.fromfile(file, "<f8", ROW_NODES) for _ in range(HEADER_SIZE, FILE_SIZE, 8 * ROW_NODES))
+        return int(check_values(rows).sum())
+
+
+async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming, most: int, kind: str) -> None:
+    """Write and close a file; raise ProblemError with its `kind` if it is longer than `most` bytes."""
     piece = start
     while piece:
-        if incoming.size + len(piece) > MAX_CONVERTED_BYTES:
-            most = f"A .bsdf file or a table has at most {MAX_CONVERTED_BYTES} bytes here, and this one is longer."
-            raise ProblemError("measurement-too-large", most)
+        if incoming.size + len(piece) > most:
+            raise ProblemError(
+                "measurement-too-large", f"{kind} has at most {most} bytes here, and this one is longer."
+            )
         await in_thread(incoming.write, piece)
+        del piece  # A slow upload does not keep it in memory.
         piece = await anext(pieces, b"")
     await in_thread(incoming.close)
 
@@ -137,10 +153,13 @@ async def read_table(request: Request, context: Context, *arguments: Any, **name
 
 async def _pieces(request: Request) -> AsyncIterator[bytes]:
     """Yield the decoded body: first enough bytes to recognise the kind of the file, then pieces."""
-    piece, n_wanted = bytearray(), START_BYTES
+    piece, begun = b"", False
     async for part in decoded(request, FILE_SIZE):
         piece += part
-        if len(piece) >= n_wanted or (n_wanted == START_BYTES and piece.startswith(HEADER)):
-            yield bytes(piece)
-            piece, n_wanted = bytearray(), _PIECE_BYTES
-    yield bytes(piece)
+        if not begun and (len(piece) >= START_BYTES or piece.startswith(HEADER)):
+            yield piece[:START_BYTES]
+            piece, begun = piece[START_BYTES:], True
+        if begun and len(piece) >= _PIECE_BYTES:
+            yield piece
+            piece = b""
+    yield piece

@@ -11,6 +11,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from ..errors import ProblemError
 
+_READ_BYTES = 1 << 16
 _MAX_LINE_BYTES = 8192  # Longer headers and addresses are refused.
 _MAX_HEADERS = 100
 _SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")  # If one occurs twice, it is unclear which counts.
@@ -19,8 +20,22 @@ ABORT = "dsbrdf.abort"
 """Member of the ASGI scope: a function that closes the connection at once, without sending buffered data."""
 
 
-class Connection(HttpToolsProtocol):
-    """Keep trailers out of a request's headers, to which uvicorn's connection would add them."""
+class Connection(HttpToolsProtocol, asyncio.BufferedProtocol):
+    """Receive requests in small pieces, and keep trailers out of a request's headers, to which uvicorn adds them.
+
+    Without a buffer, asyncio would read 256 kB at a time, which every slow upload would keep in memory.
+    """
+
+    # All connections of the process's event loop share one buffer, because its content is parsed before the next read.
+    _received = memoryview(bytearray(_READ_BYTES))
+
+    def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 (asyncio's signature)
+        """Return the buffer for the next bytes."""
+        return self._received
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Parse the bytes in the buffer."""
+        self.data_received(bytes(self._received[:nbytes]))
 
     def on_headers_complete(self) -> None:
         """Start to answer the request with a copy of its headers, which trailers after the body do not change."""

@@ -11,7 +11,7 @@ from starlette.requests import Request
 from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
 
-PIECE = 1 << 18
+PIECE = 1 << 16
 _MAX_HELD_BYTES = 64_000_000  # Further bodies of the same caller are refused until some are answered.
 
 

@@ -135,6 +135,24 @@ def test_uploads_take_little_memory(own_server: Callable[..., Server], data: byt
     assert server.memory("VmHWM") - before < 48
 
 
+@pytest.mark.parametrize("encoding", ["identity", "gzip"])
+def test_open_upload_takes_half_a_megabyte(own_server: Callable[..., Server], data: bytes, encoding: str) -> None:
+    """So 240 take 120 MB, and the service 250 MB with them."""
+    server, n_uploads = own_server(fits=False), 64
+    assert server.http.post("/v1/measurements", content=data).status_code == 201
+    begin = data[:500_000] if encoding == "identity" else gzip.compress(data[:12] + bytes(2_000_000))[:-100]
+    lines = f"Host: x\r\nContent-Encoding: {encoding}\r\nContent-Length: {FILE_SIZE}\r\n"
+    head = f"POST /v1/measurements HTTP/1.1\r\n{lines}\r\n".encode()
+    before = server.memory()
+    with ExitStack() as stack:
+        connections = [stack.enter_context(closing(server.connection(head))) for _ in range(n_uploads)]
+        for connection in connections:
+            connection.sendall(begin)
+        temporary = server.data_dir / "tmp"
+        wait_until(lambda: sum(path.stat().st_size > 460_000 for path in temporary.iterdir()) == n_uploads, 60)
+        assert server.memory() - before < 0.5 * n_uploads
+
+
 def test_wrong_length_is_refused_by_the_first_bytes(server: Server, data: bytes) -> None:
     head = f"POST /v1/measurements HTTP/1.1\r\nHost: localhost\r\nContent-Length: {FILE_SIZE - 8}\r\n\r\n"
     with server.connection(head.encode() + data[:12]) as connection:
