@@ -44,7 +44,6 @@ from dsbrdf.samples.measurement_files import kind_of_file
 from dsbrdf.samples.reading import read_samples
 from dsbrdf.samples.table_options import TableOptions
 
-Channel = Annotated[str, Parameter(choices=CHANNELS)]
 _FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())
 Format = Annotated[
     str,
@@ -84,9 +83,8 @@ def evaluate(
     heads = [name.removesuffix("_deg") for name in columns]
     widths = [max(map(len, column)) + 2 for column in zip(heads, *rows, strict=True)]
     widths[0] -= 2
-    number = (
-        12 if sum(widths) + 36 <= shutil.get_terminal_size().columns else 9
-    )  # Narrow columns have fewer digits; JSON has all digits.
+    # Narrow columns have fewer digits; JSON has all digits.
+    number = 12 if sum(widths) + 36 <= shutil.get_terminal_size().columns else 9
     print(_aligned(heads, widths) + "".join(f"{channel:>{number}}" for channel in CHANNELS))
     for row, value in zip(rows, values, strict=True):
         print(_aligned(row, widths) + "".join(f"{one:>{number}.{6 if number == 12 else 3}g}" for one in value))
@@ -96,17 +94,13 @@ def _aligned(cells: Sequence[str], widths: Sequence[int]) -> str:
     return "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
 
 
-def show(*models: RequiredFiles, lobes: bool = False, channel: Channel = "red", json: Json = False) -> None:
+def show(*models: RequiredFiles, json: Json = False) -> None:
     """Print the reports of fits again.
 
     Parameters
     ----------
     models
         A .json file from dsbrdf fit, or several.
-    lobes
-        Also print the lobes of the model.
-    channel
-        Channel of the model's lobes in the text.
     """
     stored = {model: read_model(model) for model in models}
     if json:
@@ -115,11 +109,9 @@ def show(*models: RequiredFiles, lobes: bool = False, channel: Channel = "red", 
         return
     for model, (found, report) in stored.items():
         if report is None:
-            print(
-                f"{model.stem}: {lobes_phrase(found)}", "", *model_text(found, lobes=lobes, channel=channel), sep="\n"
-            )
+            print(f"{model.stem}: {lobes_phrase(found)}", "", *model_text(found), sep="\n")
         else:
-            print(*result_text(model, FitResult(found, report), lobes=lobes, channel=channel), sep="\n")
+            print(*result_text(model, FitResult(found, report)), sep="\n")
 
 
 def print_components(

@@ -19,7 +19,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.shares import LABELS
 from dsbrdf.data.grid import CHANNELS, DEFAULT_HORIZON_CUTOFF, THETA_DIFF, THETA_HALF
-from dsbrdf.errors import InvalidArgumentError, one_of
+from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.figure_parts import (
     CHANNEL_COLOURS,
     LINE_STYLES,
@@ -44,7 +44,7 @@ from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from matplotlib.figure import Figure, FigureBase
 
@@ -55,8 +55,8 @@ if TYPE_CHECKING:
 
     _Part = tuple[ReflectanceModel, str, str, str]  # model, colour, line style and label; unlabelled curves are thin
 
-DEFAULT_THETA_DIFF = (0.0, float(np.radians(45.0)))
-"""Values of theta_diff whose slices are drawn by default [rad]."""
+SLICE_ROWS = (0, 45)
+"""Rows of the grid whose slices are drawn: theta_diff is 0 and 45 degrees."""
 COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
 _SPHERES_HEIGHT_IN = 2.5
 _SPHERE_SIZE_PX = 256
@@ -66,62 +66,34 @@ _RESIDUAL_TICKS_DEG = (0, 5, 20, 45, 90)  # ticks on the axis of theta_half
 
 def profiles_figure(profiles: Profiles, model: Reflectance, *, curves: str = "fit") -> Figure:
     """Draw only row (a) of `overview_figure`, the profiles; `curves` names the model in the legend."""
-    rows = _nearest_rows(DEFAULT_THETA_DIFF)
-    figure, (row,) = figure_of_rows(profiles.name, len(rows), [ROW_HEIGHT_IN])
-    _profiles_row(row, profiles, model, rows, curves)
+    figure, (row,) = figure_of_rows(profiles.name, len(SLICE_ROWS), [ROW_HEIGHT_IN])
+    _profiles_row(row, profiles, model, curves)
     return figure
 
 
 def lobes_figure(profiles: Profiles, model: DSBRDF, *, model_lobes: bool = False) -> Figure:
     """Draw only row (b) of `overview_figure`, the components or lobes, in the red channel."""
-    rows, title = _nearest_rows(DEFAULT_THETA_DIFF), f"{profiles.name}: {_parts_name(model_lobes)}, red channel"
-    figure, (row,) = figure_of_rows(title, len(rows), [ROW_HEIGHT_IN])
-    _parts_row(row, profiles, model, rows, 0, model_lobes)
+    title = f"{profiles.name}: {_parts_name(model_lobes)}, red channel"
+    figure, (row,) = figure_of_rows(title, len(SLICE_ROWS), [ROW_HEIGHT_IN])
+    _parts_row(row, profiles, model, model_lobes)
     return figure
 
 
 def overview_figure(
-    profiles: Profiles,
-    model: DSBRDF,
-    *,
-    theta_diff: Sequence[float] = DEFAULT_THETA_DIFF,
-    channel: str = "red",
-    model_lobes: bool = False,
-    spheres: SphereComparison | None = None,
+    profiles: Profiles, model: DSBRDF, *, model_lobes: bool = False, spheres: SphereComparison | None = None
 ) -> Figure:
-    """Draw both rows of Nishino 2009, Figure 1, and optionally lit spheres.
+    """Draw both rows of Nishino 2009, Figure 1, and optionally lit spheres in a third row.
 
-    Parameters
-    ----------
-    profiles : Profiles
-        The measurement, averaged over phi_diff; the model's curves are averaged over the same directions.
-    model : DSBRDF
-        The fit that row (a) compares with the measurement in all channels.
-    theta_diff : sequence of float, optional
-        Angles theta_diff of the slices [rad]; the nearest row of the measurement's grid is drawn for each angle.
-    channel : {"red", "green", "blue"}, optional
-        The channel of row (b), which shows the fit and its components, and the layers of each component.
-    model_lobes : bool, optional
-        Whether row (b) shows the lobes of the model instead of the components.
-    spheres : SphereComparison, optional
-        Lit spheres to draw in a third row.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If `theta_diff` is empty or has an angle outside of 0..pi/2, or the channel is unknown.
-    MissingExtraError
-        If Matplotlib is not installed.
+    Row (a) compares the measurement, averaged over phi_diff, with the model's means over the same directions, in all
+    channels. Row (b) shows the fit and its components with their layers, or with `model_lobes` the lobes of the model,
+    in the red channel. Raises MissingExtraError if Matplotlib is not installed.
     """
-    if channel not in CHANNELS:
-        raise InvalidArgumentError(f"channel must be {one_of(CHANNELS)}, not {channel!r}")
-    rows = _nearest_rows(theta_diff)
     heights = [ROW_HEIGHT_IN, ROW_HEIGHT_IN] if spheres is None else [ROW_HEIGHT_IN, ROW_HEIGHT_IN, _SPHERES_HEIGHT_IN]
-    figure, (above, below, *rest) = figure_of_rows(profiles.name, len(rows), heights)
+    figure, (above, below, *rest) = figure_of_rows(profiles.name, len(SLICE_ROWS), heights)
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
-    below.suptitle(f"(b) {_parts_name(model_lobes)}, {channel} channel", fontsize=10)
-    _profiles_row(above, profiles, model, rows)
-    _parts_row(below, profiles, model, rows, CHANNELS.index(channel), model_lobes)
+    below.suptitle(f"(b) {_parts_name(model_lobes)}, red channel", fontsize=10)
+    _profiles_row(above, profiles, model)
+    _parts_row(below, profiles, model, model_lobes)
     if spheres is not None:
         likeness = f"PSNR {spheres.psnr:.1f} dB, SSIM {spheres.ssim:.3f} {spheres.light}"
         rest[0].suptitle(f"(c) lit spheres; the fit compared with the measurement: {likeness}", fontsize=10)
@@ -138,19 +110,18 @@ def materials_figure(materials: Mapping[str, Reflectance]) -> Figure:
         raise InvalidArgumentError(
             f"a figure compares 1 to {len(LOBE_COLOURS)} materials, not {len(materials)}; dsbrdf map shows more"
         )
-    rows = _nearest_rows(DEFAULT_THETA_DIFF)
-    figure, (above, below) = figure_of_rows("", len(rows), [ROW_HEIGHT_IN, _SPHERES_HEIGHT_IN])
+    figure, (above, below) = figure_of_rows("", len(SLICE_ROWS), [ROW_HEIGHT_IN, _SPHERES_HEIGHT_IN])
     above.suptitle("(a) means of the channels and over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle("(b) lit spheres under three lights, with the exposure of the first", fontsize=10)
-    pairs = panel_pairs(above, len(rows))
+    pairs = panel_pairs(above, len(SLICE_ROWS))
     within = CURVE_THETA_HALF <= DEFAULT_HORIZON_CUTOFF
-    for row, pair in zip(rows, pairs, strict=True):
+    for row, pair in zip(SLICE_ROWS, pairs, strict=True):
         curves = [slice_means(one, row, DEFAULT_HORIZON_CUTOFF).mean(axis=1) for one in materials.values()]
         set_limits(pair, row, np.stack(curves, axis=1), np.stack(curves)[:, within])
         for ax in pair:
             for name, colour, style, curve in zip(materials, LOBE_COLOURS, cycle(LINE_STYLES), curves, strict=False):
                 draw_curve(ax, curve, colour, style=style, label=name)
-    finish_row(above, [pairs[0][0]], slices=len(rows), columns=4)
+    finish_row(above, [pairs[0][0]], slices=len(SLICE_ROWS), columns=4)
     spheres = [render_sphere(one, size=_SPHERE_SIZE_PX) for one in materials.values()]
     factor = exposure(spheres[0], sphere_normals(_SPHERE_SIZE_PX)[1])
     _spheres_row(below, {name: displayed(one, factor) for name, one in zip(materials, spheres, strict=True)})
@@ -188,12 +159,10 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     return figure
 
 
-def _profiles_row(
-    figure: FigureBase, profiles: Profiles, model: Reflectance, rows: Sequence[int], curves: str = "fit"
-) -> None:
+def _profiles_row(figure: FigureBase, profiles: Profiles, model: Reflectance, curves: str = "fit") -> None:
     """Draw the profiles of all channels, in two panels for each slice, with a legend."""
-    pairs = panel_pairs(figure, len(rows))
-    for row, pair in zip(rows, pairs, strict=True):
+    pairs = panel_pairs(figure, len(SLICE_ROWS))
+    for row, pair in zip(SLICE_ROWS, pairs, strict=True):
         fitted = slice_means(model, row, profiles.horizon_cutoff)
         data = [measured_means(profiles, row, channel) for channel in range(3)]
         set_limits(pair, row, fitted, np.concatenate([measured for _, measured in data]))
@@ -201,24 +170,22 @@ def _profiles_row(
             for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
                 draw_points(ax, *points, colour, "s", f"{channel}, measured")
                 draw_curve(ax, curve, colour, label=f"{channel}, {curves}")
-    finish_row(figure, [pairs[0][0]], slices=len(rows), columns=min(6, 3 * len(rows)))
+    finish_row(figure, [pairs[0][0]], slices=len(SLICE_ROWS), columns=min(6, 3 * len(SLICE_ROWS)))
 
 
 def _parts_name(model_lobes: bool) -> str:
     return "lobes of the model" if model_lobes else "components of the fit (dashed: their own layers)"
 
 
-def _parts_row(
-    figure: FigureBase, profiles: Profiles, model: DSBRDF, rows: Sequence[int], channel: int, model_lobes: bool
-) -> None:
-    """Draw components or lobes in one channel, in two panels for each slice, with a legend of the visible curves."""
-    parts = _lobe_parts(model, channel) if model_lobes else _component_parts(model)
-    pairs = panel_pairs(figure, len(rows))
-    for row, pair in zip(rows, pairs, strict=True):
-        points = measured_means(profiles, row, channel)
-        fitted = slice_means(model, row, profiles.horizon_cutoff)[:, channel]
+def _parts_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, model_lobes: bool) -> None:
+    """Draw components or lobes in the red channel, two panels for each slice, with a legend of the visible curves."""
+    parts = _lobe_parts(model) if model_lobes else _component_parts(model)
+    pairs = panel_pairs(figure, len(SLICE_ROWS))
+    for row, pair in zip(SLICE_ROWS, pairs, strict=True):
+        points = measured_means(profiles, row, 0)
+        fitted = slice_means(model, row, profiles.horizon_cutoff)[:, 0]
         set_limits(pair, row, fitted, points[1])
-        curves = [slice_means(source, row, profiles.horizon_cutoff)[:, channel] for source, *_ in parts]
+        curves = [slice_means(source, row, profiles.horizon_cutoff)[:, 0] for source, *_ in parts]
         seen = [curve.max() > pair[0].get_ylim()[0] for curve in curves]
         for ax in pair:
             draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # The wide line stays visible below a component.
@@ -227,7 +194,7 @@ def _parts_row(
             )  # This colour is visible on light and dark backgrounds.
             for (_, colour, style, label), curve in compress(zip(parts, curves, strict=True), seen):
                 draw_curve(ax, curve, colour, style=style, label=label)
-    finish_row(figure, [pair[0] for pair in pairs], slices=len(rows), columns=2 * len(rows))
+    finish_row(figure, [pair[0] for pair in pairs], slices=len(SLICE_ROWS), columns=2 * len(SLICE_ROWS))
 
 
 def _component_parts(model: DSBRDF) -> list[_Part]:
@@ -241,9 +208,9 @@ def _component_parts(model: DSBRDF) -> list[_Part]:
     return parts
 
 
-def _lobe_parts(model: DSBRDF, channel: int) -> list[_Part]:
+def _lobe_parts(model: DSBRDF) -> list[_Part]:
     """Return the lobes of a model, rings and cusps dashed, and the delta term; labels have widths at theta_diff = 0."""
-    at = lobes_in_channel(model, 0.0, channel)
+    at = lobes_in_channel(model, 0.0, 0)
     widths, centers = np.degrees(at["half_width"]), np.degrees(at["center"])
     parts: list[_Part] = []
     for lobe, is_ring in enumerate(model.is_ring):
@@ -266,11 +233,3 @@ def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
         ax.imshow(cut_out(picture), interpolation="antialiased")
         ax.set_title(title, fontsize=9)
         ax.set_axis_off()
-
-
-def _nearest_rows(theta_diff: Sequence[float]) -> list[int]:
-    """Return the index of the grid row that is nearest to each requested theta_diff."""
-    angles = np.asarray(theta_diff, dtype=np.float64)
-    if angles.ndim != 1 or not angles.size or not np.all((angles >= 0.0) & (angles <= np.pi / 2)):
-        raise InvalidArgumentError("theta_diff must be one or more angles from 0 to pi/2 [rad]")
-    return [int(np.argmin(np.abs(THETA_DIFF - angle))) for angle in angles]

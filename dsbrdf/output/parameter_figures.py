@@ -54,7 +54,9 @@ def components_figure(components: Iterable[Component], title: str) -> Figure:
         places = 1.0 + 3.0 * number + np.arange(3)  # The ranges of the channels are drawn side by side.
         albedos.vlines(places, low, high, colors=CHANNEL_COLOURS, linestyles=style, linewidth=2.5, alpha=0.5)
         heights.plot([], [], style, color="0.3", linewidth=1.2, label=part.label.replace("_", " "))
-    heights.set(yscale="log", title="height at theta_half = 0 [1/sr]", xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
+    heights.set(
+        yscale="log", title=r"height at $\theta_\mathrm{half}$ = 0 [1/sr]", xlabel=r"$\theta_\mathrm{diff}$ [degrees]"
+    )
     albedos.set(
         title="directional albedo; at the left its 90 % ranges at 0°", xlabel=r"$\theta_\mathrm{out}$ [degrees]"
     )

@@ -1,4 +1,4 @@
-"""Write the result of a fit as text and as JSON: metrics, components with their layers, and the model's lobes.
+"""Write the result of a fit as text, JSON and CSV: metrics, components with their layers, and the model's lobes.
 
 The JSON has the same form as in the HTTP service. Angles are in degrees, for readers and HTTP clients; the rest of the
 library uses radians.
@@ -94,7 +94,7 @@ def _heights_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the values of each component's layers at theta_half = 0 and `SHOWN_THETA_DIFF`."""
     if not components:
         return []
-    lines = _angles_head("height at theta_half = 0 [1/sr]")
+    lines = ["height at theta_half = 0 [1/sr]", _row("at theta_diff", SHOWN_THETA_DIFF, "°")]
     for component in components:
         lobe = component["lobe"]
         shown = [lobe["theta_diff_deg"].index(angle) for angle in SHOWN_THETA_DIFF]
@@ -104,35 +104,12 @@ def _heights_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def parameters_table(model: DSBRDF, *, channel: str = "red") -> list[str]:
-    """Return a table of the parameters of the model's lobes in one channel at `SHOWN_THETA_DIFF`.
-
-    The half width of a ring lobe is counted from its center.
-    """
-    at = lobes_in_channel(model, np.radians(SHOWN_THETA_DIFF), CHANNELS.index(channel))
-    lines = _angles_head(f"lobes of the model, {channel} channel [1/sr]")
-    for lobe, is_ring in enumerate(model.is_ring):
-        rows = [("height", at["amplitude"], ""), ("half width", np.degrees(at["half_width"]), "°")]
-        if is_ring:
-            rows.append(("center", np.degrees(at["center"]), "°"))
-        rows += [("kappa", at["kappa"], ""), ("gamma", at["gamma"], "")]
-        if model.elongation[:, lobe].any():
-            rows.append(("elongation", at["elongation"], ""))
-        lines.append(f"{'ring lobe' if is_ring else 'lobe'} {lobe}")
-        lines += [_row(name, values[:, lobe], unit) for name, values, unit in rows]
-    return lines
-
-
 def lobes_in_channel(model: DSBRDF, theta_diff: ArrayLike, channel: int) -> dict[str, Array]:
     """Return parameters and half widths (..., K) of the K lobes in one channel at theta_diff (...) [rad]."""
     found, shape = model.parameters_at(theta_diff), channel if model.kappa.shape[0] == 3 else 0
     at = {name: found[name][..., shape, :] for name in ("kappa", "gamma", "center")}
     at |= {"amplitude": found["amplitude"][..., channel, :], "elongation": found["elongation"]}
     return at | {"half_width": half_width(at["kappa"], at["gamma"], model.lobe)}
-
-
-def _angles_head(title: str) -> list[str]:
-    return [title, _row("at theta_diff", SHOWN_THETA_DIFF, "°")]
 
 
 def _row(name: str, values: Iterable[float], unit: str) -> str:
@@ -193,19 +170,18 @@ def samples_tables(report: FitReport) -> list[str]:
     return lines
 
 
-def model_text(model: DSBRDF, *, lobes: bool = False, channel: str = "red", remarks: bool = True) -> list[str]:
-    """Return the components of a model and their surfaces, optionally with remarks and the lobes in one channel."""
+def model_text(model: DSBRDF, *, remarks: bool = True) -> list[str]:
+    """Return the components of a model and their surfaces, optionally with remarks."""
     components = component_documents(model)
-    lines = [*components_table(components), "", *component_surfaces_table(components, remarks=remarks)]
-    return [*lines, "", *parameters_table(model, channel=channel)] if lobes else lines
+    return [*components_table(components), "", *component_surfaces_table(components, remarks=remarks)]
 
 
-def result_text(file: Path, result: FitResult, *, lobes: bool = False, channel: str = "red") -> list[str]:
-    """Return the report of one fit: verdict, warnings, metrics, components, lobes and errors."""
+def result_text(file: Path, result: FitResult) -> list[str]:
+    """Return the report of one fit: verdict, warnings, metrics, components and errors."""
     sentences = dict.fromkeys((*result.report.warnings, *decompose(result.model).remarks))
     warnings = [f"warning: {sentence}" for sentence in sentences]
     lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
-    lines += model_text(result.model, lobes=lobes, channel=channel, remarks=False)  # The warnings include the remarks.
+    lines += model_text(result.model, remarks=False)  # The warnings include the remarks.
     for table in (
         samples_tables(result.report),
         search_table(result.report),

@@ -9,7 +9,7 @@ import numpy as np
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.data.grid import CHANNELS
-from dsbrdf.output.figure_parts import CHANNEL_COLOURS, ROW_HEIGHT_IN, draw_legend, figure_of_rows
+from dsbrdf.output.figure_parts import CHANNEL_COLOURS, ROW_HEIGHT_IN, draw_legend, figure_of_rows, set_ticks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 MAX_DRAWN_DISTANCE_DEG = 3.0
 """The panel of a slice of theta_diff, or of a plane of incidence, leaves out samples farther from it."""
 _MAX_DRAWN_SAMPLES = 3000  # If there are more samples, a random subset is drawn.
-_SLICE_CANDIDATES_DEG = np.arange(
-    0.0, 86.0, 5.0
-)  # Slices are chosen among these theta_diff, planes among these theta_in.
+# Slices are chosen among these theta_diff, planes among these theta_in.
+_SLICE_CANDIDATES_DEG = np.arange(0.0, 86.0, 5.0)
 _MIN_SLICE_DISTANCE_DEG = 15.0  # The two drawn slices or planes are never closer.
 _CURVE_ANGLES_DEG = np.linspace(0.0, 89.0, 357)
 _CURVE_PHI_DIFF = np.radians(np.arange(0.0, 181.0, 15.0))
@@ -40,10 +39,9 @@ def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
     fit for light at the mean theta_in of the samples.
     """
     figure, (slices, planes, below) = figure_of_rows(samples.name, 2, [ROW_HEIGHT_IN] * 3)
-    slices.suptitle(
-        f"(a) samples (squares) within {MAX_DRAWN_DISTANCE_DEG:g}° of theta_diff, and fit (lines)", fontsize=10
-    )
-    planes.suptitle(f"(b) samples within {MAX_DRAWN_DISTANCE_DEG:g}° of the plane of incidence, and fit", fontsize=10)
+    near = f"samples (squares) within {MAX_DRAWN_DISTANCE_DEG:g}°"
+    slices.suptitle(rf"(a) {near} of $\theta_\mathrm{{diff}}$, and fit (lines)", fontsize=10)
+    planes.suptitle(f"(b) {near} of the plane of incidence, and fit (lines)", fontsize=10)
     below.suptitle("(c) difference of fit and samples", fontsize=10)
     shown = _thinned(samples)
     angles = _angles(shown)
@@ -72,16 +70,11 @@ def _angles(samples: ScatteredSamples) -> Array:
 
 def _densest(values: Array) -> list[float]:
     """Return at most two candidate angles with the most values nearby, in ascending order."""
-    counts = np.array(
-        [np.count_nonzero(np.abs(values - place) <= MAX_DRAWN_DISTANCE_DEG) for place in _SLICE_CANDIDATES_DEG]
-    )
+    places = _SLICE_CANDIDATES_DEG
+    counts = np.count_nonzero(np.abs(values - places[:, np.newaxis]) <= MAX_DRAWN_DISTANCE_DEG, axis=1)
     first = int(np.argmax(counts))
-    second = int(
-        np.argmax(
-            np.where(np.abs(_SLICE_CANDIDATES_DEG - _SLICE_CANDIDATES_DEG[first]) >= _MIN_SLICE_DISTANCE_DEG, counts, 0)
-        )
-    )
-    return sorted(float(_SLICE_CANDIDATES_DEG[one]) for one in {first, second} if counts[one])
+    second = int(np.argmax(np.where(np.abs(places - places[first]) >= _MIN_SLICE_DISTANCE_DEG, counts, 0)))
+    return sorted(float(places[one]) for one in {first, second} if counts[one])
 
 
 def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles: Array) -> None:
@@ -107,9 +100,8 @@ def _plane_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF) -> Non
     normal = np.cross(first, (0.0, 0.0, 1.0))  # The normal of the plane of incidence is 0 if omega_in is z.
     aside = np.sum(normal * second, axis=1) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
     in_plane = np.abs(np.degrees(np.arcsin(np.clip(aside, -1.0, 1.0)))) <= MAX_DRAWN_DISTANCE_DEG
-    sign = np.where(
-        np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0
-    )  # theta_out is negative on the side of omega_in.
+    # theta_out is negative on the side of omega_in.
+    sign = np.where(np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0)
     theta_out = sign * np.degrees(np.arccos(np.clip(second[:, 2], -1.0, 1.0)))
 
     def draw(ax: Axes, place: float) -> None:
@@ -117,13 +109,8 @@ def _plane_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF) -> Non
         mean = float(theta_in[near].mean())
         signed = np.concatenate([-_CURVE_ANGLES_DEG[:0:-1], _CURVE_ANGLES_DEG])
         into = np.broadcast_to(spherical(np.radians(mean), np.pi), (signed.size, 3))
-        _draw(
-            ax,
-            theta_out[near],
-            samples.values[near],
-            signed,
-            model.evaluate_directions(into, spherical(np.radians(signed), 0.0)),
-        )
+        fitted = model.evaluate_directions(into, spherical(np.radians(signed), 0.0))
+        _draw(ax, theta_out[near], samples.values[near], signed, fitted)
         ax.axvline(-mean, color="0.6", linestyle=":", linewidth=1.0)
         ax.set(xlim=(-90.0, 90.0), xlabel=r"$\theta_\mathrm{out}$ [degrees], negative on the side of the light")
         ax.set_title(rf"$\theta_\mathrm{{in}}$ = {mean:.0f}° (dotted): {_count(near)}", fontsize=9)
@@ -140,20 +127,11 @@ def _residual_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, ang
     axes = row.subplots(1, 2, sharey=True)
     for ax, name, at in zip(axes, names, angles, strict=True):
         ax.axhline(0.0, color="0.5", linewidth=0.8)
-        for channel, colour in enumerate(CHANNEL_COLOURS):
-            kept = lit[:, channel]
-            ax.plot(
-                at[kept],
-                np.clip(percent[kept, channel], -end, end),
-                ".",
-                color=colour,
-                markersize=2.5,
-                alpha=0.5,
-                label=f"{CHANNELS[channel]}",
-            )
-        ax.set(xlim=(0.0, 90.0), xlabel=name, xticks=range(0, 91, 15))
-        ax.tick_params(labelsize=8)
-    axes[0].set(ylabel="(fit - sample) / sample [%]", ylim=(-1.05 * end, 1.05 * end))
+        for channel, colour, kept, values in zip(CHANNELS, CHANNEL_COLOURS, lit.T, percent.T, strict=True):
+            shown = np.clip(values[kept], -end, end)
+            ax.plot(at[kept], shown, ".", color=colour, markersize=2.5, alpha=0.5, label=channel)
+        ax.set(xlim=(0.0, 90.0), xlabel=name, ylim=(-1.05 * end, 1.05 * end))
+    axes[0].set_ylabel("(fit - sample) / sample [%]")
     _finish(row, axes)
 
 
@@ -161,8 +139,6 @@ def _draw_row(row: FigureBase, places: list[float], draw: Callable[[Axes, float]
     axes = row.subplots(1, 2)
     for ax, place in zip(axes, places, strict=False):
         draw(ax, place)
-        ax.set_xticks(np.arange(ax.get_xlim()[0], 91.0, 30.0 if ax.get_xlim()[0] < 0.0 else 15.0))
-        ax.tick_params(labelsize=8)
     for ax in axes[len(places) :]:
         ax.set_axis_off()
         ax.text(0.5, 0.5, without, ha="center", fontsize=9, transform=ax.transAxes)
@@ -181,6 +157,8 @@ def _draw(ax: Axes, degrees: Array, values: Array, at: Array, fitted: Array) -> 
 
 
 def _finish(row: FigureBase, axes: Sequence[Axes]) -> None:
+    for ax in axes:
+        set_ticks(ax)
     draw_legend(row, axes, 6, "lower center")
     row.subplots_adjust(left=0.07, right=0.98, bottom=0.24, top=0.82, wspace=0.2)
 

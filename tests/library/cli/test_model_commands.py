@@ -23,7 +23,6 @@ from dsbrdf.rendering import displayed, exposure, sphere_normals
 from tests.support.command_line import FEW_LOBES, document, printed, run, sentence
 from tests.support.loading import load_fit
 from tests.support.mixtures import samples_table, scattered_samples
-from tests.support.random_models import random_model
 
 
 def test_eval_by_angles_as_a_table(model_file: Path) -> None:
@@ -105,21 +104,6 @@ def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Pat
     assert printed("decompose", black).strip() == "The model reflects no light, so it has no components."
 
 
-def test_show_prints_the_lobes_of_the_model_on_request(model_file: Path) -> None:
-    assert "gamma" not in printed("show", model_file)
-    lines = printed("show", model_file, "--lobes", "--channel", "blue").splitlines()
-    start = next(number for number, line in enumerate(lines) if ", blue channel" in line)
-    height, width, kappa = (
-        [float(word.strip("°")) for word in line.split()[-4:]] for line in lines[start + 3 : start + 6]
-    )
-    angles = np.radians([0.0, 30.0, 60.0, 80.0])
-    first = load_fit(model_file).model.select((0,), with_delta=False)
-    np.testing.assert_allclose(height, first.evaluate(0.0, angles)[:, 2], rtol=1e-3)
-    half = first.evaluate(np.radians(width[0]), 0.0)[2]
-    assert half == pytest.approx(height[0] / 2.0, rel=1e-2)
-    np.testing.assert_allclose(kappa, first.parameters_at(angles)["kappa"][:, 0, 0], rtol=1e-3)
-
-
 def test_show_prints_the_report_that_the_fit_printed(plastic_file: Path, model_file: Path, tmp_path: Path) -> None:
     *before, last = printed("fit", plastic_file, "-o", tmp_path, *FEW_LOBES).splitlines()
     assert last == f"saved: {tmp_path / 'plastic.json'}"
@@ -170,14 +154,6 @@ def test_show_prints_the_lobes_tried_or_compared_and_the_largest_errors(
         low, high = (f"{angle:.0f}°" for angle in np.degrees(band.theta_diff))
         errors = [f"{band.relative_rms:.4f}", f"{band.floor:.4f}", f"{band.excess:.3f}"]
         assert ["theta_diff", low, "to", high, *errors] in rows
-
-
-def test_ring_lobe_is_printed_with_its_center(tmp_path: Path) -> None:
-    dsbrdf.save(random_model(), tmp_path / "ring.json")
-    out = printed("show", tmp_path / "ring.json", "--lobes")
-    assert out.startswith("ring: 4 lobes (1 ring)")
-    (line,) = [line for line in out.splitlines() if line.split()[:1] == ["center"]]
-    assert line.count("°") == 4
 
 
 @pytest.mark.parametrize(

@@ -50,9 +50,8 @@ def spheres() -> SphereComparison:
 
 @pytest.fixture(scope="module")
 def overview(plastic_profiles: Profiles, spheres: SphereComparison) -> Figure:
-    """At theta_diff of 0 and 45 degrees: axes 0 to 3 show profiles, 4 to 7 components in green, then come spheres."""
-    degrees = [0.0, float(np.radians(45.0))]
-    return overview_figure(plastic_profiles, MODEL, theta_diff=degrees, channel="green", spheres=spheres)
+    """At theta_diff of 0 and 45 degrees: axes 0 to 3 show profiles, 4 to 7 components in red, then come spheres."""
+    return overview_figure(plastic_profiles, MODEL, spheres=spheres)
 
 
 @pytest.fixture(scope="module")
@@ -129,11 +128,10 @@ def test_parameters_figure_draws_the_lobes_of_the_model_on_request() -> None:
     assert [line.get_label() for line in widths.lines] == ["lobe 0", "lobe 1", "lobe 2"]
 
 
-def test_drawn_parts_sum_to_the_fit_in_the_channel_asked_for(overview: Figure, lobes: Figure) -> None:
-    of_components = overview.axes[4], "green", len(decompose(MODEL))
-    for ax, channel, count in (of_components, (lobes.axes[0], "red", MODEL.n_lobes + 1)):
+def test_drawn_parts_sum_to_the_fit_in_the_red_channel(overview: Figure, lobes: Figure) -> None:
+    for ax, count in ((overview.axes[4], len(decompose(MODEL))), (lobes.axes[0], MODEL.n_lobes + 1)):
         ((_, total),) = lines_of(ax, "fit")
-        np.testing.assert_array_equal(total, lines_of(overview.axes[0], f"{channel}, fit")[0][1])
+        np.testing.assert_array_equal(total, lines_of(overview.axes[0], "red, fit")[0][1])
         named = [str(line.get_label()) for line in ax.lines]
         parts = [label for label in named if "half width" in label or label in ("delta term", "diffuse")]
         assert len(parts) == len(set(parts)) == count
@@ -162,7 +160,7 @@ def test_what_cannot_be_seen_is_not_in_the_legend(plastic_profiles: Profiles) ->
 def test_black_models_and_slices_without_data_are_drawn(plastic_profiles: Profiles) -> None:
     black = MODEL.select((), with_delta=False)
     assert not np.any(plastic_profiles.weight[:, 89])
-    for figure in (overview_figure(plastic_profiles, black, theta_diff=[0.0, np.pi / 2]), parameters_figure(black)):
+    for figure in (overview_figure(plastic_profiles, black), parameters_figure(black)):
         assert encode_figure(figure, dpi=20).startswith(b"\x89PNG")
 
 
@@ -177,15 +175,6 @@ def test_figures_are_encoded_as_png_svg_and_pdf_without_pyplot(lobes: Figure, mo
     assert encode_figure(parameters_figure(PAINT), "pdf").startswith(b"%PDF")
     with pytest.raises(InvalidArgumentError, match="the image format must be png, svg or pdf, not 'bmp'"):
         encode_figure(lobes, "bmp")
-
-
-def test_theta_diff_out_of_range_and_unknown_channels_are_refused(plastic_profiles: Profiles) -> None:
-    bad: tuple[list[float], ...] = ([], [-0.1], [2.0], [np.nan], [[0.0]])  # type: ignore[list-item]
-    for theta_diff in bad:
-        with pytest.raises(InvalidArgumentError, match="theta_diff must be one or more angles from 0 to pi/2"):
-            overview_figure(plastic_profiles, MODEL, theta_diff=theta_diff)
-    with pytest.raises(InvalidArgumentError, match="channel must be red, green or blue, not 'alpha'"):
-        overview_figure(plastic_profiles, MODEL, channel="alpha")
 
 
 def test_missing_matplotlib_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
