@@ -17,8 +17,11 @@ MAX_CELLS = 5_000_000
 """Tables with more cells, which would take 5 s and 1 GB, are refused."""
 MAX_COLUMNS = 4096
 _MISSING = {"", "nan", "na", "n/a", "n.a.", "null", "none", "missing", "-nan(ind)", "1.#qnan", "-1.#ind"}
+_N_TRIED_BYTES = 64  # So many bytes tell the encoding.
+_PRINTED = frozenset((*b"\t\r\n", *range(32, 127)))
 # Spreadsheets write "#N/A" and "#DIV/0!"; Markdown separates the head of a table by hyphens.
 _NO_NUMBER = re.compile(r"#.*|:?-+:?")
+_TOLERANCE = re.compile(r"(?:±.*|[\N{DEGREE SIGN}*]\s*)$")  # also the mark of a footnote
 _FORTRAN_EXPONENT = re.compile(r"(?<=[0-9.])[dD](?=[-+0-9])")
 
 Constants = dict[str, float]
@@ -108,15 +111,23 @@ class TextTable:
 
 
 def decoded(data: bytes) -> str:
-    """Decode UTF-8, UTF-16 with a byte order mark, which spreadsheets write, or else Latin-1."""
-    encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    """Decode UTF-8, UTF-16, or else the code page of Windows, in which no byte is wrong."""
     try:
-        text = data.decode(encoding)
+        text = data.decode(utf_16_of(data) or "utf-8-sig")
     except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    if re.search(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]", text):
+        text = data.decode("cp1252", errors="replace")
+    if re.search(r"[\x00-\x08\x0e-\x1f\x7f]", text):
         raise MeasurementFormatError("The data is not a text; a table of samples is a text in UTF-8.")
     return text
+
+
+def utf_16_of(data: bytes) -> str | None:
+    """Return the encoding of a text in UTF-16, which spreadsheets write, also without a mark; None for others."""
+    first, second = data[:_N_TRIED_BYTES:2], data[1:_N_TRIED_BYTES:2]
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    is_ascii = len(second) > 1 and not any(second) and all(byte in _PRINTED for byte in first)
+    return "utf-16-le" if is_ascii else None
 
 
 def check_size(n_rows: int, n_columns: int) -> None:
@@ -166,7 +177,7 @@ def about_foot(lines: Sequence[tuple[int, str]]) -> tuple[str, ...]:
 
 def as_number(cell: str, separator: str) -> float | None:
     """Return the number in a cell, NaN for an empty cell or a word such as "n/a", or None for other words."""
-    text = cell.partition("±")[0].strip().rstrip("\N{DEGREE SIGN}").replace("\N{MINUS SIGN}", "-")
+    text = _TOLERANCE.sub("", cell).strip().replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "-")
     if text.lower() in _MISSING or _NO_NUMBER.fullmatch(text):
         return float("nan")
     if separator != "," and "," in text:

@@ -27,7 +27,7 @@ from dsbrdf.samples.names import (
     VALUE_UNITS,
     VECTORS,
     WAVELENGTH_UNITS,
-    is_factor,
+    factor_of,
     wavelength_of,
 )
 from dsbrdf.samples.spectra import linear_srgb, of_rows
@@ -222,11 +222,9 @@ def _about_unread(table: TextTable, read: Collection[str]) -> Iterator[str]:
 
 def _about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:
     written, light = found.columns[found.values[0]].written, found.columns.get("theta_in")
-    if options.scale == 1.0 and is_factor(written, light.written if light else ""):
-        yield (
-            f"The names suggest that the column {written!r} has reflectance factors, which are pi times the values of "
-            "a BRDF in 1/sr: if they are, set scale to 0.3183, or to 0.003183 for per cent."
-        )
+    factor = factor_of(written, light.written if light else "") if options.scale == 1.0 else ""
+    if factor:
+        yield f"The names suggest that the column {written!r} has reflectance factors, which are {factor}."
     if found.values == CHANNELS:
         return
     if wavelengths.size == 0:

@@ -10,6 +10,7 @@ from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.samples.cells import utf_16_of
 from dsbrdf.samples.reading import parse_samples, read_samples
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
@@ -18,7 +19,6 @@ START_BYTES = 4096
 """This number of bytes at the beginning of a file is enough to recognise its kind."""
 _RGL = b"tensor_file\0"
 _OLD_SPREADSHEET = b"\xd0\xcf\x11\xe0"  # .xls
-_UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _NAMES = {"merl": "a MERL file", "rgl": "an RGL file"}
 
@@ -38,7 +38,7 @@ def measurement_kind(start: bytes) -> MeasurementKind:
         raise MeasurementFormatError(
             "The file is a spreadsheet of another kind: save it as .xlsx, or its sheet as .csv."
         )
-    is_text = start.startswith(_UTF_16_MARKS) or not _CONTROLS.search(start)
+    is_text = utf_16_of(start) is not None or not _CONTROLS.search(start)
     return "samples" if start and not start.startswith(HEADER) and (is_text or start.startswith(b"PK")) else "merl"
 
 

@@ -35,6 +35,7 @@ _FACTORS = (
     *("brf", "hdrf", "hcrf", "rho", "refl", "reff", "reflectance", "reflectivity", "reflectance_factor"),
     *("bidirectional_reflectance_factor", "radiance_factor"),
 )
+_RADIANCE_FACTORS = ("i/f", "i_over_f", "iof", "radf")
 _DENSITIES = ("value", "brdf", "bsdf", "frdb", "f_r", "fr")
 _VALUES = (
     *(*_DENSITIES, "luminance"),
@@ -52,7 +53,7 @@ _OTHERS = {
     "phi_out": ("vaa", "azimut", "raa"),
     "phase": ("phase", "phase_angle"),
     "theta_from_mirror": ("angle_from_specular", "degrees_from_specular"),
-    "value": (*_VALUES, *_FACTORS),
+    "value": (*_VALUES, *_FACTORS, *_RADIANCE_FACTORS),
     "weight": ("weight",),
     "wavelength": ("wavelength", "wavelength_i", "lambda", "wl"),
 }
@@ -67,6 +68,7 @@ WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 
 """Factors that convert units of wavelengths to nanometres."""
 VALUE_UNITS = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
 """Units of a BRDF."""
+_FIRST_OF_MATRIX = re.compile(r"(?:f_?r?|m|s|mueller|brdf)_?00")  # the elements of a Mueller matrix, counted from 0
 # Planetary science writes these letters for the angles of incidence, emission and phase.
 _PLANETARY = {"i": "theta_in", "e": "theta_out", "g": "phase", "alpha": "phase"}
 _SOLAR = {"theta_s": "theta_in", "phi_s": "phi_in"}  # "s" is the sun beside "v" for the viewer.
@@ -125,11 +127,11 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
         for axis in "xyz"
     }
     found = [special.get(name) or vectors.get(name) or _meaning(name) for name in names]
-    # Beside the direction of the viewer, a scattering angle is the one to the direction of the light.
-    is_apart = found.count("theta_out") > 1
-    return [
-        None if is_apart and name == "scattering_angle" else known for name, known in zip(names, found, strict=True)
-    ]
+    ignored = {"scattering_angle"} if found.count("theta_out") > 1 else set()  # It lies between light and viewer.
+    if first := [name for name in names if _FIRST_OF_MATRIX.fullmatch(name)]:
+        found = ["value" if name in first else known for name, known in zip(names, found, strict=True)]
+        ignored |= {name.replace("00", "11") for name in first}
+    return [None if name in ignored else known for name, known in zip(names, found, strict=True)]
 
 
 def meaning_of(cell: str) -> str | None:
@@ -167,11 +169,14 @@ def _parts(word: str) -> tuple[str, ...]:
     return found.groups() if found else (word,)
 
 
-def is_factor(cell: str, light: str) -> bool:
-    """Return whether values with a name are reflectance factors, by this name or by the name of the light's angle."""
+def factor_of(cell: str, light: str) -> str:
+    """Return what values are if their name, or the name of the light's angle, means reflectance factors; else ""."""
     name, is_solar = name_and_unit(cell)[0], re.match("s(?:un|ol|za)", name_and_unit(light)[0])
+    if name in _RADIANCE_FACTORS:
+        return "pi times the cosine of theta_in times the BRDF: if they are, set scale to 0.3183, and cosine to in"
     is_density = name.startswith((*_DENSITIES, "rrs"))
-    return _FACTOR.fullmatch(name) is not None or (is_solar is not None and not is_density)
+    is_factor = _FACTOR.fullmatch(name) is not None or (is_solar is not None and not is_density)
+    return "pi times the BRDF: if they are, set scale to 0.3183, or to 0.003183 for per cent" if is_factor else ""
 
 
 def matrix_names(cell: str) -> tuple[str, ...]:

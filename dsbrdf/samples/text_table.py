@@ -139,6 +139,9 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
             continue
         below = filter(_is_row, islice(lines, place + 1, place + 1 + _MAX_LINES_BEFORE_NAMES))
         row = next(below, "").strip(" ")
+        at = place
+        if not row and _COMMENT.match(line):  # The names stand behind the rows.
+            at, row = -1, next(filter(_is_row, lines), "").strip(" ")
         splits = [_cells(row, separator) for separator in SEPARATORS]
         for names in _candidates(words):
             known = count_names(names, named)
@@ -148,7 +151,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
                 continue  # The line is a constant, a column of a transposed table, or a title.
             score = known + _FITS_BONUS * fits
             if known > 0 and (score, fits) > best[:2]:
-                best = score, fits, place, names
+                best = score, fits, at, names
     _, _, place, names = best if best[0] > 1 else (0, 0, -1, ())
     above = next(filter(_is_row, reversed(lines[:place])), "") if len({*names}) < len(names) else ""
     return place, _with_groups(names, above)

@@ -163,6 +163,32 @@ def test_bands_in_brackets_tolerances_and_vectors_of_words_are_read() -> None:
     np.testing.assert_allclose(samples.omega_out, omega[:, 3:], atol=1e-9)
 
 
+LINES = [",".join(map(repr, row)) for row in np.column_stack([GRID - [0.0, 180.0, 0.0, 180.0], TRUE]).tolist()]
+TEXT = "\n".join([",".join(NAMES), *LINES])
+ENCODED = {
+    "title of Windows": ("Tile 5 – “black”\n" + TEXT).encode("cp1252"),
+    "title in Japanese": ("試料\n" + TEXT).encode("shift_jis"),
+    "UTF-16 without a mark": TEXT.encode("utf-16-le"),
+    "dashes and footnotes": TEXT.replace("-", "–").replace("\n", "*\n").replace("value*", "value").encode(),
+    "names behind the rows": "\n".join([*LINES[:400], "# " + ",".join(NAMES)]).encode(),
+    "matrix from 0": TEXT.replace("value", "M00,M11").replace("\n", ",7\n").replace("M11,7", "M11").encode() + b",7",
+}
+
+
+@pytest.mark.parametrize("kind", ENCODED)
+def test_texts_of_other_programs_are_read(kind: str) -> None:
+    samples = parse_samples(ENCODED[kind])
+    count = len(samples.values)
+    assert count >= 400
+    np.testing.assert_allclose(samples.values[:, 0], TRUE[:count], rtol=1e-12)
+    np.testing.assert_allclose(samples.omega_out, directions(GRID - [0, 0, 0, 180])[1][:count], atol=1e-9)
+
+
+def test_radiance_factors_are_told_with_both_options() -> None:
+    samples = parse_samples(TEXT.replace("value", "I/F").encode())
+    assert "the BRDF: if they are, set scale to 0.3183, and cosine to in" in samples.notes[0]
+
+
 @pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "missing", "n.a.", "---"])
 def test_words_for_no_number_leave_out_their_row(word: str) -> None:
     samples = parse_samples(changed(5, word))
