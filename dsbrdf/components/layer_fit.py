@@ -35,6 +35,7 @@ MODEL_ERROR = 0.02
 """Relative error that even the best layers of a material have, c of the module's equation."""
 _FIXED_NOISE = 0.2
 _MAX_FIXED_NOISE_STEPS = 20
+_MIN_FIXED_NOISE_GAIN = 0.5  # A step with a fixed noise that lowers the cost by less ends the first stage.
 _TRIAL_STEPS = (5,)
 _QUICK_TRIAL_STEPS = (2, 3)  # The better half of a structure's starts gets the second number of steps.
 _QUICK_TRIAL_STRIDE = 2  # Every second pair of directions is enough for the trials of a complete material.
@@ -224,11 +225,15 @@ class _Descent:
         """Take at most a number of steps."""
         for _ in range(steps):
             if self.is_first and (self._steps >= _MAX_FIXED_NOISE_STEPS or self._error < _FIXED_NOISE**2):
-                self.is_first, self.damping = False, max(self.damping, 1e-3)
+                self._free_noise()
             if self.done:
                 return
             self._steps += 1
             self._step()
+
+    def _free_noise(self) -> None:
+        """End the first stage."""
+        self.is_first, self.damping = False, max(self.damping, 1e-3)
 
     def fitted(self) -> FittedStructure:
         """Return the structure with the current unknowns."""
@@ -247,13 +252,15 @@ class _Descent:
         if not free.size:
             self.done = True
             return
-        reduced = matrix[np.ix_(free, free)]
+        reduced = matrix[free[:, np.newaxis], free]
+        diagonal = reduced.diagonal()
         for _ in range(_MAX_DAMPING_TRIES):
-            damped = reduced + self.damping * np.diag(np.diag(reduced))
+            damped = reduced.copy()
+            damped.flat[:: free.size + 1] += self.damping * diagonal
             move = potrs(potrf(damped, lower=1)[0], gradient[free], lower=1)[0]
             tried = self.unknowns.copy()
-            tried[free] -= np.clip(move, -_MAX_UNKNOWN_CHANGE, _MAX_UNKNOWN_CHANGE)
-            tried = np.clip(tried, lower, upper)
+            tried[free] -= np.minimum(np.maximum(move, -_MAX_UNKNOWN_CHANGE), _MAX_UNKNOWN_CHANGE)
+            tried = np.minimum(np.maximum(tried, lower), upper)
             layers = self._layers(tried)
             there = self._cost(self._squared_error(layers), is_first=self.is_first) + self._penalty(tried)
             if there < here:
@@ -265,6 +272,8 @@ class _Descent:
         self._stalled = self._stalled + 1 if here - there < _COST_TOLERANCE * self.data.n_samples / N_SAMPLES else 0
         self.unknowns, self.damping = tried, max(self.damping / 4.0, 1e-5)
         self.done = not self.is_first and self._stalled >= _MAX_STALLED_STEPS
+        if self.is_first and here - there < _MIN_FIXED_NOISE_GAIN:
+            self._free_noise()
         self._linearize(layers)
 
     def _layers(self, unknowns: Array) -> list[Linearized]:
@@ -272,7 +281,7 @@ class _Descent:
         return [prior.kind.linearize(self.data.points, unknowns[part]) for prior, part in parts]
 
     def _squared_error(self, layers: list[Linearized]) -> float:
-        return self.data.squared_error(np.sum([layer.values for layer in layers], axis=0))
+        return self.data.squared_error(_sum_of(layers))
 
     def _cost(self, error: float, *, is_first: bool) -> float:
         scaled = error / _FIXED_NOISE**2 if is_first else float(np.log(error + self.data.model_error**2))
@@ -282,19 +291,20 @@ class _Descent:
         """Compute C and its normal equations, channel by channel."""
         size = self.unknowns.size
         self._error, self._matrix, self._gradient = 0.0, np.zeros((size, size)), np.zeros(size)
-        total = np.sum([layer.values for layer in layers], axis=0)
+        total, derivatives = _sum_of(layers), [layer.relative() for layer in layers]
+        # The rows are the derivatives, then the residual.
+        columns = np.empty((self.structure.of_channel[0].size + 1, total.shape[1]))
         for channel, places in enumerate(self.structure.of_channel):
             root = self.data.root_weight[channel]
-            columns = np.empty((places.size + 1, root.size))  # The rows are the derivatives, then the residual.
             end = 0
-            for layer in layers:
+            for layer, relative in zip(layers, derivatives, strict=True):
                 np.multiply(layer.own[channel], root, out=columns[end])
                 end += 1
                 if layer.grazing is not None:
                     np.multiply(layer.grazing, root, out=columns[end])
                     end += 1
-                start, end = end, end + len(layer.relative)
-                np.multiply(layer.relative, layer.values[channel] * root, out=columns[start:end])
+                start, end = end, end + len(relative)
+                np.multiply(relative, layer.values[channel] * root, out=columns[start:end])
             np.subtract(total[channel] * root, self.data.weighted[channel], out=columns[end])
             products = columns[:-1] @ columns.T
             self._error += float(columns[-1] @ columns[-1])
@@ -317,6 +327,14 @@ class _Descent:
     def _penalty(self, unknowns: Array) -> float:
         whitened = self.structure.root @ (unknowns - self.structure.mean)
         return float(self.structure.freedom @ np.log1p(whitened**2 / self.structure.freedom))
+
+
+def _sum_of(layers: Sequence[Linearized]) -> Array:
+    """Return the sum of the values (3, N) of layers."""
+    total = layers[0].values
+    for layer in layers[1:]:
+        total = total + layer.values
+    return total
 
 
 def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]) -> Array:

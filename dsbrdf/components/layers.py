@@ -25,7 +25,7 @@ those that can be negative themselves, the others as logarithms.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
@@ -45,7 +45,7 @@ class Linearized(NamedTuple):
 
     values: Array  # (3, N) [1/sr]
     own: Array  # derivative of each channel in the logarithm of its colour, (3, N) [1/sr]
-    relative: Array  # derivatives of every channel's logarithm in the last P unknowns, (P, N)
+    relative: Callable[[], Array]  # returns derivatives of every channel's logarithm in the last P unknowns, (P, N)
     grazing: Array | None = None  # derivative of every channel in log F90, the unknown after the colour, (N,) [1/sr]
 
 
@@ -128,9 +128,9 @@ class SpecularLayer:
         shape = np.exp(surface.log_shape(masking) + unknowns[4:6] @ points.rise + unknowns[9] * points.passed)
         own = np.exp(unknowns[:3])[:, np.newaxis] * (shape * (1.0 - points.fresnel))
         grazing = np.exp(unknowns[3]) * shape * points.fresnel
-        by_alpha, by_tail, by_masking = surface.derivatives(masking)
-        relative = np.stack([*points.rise, by_alpha, by_tail, by_masking, points.passed])
-        return Linearized(own + grazing, own, relative, grazing)
+        return Linearized(
+            own + grazing, own, lambda: np.stack([*points.rise, *surface.derivatives(masking), points.passed]), grazing
+        )
 
     def values(self, points: Points) -> Array:
         """Return values (3, N) at points [1/sr]."""
@@ -240,7 +240,7 @@ class SheenLayer:
 
 def _powers(features: Array, unknowns: Array, scale: float) -> Linearized:
     values = np.exp(unknowns[:3])[:, np.newaxis] * (scale * np.exp(unknowns[3:] @ features))
-    return Linearized(values, values, features)
+    return Linearized(values, values, lambda: features)
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ class RetroLayer:
         )
         surface = _Surface(turned, float(np.exp(unknowns[3])), 2.0)
         values = np.exp(unknowns[:3])[:, np.newaxis] * np.exp(surface.log_shape(0.0))
-        return Linearized(values, values, surface.derivatives(0.0)[0][np.newaxis])
+        return Linearized(values, values, lambda: surface.derivatives(0.0)[0][np.newaxis])
 
     def values(self, points: Points) -> Array:
         """Return values (3, N) at points [1/sr]."""

@@ -81,7 +81,7 @@ def test_derivatives_are_those_of_finite_differences(kind: type[Layer], count: i
     found = kind.linearize(points, x)
     np.testing.assert_allclose(found.values, kind.from_unknowns(x).values(points), rtol=1e-12)
     np.testing.assert_allclose(kind.from_unknowns(x).unknowns, x, rtol=1e-12)
-    shared = count - len(found.relative)
+    shared = count - len(found.relative())
     for k in range(count):
         step = 1e-6 * np.eye(count)[k]
         slope = (kind.linearize(points, x + step).values - kind.linearize(points, x - step).values) / 2e-6
@@ -90,7 +90,7 @@ def test_derivatives_are_those_of_finite_differences(kind: type[Layer], count: i
         elif k < shared:
             expected = np.broadcast_to(np.asarray(found.grazing), slope.shape)
         else:
-            expected = found.values * found.relative[k - shared]
+            expected = found.values * found.relative()[k - shared]
         np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-8)
 
 
@@ -126,3 +126,12 @@ def test_albedo_is_the_mean_weight_of_samples() -> None:
     drawn = model.sample(np.broadcast_to(towards, (20_000, 3)), np.random.default_rng(0))
     np.testing.assert_allclose(drawn.weight.mean(axis=0), model.albedo(0.7), rtol=0.02)
     np.testing.assert_allclose(drawn.pdf, model.pdf(drawn.omega_in, towards), rtol=1e-9)
+
+
+def test_the_reflectance_at_an_angle_has_the_slopes_of_finite_differences() -> None:
+    x = np.random.default_rng(2).normal(-0.5, 0.3, 10)
+    slopes = SpecularLayer.from_unknowns(x).reflectance_slopes(1.2)
+    for k in range(10):
+        step = 1e-6 * np.eye(10)[k]
+        ends = (np.log(SpecularLayer.from_unknowns(x + sign * step).reflectance_at(1.2)) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(slopes[:, k], (next(ends) - next(ends)) / 2e-6, rtol=1e-5, atol=1e-8)
