@@ -36,6 +36,7 @@ from ..storage.schema import FitRow, MeasurementRow
 
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"
+_TIMES = ("created", "started", "finished")
 Label = Literal[*LABELS]  # type: ignore[valid-type]
 Share = Annotated[float, Field(ge=0, le=1)]
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -132,9 +133,13 @@ class Page(Input):
 
 def members(document: type[BaseModel], row: FitRow | MeasurementRow) -> dict[str, Any]:
     """Return the members of a document that a row has, with times as datetimes instead of seconds since 1970."""
-    known = {name: getattr(row, name) for name in document.model_fields if hasattr(row, name)}
-    times = ((name, known.get(name)) for name in ("created", "started", "finished"))
-    return known | {name: datetime.fromtimestamp(at, UTC) for name, at in times if at is not None}
+    known = {}
+    for name in document.model_fields:
+        if hasattr(row, name):
+            value = getattr(row, name)
+            is_time = name in _TIMES and value is not None
+            known[name] = datetime.fromtimestamp(value, UTC) if is_time else value
+    return known
 
 
 def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
