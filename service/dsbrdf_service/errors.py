@@ -1,7 +1,7 @@
 """Define the errors that the service raises; `http.problems` turns these and other errors into answers."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 _PLAIN_WORDS = {  # Patterns in pydantic's messages, and plain words for each.
@@ -75,8 +75,11 @@ class MeasurementDamagedError(ProblemError):
         super().__init__("measurement-damaged", f"The stored measurement is damaged ({damage}); upload it again.")
 
 
-def validation_sentence(errors: Sequence[Mapping[str, Any]]) -> str:
-    """Return pydantic's list of errors as one sentence, with the values that were sent."""
+def validation_sentence(errors: Sequence[Mapping[str, Any]], known: Iterable[str] = ()) -> str:
+    """Return pydantic's list of errors as one sentence, with the values that were sent and the `known` members."""
+    unknown = [error["loc"][-1] for error in errors if error["type"] == "extra_forbidden"]
+    if unknown:  # A misspelt name is missing too, which would be the second error.
+        return f"Unknown {min(unknown)[:60]!r}; known are {', '.join(known)}."
     parts = []
     for error in errors[:3]:
         place = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "path"))

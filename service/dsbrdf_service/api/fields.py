@@ -18,9 +18,7 @@ from pydantic import (
     TypeAdapter,
     ValidationError,
     WithJsonSchema,
-    model_validator,
 )
-from pydantic_core import PydanticCustomError
 from starlette.requests import Request
 
 from dsbrdf.components.shares import LABELS
@@ -66,14 +64,6 @@ class Input(Document):
 
     model_config = ConfigDict(extra="forbid")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_unknown_members(cls, given: Any) -> Any:
-        if isinstance(given, dict) and (unknown := given.keys() - cls.model_fields.keys()):
-            told = {"name": repr(str(min(unknown))[:60]), "known": ", ".join(cls.model_fields)}
-            raise PydanticCustomError("unknown", "Unknown {name}; known are {known}", told)
-        return given
-
 
 def _options_schema(kind: type, defaults: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of options: the types, bounds and sentences of the library's dataclass."""
@@ -109,7 +99,7 @@ def parse(kind: type[_Document], body: bytes) -> _Document:
     try:
         document = kind.model_validate_json(body)
     except ValidationError as error:
-        raise InvalidArgumentError(validation_sentence(error.errors())) from None
+        raise InvalidArgumentError(validation_sentence(error.errors(), kind.model_fields)) from None
     json.loads(body, object_pairs_hook=_refuse_repetition)
     return document
 

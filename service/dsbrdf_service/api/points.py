@@ -175,7 +175,7 @@ def _points(given: Mapping[str, Any], *, strict: bool) -> Points:
     try:
         return _READ[form](**vars(form.model_validate(given, strict=strict)))
     except ValidationError as error:
-        raise InvalidArgumentError(validation_sentence(error.errors())) from None
+        raise InvalidArgumentError(validation_sentence(error.errors(), form.model_fields)) from None
 
 
 def _of_angles(**degrees: Any) -> Points:
