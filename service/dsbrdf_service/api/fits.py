@@ -128,9 +128,7 @@ _FILE_AS_JSON = (
     "and a table as text/csv."
 )
 _Wait = Annotated[
-    float,
-    Query(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."),
-    PLAIN,
+    float, Query(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."), PLAIN
 ]
 _Only = Annotated[
     Literal["cancel", "delete"] | None,

@@ -18,9 +18,8 @@ from ..http.request_log import IS_HEAD
 from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefers, prefix_of, tagged_reply
 from ..storage.blobs import OpenFile
 from ..storage.database import in_write_thread
-from ..storage.schema import Caller
 from ..storage.writing import in_thread
-from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions
+from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheTableOptions
 from .fields import SHA256, Document, Name, Page, members, next_page
 from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
 
@@ -105,7 +104,7 @@ async def get_measurement(request: Request, context: TheContext, caller: TheCall
     With `Accept: application/octet-stream` the answer is the file, as below `/content`.
     """
     if prefers(request, BINARY, JSON):
-        return await _content(request, context, caller, sha256)
+        return await download_measurement(request, context, caller, sha256)
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     fits = await run_in_threadpool(context.store.fits_of, row.owner, row.sha256, _MAX_LISTED_FITS)
     return tagged_reply(request, to_json(members(MeasurementDocument, row) | {"fits": fits}), headers=_VARY)
@@ -119,24 +118,6 @@ async def get_measurement(request: Request, context: TheContext, caller: TheCall
 )
 async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Return the stored file; its ETag is its sha256. `HEAD` tells whether the file is stored, without sending it."""
-    return await _content(request, context, caller, sha256)
-
-
-@router.delete(
-    "/{sha256}",
-    status_code=204,
-    response_class=Response,
-    responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),
-)
-async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Delete a measurement; its finished fits stay. With unfinished fits, the answer is 409."""
-    if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
-        raise MeasurementNotFoundError(sha256)
-    return Response(status_code=204)
-
-
-async def _content(request: Request, context: Context, caller: Caller, sha256: str) -> Response:
-    """Return the file of a measurement."""
     row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     headers = {"ETag": f'"{sha256}"', **_VARY}
     path = await in_thread(context.store.measurement_file, caller.owner, sha256)
@@ -151,3 +132,16 @@ async def _content(request: Request, context: Context, caller: Caller, sha256: s
         return OpenFileResponse(file, headers | {"Content-Type": BINARY})
     except FileNotFoundError:  # The file was deleted after its row was read.
         raise MeasurementNotFoundError(sha256) from None
+
+
+@router.delete(
+    "/{sha256}",
+    status_code=204,
+    response_class=Response,
+    responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),
+)
+async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
+    """Delete a measurement; its finished fits stay. With unfinished fits, the answer is 409."""
+    if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
+        raise MeasurementNotFoundError(sha256)
+    return Response(status_code=204)

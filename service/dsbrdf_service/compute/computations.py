@@ -75,12 +75,7 @@ class Computations:
         return result
 
     async def run_in_process(
-        self,
-        request: Request,
-        key: Hashable,
-        step: Callable[..., Any],
-        *arguments: Any,
-        place: Place = "medium",
+        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, place: Place = "medium"
     ) -> Any:
         """Call ``step(*arguments, on_progress)`` in a separate process and return its result.
 

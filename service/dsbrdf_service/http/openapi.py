@@ -42,12 +42,7 @@ EXAMPLE_FIT = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
 EXAMPLE_SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 _GIVEN: dict[str, dict[str, Any]] = json.loads((files(__package__) / "examples.json").read_text())
 EXAMPLE_POINTS = _GIVEN["points"]
-_FIT = {
-    **_GIVEN["fit"],
-    "options": DEFAULTS,
-    "algorithm": dsbrdf.ALGORITHM_VERSION,
-    "library": dsbrdf.__version__,
-}
+_FIT = {**_GIVEN["fit"], "options": DEFAULTS, "algorithm": dsbrdf.ALGORITHM_VERSION, "library": dsbrdf.__version__}
 _EXAMPLES: dict[str, dict[str, Any]] = {
     "MeasurementDocument": _GIVEN["measurement"],
     "MeasurementDetails": {**_GIVEN["measurement"], "fits": [EXAMPLE_FIT]},

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from functools import partial
 
 from anyio import CapacityLimiter, to_thread
-from pydantic import BaseModel
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
@@ -38,14 +37,9 @@ def prefix_of(request: Request) -> str:
 
 
 def tagged_reply(
-    request: Request,
-    content: bytes | BaseModel,
-    media_type: str = JSON,
-    headers: Mapping[str, str] | None = None,
+    request: Request, content: bytes, media_type: str = JSON, headers: Mapping[str, str] | None = None
 ) -> Response:
-    """Return bytes or a document with their hash as a strong ETag, or 304 if the client has them."""
-    if isinstance(content, BaseModel):
-        content = content.model_dump_json().encode()
+    """Return bytes with their hash as a strong ETag, or 304 if the client has them."""
     tagged = {**(headers or {}), "ETag": tag_of(content)}
     return not_modified(request, tagged) or Response(content, 200, tagged, media_type)
 
