@@ -11,7 +11,9 @@ from dsbrdf import write_merl
 from tests.support.materials import glossy_plastic
 from tests.support.soak import SOAK
 
-ROUNDS_OF_SERIES = {name: one.times for name, one in SERIES.items()} if SOAK else {"server-kill": 1, "disk": 1}
+ROUNDS_OF_SERIES = (
+    {name: one.times for name, one in SERIES.items()} if SOAK else {"server-kill": 1, "uploads": 1, "disk": 1}
+)
 
 
 @pytest.fixture(scope="module")

@@ -126,6 +126,17 @@ def test_sigterm_to_all_processes_fails_no_fit_and_cuts_off_no_answer(
         assert server.status(fit) in ("accepted", "running", "succeeded")
 
 
+def test_sigterm_with_unread_answers_ends_with_zero(own_server: Callable[..., Server], data: bytes) -> None:
+    server = own_server(fits=False, shutdown_seconds="1")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    request = f"GET /v1/measurements/{sha256}/content HTTP/1.1\r\nHost: x\r\n\r\n".encode()
+    with ExitStack() as stack:
+        unread = [stack.enter_context(closing(server.connection(request))) for _ in range(20)]
+        assert [connection.recv(12) for connection in unread] == [b"HTTP/1.1 200"] * 20
+        assert server.stop() == 0
+    assert "Traceback" not in server.log.read_text()
+
+
 def pipes(pid: int) -> int:
     """Return how many ends of pipes a process has."""
     return sum(

@@ -1,9 +1,11 @@
 """What requests compute: nothing for clients that have left, nothing twice, and the keys take turns."""
 
 import asyncio
+import errno
 import json
 import os
 import signal
+import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future
@@ -188,6 +190,29 @@ async def test_full_disk_under_an_export_is_507(
     monkeypatch.setattr(exports, "export_step", lambda *_: Path("/dev/full").write_bytes(b"a table"))
     answer = await running.ask(f"{FIT_PATH}/export?format=merl", key).end()
     assert (answer.status, json.loads(answer.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
+
+
+async def test_without_inodes_what_writes_is_507_and_what_reads_works(
+    running: Application, key: str, data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    async def status(target: str, method: str = "GET", body: bytes = b"") -> int:
+        return (await running.ask(target, key, method, body, "application/octet-stream").end()).status
+
+    for place, name in ((Path, "mkdir"), (tempfile, "TemporaryFile"), (tempfile, "mkstemp")):
+        monkeypatch.setattr(place, name, full)
+        assert await status("/v1/measurements", "POST", data) == 507
+        assert running.store.measurement_bytes() == 0
+        assert not [
+            path for path in running.store.folder.rglob("*") if path.suffix == ".binary" or "upload" in path.name
+        ]
+    assert await status("/v1/fits", "POST", data) == 507
+    assert await status(f"{FIT_PATH}/export?format=merl") == 507
+    assert await status("/health/ready") == 503
+    assert await status(f"{FIT_PATH}/export?format=json") == 200
+    assert await status("/v1/fits") == 200
 
 
 class Client:
