@@ -72,6 +72,8 @@ def compare(
     width = max(map(len, rows)) + 2
     print(f"{'':<{width}}" + "".join(f"{path.stem[-20:]:>22}" for path in paths))
     for name in rows:
+        if name == next((metric for metric in METRICS if metric in rows), None):
+            print("each fit compared with its own measurement:")
         print(f"{name:<{width}}" + "".join(f"{_cell(column.get(name)):>22}" for column in columns))
     print(*sentences, sep="\n")
     if output is not None:
@@ -96,7 +98,7 @@ def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], *, with_pi
 
 def _spheres(paths: Sequence[Path], sources: Sequence[Any], look: Look, *, with_picture: bool) -> _Comparison:
     is_fit = len(paths) == 2 and isinstance(sources[0], Measurement) and isinstance(sources[1], DSBRDF)
-    names = ["measured", "fit"] if is_fit else titles(paths)
+    names = ["measured", "fit"] if is_fit and paths[0].stem == paths[1].stem else titles(paths)
     light, factor = look.light(), look.exposure
     likeness: list[dict[str, float | None]] = []
     sentences: list[str] = []

@@ -5,7 +5,7 @@ library uses radians.
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from textwrap import wrap
@@ -25,8 +25,6 @@ from dsbrdf.model.lobes import half_width
 from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.serialize import to_json
 
-SHOWN_THETA_DIFF = (0.0, 30.0, 60.0, 80.0)
-"""Angles theta_diff at which parameters are printed, a subset of `LOBE_THETA_DIFF` [degrees]."""
 _TEXT_WIDTH = 60  # characters
 # The verdict on a fit is the first whose PSNR [dB] its lit sphere reaches.
 _VERDICTS_BY_PSNR = (
@@ -60,7 +58,7 @@ def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def component_surfaces_table(components: Sequence[Mapping[str, Any]], *, remarks: bool = True) -> list[str]:
-    """Return the surfaces and optional remarks of each component, then a table of values at theta_half = 0."""
+    """Return the surfaces and optional remarks of each component."""
     lines: list[str] = []
     for component in components:
         lines.append(f"{component['label']} ({component['structure']})")
@@ -68,7 +66,7 @@ def component_surfaces_table(components: Sequence[Mapping[str, Any]], *, remarks
             lines += _surface_lines(number, surface)
         for remark in component["remarks"] if remarks else ():
             lines += wrap(remark, _TEXT_WIDTH, initial_indent="  ", subsequent_indent="  ")
-    return lines + _heights_table(components)
+    return lines
 
 
 def _surface_lines(number: int, surface: Mapping[str, Any]) -> list[str]:
@@ -90,30 +88,12 @@ def _with_range(value: float, spread: Sequence[float]) -> str:
     return f"{value:<9.3g}({spread[0]:.3g} to {spread[1]:.3g})"
 
 
-def _heights_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the values of each component's layers at theta_half = 0 and `SHOWN_THETA_DIFF`."""
-    if not components:
-        return []
-    lines = ["height at theta_half = 0 [1/sr]", _row("at theta_diff", SHOWN_THETA_DIFF, "°")]
-    for component in components:
-        lobe = component["lobe"]
-        shown = [lobe["theta_diff_deg"].index(angle) for angle in SHOWN_THETA_DIFF]
-        lines.append(component["label"])
-        for channel, values in zip(CHANNELS, zip(*lobe["height"], strict=True), strict=True):
-            lines.append(_row(channel, [values[index] for index in shown], ""))
-    return lines
-
-
 def lobes_in_channel(model: DSBRDF, theta_diff: ArrayLike, channel: int) -> dict[str, Array]:
     """Return parameters and half widths (..., K) of the K lobes in one channel at theta_diff (...) [rad]."""
     found, shape = model.parameters_at(theta_diff), channel if model.kappa.shape[0] == 3 else 0
     at = {name: found[name][..., shape, :] for name in ("kappa", "gamma", "center")}
     at |= {"amplitude": found["amplitude"][..., channel, :], "elongation": found["elongation"]}
     return at | {"half_width": half_width(at["kappa"], at["gamma"], model.lobe)}
-
-
-def _row(name: str, values: Iterable[float], unit: str) -> str:
-    return (f"  {name:<14}" + "".join(f"{value:>10.4g}{unit or ' '}" for value in values)).rstrip()
 
 
 def lobes_phrase(model: DSBRDF) -> str:
