@@ -17,16 +17,16 @@ from dsbrdf.samples.names import matrix_names, meaning_of
 from dsbrdf.samples.table_options import TableOptions
 from dsbrdf.samples.text_table import parse_text_table
 
-_READERS = (
-    optics.scatter_table,
-    optics.fred_table,
-    optics.speos_table,
-    research.alta_table,
-    research.rami_table,
-    research.kernels_table,
-    research.json_table,
-    research.cornell_spectra_table,
-)
+_READERS = {
+    "a BSDF file of Zemax or LightTools": optics.scatter_table,
+    "a BSDF file of FRED": optics.fred_table,
+    "a BRDF file of Speos": optics.speos_table,
+    "a file of ALTA": research.alta_table,
+    "a measurement of RAMI": research.rami_table,
+    "observations of AMBRALS": research.kernels_table,
+    "JSON": research.json_table,
+    "a spectral text of Cornell": research.cornell_spectra_table,
+}
 _REFUSED = {
     rb"(?i)\AOPTIS - anisotropic bsdf": "an anisotropic BSDF file of Speos",
     rb"(?i)<WindowElement": "a BSDF file of LBNL WINDOW (Klems XML)",
@@ -47,19 +47,25 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
 
     Raises MeasurementFormatError with a sentence that names the mistake, or the format if it is not supported.
     """
-    for reader in _READERS:
-        if (table := reader(data)) is not None:
+    for kind, reader in _READERS.items():
+        try:
+            table = reader(data)
+        except MeasurementFormatError:
+            raise
+        except (ValueError, LookupError):
+            raise MeasurementFormatError(f"The data begins as {kind}, but is cut off or damaged.") from None
+        if table is not None:
             return table
-    if kind := _format_of(data[:_START_BYTES], _REFUSED) or known_kind(data[:16]):
-        raise _not_read(kind)
-    kind = _format_of(data, _REFUSED_WITHOUT_NAMES)
+    if known := _format_of(data[:_START_BYTES], _REFUSED) or known_kind(data[:16]):
+        raise _not_read(known)
+    known = _format_of(data, _REFUSED_WITHOUT_NAMES)
     named = {column.lower() for column in options.named_columns().values() if not column.isdecimal()}
     try:
         table = _unfolded(parse_text_table(research.plain_astm(data), named), options)
     except MeasurementFormatError as error:
-        raise (_not_read(kind) if kind else error) from None
-    if kind and table.names[0] == "1" and not options.columns:
-        raise _not_read(kind)
+        raise (_not_read(known) if known else error) from None
+    if known and table.names[0] == "1" and not options.columns:
+        raise _not_read(known)
     return table
 
 

@@ -58,10 +58,7 @@ def _zemax_table(text: str) -> TextTable:
     cells = [*chain.from_iterable(line for line in lines[begin + 1 :] if line[0] not in ("TIS", "DataEnd"))]
     if len(cells) != a.size:
         raise MeasurementFormatError(f"The Zemax BSDF file has {len(cells)} values, and its angles need {a.size}.")
-    try:
-        values = np.array(cells, dtype=np.float64)
-    except ValueError as error:
-        raise MeasurementFormatError(f"The Zemax BSDF file has a value that is no number ({error}).") from None
+    values = np.array(cells, dtype=np.float64)
     zero = np.zeros_like(a)
     mirror, to_normal = np.stack([np.sin(a), zero, np.cos(a)]), np.stack([-np.cos(a), zero, np.sin(a)])
     aside = np.stack([zero, zero + 1.0, zero])
@@ -79,20 +76,11 @@ def _lighttools_table(text: str) -> TextTable:
         state |= dict(line.split()[:2] for line in words.splitlines())
         if "TristimulusValue" in state:
             raise MeasurementFormatError("The file of LightTools has tristimulus values; only Monochrome is read.")
-        try:
-            values = np.array(numbers.split(), dtype=np.float64)
-            incidence, wavelength = float(state["AOI"]), float(state["Wavelength"])
-        except ValueError:
-            raise MeasurementFormatError("The file of LightTools is cut off or damaged.") from None
+        values = np.array(numbers.split(), dtype=np.float64)
         if values.size == 0 or (state["ScatterType"], state["Side"]) != ("BRDF", "Front"):
             continue
-        if values.size != phi.size * theta.size:
-            raise MeasurementFormatError(
-                f"The file of LightTools has {values.size} values at AOI {state['AOI']}; its angles need "
-                f"{phi.size * theta.size}."
-            )
         values = values.reshape(phi.size, theta.size)
-        blocks.append(_block(theta, phi, values, incidence, 90.0, wavelength))
+        blocks.append(_block(theta, phi, values, float(state["AOI"]), 90.0, float(state["Wavelength"])))
     if not blocks:
         raise MeasurementFormatError("The file of LightTools has no BRDF of the front side.")
     return _table_of_blocks(blocks)
@@ -106,10 +94,6 @@ def fred_table(data: bytes) -> TextTable | None:
     words = dict(re.findall(r"(\w+)=(\S+)", " ".join(line for _, line in lines[:20] if "=" in line)))
     if words.get("bsdf", "value") != "value":
         raise MeasurementFormatError(f"The file of FRED has bsdf={words['bsdf']}; only bsdf=value is read.")
-    try:
-        scale = float(words.get("scale", 1.0))
-    except ValueError:
-        raise MeasurementFormatError(f"The file of FRED has scale={words['scale']}, which is no number.") from None
     table = unnamed_table([(number, line) for number, line in lines if "=" not in line and "bsdf_data" not in line])
     unit, half_turn = ("rad", np.pi) if words.get("angles", "deg").startswith("rad") else ("deg", 180.0)
     # The numbers before each block are the last columns; blocks in one plane have no azimuths.
@@ -120,7 +104,7 @@ def fred_table(data: bytes) -> TextTable | None:
             "it needs theta, phi and BSDF after lines of theta and phi of the light."
         )
     columns = {name: table.numbers(at) for at, name in enumerate(names)}
-    columns["value"] = columns["value"] * scale
+    columns["value"] = columns["value"] * float(words.get("scale", 1.0))
     if "phi_in" in columns:
         columns["phi_in"] = columns["phi_in"] + half_turn
     return TextTable.of_numbers([name if name == "value" else f"{name} [{unit}]" for name in columns], columns.values())
@@ -131,22 +115,19 @@ def speos_table(data: bytes) -> TextTable | None:
     if not data.startswith(_SPEOS):
         return None
     lines = data.decode("latin-1").splitlines()
-    try:
-        if lines[1].strip() != "0":
-            raise MeasurementFormatError("The file of Speos is binary; export it as text.")
-        rest = "\n".join(lines[4:])[int(lines[3]) :].split()
-        if rest[2] != "1":
-            raise MeasurementFormatError("The file of Speos has intensities; values proportional to the BSDF are read.")
-        (n_in, n_bands), numbers = map(int, rest[3:5]), np.array(rest[5:], dtype=np.float64)
-        theta_in, wavelengths, numbers = np.split(numbers, [n_in, n_in + n_bands])
-        blocks = list[Array]()
-        for incidence, wavelength in np.stack(np.meshgrid(theta_in, wavelengths, indexing="ij"), -1).reshape(-1, 2):
-            n_theta, n_phi = int(numbers[1]), int(numbers[2])
-            phi, rows, numbers = np.split(numbers[3:], [n_phi, n_phi + n_theta * (n_phi + 1)])
-            rows = rows.reshape(n_theta, n_phi + 1)
-            blocks.append(_block(rows[:, :1], phi, rows[:, 1:], incidence, 180.0, wavelength))
-    except (IndexError, ValueError):
-        raise MeasurementFormatError("The file of Speos is cut off or damaged.") from None
+    if lines[1].strip() != "0":
+        raise MeasurementFormatError("The file of Speos is binary; export it as text.")
+    rest = "\n".join(lines[4:])[int(lines[3]) :].split()
+    if rest[2] != "1":
+        raise MeasurementFormatError("The file of Speos has intensities; values proportional to the BSDF are read.")
+    (n_in, n_bands), numbers = map(int, rest[3:5]), np.array(rest[5:], dtype=np.float64)
+    theta_in, wavelengths, numbers = np.split(numbers, [n_in, n_in + n_bands])
+    blocks = list[Array]()
+    for incidence, wavelength in np.stack(np.meshgrid(theta_in, wavelengths, indexing="ij"), -1).reshape(-1, 2):
+        n_theta, n_phi = int(numbers[1]), int(numbers[2])
+        phi, rows, numbers = np.split(numbers[3:], [n_phi, n_phi + n_theta * (n_phi + 1)])
+        rows = rows.reshape(n_theta, n_phi + 1)
+        blocks.append(_block(rows[:, :1], phi, rows[:, 1:], incidence, 180.0, wavelength))
     return _table_of_blocks(blocks)
 
 

@@ -53,7 +53,9 @@ REFUSED = {
     ),
     "The JSON has no lists of numbers by name, such as theta_in": '{"data": {"theta_i": [], "brdf": "dark"}}',
     "is a label of the Planetary Data System, which describes another file": "PDS_VERSION_ID = PDS3\n",
-    "The file of LightTools is cut off or damaged": "ScatterAzimuth 1\n0\nScatterRadial 1\n0\nDataBegin\nAOI 0\n1e\n",
+    "begins as a BSDF file of Zemax or LightTools, but is cut off": (
+        "ScatterAzimuth 1\n0\nScatterRadial 1\n0\nDataBegin\nAOI 0\n1e\n"
+    ),
 }
 
 
