@@ -5,6 +5,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError, ScatteredSamples
+from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_DIFF, THETA_HALF, half_difference, spherical, synthetic_measurement
 from dsbrdf.fitting import Metrics
 from dsbrdf.report_warnings import sample_warnings
@@ -70,23 +71,30 @@ def scaled(samples: ScatteredSamples, factor: Any, notes: tuple[str, ...] = ()) 
 def test_notes_are_warnings_progress_rises_and_grey_stays_grey() -> None:
     known, shares = scattered_samples(TRUTH, 60), list[float]()
     samples = ScatteredSamples.from_arrays(known.omega_in, known.omega_out, known.values[:, [1, 1, 1]])
-    expected = dsbrdf.fit(samples, n_lobes=1, ring_lobes=0)
-    np.testing.assert_array_equal(expected.model.amplitude, expected.model.amplitude[[1, 1, 1]])
     noted = scaled(samples, 1.0, notes=("Grey.",))
     found = dsbrdf.fit(noted, n_lobes=1, ring_lobes=0, progress=shares.append)
+    np.testing.assert_array_equal(found.model.amplitude, found.model.amplitude[[1, 1, 1]])
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
-    np.testing.assert_array_equal(found.model.evaluate(0.2, 0.5), expected.model.evaluate(0.2, 0.5))
-    assert found.report.warnings == ("Grey.", *expected.report.warnings)
+    assert found.report.warnings[0] == "Grey."
 
 
 @pytest.mark.parametrize("bright", [0, 7], ids=["fitted", "held out"])
-def test_one_bright_sample_among_black_ones_is_fitted(bright: int) -> None:
+def test_one_bright_sample_among_black_ones_leaves_the_model_dark_and_is_named(bright: int) -> None:
+    """How large an error is expected elsewhere depends on which one it is, and is not promised."""
     samples = scattered_samples(TRUTH, 60)
     found = dsbrdf.fit(scaled(samples, np.arange(60)[:, None] == bright), n_lobes=1, ring_lobes=0)
-    assert np.isfinite(found.model.amplitude).all()
-    # Where nothing is known, a logarithm is not expected to spread by more than 1, and a sample deviates as much again.
-    assert (found.report.metrics.relative_rms_expected or np.inf) < 1.2 * np.sqrt(np.expm1(1.0))
+    values = found.model.evaluate_directions(samples.omega_in, samples.omega_out)
+    assert np.all((values >= 0.0) & (values < 1e-3 * samples.values[bright].max()))
+    assert np.isfinite(found.report.metrics.relative_rms_expected or np.nan)
+    place = "at theta_in = {:.0f}, theta_out = {:.0f} and".format(*np.degrees(angles_of(samples, bright)))
+    for said in ("The model misses the samples by 100% of their size", f"Much depends on one sample, {place}"):
+        assert any(said in text for text in found.report.warnings), said
+
+
+def angles_of(samples: ScatteredSamples, number: int) -> Array:
+    """theta_in and theta_out of a sample [rad]."""
+    return np.arccos([samples.omega_in[number, 2], samples.omega_out[number, 2]])
 
 
 def test_samples_of_hardly_any_weight_hardly_count() -> None:
@@ -187,9 +195,9 @@ def test_errors_expected_over_all_directions_are_rarely_exceeded_by_those_of_new
 
 def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF) -> None:
     """Of light at 0 to 30 degrees nothing is known at 70; no two of the pairs are the same."""
-    samples = scattered_samples(truth, 300)
+    samples = scattered_samples(truth, 200)
     steep = samples.take(np.maximum(samples.omega_in[:, 2], samples.omega_out[:, 2]) > np.cos(np.radians(30.0)))
-    report = dsbrdf.fit(steep, n_lobes=2, ring_lobes=0).report
+    report = dsbrdf.fit(steep, n_lobes=1, ring_lobes=0).report
     assert (report.metrics.relative_rms_expected or 0.0) > 0.1
     assert len({*report.measure_next}) == len(report.measure_next) == 20
     far = [pair for pair in report.measure_next if min(pair.theta_in_deg, pair.theta_out_deg) > 30]
@@ -271,8 +279,7 @@ def test_a_sample_on_which_much_depends_is_named(truth: dsbrdf.DSBRDF) -> None:
     spoiled = scaled(samples, np.where(np.arange(100) == 7, 8.0, 1.0)[:, None])
     warnings = dsbrdf.fit(spoiled, n_lobes=2, ring_lobes=0).report.warnings
     (named,) = (text for text in warnings if "depends on one sample" in text)
-    theta_in, theta_out = np.degrees(np.arccos([samples.omega_in[7, 2], samples.omega_out[7, 2]]))
-    assert f"at theta_in = {theta_in:.0f}, theta_out = {theta_out:.0f} and" in named
+    assert "at theta_in = {:.0f}, theta_out = {:.0f} and".format(*np.degrees(angles_of(samples, 7))) in named
 
 
 def test_a_model_brighter_than_energy_allows_is_told(truth: dsbrdf.DSBRDF) -> None:
