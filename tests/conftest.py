@@ -22,6 +22,8 @@ from tests.support.server import Server
 from tests.support.soak import SOAK
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
+SHARED_PROGRAMS = {"cluster": "dask", "own_cluster": "dask", "browser": "browser"}
+"""Names of the programs that fixtures start."""
 
 # A busy machine is no fault of the code under test, and a change is judged by the same examples each time;
 # `make soak` looks for others, and for longer.
@@ -46,10 +48,18 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with files that have slow tests, so that the quick ones fill the end of all workers."""
+    """Begin with files that have slow tests, so that the quick ones fill the end of all workers.
+
+    Files whose tests share a program go to one worker, which starts it once; the tests of any other file stay together.
+    """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+    used = ((item.path, name) for item in items for name in getattr(item, "fixturenames", ()))
+    groups = {path: SHARED_PROGRAMS[name] for path, name in used if name in SHARED_PROGRAMS}
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(groups.get(item.path, item.path.stem)))
 
 
 @pytest.fixture(scope="session")
