@@ -1,6 +1,6 @@
 """A mixed load for a long time, and the memory, descriptors, threads and disk that the server uses meanwhile.
 
-The samples are in out/soak.csv and out/soak.png, the server's log in out/soak.log. Drift is the median over the last
+The samples are in out/soak.csv, the server's log in out/soak.log. Drift is the median over the last
 fifth of the time against the median over the second fifth; the first fifth is warm-up. The exit code is 1 if there was
 an answer of 500 or more or any other wrong one, if memory has drifted by more than 2 %, or if descriptors have not
 stayed flat: their median may not grow by more than 3, and when the clients have gone there are as many as before they
@@ -48,7 +48,7 @@ class Sample(NamedTuple):
 
 
 def main(argv: Sequence[str]) -> int:
-    """Print a table, and save the samples and a figure."""
+    """Print a table, and save the samples."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks soak", description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0, help="how long (default: 30)")
     parser.add_argument("--seed", type=int, default=int(time.time()), help="of the load (default: the time)")
@@ -61,7 +61,6 @@ def main(argv: Sequence[str]) -> int:
         log = (Path(folder) / "data.log").read_text()
     _OUT.mkdir(exist_ok=True)
     _write(samples, _OUT / "soak.csv")
-    _draw(samples, _OUT / "soak.png")
     (_OUT / "soak.log").write_text(log)
     print(f"seed {arguments.seed}")
     return _judge(samples, idle, tally, log)
@@ -161,21 +160,3 @@ def _write(samples: Sequence[Sample], path: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(Sample._fields)
         writer.writerows(samples)
-
-
-def _draw(samples: Sequence[Sample], path: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    columns = dict(zip(Sample._fields, zip(*samples, strict=True), strict=True))
-    minutes = [seconds / 60 for seconds in columns.pop("seconds")]
-    figure, axes = plt.subplots(len(columns), 1, sharex=True, figsize=(8, 1.6 * len(columns)), layout="constrained")
-    for axis, (name, values) in zip(axes, columns.items(), strict=True):
-        axis.plot(minutes, values)
-        axis.set_ylabel(name)
-        axis.set_ylim(bottom=0)
-    axes[-1].set_xlabel("minutes")
-    figure.savefig(path, dpi=100)
-    plt.close(figure)

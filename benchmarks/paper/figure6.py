@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from scipy.spatial.distance import cdist
-from scipy.stats import spearmanr
 
 from benchmarks.paper.materials import Computed, Material, Numbers
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure, sphere, to_bytes
@@ -123,7 +122,7 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
     found: dict[str, Any] = {}
     for space in SPACES:
         places = embedding(computed, space)
-        found[space] = [abs(float(spearmanr(places[:, axis], gloss).statistic)) for axis in range(2)]
+        found[space] = [abs(_rank_correlation(places[:, axis], gloss)) for axis in range(2)]
     first, second = found[SPACES[0]]
     matte = gloss < np.quantile(gloss, 0.25)
     places = embedding(computed, SPACES[0])
@@ -149,6 +148,10 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             " the CSV file lists the three nearest of each.",
         ),
     ]
+
+
+def _rank_correlation(first: Array, second: Array) -> float:
+    return float(np.corrcoef(*(np.argsort(np.argsort(one)) for one in (first, second)))[0, 1])
 
 
 def _share_alike(computed: Sequence[Computed], near: list[list[int]]) -> float:

@@ -40,7 +40,7 @@ def test_internal_error_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> 
         cli.main(["show"])
 
 
-@pytest.mark.parametrize("words", ["--version", "--help", "fit none.binary --json"])
+@pytest.mark.parametrize("words", ["--version", "fit none.binary --json"])
 def test_a_closed_output_is_no_fault(words: str) -> None:
     command = ["sh", "-c", f'exec "$0" -m dsbrdf.cli.main {words} 1>&-', sys.executable]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

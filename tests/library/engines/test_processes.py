@@ -31,6 +31,7 @@ from tests.support.crashing_tasks import (
 )
 from tests.support.dask_cluster import forked
 from tests.support.processes import alive, children, wait_until
+from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow
 PATIENCE = 300.0
@@ -48,7 +49,7 @@ def run_alone(step: Callable[[OnProgress], Any], **limits: Any) -> Any:
 
 
 def test_end_of_a_process_is_told_while_others_start(processes: Processes) -> None:
-    for _ in range(10):
+    for _ in range(repeats(3, 10)):
         lost, others = processes.call(die, signal.SIGKILL), [processes.call(do_nothing) for _ in range(4)]
         told = Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
         assert lost.result(PATIENCE) == told

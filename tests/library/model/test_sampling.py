@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scipy import stats
+from scipy.special import chdtrc
 
 from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.arrays import Array
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 
 
 N_SAMPLES = 30_000
-PAIRS = [(name, angle) for name in MODELS for angle in (0.0, 21.0, 45.0, 69.9, 84.0, 88.9)]
+PAIRS = [(name, angle) for name in MODELS for angle in (0.0, 45.0, 69.9, 88.9)]
 
 
 def direction(theta_deg: float, phi_deg: float = 0.0) -> Array:
@@ -51,7 +51,7 @@ def p_value(model: DSBRDF, angle: float, theta_edges: Array, sectors: int, numbe
     rare = expected < 10.0
     observed = np.append(observed[~rare], observed[rare].sum())
     expected = np.append(expected[~rare], max(float(expected[rare].sum()), 1.0))
-    return float(stats.chisquare(observed, expected, sum_check=False).pvalue)
+    return float(chdtrc(observed.size - 1, np.sum((observed - expected) ** 2 / expected)))
 
 
 @pytest.mark.parametrize(("name", "angle"), PAIRS)
