@@ -220,7 +220,7 @@ def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> Non
     assert "-999.5" in assert_problem(answer, 422, "measurement-format")
     chosen = {"columns": "value=reflectance", "missing": "-999.5", "scale": "0.01"}
     told = server.http.post("/v1/tables", params=chosen, content=content, headers=headers).json()
-    options = TableOptions(columns="value=reflectance", missing=-999, scale=0.01)
+    options = TableOptions(columns="value=reflectance", missing=-999.5, scale=0.01)
     assert told == summary_of_table(read_table(content.encode(), options=options))
     answer = server.http.post("/v1/tables?n_lobes=2", content=content, headers=headers)
     assert "n_lobes" in assert_problem(answer, 422, "invalid-argument")
