@@ -59,11 +59,6 @@ def test_nearest_materials(computed: list[Computed]) -> None:
         assert found[own] == [other for _, other in others[:3]]
 
 
-def test_more_slices_make_another_space(computed: list[Computed]) -> None:
-    assert figure6.features(computed, "theta_diff_0").shape == (6, 18)
-    assert figure6.features(computed, "all_slices").shape == (6, 324)
-
-
 def test_few_materials_have_no_space(tmp_path: Path) -> None:
     assert figure6.FIGURE.at_least == 4
     with pytest.raises(InvalidArgumentError, match="figure6 needs at least 4 materials, not 0"):
@@ -95,3 +90,5 @@ def test_figure_is_written(computed: list[Computed], tmp_path: Path) -> None:
     near = figure6.nearest(computed, "theta_diff_0")[0]
     assert lines[0]["nearest_theta_diff_0"].split() == [f"material_{other}" for other in near]
     assert len(figure.claims(made.computed)) == 3
+    assert figure6.features(computed, "theta_diff_0").shape == (6, 18)
+    assert figure6.features(computed, "all_slices").shape == (6, 324)

@@ -44,13 +44,9 @@ def test_error_of_the_table_of_means_is_the_floor(plastic: Measurement, quick_fl
     assert table_error(plastic, means_over_phi(plastic)) == pytest.approx(quick_floor, rel=1e-9)
 
 
-def test_a_table_guided_by_the_data_is_exact(plastic: Measurement) -> None:
-    few = thinned(plastic, 15)
-    assert guided_table_error(few, thinned(plastic, 30), plastic.values) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_a_table_guided_by_nothing_is_the_table_itself(plastic: Measurement) -> None:
+def test_a_table_guided_by_the_data_is_exact_and_by_nothing_the_table_itself(plastic: Measurement) -> None:
     few, fewer = thinned(plastic, 15), thinned(plastic, 30)
+    assert guided_table_error(few, fewer, plastic.values) == pytest.approx(0.0, abs=1e-12)
     error = table_error(few, fewer)
     assert error > 0.01
     assert guided_table_error(few, fewer, np.zeros_like(plastic.stored)) == pytest.approx(error, rel=1e-12)
