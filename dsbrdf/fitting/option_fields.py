@@ -67,10 +67,11 @@ def documented(options: type[Options]) -> type[Options]:
 def suggesting(options: type[Options]) -> type[Options]:
     """Make a dataclass suggest the option that is meant by a wrong name."""
     init: Callable[..., None] = options.__init__
+    names = [declared.name for declared in fields(options)]  # type: ignore[arg-type]  # The class is a dataclass.
 
     @wraps(init)
     def checked(self: Options, *values: object, **choices: object) -> None:
-        check_names(choices, [declared.name for declared in fields(options)])  # type: ignore[arg-type]  # The class is a dataclass.
+        check_names(choices, names)
         init(self, *values, **choices)
 
     options.__init__ = checked  # type: ignore[assignment, method-assign]

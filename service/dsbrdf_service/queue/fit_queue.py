@@ -8,7 +8,7 @@ import asyncio
 import logging
 import sqlite3
 from collections.abc import AsyncIterator, Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, TypeVar, TypeVarTuple
 
 from anyio import CancelScope, move_on_after
@@ -43,8 +43,8 @@ class _RunningFit:
 
     task: "asyncio.Task[None]"
     scope: CancelScope
+    changed: "asyncio.Future[None]"
     progress: float = 0.0
-    changed: "asyncio.Future[None]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
     def notify(self) -> None:
         """Wake all tasks that wait for a change."""
@@ -149,7 +149,7 @@ class FitQueue:
         if previous is not None:  # The database says that the previous fit has ended: its task is obsolete.
             previous.scope.cancel()
         task = asyncio.create_task(self._run(key, scope, previous.task if previous else None))
-        self._running[key] = running = _RunningFit(task, scope)
+        self._running[key] = running = _RunningFit(task, scope, self._loop.create_future())
 
         def forget(_: "asyncio.Task[None]") -> None:
             if self._running.get(key) is running:

@@ -11,7 +11,7 @@ import shutil
 import sqlite3
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -188,12 +188,12 @@ class Store:
         """
         key = FitKey(caller.owner, fit_identity(sha256, options))
         select = f"{_SELECT_FIT} {_WHERE_FIT}"
-        found = _first(self.database.rows(select, *key))
+        found = next(map(FitRow.from_values, self.database.rows(select, *key)), None)
         if found is not None and not found.repeatable and name in (None, found.name):  # Nothing has to be written.
             return found, False
         with self.database.transaction() as db:
             check_key(db, caller)
-            known = _first(db.execute(select, key).fetchall())
+            known = next(map(FitRow.from_values, db.execute(select, key).fetchall()), None)
             if known is not None and not known.repeatable:
                 (row,) = db.execute(_NAME_FIT, (name or known.name, *key)).fetchall()
                 return FitRow.from_values(row), False
@@ -359,7 +359,7 @@ class Store:
         """Apply `change` to a fit that meets the condition, and return its row; return None for any other fit."""
         query = f"UPDATE fits SET {change} {_WHERE_FIT} AND {condition} RETURNING {columns(FitRow)}"  # noqa: S608
         with self.database.transaction() as db:
-            return _first(db.execute(query, (*values, *key)).fetchall())
+            return next(map(FitRow.from_values, db.execute(query, (*values, *key)).fetchall()), None)
 
     def _page(
         self, select: str, owner: str, limit: int, before: int | None, wanted: Mapping[str, str | None]
@@ -368,7 +368,3 @@ class Store:
         given = {condition: value for condition, value in conditions.items() if value is not None}
         query = f"{select} WHERE {' AND '.join(given)} ORDER BY seq DESC LIMIT ?"
         return self.database.rows(query, *given.values(), limit)
-
-
-def _first(fits: Sequence[tuple[Any, ...]]) -> FitRow | None:
-    return FitRow.from_values(fits[0]) if fits else None
