@@ -26,7 +26,7 @@ from ..storage.schema import FitRow, MeasurementRow
 
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"
-_TIMES = ("created", "started", "finished")
+_TIME_MEMBERS = ("created", "started", "finished")
 Label = Literal[*LABELS]  # type: ignore[valid-type]
 Share = Annotated[float, Field(ge=0, le=1)]
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -119,7 +119,7 @@ def members(document: type[BaseModel], row: FitRow | MeasurementRow) -> dict[str
     for name in document.model_fields:
         if hasattr(row, name):
             value = getattr(row, name)
-            is_time = name in _TIMES and value is not None
+            is_time = name in _TIME_MEMBERS and value is not None
             known[name] = datetime.fromtimestamp(value, UTC) if is_time else value
     return known
 
