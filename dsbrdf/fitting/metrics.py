@@ -146,7 +146,8 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
 
 
 # A symmetric material has equal values at phi_diff and at its partner, 180 degrees - phi_diff.
-_ONE, _PARTNER = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
+_INNER_NODES = slice(1, QUARTER - 1)
+_PARTNER_NODES = slice(None, QUARTER - 1, -1)
 
 
 class _Counted(NamedTuple):
@@ -159,7 +160,7 @@ class _Counted(NamedTuple):
     @classmethod
     def at(cls, used: Mask) -> "_Counted":
         counted = used.astype(float)
-        return cls(counted, counted.sum(axis=1), np.sqrt(0.5) * counted[:, _ONE] * counted[:, _PARTNER])
+        return cls(counted, counted.sum(axis=1), np.sqrt(0.5) * counted[:, _INNER_NODES] * counted[:, _PARTNER_NODES])
 
 
 def _column_sums(samples: Array, fit: Array, counted: _Counted, cosine: Array) -> Array:
@@ -169,7 +170,7 @@ def _column_sums(samples: Array, fit: Array, counted: _Counted, cosine: Array) -
     deviation = samples - mean[:, None]
     deviation *= counted.samples
     # Each of two partners deviates from their mean by half their difference.
-    step = samples[:, _ONE] - samples[:, _PARTNER]
+    step = samples[:, _INNER_NODES] - samples[:, _PARTNER_NODES]
     step *= counted.pairs
     error = samples - fit
     error *= counted.samples
