@@ -132,7 +132,10 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
     if form is FROM_MIRROR:
         angles["theta_out"] = angles["theta_in"] + angles["theta_from_mirror"]
     if "phase" in angles:
-        angles |= {"phi_out": _azimuth_of_phase(angles), "theta_out": np.abs(angles["theta_out"])}
+        angles |= {
+            "phi_out": _azimuth_of_phase(angles) + angles.get("phi_in", 0.0),
+            "theta_out": np.abs(angles["theta_out"]),
+        }
     zero = np.zeros_like(angles["theta_in"])
     phi_in = angles.get("phi_in", zero if "phi_out" in angles else zero + np.pi)
     return spherical(angles["theta_in"], phi_in), spherical(angles["theta_out"], angles.get("phi_out", zero))

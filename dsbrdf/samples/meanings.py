@@ -19,7 +19,7 @@ GREY = ("value",)
 FROM_MIRROR = ("theta_in", "theta_from_mirror")
 _DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS, FROM_MIRROR)
 # A column that is not understood, and may be an azimuth that the samples need.
-_AZIMUTH = re.compile(r"phi|azi|phase")
+_AZIMUTH = re.compile(r"phi|(?:^|_)az|azi|azm|[rv]aa|phase")
 _POSSIBLE = (
     "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
     "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or "

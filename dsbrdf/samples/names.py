@@ -18,7 +18,7 @@ _SIDE_WORDS = {
 }
 _ANGLE_WORDS = {
     "theta": "theta zenith polar zen za z",
-    "phi": "phi azimuth azimuthal azi az aa a",
+    "phi": "phi azimuth azimuthal azim azm azi az aa a",
     "elevation": "elevation altitude",
 }
 _SIDES = {word: side for side, words in _SIDE_WORDS.items() for word in words.split()}
@@ -94,7 +94,7 @@ MAX_BAND_NM = 3000.0
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _CONSTANT = re.compile(rf"(.*?[^\s:=,;])[\s:=,;]+({_NUMBER}(?:[\s,;]+{_NUMBER})?)[\s,;]*([A-Za-zμ°]*)")
 # A line can give these quantities to all rows below it.
-_HELD = ("theta_in", "phi_in", "elevation_in", "wavelength")
+_HELD = ("theta_in", "phi_in", "elevation_in", "theta_out", "phi_out", "wavelength")
 
 
 def _spellings() -> Iterator[tuple[str, str]]:
@@ -118,16 +118,24 @@ _EXACT = dict(_spellings())
 
 def meanings_of(cells: Sequence[str]) -> list[str | None]:
     """Return the meaning of each name in a table, where the meaning of some names depends on others."""
-    names = [name_and_unit(cell)[0] for cell in cells]
-    special = _PLANETARY if {"i", "e"} <= {*names} else _SOLAR if "theta_v" in names else {}
+    names, units = zip(*map(name_and_unit, cells), strict=True) if cells else ((), ())
+    special = _PLANETARY if {"i", "e"} <= {*names} else _SOLAR if {"theta_v", "phi_v"} & {*names} else {}
     vectors = {
         f"{word}_{axis}": f"omega_{side}_{axis}"
         for word, side in _SIDES.items()
         if f"{word}_x" in names
         for axis in "xyz"
     }
-    found = [special.get(name) or vectors.get(name) or _meaning(name) for name in names]
+    found = [
+        special.get(name) or vectors.get(name) or _meaning(name) or _angle_by_unit(name, unit)
+        for name, unit in zip(names, units, strict=True)
+    ]
     ignored = {"scattering_angle"} if found.count("theta_out") > 1 else set()  # It lies between light and viewer.
+    if found.count("phi_out") > 1:
+        # An azimuth relative to the light's replaces the viewer's own if the light has none.
+        relative = {name for name in names if name == "raa" or _RELATIVE & {*name.split("_")}}
+        viewers = {name for name, known in zip(names, found, strict=True) if known == "phi_out"}
+        ignored |= relative if "phi_in" in found or not relative else viewers - relative
     if first := [name for name in names if _FIRST_OF_MATRIX.fullmatch(name)]:
         found = ["value" if name in first else known for name, known in zip(names, found, strict=True)]
         ignored |= {name.replace("00", "11") for name in first}
@@ -136,7 +144,13 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
 
 def meaning_of(cell: str) -> str | None:
     """Return the meaning of a column with this name, or None if the name is unknown."""
-    return _meaning(name_and_unit(cell)[0])
+    name, unit = name_and_unit(cell)
+    return _meaning(name) or _angle_by_unit(name, unit)
+
+
+def _angle_by_unit(name: str, unit: str) -> str | None:
+    """Return the meaning of a name such as "incident [deg]", whose unit says that it is an angle."""
+    return _meaning(f"{name}_angle") if unit in ANGLE_UNITS else None
 
 
 @lru_cache(1 << 14)

@@ -14,6 +14,7 @@ SOURCES = {
     "alta.dat": "ALTA (Inria), isotropic formulation with theta view, theta light and |dphi|",
     "alta_half.alta": "ALTA (Inria), RUSIN_TH_TD_PD",
     "asphalt.xompt": "ASAM OpenMATERIAL 3D 1.1, material_brdf_schema.json",
+    "azimuth_scans.txt": "a scan of the polar angle after each azimuth, which a line gives",
     "bird.brdf": "EURAMET project BiRD, data_json_schema_v1.0.json",
     "blacklab.txt": "ua-loft/bsdf-tools, a laboratory's spectra with src_z, src_a, view_z, view_a",
     "cornell_spectra.brdf": "pbrt-v2, src/materials/measured.cpp, and scenes/brdfs",
@@ -40,6 +41,7 @@ SOURCES = {
     "speos.brdf": "Ansys help, Structure of BRDF files; Ansys' BSDF converter",
     "tekari.txt": "rgl-epfl/tekari, src/data_io.cpp",
     "transposed.csv": "a spreadsheet whose columns stand in lines, as J&C's RT-300S writes A, I, R",
+    "two_azimuths.csv": "remote sensing, azimuths from north and from the sun, and a scattering angle",
     "viewing_by_wavelength.csv": "NIST STARR, wavelengths down and viewing angles across",
 }
 

@@ -104,6 +104,7 @@ OF_INSTRUMENTS = {
     "incident angle": ("incident angle", "phi_incident", "viewing angle", "phi"),
     "angles of a direction": ("Zenith angle of incidence (deg)", "Azimuth of incidence", "Emission angle", "phi_obs"),
     "camel case": ("incidentAngle", "lightAzimuth", "angleOut", "relativeAzimuth"),
+    "shortened": ("Inc (deg)", "SunAzm", "Obs_deg", "ViewAzm"),
     "LaTeX": (r"$\theta_i$", r"$\phi_{i}$", r"$\theta_r$", r"$\phi_{r}$"),
     "glued": ("solz", "sola", "senz", "sena"),
     "of the ISO": ("θ_inc / °", "φ_inc / deg", "theta_ref / deg", "phi_ref"),
