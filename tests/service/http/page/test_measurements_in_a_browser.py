@@ -86,6 +86,12 @@ def test_table_is_understood_before_it_is_sent(visit: Visit, guarded: Guarded, t
     expect(page.get_by_text("This fit was cancelled.")).to_be_visible()
     (fit,) = guarded.server.http.get("/v1/fits", headers=header).json()["items"]
     assert "scale" not in fit["options"]  # it belongs to the measurement
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.get_by_role("link", name="To the list of fits").click()
+    table.write_text(table.read_text().replace("signal", "value"))
+    page.locator("#file").set_input_files(table)
+    expect(shown.locator(".samples")).to_be_visible()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
 def test_axe_finds_nothing_in_light_and_dark(visit: Visit, site: Site, data: bytes) -> None:
