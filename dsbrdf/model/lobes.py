@@ -101,8 +101,9 @@ def lobe_curves(
         return values, about_normal
     root, tangent = np.sqrt(squared_tangent), np.tan(center)
     of_ring, of_cusp = np.maximum(tangent, 0.0), np.minimum(tangent, 0.0)
-    below = 1.0 + root * of_ring
-    offset = np.minimum((root - tangent) / below, known.largest_tangent)
+    below, offset = 1.0 + root * of_ring, np.asarray(root - tangent)
+    offset /= below
+    np.minimum(offset, known.largest_tangent, out=offset)
     values, slopes = known.curve(offset * offset, kappa, gamma, of_cusp * of_cusp)
 
     def about_center() -> LobeSlopes:
