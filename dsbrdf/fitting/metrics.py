@@ -22,11 +22,10 @@ By visibility, over all directions:
 
 from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
-from dsbrdf.arrays import Array, Mask
+from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CENTER_CUTOFF, CHANNELS, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_samples
@@ -136,50 +135,36 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
             cosine = np.subtract(np.cos(THETA_HALF[i]) * np.cos(THETA_DIFF[rows, None]), swing, out=swing)
             # The model has equal values at phi_diff and at 180 degrees - phi_diff.
             folded = np.concatenate([values, values[:, :, -2:0:-1]], axis=2)
-            channels = [_Counted.at(mask) for mask in used[:, rows]] * (3 // len(used))
-            for channel, (scale, counted) in enumerate(zip(measurement.scale.tolist(), channels, strict=True)):
+            counted = np.broadcast_to(used[:, rows].astype(float), (3, *cosine.shape))
+            for channel, scale in enumerate(measurement.scale.tolist()):
                 samples = measurement.stored[channel, i, rows] * scale
-                sums[:, channel, rows] += _column_sums(samples, folded[channel], counted, cosine)
+                sums[:, channel, rows] += _column_sums(samples, folded[channel], counted[channel], cosine)
     if not sums[0].any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
     return sums
 
 
-# A symmetric material has equal values at phi_diff and at its partner, 180 degrees - phi_diff.
-_INNER_NODES = slice(1, QUARTER - 1)
-_PARTNER_NODES = slice(None, QUARTER - 1, -1)
+def _column_sums(samples: Array, fit: Array, counted: Array, cosine: Array) -> Array:
+    """Return six sums over phi_diff (6, R) of one theta_half and channel, in the order of `relative_errors`.
 
-
-class _Counted(NamedTuple):
-    """Hold 1 for each used sample of one theta_half and channel (R, 180), otherwise 0, with derived arrays."""
-
-    samples: Array
-    total: Array  # sums over phi_diff (R,)
-    pairs: Array  # sqrt(1/2) if a sample and its partner are used, (R, 89)
-
-    @classmethod
-    def at(cls, used: Mask) -> "_Counted":
-        counted = used.astype(float)
-        return cls(counted, counted.sum(axis=1), np.sqrt(0.5) * counted[:, _INNER_NODES] * counted[:, _PARTNER_NODES])
-
-
-def _column_sums(samples: Array, fit: Array, counted: _Counted, cosine: Array) -> Array:
-    """Return six sums over phi_diff (6, R) of one theta_half and channel, in the order of `relative_errors`."""
-    samples = samples * counted.samples
-    mean = np.sum(samples, axis=1) / np.maximum(counted.total, 1.0)
+    A sample has `counted` 1 if it is used, otherwise 0.
+    """
+    count, samples = counted.sum(axis=1), samples * counted
+    mean = np.sum(samples, axis=1) / np.maximum(count, 1.0)
     deviation = samples - mean[:, None]
-    deviation *= counted.samples
-    # Each of two partners deviates from their mean by half their difference.
-    step = samples[:, _INNER_NODES] - samples[:, _PARTNER_NODES]
-    step *= counted.pairs
+    deviation *= counted
+    # A symmetric material has equal values at phi_diff and 180 - phi_diff; each deviates by half their difference.
+    one, partner = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
+    step = samples[:, one] - samples[:, partner]
+    step *= np.sqrt(0.5) * counted[:, one] * counted[:, partner]
     error = samples - fit
-    error *= counted.samples
+    error *= counted
     squares = [np.einsum("rp,rp->r", part, part) for part in (samples, error, deviation, step)]
     # (1 + f cos_in) / (1 + fit cos_in) = 1 + (f - fit) cos_in / (1 + fit cos_in)
     error *= cosine
     error /= 1.0 + fit * cosine
     log_error = np.sum(np.abs(np.log1p(error, out=error), out=error), axis=1)
-    return np.stack([*squares, log_error, counted.total])
+    return np.stack([*squares, log_error, count])
 
 
 def relative_errors(sums: Array, channels: slice = slice(None), rows: slice = slice(None)) -> RelativeErrors | None:
