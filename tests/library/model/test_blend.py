@@ -55,5 +55,5 @@ def test_bad_input() -> None:
     lobe = single_lobe(1.0, 1.0)
     with pytest.raises(InvalidArgumentError, match=r"t must lie between 0 and 1, not at 1\.5"):
         blend(lobe, lobe, 1.5)
-    with pytest.raises(InvalidArgumentError, match="only models can be blended, not an object of type str"):
+    with pytest.raises(InvalidArgumentError, match=r"only models, such as result\.model, can be blended, not a str"):
         blend(lobe, "paint.json", 0.5)  # type: ignore[arg-type]
