@@ -88,9 +88,7 @@ class ModelCache:
         return values[start : start + len(angles[0])]
 
     async def _evaluate(self, key: FitKey, label: str | None) -> Array:
-        """Evaluate the batch of a model, which all requests join that come before the model is there."""
-        try:
-            model = (await self.get(key)).part(label)
-        finally:
-            batch = self._batches.pop((key, label))
+        """Evaluate the batch of a model; later requests make a new batch, because the fit may be deleted meanwhile."""
+        batch = self._batches.pop((key, label))
+        model = (await self.get(key)).part(label)
         return model.evaluate(*map(np.concatenate, zip(*batch.angles, strict=True)))
