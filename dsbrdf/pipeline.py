@@ -30,12 +30,13 @@ from dsbrdf.report_warnings import (
     fit_warnings,
     sample_warnings,
 )
-from dsbrdf.samples.bins import predicted_profiles, sample_rows, scattered_metrics
+from dsbrdf.samples.bins import predicted_profiles, sample_rows
 from dsbrdf.samples.errors import (
     expected_error,
     left_out_errors,
     left_out_values,
     pairs_to_measure,
+    scattered_metrics,
     unconfirmed_sample,
 )
 from dsbrdf.samples.measurement_files import read_measurement

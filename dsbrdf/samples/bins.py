@@ -13,7 +13,6 @@ from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import N_BINS, SAMPLES_IN_BIN, FoldedProfiles, Profiles
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, USED_COLUMNS, USED_ROWS, fit_weights
-from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.prediction import SamplePrediction
@@ -78,20 +77,6 @@ def sample_rows(
         np.concatenate([row, cells[0]]),
         np.concatenate([theta_half, nodes[0]]),
         np.concatenate([phi_diff, nodes[2]]),
-    )
-
-
-def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
-    """Return errors of a model at samples: relative_rms within the cutoff, and male at all samples."""
-    fitted = model.evaluate_directions(samples.omega_in, samples.omega_out)
-    cosine, weight = samples.omega_in[:, 2:], samples.weight[:, np.newaxis]
-    lowest = np.minimum(samples.omega_in[:, 2:], samples.omega_out[:, 2:])
-    within = weight * (lowest >= np.cos(np.pi / 2 if horizon_cutoff is None else horizon_cutoff))
-    error, signal = np.sum(within * (samples.values - fitted) ** 2), np.sum(within * samples.values**2)
-    log_error = np.abs(np.log1p(samples.values * cosine) - np.log1p(fitted * cosine))
-    return Metrics(
-        relative_rms=float(np.sqrt(error / signal)) if signal > 0.0 else None,
-        male=float(np.average(log_error.mean(axis=1), weights=samples.weight)),
     )
 
 

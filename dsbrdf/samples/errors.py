@@ -2,38 +2,40 @@
 
 At a sample left out, the value of the fit is multiplied by the ratio of two predictions, without and with the sample.
 The expected error over all directions has two parts: the median error of the model if the material, away from the
-samples, equalled one of several probable layers; and the uncertainty of the factor between samples and layers. Both
-parts are integrals over pairs of directions. Half of the weight is proportional to the reflected light, and half is
-uniform. Both parts are calibrated on materials whose values are known everywhere.
+samples, equalled one of several probable layers; and the uncertainty of values closer to the mirror direction than all
+samples, whose logarithm is uncertain by the logarithm of the ratio of both theta_half. Both parts are integrals over
+pairs of directions. Half of the weight is proportional to the reflected light, and half is uniform. Both parts are
+calibrated on materials whose values are known everywhere.
 
 The directions to measure next are chosen one after another: each lowers the expected squared error most.
 """
 
+import itertools
 from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import directions, half_difference
+from dsbrdf.data.geometry import directions, half_difference, incident_cosines
+from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import LeftOutErrors, SuggestedPair
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.prediction import SamplePrediction, left_out_predictions
 from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-THETA_OUT_BANDS = np.radians([0.0, 30.0, 60.0, 75.0, 90.0])
-"""Edges of the bands of theta_out in reports of errors [rad]."""
-MIRROR = np.radians(10.0)
-"""Samples with a smaller theta_half are near the mirror direction [rad]."""
+# Reports of errors have bands of theta_out with these edges, and samples near the mirror direction.
+_THETA_OUT_EDGES_DEG = (0, 30, 60, 75, 90)
+_NEAR_MIRROR_DEG = 10
 N_SUGGESTED = 20
 _N_CANDIDATES = 700
 # A larger variance of the logarithm of a value is clipped.
 _MAX_LOG_VARIANCE = 1.0
-# With these factors of its two parts, the expected error is exceeded by one of ten tables. They were calibrated on 120
-# tables of 50 to 300 samples, in one plane or in all, of twenty materials, of which six are measured.
-_LAYER_FACTOR = 2.2
-_FACTOR_FACTOR = 1.2
+# With these factors of its two parts, the expected error is exceeded by one of ten tables. They were calibrated on 220
+# tables of 50 to 1,000 samples, in one plane or in all, of thirty-three materials, of which six are measured.
+_LAYER_FACTOR = 1.8
+_GAP_FACTOR = 1.4
 _LAST_COSINE = float(np.cos(np.radians(80.0)))
 # Two suggested pairs differ by at least this angle in theta_in, theta_out or phi.
 _MIN_PAIR_DISTANCE_DEG = 4.0
@@ -76,21 +78,35 @@ def left_out_errors(
     samples: ScatteredSamples, values: Array, cutoff: float | None
 ) -> tuple[float | None, tuple[LeftOutErrors, ...]]:
     """Return errors of `left_out_values` within the cutoff, in bands of theta_out, and near the mirror direction."""
-    angles = half_difference(samples.omega_in, samples.omega_out)
-    theta_in, theta_out = (np.arccos(np.minimum(omega[:, 2], 1.0)) for omega in (samples.omega_in, samples.omega_out))
-    within = np.maximum(theta_in, theta_out) <= (np.pi / 2 if cutoff is None else cutoff) + 1e-9
-    places = {
-        f"theta_out from {low:.0f} to {high:.0f} degrees": (theta_out >= np.radians(low))
-        & (theta_out < np.radians(high))
-        for low, high in zip(np.degrees(THETA_OUT_BANDS[:-1]), np.degrees(THETA_OUT_BANDS[1:]), strict=True)
-    }
-    places[f"theta_half below {np.degrees(MIRROR):.0f} degrees"] = angles[0] < MIRROR
-    found = (
-        (where, int(np.count_nonzero(chosen)), relative_rms(values, samples.values, samples.weight * chosen))
-        for where, chosen in places.items()
+    theta_half = np.degrees(half_difference(samples.omega_in, samples.omega_out)[0])
+    theta_out = np.degrees(np.arccos(samples.omega_out[:, 2]))
+    places = [
+        (f"theta_out from {low} to {high} degrees", (theta_out >= low) & (theta_out < high))
+        for low, high in itertools.pairwise(_THETA_OUT_EDGES_DEG)
+    ]
+    places.append((f"theta_half below {_NEAR_MIRROR_DEG} degrees", theta_half < _NEAR_MIRROR_DEG))
+    rows = tuple(
+        LeftOutErrors(where, int(np.count_nonzero(chosen)), error)
+        for where, chosen in places
+        if (error := relative_rms(values, samples.values, samples.weight * chosen)) is not None
     )
-    rows = tuple(LeftOutErrors(where, count, error) for where, count, error in found if error is not None)
-    return relative_rms(values, samples.values, samples.weight * within), rows
+    return relative_rms(values, samples.values, _weight_within(samples, cutoff)), rows
+
+
+def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
+    """Return errors of a model at samples: relative_rms within the cutoff, and male at all samples."""
+    fitted, cosine = model.evaluate_directions(samples.omega_in, samples.omega_out), samples.omega_in[:, 2:]
+    log_error = np.abs(np.log1p(samples.values * cosine) - np.log1p(fitted * cosine))
+    return Metrics(
+        relative_rms=relative_rms(fitted, samples.values, _weight_within(samples, horizon_cutoff)),
+        male=float(np.average(log_error.mean(axis=1), weights=samples.weight)),
+    )
+
+
+def _weight_within(samples: ScatteredSamples, cutoff: float | None) -> Array:
+    """Return the weights (n,) of the samples, 0 beyond the cutoff."""
+    lowest = np.minimum(samples.omega_in[:, 2], samples.omega_out[:, 2])
+    return samples.weight * (lowest >= np.cos(np.pi / 2 if cutoff is None else cutoff + 1e-9))
 
 
 def expected_error(prediction: SamplePrediction, model: DSBRDF, samples: ScatteredSamples) -> float:
@@ -107,9 +123,10 @@ def expected_error(prediction: SamplePrediction, model: DSBRDF, samples: Scatter
 
     trues = values * np.exp(np.sqrt(prediction.remoteness(*angles, samples))[:, np.newaxis] * drawn)
     of_layers = float(np.median([relative(true, np.sum((values - true) ** 2, axis=1)) for true in trues]))
-    variance = np.minimum(prediction.unknown_fraction(*angles) * prediction.variance, _MAX_LOG_VARIANCE)
-    of_factor = relative(values, np.sum(values**2, axis=1) * np.expm1(variance))
-    return float(np.hypot(_LAYER_FACTOR * of_layers, _FACTOR_FACTOR * of_factor))
+    nearest = half_difference(samples.omega_in, samples.omega_out)[0].min()
+    variance = np.minimum(np.log(np.maximum(nearest / angles[0], 1.0)) ** 2, _MAX_LOG_VARIANCE)
+    of_gap = relative(values, np.sum(values**2, axis=1) * np.expm1(variance))
+    return float(np.hypot(_LAYER_FACTOR * of_layers, _GAP_FACTOR * of_gap))
 
 
 @cache
@@ -119,10 +136,9 @@ def _nodes() -> tuple[tuple[Array, Array, Array], Array, Array]:
     middle_half, middle_diff = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)
     measure = np.diff(-np.cos(edges[0]))[:, np.newaxis, np.newaxis] * np.diff(np.sin(edges[1]) ** 2)[:, np.newaxis]
     half, diff, phi = np.meshgrid(middle_half, middle_diff, (np.arange(4) + 0.5) * np.pi / 8.0, indexing="ij")
-    level, swing = np.cos(half) * np.cos(diff), np.sin(half) * np.sin(diff) * np.cos(phi)
-    seen = level - np.abs(swing) >= _LAST_COSINE
-    weight = measure * (level**2 - swing**2)
-    return (half[seen], diff[seen], phi[seen]), weight[seen], (level - swing)[seen]
+    cos_in, cos_out = incident_cosines(half, diff, phi)
+    seen = np.minimum(cos_in, cos_out) >= _LAST_COSINE
+    return (half[seen], diff[seen], phi[seen]), (measure * cos_in * cos_out)[seen], cos_in[seen]
 
 
 def pairs_to_measure(prediction: SamplePrediction, model: DSBRDF) -> tuple[SuggestedPair, ...]:

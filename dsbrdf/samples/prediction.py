@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import half_difference
+from dsbrdf.data.geometry import half_difference, incident_cosines
 from dsbrdf.data.reduction import NORMAL_QUARTILE, OUTLIER
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.samples.sample_layers import CANDIDATES, SampleLayers
@@ -101,10 +101,8 @@ class SamplePrediction:
         values = self.unbounded(theta_half, theta_diff, phi_diff)
         if self.albedo.max() <= 1.0:
             return values
-        level = np.cos(theta_half) * np.cos(theta_diff)
-        swing = np.sin(theta_half) * np.sin(theta_diff) * np.cos(phi_diff)
         excess = np.log(np.maximum(self.albedo, 1.0)).T
-        for cosine in (level - swing, level + swing):
+        for cosine in incident_cosines(theta_half, theta_diff, phi_diff):
             angle = np.arccos(np.clip(cosine, 0.0, 1.0))
             values *= np.exp(-np.stack([np.interp(angle, _ENERGY_ANGLES, channel) for channel in excess], axis=1))
         return values
