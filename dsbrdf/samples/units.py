@@ -44,8 +44,9 @@ _NEAR_INCIDENCE = np.radians(7.6)
 _MIN_IN_GROUP = 6  # An angle of incidence with fewer samples is ignored.
 # The bound of the albedo takes the minimum of this number of neighbours over theta_half.
 _N_NEIGHBOURS = 4
-# Symmetry is examined at no more than this number of samples.
+# Symmetry is examined at no more than this number of samples, without those below this fraction of the mean weight.
 _MAX_ASKED_SAMPLES = 150
+_MIN_WEIGHT = 0.1
 # Length scales of the Gaussian process, as a multiple of those in `dsbrdf.samples.prediction`.
 _KERNEL_SCALE = 2.0
 # Variances of the common level and of the noise, as fractions of the kernel's variance, and the minimum of the latter.
@@ -126,7 +127,10 @@ def _side_of_cosine(leads: dict[str, float]) -> str | None:
 def _leads(samples: ScatteredSamples) -> dict[str, float]:
     """Return how much more probable samples divided by a cosine, or turned, are than as they are, by `_likelihood`."""
     dark = dark_level(samples)
-    asked = thinned(samples.take(samples.values.mean(axis=1) > dark), _MAX_ASKED_SAMPLES)
+    counted = (samples.values.mean(axis=1) > dark) & (samples.weight > _MIN_WEIGHT * samples.weight.mean())
+    if np.count_nonzero(counted) < _MIN_IN_GROUP:
+        return {"in": 0.0, "out": 0.0, "turned": 0.0}
+    asked = thinned(samples.take(counted), _MAX_ASKED_SAMPLES)
     turned = replace(asked, omega_in=asked.omega_in * np.array([-1.0, -1.0, 1.0]))
     logs = np.log(asked.values.mean(axis=1) + dark)
     cosines = np.log([asked.omega_in[:, 2], asked.omega_out[:, 2]])

@@ -254,8 +254,13 @@ def test_units_far_off_are_named(factor: float, side: str | None, words: tuple[s
     assert all(word in said[0] for word in words)
 
 
-def test_zeros_near_the_horizon_and_a_drift_are_no_cosine(truth: dsbrdf.DSBRDF) -> None:
+def test_zeros_a_drift_and_samples_of_hardly_any_weight_are_no_cosine(truth: dsbrdf.DSBRDF) -> None:
     samples = scattered_samples(truth, 300)
+    wrong = np.arange(300) % 10 > 0
+    spoiled = samples.values * np.where(wrong[:, None], samples.omega_out[:, 2:], 1.0)
+    weight = np.where(wrong, 1e-5, 1.0)
+    light = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, spoiled, weight)
+    assert not sample_doubts(light).sentences
     assert not sample_doubts(scaled(samples, samples.omega_out[:, 2:] > 0.35)).sentences
     theta_in, theta_out = np.meshgrid(np.radians([20.0, 30.0]), np.radians(np.arange(-80.0, 81.0, 2.5)))
     pairs = (
