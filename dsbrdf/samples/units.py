@@ -4,10 +4,10 @@ Nothing here changes a value. A wrong factor is detected by energy alone: if a l
 samples reflect more light than they receive. The bound takes the minimum of neighbouring samples over theta_half, so
 that a highlight of a single sample does not count.
 
-A cosine and a turned plane are detected by symmetry. A BRDF stays equal if light and viewer are exchanged, and a BRDF
-times one cosine does not. Therefore the logarithms of the values are compared with a Gaussian process whose kernel is
-that of `dsbrdf.samples.prediction`, a smooth function of the half and difference angles, plus the usual terms of a
-diffuse layer. The values divided by a cosine, or with the light turned by 180 degrees, may be more probable.
+A cosine and a turned plane are detected by symmetry. A BRDF stays equal if light and viewer are exchanged, but a BRDF
+times one cosine does not. Therefore a Gaussian process describes the logarithms of the values: a smooth function of the
+half and difference angles, with the kernel of `dsbrdf.samples.prediction`, and the terms of a diffuse layer. A cosine
+is reported if the values divided by it are far more probable, and a turned plane if the turned samples are.
 """
 
 from collections.abc import Iterator
@@ -50,7 +50,7 @@ _MIN_WEIGHT = 0.1
 # Length scales of the Gaussian process, as a multiple of those in `dsbrdf.samples.prediction`.
 _KERNEL_SCALE = 2.0
 # Variances of the common level and of the noise, as fractions of the kernel's variance, and the minimum of the latter.
-# Noise is that of a sample, and a drift of the instrument that samples of nearly the same theta_in have in common.
+# Noise is independent for each sample; a drift of equal variance is common to samples at nearly equal theta_in.
 _LEVEL_VARIANCE = 10.0
 _NOISE_VARIANCE = 0.01
 _MIN_VARIANCE = 0.03
@@ -113,8 +113,9 @@ def _about_symmetry(samples: ScatteredSamples) -> Iterator[str]:
         )
     elif (side := _side_of_cosine(leads)) is not None:
         yield (
-            f"The values look like a BRDF times the cosine of theta_{side}: divided by it they are those of a usual "
-            f'material, and as they are they are not; if so, set cosine to "{side}".'
+            f"The values look like a BRDF times the cosine of theta_{side}: a BRDF stays equal if light and viewer are "
+            "exchanged, and so do the values divided by this cosine, but not the values as they are; if so, set cosine "
+            f'to "{side}".'
         )
 
 
