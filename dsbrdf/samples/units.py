@@ -25,20 +25,18 @@ from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 _MAX_ALBEDO_BOUND = 1.05  # noise may lift the bound of a white material above 1
-# Each factor has a prior probability and a phrase for a sentence.
+# Usual factors, the most frequent first, each with a phrase for a sentence.
 _FACTORS = {
-    1.0 / np.pi: (0.4, "1/pi (scale 0.3183; are they reflectance factors?)"),
-    1.0 / (100.0 * np.pi): (0.35, "1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)"),
-    1.0 / 100.0: (0.2, "1/100 (scale 0.01; are they per cent?)"),
+    1.0 / np.pi: "1/pi (scale 0.3183; are they reflectance factors?)",
+    1.0 / (100.0 * np.pi): "1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)",
+    1.0 / 100.0: "1/100 (scale 0.01; are they per cent?)",
 }
-_MERL_FACTOR = 1.0 / 1500.0
-_OF_INTEGERS = (1.0, "1/1500 (scale 0.0006667; are they the integers of a MERL file?)")
-# Prior mean of the albedo, and standard deviation of its logarithm.
+_FACTOR_OF_INTEGERS = {1.0 / 1500.0: "1/1500 (scale 0.0006667; are they the integers of a MERL file?)"}
 _USUAL_ALBEDO = 0.3
-_ALBEDO_SPREAD = 1.1
+# A factor that leaves a smaller albedo is not named.
+_MIN_ALBEDO = 0.03
 # Darker samples are scaled to the usual albedo before they are fitted.
 _MIN_LEVEL = 1e-5
-_NAMED_FRACTION = 0.1
 _INCIDENCE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 _NEAR_INCIDENCE = np.radians(7.6)
 _MIN_IN_GROUP = 6  # An angle of incidence with fewer samples is ignored.
@@ -155,18 +153,10 @@ def _likelihood(samples: ScatteredSamples, logs: Array) -> Array:
 
 
 def _likely_factors(values: Array, level: float) -> list[tuple[float, str]]:
-    """Return the factors that turn an albedo of about `level` into a usual albedo, the most probable first."""
-    is_integer = bool(np.all(values == np.rint(values)))
-    known = _FACTORS | ({_MERL_FACTOR: _OF_INTEGERS} if is_integer else {})
-    scores = {
-        factor: np.log(prior) - 0.5 * (np.log(level * factor / _USUAL_ALBEDO) / _ALBEDO_SPREAD) ** 2
-        for factor, (prior, _) in known.items()
-    }
-    best = max(scores.values())
-    order = sorted(scores, key=lambda factor: -scores[factor])
-    if order[0] * level > _MAX_ALBEDO_BOUND:
-        return [(_USUAL_ALBEDO / level, "what makes them 1/sr")]
-    return [(factor, known[factor][1]) for factor in order if scores[factor] > best + np.log(_NAMED_FRACTION)]
+    """Return the factors that turn an albedo of about `level` into an albedo below 1, the most probable first."""
+    known = (_FACTOR_OF_INTEGERS if np.all(values == np.rint(values)) else {}) | _FACTORS
+    likely = [item for item in known.items() if _MIN_ALBEDO < item[0] * level < _MAX_ALBEDO_BOUND]
+    return likely or [(_USUAL_ALBEDO / level, "what makes them 1/sr")]
 
 
 def albedo_bound(samples: ScatteredSamples) -> float:
