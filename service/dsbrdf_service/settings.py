@@ -13,7 +13,7 @@ from dsbrdf.process_settings import core_count
 from . import DEFAULT_DATA_DIR
 
 PREFIX = "DSBRDF_"
-_MAX_LIMIT = 10**12  # The database cannot store any greater limit.
+_MAX_LIMIT = 10**12  # A much larger limit can neither be stored nor be converted to a float.
 
 
 class Settings(BaseSettings):
@@ -49,29 +49,29 @@ class Settings(BaseSettings):
     """Address of the Dask scheduler; without TLS, anyone who can reach it can run code on its workers."""
     workers: int = Field(default_factory=core_count, ge=1, le=1024)
     """Number of fits that run at once; with Dask, that are sent to the cluster at once."""
-    queue_limit: Annotated[int, Field(ge=1)] = 1000
+    queue_limit: Annotated[int, Field(ge=1, lt=_MAX_LIMIT)] = 1000
     """Maximum number of waiting fits; beyond it, requests get 503."""
     fit_seconds: Annotated[float, Field(gt=0, le=10**9)] = 600.0
     """Time limit of one fit [s]."""
     fit_memory_mb: Annotated[int, Field(ge=MIN_FIT_MEMORY_MB, le=10**9)] = 4096
     """Address space limit of one fit's process [MB]."""
-    fit_attempts: Annotated[int, Field(ge=1)] = 2
+    fit_attempts: Annotated[int, Field(ge=1, lt=_MAX_LIMIT)] = 2
     """Maximum number of attempts if the process of a fit is lost; restarts of the service do not count."""
 
     default_wait: Annotated[float, Field(ge=0)] = 30.0
     """Time that a POST waits for its fit by default [s]."""
     max_wait: Annotated[float, Field(ge=0)] = 300.0
     """Maximum time that any request may wait [s]."""
-    model_cache: Annotated[int, Field(ge=1)] = 256
+    model_cache: Annotated[int, Field(ge=1, lt=_MAX_LIMIT)] = 256
     """Number of models in the cache for evaluation."""
-    min_free_mb: Annotated[int, Field(ge=0)] = 256
+    min_free_mb: Annotated[int, Field(ge=0, lt=_MAX_LIMIT)] = 256
     """Free disk space below which the service is not ready [MB]."""
 
-    limit_concurrency: Annotated[int, Field(ge=1)] = 512
+    limit_concurrency: Annotated[int, Field(ge=1, lt=_MAX_LIMIT)] = 512
     """Maximum number of requests in progress; beyond it, requests get 503."""
     idle_timeout: Annotated[float, Field(gt=0)] = 30.0
     """An upload is aborted after this time without data [s]."""
-    least_upload_rate: Annotated[int, Field(ge=0)] = 10_000
+    least_upload_rate: Annotated[int, Field(ge=0, lt=_MAX_LIMIT)] = 10_000
     """An upload with a lower mean rate is aborted [bytes/s]; 0 allows any rate."""
     shutdown_seconds: Annotated[int, Field(ge=1, le=3600)] = 4
     """Time for requests in progress to finish at shutdown [s]."""

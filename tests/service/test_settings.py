@@ -10,6 +10,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from pydantic import ValidationError
 
 from dsbrdf_service.admin.serve import main
 from dsbrdf_service.settings import Settings
@@ -42,6 +43,14 @@ def test_wrong_flag_is_named_in_one_sentence(capsys: pytest.CaptureFixture[str],
     sentence = capsys.readouterr().err
     assert sentence.startswith(said)
     assert sentence.count("\n") == 1
+
+
+def test_number_with_too_many_digits_is_refused_for_each_setting() -> None:
+    numbers = [name for name, field in Settings.model_fields.items() if field.annotation is int]
+    assert len(numbers) == 12
+    for name in numbers:
+        with pytest.raises(ValidationError, match=f"{name}\n  Input should be less than "):
+            Settings.model_validate({name: "9" * 400})
 
 
 def test_address_is_told_at_a_terminal(tmp_path: Path) -> None:
