@@ -2,13 +2,14 @@
 
 import sqlite3
 from collections.abc import Sequence
-from pathlib import Path
 
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.commands import new_application
 
-from ..storage import inspection
+from ..storage.inspection import check_database, check_files, check_measurements
 from .data_folder import DataDir, Json, data_folder, run_on_folder
+
+_CHECKS = {"database": check_database, "measurements": check_measurements, "files": check_files}
 
 
 def main(words: Sequence[str]) -> int:
@@ -20,7 +21,7 @@ def main(words: Sequence[str]) -> int:
 
 def _examine(*, data_dir: DataDir = None, json: Json = False) -> int:
     folder, found = data_folder(data_dir), []
-    for name, check in CHECKS.items():
+    for name, check in _CHECKS.items():
         try:
             fine, detail = check(folder)
         except (OSError, sqlite3.Error) as error:
@@ -31,34 +32,3 @@ def _examine(*, data_dir: DataDir = None, json: Json = False) -> int:
     if json:
         print_json({"items": found})
     return 0 if all(item["fine"] for item in found) else 1
-
-
-def _database(folder: Path) -> tuple[bool, str]:
-    if not inspection.is_of_this_release(folder):
-        return False, "another release made it, with other tables: use that release"
-    if faults := inspection.database_faults(folder):
-        return False, f"{'; '.join(faults)}: restore the folder from a copy"
-    return True, f"intact, {inspection.count_fits(folder)} fits"
-
-
-def _measurements(folder: Path) -> tuple[bool, str]:
-    faults = inspection.damaged_files(folder)
-    n_files = len(inspection.measurements_with_rows(folder))
-    for sha256, fault in faults.items():
-        number = f"{len(faults)} of {n_files} files are damaged or missing"
-        return False, f"{number}, first {sha256} ({fault}): upload that measurement again"
-    return True, f"{n_files} files are what their rows say"
-
-
-def _files(folder: Path) -> tuple[bool, str]:
-    without, n_files = inspection.files_without_rows(folder)
-    if without:
-        return False, (
-            f"{len(without)} of {n_files} files have no row: a newer copy of the database may have them, an upload "
-            "of the same measurement makes one, and dsbrdf purge --files-without-rows removes those that nobody needs"
-        )
-    return True, f"{n_files} files have rows"
-
-
-CHECKS = {"database": _database, "measurements": _measurements, "files": _files}
-"""The checks in their order; each returns whether it found no fault, and one sentence."""

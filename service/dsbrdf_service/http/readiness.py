@@ -25,7 +25,7 @@ class Readiness:
         self._stopping = False
         self._checks: dict[str, Callable[[], None]] = {
             "The database": store.check,
-            "The folder of measurements": store.check_files,
+            "The folder of measurements": store.blobs.check,
             "The disk": partial(store.check_space, settings.min_free_mb),
             "The engine": engine.check,
         }

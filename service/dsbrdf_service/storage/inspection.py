@@ -1,4 +1,4 @@
-"""Examine a data folder without changing it, even while a server runs."""
+"""Examine a data folder without changing it, even while a server runs; each check returns whether it found no fault."""
 
 from pathlib import Path
 
@@ -7,38 +7,41 @@ from .database import read_only
 from .schema import VERSION
 
 
-def is_of_this_release(folder: Path) -> bool:
-    """Return whether the database has the tables of this release."""
-    return read_only(folder, "PRAGMA user_version") == [(VERSION,)]
+def check_database(folder: Path) -> tuple[bool, str]:
+    """Read the whole database; return whether it is intact, and one sentence."""
+    if read_only(folder, "PRAGMA user_version") != [(VERSION,)]:
+        return False, "another release made it, with other tables: use that release"
+    faults = [fault for (fault,) in read_only(folder, "PRAGMA integrity_check(3)") if fault != "ok"]
+    if faults:
+        return False, f"{'; '.join(faults)}: restore the folder from a copy"
+    ((n_fits,),) = read_only(folder, "SELECT count(*) FROM fits")
+    return True, f"intact, {n_fits} fits"
 
 
-def database_faults(folder: Path) -> list[str]:
-    """Read the whole database, and return its first faults."""
-    return [fault for (fault,) in read_only(folder, "PRAGMA integrity_check(3)") if fault != "ok"]
+def check_measurements(folder: Path) -> tuple[bool, str]:
+    """Read every measurement's file; return whether all are what their rows say, and one sentence."""
+    blobs = Blobs(folder)
+    faults = {sha256: fault for sha256 in _stored(folder) if (fault := blobs.damage(sha256))}
+    stored = _stored(folder)  # A measurement whose row was deleted meanwhile has no fault.
+    damaged = [sha256 for sha256 in faults if sha256 in stored]
+    if damaged:
+        number = f"{len(damaged)} of {len(stored)} files are damaged or missing"
+        return False, f"{number}, first {damaged[0]} ({faults[damaged[0]]}): upload that measurement again"
+    return True, f"{len(stored)} files are what their rows say"
 
 
-def count_fits(folder: Path) -> int:
-    """Return the number of fits, in any state."""
-    return int(read_only(folder, "SELECT count(*) FROM fits")[0][0])
+def check_files(folder: Path) -> tuple[bool, str]:
+    """Return whether every file has a row, and one sentence."""
+    files = set(Blobs(folder).all())  # Files are listed before rows, because a file is stored before its row.
+    without = files - _stored(folder)
+    if without:
+        return False, (
+            f"{len(without)} of {len(files)} files have no row: a newer copy of the database may have them, an upload "
+            "of the same measurement makes one, and dsbrdf purge --files-without-rows removes those that nobody needs"
+        )
+    return True, f"{len(files)} files have rows"
 
 
-def measurements_with_rows(folder: Path) -> set[str]:
+def _stored(folder: Path) -> set[str]:
     """Return the sha256 of every measurement that has a row."""
     return {sha256 for (sha256,) in read_only(folder, "SELECT DISTINCT sha256 FROM measurements")}
-
-
-def damaged_files(folder: Path) -> dict[str, str]:
-    """Read every measurement's file, and return the faults by sha256.
-
-    A measurement whose row is deleted meanwhile has no fault.
-    """
-    blobs = Blobs(folder)
-    faults = {sha256: fault for sha256 in measurements_with_rows(folder) if (fault := blobs.damage(sha256))}
-    still = measurements_with_rows(folder)
-    return {sha256: fault for sha256, fault in faults.items() if sha256 in still}
-
-
-def files_without_rows(folder: Path) -> tuple[set[str], int]:
-    """Return the sha256 of files that have no row, and the number of all files."""
-    files = set(Blobs(folder).all())  # Files are listed before rows, because a file is stored before its row.
-    return files - measurements_with_rows(folder), len(files)

@@ -343,10 +343,6 @@ class Store:
         if free < least_mb:
             raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")
 
-    def check_files(self) -> None:
-        """Raise OSError unless a file can be written."""
-        self.blobs.check()
-
     def check(self) -> None:
         """Raise sqlite3.Error or OSError unless rows can be read and written."""
         for table in ("fits", "measurements"):
