@@ -87,7 +87,7 @@ FORMATS = {
         lambda source, _: python_file(source),
     ),
     "brdf": ExportFormat(
-        "for Disney's BRDF Explorer",
+        "a function for Disney's BRDF Explorer",
         "brdf",
         _TEXT_TYPE,
         lambda source, _: filled(template("explorer.brdf"), {"FUNCTION": glsl_function(source)}),
@@ -106,9 +106,11 @@ FORMATS = {
         _components,
         holds_parameters=True,
     ),
-    "bsdf": ExportFormat("for Mitsuba 3", "bsdf", _BINARY_TYPE, lambda source, _: rgl_bsdf(source), time="medium"),
+    "bsdf": ExportFormat(
+        "a table of values for Mitsuba 3", "bsdf", _BINARY_TYPE, lambda source, _: rgl_bsdf(source), time="medium"
+    ),
     "bsdf-spectral": ExportFormat(
-        "for spectral variants of Mitsuba 3, and pbrt-v4",
+        "a table of spectra for pbrt-v4 and spectral variants of Mitsuba 3",
         "bsdf",
         _BINARY_TYPE,
         lambda source, _: rgl_bsdf(source, spectral=True),
