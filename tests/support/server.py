@@ -70,7 +70,7 @@ class Server:
         assert found, f"the server did not start:\n{self.log.read_text()}"
         self.http.close()
         # A connection is not used once more when the service may be about to close it.
-        self.http = httpx.Client(base_url=found[1], timeout=60.0, limits=httpx.Limits(keepalive_expiry=0.5))
+        self.http = httpx.Client(base_url=found[1], timeout=120.0, limits=httpx.Limits(keepalive_expiry=0.5))
 
     def launch(self) -> int:
         """Start the process, without waiting for anything; return where its log begins."""
@@ -139,7 +139,14 @@ class Server:
     def submit(self, measurement: str, prefer: str = "wait=60", **options: Any) -> httpx.Response:
         """Ask for a fit; the method is by default the one that takes a fraction of a second."""
         document = {"measurement": measurement, "options": {"method": "paper", **options}}
-        return self.http.post("/v1/fits", json=document, headers={"Prefer": prefer})
+        answer = self.http.post("/v1/fits", json=document, headers={"Prefer": prefer})
+        return self.ended(answer) if prefer == "wait=60" else answer
+
+    def ended(self, answer: httpx.Response) -> httpx.Response:
+        """Wait for a requested fit, however busy the machine is; an answer to anything else is returned as it is."""
+        while answer.is_success and answer.json()["status"] in ("accepted", "running"):
+            answer = self.http.get(f"/v1/fits/{answer.json()['id']}", params={"wait": 60})
+        return answer
 
     def status(self, fit_id: str) -> str:
         status: str = self.http.get(f"/v1/fits/{fit_id}").json()["status"]

@@ -130,7 +130,7 @@ def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
 
     headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
     answer = server.http.post("/v1/fits", params=FEW_LOBES | {"name": "felt.csv"}, content=table, headers=headers)
-    fit = answer.json()
+    fit = server.ended(answer).json()
     assert (fit["status"], fit["name"]) == ("succeeded", "felt"), fit
     document = {"measurement": places[0].json()["sha256"], "options": {"n_lobes": 1, "ring_lobes": 0}}
     assert server.http.post("/v1/fits", json=document).json()["id"] == fit["id"]
@@ -184,7 +184,7 @@ def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: b
     chosen = {"columns": "blue=azure", "missing": "-9", "scale": "0.5", "cosine": "out", "phi": "mirror"}
     assert "lacks columns for the values: blue" in assert_problem(post(server, odd, "odd.csv"), 422)
     headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
-    fit = server.http.post("/v1/fits", params=FEW_LOBES | chosen, content=odd, headers=headers).json()
+    fit = server.ended(server.http.post("/v1/fits", params=FEW_LOBES | chosen, content=odd, headers=headers)).json()
     assert fit["status"] == "succeeded", fit
     assert not {*chosen} & {*fit["options"]}
     options = {"n_lobes": 1, "ring_lobes": 0}
