@@ -4,8 +4,8 @@ Layers are drawn from every structure that explains the values, in proportion to
 are drawn from the Gaussian that the normal equations of its fit define.
 
 The draws do not cover light that the layers miss, although this light may belong to any component. At a pair of
-directions where a component has the fraction p of the layers, 2 min(p, 1 - p) of the missed light counts as doubtful:
-all of it if p is one half, and none if p is 0 or 1. The doubtful light widens the ranges, as an independent error.
+directions where a component has the fraction p of the layers, 4 p (1 - p) of the missed light counts as doubtful: all
+of it if p is one half, and none if p is 0 or 1. The doubtful light widens the ranges, as an independent error.
 """
 
 from collections.abc import Sequence

@@ -125,7 +125,7 @@ class WeightedLayers:
         place = np.array([LABELS.index(label) for label in self.labels])
         total = layers.sum(axis=0) + _MIN_LAYER_LIGHT
         fraction = np.array([layers[place == number].sum(axis=0) / total for number in range(len(LABELS))])
-        return np.asarray(np.abs(values - total) * 2.0 * np.minimum(fraction, 1.0 - fraction))
+        return np.asarray(np.abs(values - total) * 4.0 * fraction * (1.0 - fraction))
 
     def kinds_of(self, label: str) -> set[type[Layer]]:
         """Return the kinds of the layers of a component."""

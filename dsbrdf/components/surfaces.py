@@ -8,14 +8,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import gammaln, stdtr
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_fit import FittedStructure
+from dsbrdf.components.layer_fit import MODEL_ERROR, FittedStructure
 from dsbrdf.components.layers import GRAZING_ANGLE, Color, RetroLayer, SpecularLayer, tail_norm
 from dsbrdf.components.misfit import Misfit
 from dsbrdf.components.ranges import Range, RgbRange, SurfaceSpread
 
 _RANGE_HALF_WIDTH_SIGMAS = 1.645  # This half width in standard deviations holds 90 % of a Gaussian.
+_MIN_SLOPE_FREEDOM = 1.5  # With 1 or less, the mean slope and its masking would be infinite.
 MAX_RANGE_FACTOR = 2.0
 """If the range of F70 is more than this factor wide to either side, F70 is withheld."""
 
@@ -67,9 +69,12 @@ def surfaces_of(
         if not misfit.withholds_reflectance:
             f0, f0_range = layer.f0, _around_rgb(layer.f0, np.diag(own)[:3] + spread.f0**2 + of_light**2)
             slopes = layer.reflectance_slopes(GRAZING_ANGLE)
-            fitted = np.sum(slopes @ own * slopes, axis=1) + _masking_deviation(layer) ** 2
-            f70 = layer.reflectance_at(GRAZING_ANGLE)
-            f70_range = _around_rgb(f70, fitted + spread.f70**2 + of_light_at_70**2)
+            fitted = np.sum(slopes @ own * slopes, axis=1) + MODEL_ERROR**2
+            masking = _masking_ratio(layer)
+            of_masking = np.log(masking) / _RANGE_HALF_WIDTH_SIGMAS
+            red, green, blue = (masking * np.array(layer.reflectance_at(GRAZING_ANGLE))).tolist()
+            f70 = red, green, blue
+            f70_range = _around_rgb(f70, fitted + spread.f70**2 + of_light_at_70**2 + of_masking**2)
             if any(high > MAX_RANGE_FACTOR**2 * low for low, high in f70_range):
                 f70 = f70_range = None
         tail_exponent = None if alpha is None else layer.tail_exponent
@@ -77,14 +82,25 @@ def surfaces_of(
     return tuple(surface for _, surface in sorted(found, key=lambda pair: -pair[0]))
 
 
-def _masking_deviation(layer: SpecularLayer) -> float:
-    """Return the standard deviation of the logarithm of F70 that the form of the masking causes.
+def _masking_ratio(layer: SpecularLayer) -> float:
+    """Return the masking of GGX, which the layer has, over Smith's masking by its own distribution, at `GRAZING_ANGLE`.
 
-    Layers have the masking of GGX, but a surface with shorter tails masks less: Beckmann's distribution hardly at all.
-    The logarithm of the masking is scaled from 0 for GGX to 1 for Beckmann's distribution.
+    Slopes along one axis have Student's t distribution with 2 tau - 2 degrees of freedom and the scale alpha / sqrt(2).
     """
-    masking = 0.5 * np.log1p((layer.alpha * np.tan(GRAZING_ANGLE)) ** 2)
-    return float(masking * abs(1.0 - 2.0 / layer.tail_exponent))
+    own, of_ggx = (
+        _smith_lambda(layer.alpha, max(2.0 * exponent - 2.0, _MIN_SLOPE_FREEDOM))
+        for exponent in (layer.tail_exponent, 2.0)
+    )
+    return (1.0 + 2.0 * own) / (1.0 + 2.0 * of_ggx)
+
+
+def _smith_lambda(alpha: float, freedom: float) -> float:
+    """Return Smith's integral over slopes beyond the direction at `GRAZING_ANGLE`, for Student's t distribution."""
+    least = np.sqrt(2.0) / (alpha * np.tan(GRAZING_ANGLE))
+    log_norm = gammaln(0.5 * freedom + 0.5) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
+    density = np.exp(log_norm - 0.5 * (freedom + 1.0) * np.log1p(least**2 / freedom))
+    mean = density * (freedom + least**2) / (freedom - 1.0)
+    return float(mean / least - stdtr(freedom, -least))
 
 
 def _around(value: float, variance: float) -> Range:

@@ -85,7 +85,7 @@ def test_roughness_and_reflectance_of_a_layer_come_out_as_they_were_put_in(name:
     assert found.surface.f0 == pytest.approx(0.0, abs=0.10)
     material, component = CATALOGUE[name], parts[parts.labels[0]]
     assert found.surface.f70_inside
-    assert found.surface.f70 == pytest.approx(0.0, abs=0.3 if material.distribution == "beckmann" else 0.08)
+    assert found.surface.f70 == pytest.approx(0.0, abs=0.10)
     assert material.f0 is not None
     np.testing.assert_allclose(component.color, material.f0 / material.f0.max(), atol=0.06)
     surface = component.surfaces[0]

@@ -17,7 +17,7 @@ def test_missed_light_is_doubtful_where_both_sides_have_light() -> None:
     points = Points.at(np.radians([0.0, 20.0, 50.0]), np.radians([30.0, 30.0, 10.0]), np.radians([90.0, 90.0, 40.0]))
     surface, ground = LAYERS.model.layer_values(points)
     doubtful = LAYERS.doubtful(0.8 * (surface + ground), points)
-    expected = 0.2 * 2.0 * np.minimum(surface, ground)  # the sum of both times the smaller of both fractions
+    expected = 0.2 * 4.0 * surface * ground / (surface + ground)  # the sum of both times the product of both fractions
     np.testing.assert_allclose(doubtful, [np.zeros_like(expected), expected, expected], rtol=1e-9)
 
 
