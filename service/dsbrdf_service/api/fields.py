@@ -35,8 +35,8 @@ Name = Annotated[str | None, Field(description="The latest name given; no part o
 
 
 def _check_plain(given: Any) -> Any:
-    """Return the input; raise ValueError for texts such as 1_000, which are numbers only in Python."""
-    if isinstance(given, str) and ("_" in given or not given.isascii()):
+    """Return the input; raise ValueError for texts such as 1_000 or " 1", which are numbers only in Python."""
+    if isinstance(given, str) and ("_" in given or not given.isascii() or given.strip() != given):
         raise ValueError(f"{given[:40]!r} is not a number")
     return given
 
