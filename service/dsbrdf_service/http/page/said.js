@@ -12,6 +12,7 @@ const METRICS = [
   ["psnr", "picture", (value) => `${value.toFixed(1)} dB`, "Peak signal-to-noise ratio between spheres of the fit and of the measurement, under three lights."],
   ["relative_rms", "values", percent, "Root mean square error of the values, relative to their root mean square."],
   ["relative_rms_left_out", "held-out values", percent, "Relative root mean square error at samples that the fit did not use."],
+  ["relative_rms_expected", "all directions", percent, "Estimated upper bound of the error over all directions; the error of one table in ten is larger."],
   ["albedo_error", "albedo", percent, "Mean relative error of the total reflected light."],
   ["symmetric_floor", "reciprocal floor", percent, "Smallest error of any model that obeys reciprocity."],
   ["floor", "bivariate floor", percent, "Smallest error of any model that ignores φ_diff."],
