@@ -50,8 +50,13 @@ MAX_RESTARTED_LOBES = 5
 """A search for a larger fixed number of lobes has a single start."""
 SPARE_LOBES = 3
 """One start has this number of additional lobes, and drops them again."""
+MIN_WIDE_START_WIDTH = float(np.radians(40.0))
+"""A start for a single lobe has at least this half width [rad]; from narrower ones, it would fit only the highlight."""
 HEAVY_TAIL_FACTOR = 0.3
-"""A last start multiplies kappa of the best result by this factor, because fits seldom lower kappa far enough."""
+"""Last starts multiply kappa of the best result by this factor, because fits seldom lower kappa far enough.
+
+For a single lobe, the other results are such starts too.
+"""
 
 
 @dataclass(frozen=True)
@@ -114,17 +119,18 @@ class _Task:
     candidates: Candidates
     wanted: Wanted
 
-    def fit(self, **changes: int) -> Mixture:
-        """Choose lobes, with some numbers changed, and fit all unknowns."""
-        return _fit(self.data, self._choose(replace(self.wanted, **changes)))
+    def fit(self, min_width: float = 0.0, **changes: int) -> Mixture:
+        """Choose lobes with at least a half width [rad], with some numbers changed, and fit all unknowns."""
+        return _fit(self.data, self._choose(replace(self.wanted, **changes), min_width))
 
-    def _choose(self, wanted: Wanted) -> Mixture:
+    def _choose(self, wanted: Wanted, min_width: float) -> Mixture:
         """Choose candidates one after the other."""
         candidates, chosen, shape = self.candidates, list[int](), self.candidates.size.shape
         amplitudes, gram = np.zeros((*shape[:2], 0)), np.zeros((*shape[:2], 0, 0))
         mixed = np.zeros((*shape[:2], 0, shape[2]))
         for _ in range(wanted.max_lobes(self.data)):
             allowed = np.isin(candidates.is_ring, wanted.kinds_to_add(tuple(candidates.is_ring[chosen].tolist())))
+            allowed &= candidates.width >= min_width
             allowed[chosen] = False
             chosen.append(candidates.best(gram, mixed, amplitudes, allowed))
             gram, right = normal_equations(self.data, candidates.curves[:, chosen])
@@ -254,10 +260,10 @@ def _best_of_starts(task: _Task, held_out: FitData, on_stage: Callable[[], None]
     def error(one: Mixture) -> float:
         return _error(task.data, one) + _error(held_out, one)
 
-    best = min(ends, key=error)
-    shift = np.where(best.structure.is_kappa(), np.log(HEAVY_TAIL_FACTOR), 0.0)
-    heavy = Mixture(best.structure, best.structure.limit(best.unknowns + shift))
-    return min((best, _fit(task.data, heavy)), key=error)
+    for end in tuple(ends) if task.wanted.n_lobes == 1 else [min(ends, key=error)]:
+        shift = np.where(end.structure.is_kappa(), np.log(HEAVY_TAIL_FACTOR), 0.0)
+        ends.append(_fit(task.data, Mixture(end.structure, end.structure.limit(end.unknowns + shift))))
+    return min(ends, key=error)
 
 
 def _starts(task: _Task) -> Iterator[Mixture]:
@@ -267,6 +273,8 @@ def _starts(task: _Task) -> Iterator[Mixture]:
     """
     n_lobes = task.wanted.max_lobes(task.data)
     yield (first := task.fit())
+    if n_lobes == 1:
+        yield task.fit(min_width=MIN_WIDE_START_WIDTH)
     if task.wanted.ring_lobes == "auto":
         others = (n_rings for n_rings in range(min(2, n_lobes)) if n_rings != first.structure.n_rings)
         yield from (task.fit(ring_lobes=n_rings) for n_rings in others)
