@@ -15,7 +15,7 @@ from ..http import openapi
 from ..http.request_body import media_type_of
 from .context import CHECKED_QUERY, TheCaller, TheContext, TheTableOptions
 from .fields import Range, Share
-from .uploads import CONTENT, MAX_CONVERTED_BYTES, TABLE_PARAMETERS, TABLES, place_of_table, read_table
+from .uploads import CONTENT, MAX_CONVERTED_BYTES, TABLE_PARAMETERS, UPLOADED, place_of_table, read_table
 
 
 class ColumnDocument(BaseModel):
@@ -50,7 +50,7 @@ router = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=CHEC
     responses=openapi.problems("too-large", "measurement-format", *openapi.BODY_PROBLEMS),
     openapi_extra={
         "parameters": [*TABLE_PARAMETERS, openapi.ENCODING],
-        **openapi.body("A table of scattered samples.", {name: CONTENT[name] for name in TABLES}),
+        **openapi.body("A table of scattered samples.", CONTENT),
     },
 )
 async def describe_table(
@@ -60,7 +60,7 @@ async def describe_table(
 
     Nothing is stored, so the right options can be found before the upload.
     """
-    media_type_of(request, *TABLES)
+    media_type_of(request, *UPLOADED)
     async with context.bodies.received(request, MAX_CONVERTED_BYTES) as content:
         key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
         place = place_of_table(content[:START_BYTES], len(content))

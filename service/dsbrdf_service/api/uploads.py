@@ -29,7 +29,7 @@ from ..errors import ProblemError
 from ..http import openapi
 from ..http.names import MAX_LENGTH
 from ..http.request_body import decoded
-from ..http.responses import BINARY
+from ..http.responses import BINARY, JSON
 from ..storage.blobs import Incoming
 from ..storage.schema import Caller, MeasurementRow
 from ..storage.writing import in_thread
@@ -40,7 +40,7 @@ TABLES = (
     *("text/csv", "text/tab-separated-values", "text/plain"),
     "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
 )
-UPLOADED = (BINARY, *TABLES)
+UPLOADED = (BINARY, *TABLES, JSON)
 """Media types of uploads."""
 _SUFFIXES = (".binary", ".bsdf", ".csv", ".tsv", ".txt", ".astm", ".xlsx")
 PARAMETERS = [

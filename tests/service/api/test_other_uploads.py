@@ -219,9 +219,11 @@ def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> Non
     answer = server.http.post("/v1/tables", content=content, headers=headers)
     assert "-999.5" in assert_problem(answer, 422, "measurement-format")
     chosen = {"columns": "value=reflectance", "missing": "-999.5", "scale": "0.01"}
-    told = server.http.post("/v1/tables", params=chosen, content=content, headers=headers).json()
     options = TableOptions(columns="value=reflectance", missing=-999.5, scale=0.01)
-    assert told == summary_of_table(read_table(content.encode(), options=options))
+    for media_type in ("text/csv", "application/octet-stream", "application/json"):  # The content decides.
+        headers = {"Content-Type": media_type}
+        told = server.http.post("/v1/tables", params=chosen, content=content, headers=headers).json()
+        assert told == summary_of_table(read_table(content.encode(), options=options))
     answer = server.http.post("/v1/tables?n_lobes=2", content=content, headers=headers)
     assert "n_lobes" in assert_problem(answer, 422, "invalid-argument")
     assert server.files() == before
