@@ -13,7 +13,7 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
     unchanged and the temporary file is removed; an OSError names `path`.
     """
     target = Path(path)
-    # Fifty characters have at most 200 bytes, so that the whole name stays below the limit of 255.
+    # Fifty characters of UTF-8 have at most 200 bytes, so that the temporary name stays below the limit of 255 bytes.
     temporary = target.parent / f".{target.name[:50]}.{token_hex(8)}.part"
     try:
         file = temporary.open("xb")
@@ -30,7 +30,7 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
         raise
 
 
-# First bytes of other files that users may confuse with measurements.
+# First bytes of files that users may confuse with measurements, each with the kind that an error message names.
 _KINDS = {
     b"\x89PNG": "a PNG image",
     b"\xff\xd8\xff": "a JPEG image",

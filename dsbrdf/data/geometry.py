@@ -1,7 +1,7 @@
 """Convert between directions and half and difference angles (Rusinkiewicz 1998; Nishino 2009, section 2).
 
-Let ``omega_in`` and ``omega_out`` be unit vectors above a surface with the normal (0, 0, 1). Their half vector ``h``
-is proportional to ``omega_in + omega_out`` and has the polar angles ``theta_half`` and ``phi_half``. In the frame whose
+Let ``omega_in`` and ``omega_out`` be unit vectors above a surface with the normal (0, 0, 1). The half vector ``h`` is
+proportional to ``omega_in + omega_out`` and has the polar angles ``theta_half`` and ``phi_half``. In the frame whose
 pole is ``h``, ``omega_in`` has the polar angles ``theta_diff`` and ``phi_diff``. The directions are, with ``s = +1``
 for ``omega_in`` and ``s = -1`` for ``omega_out``::
 
@@ -10,8 +10,8 @@ for ``omega_in`` and ``s = -1`` for ``omega_out``::
                                  cos(theta_diff))
 
 An isotropic BRDF does not depend on ``phi_half``. All angles are in radians. Every angle is computed by ``atan2`` from
-the sum and the difference of the directions. This is accurate at normal incidence, at ``omega_in = omega_out`` and at
-the horizon, where ``arccos`` loses half of the digits.
+the sum and the difference of the directions, because ``arccos`` loses half of the digits at normal incidence, at
+``omega_in = omega_out`` and at the horizon.
 """
 
 import numpy as np
@@ -21,8 +21,7 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.errors import InvalidArgumentError
 
 _UNIT_TOLERANCE = 1e-6
-# Cosines closer than this to a bound count as equal to the bound; otherwise, rounding would decide whether nodes
-# exactly on the horizon are above it.
+# A cosine closer than this to a bound counts as equal, because rounding must not put a node on the horizon above it.
 _COSINE_ROUNDING = 1e-12
 # A shorter sum of two unit vectors is rounding error: the directions are opposite.
 _SUM_ROUNDING = 4 * float(np.finfo(np.float64).eps)
@@ -48,11 +47,11 @@ def half_difference(omega_in: ArrayLike, omega_out: ArrayLike) -> tuple[Array, A
         sin_phi = np.where(radius > 0.0, total[..., 1] / radius, 0.0)
     along = cos_phi * difference[..., 0] + sin_phi * difference[..., 1]
     across = cos_phi * difference[..., 1] - sin_phi * difference[..., 0]
-    # Adding 0.0 turns -0.0 into 0.0: atan2(0, -0.0) would be pi.
+    # Adding 0.0 turns -0.0 into 0.0, because atan2(0, -0.0) would be pi instead of 0.
     tangent = np.cos(theta_half) * along - np.sin(theta_half) * difference[..., 2] + 0.0
     phi_diff = np.arctan2(across + 0.0, tangent)
     phi_diff = np.where(phi_diff < 0.0, phi_diff + 2.0 * np.pi, phi_diff)
-    # A tiny negative angle plus 2 pi is rounded to 2 pi.
+    # A tiny negative angle plus 2 pi is rounded to 2 pi, which is outside of the range [0, 2 pi).
     phi_diff = np.where(phi_diff >= 2.0 * np.pi, 0.0, phi_diff)
     return theta_half, theta_diff, phi_diff
 
@@ -62,7 +61,7 @@ def directions(
 ) -> tuple[Array, Array]:
     """Return the unit vectors omega_in and omega_out (..., 3) with given angles [rad]; inverse of `half_difference`.
 
-    One of the directions may lie below the horizon, see `above_horizon`.
+    Either direction may lie below the horizon, which `above_horizon` tests.
     """
     half, diff, phi, azimuth = checked_angles(
         theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff, phi_half=phi_half
@@ -84,13 +83,13 @@ def directions(
 
 
 def spherical(theta: ArrayLike, phi: ArrayLike) -> Array:
-    """Return unit vectors (..., 3) from polar angles and azimuths [rad], which broadcast."""
+    """Return unit vectors (..., 3) from polar angles and azimuths [rad] whose shapes broadcast."""
     theta, phi = np.broadcast_arrays(theta, phi)
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
 
 def random_directions(generator: np.random.Generator, cosine: Array) -> Array:
-    """Draw unit vectors (..., 3) with given cosines to the normal, and with random azimuths."""
+    """Draw unit vectors (..., 3) with random azimuths, whose cosines to the normal are `cosine`."""
     turn, sine = generator.uniform(0.0, 2.0 * np.pi, cosine.shape), np.sqrt(1.0 - cosine**2)
     return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
 
@@ -98,7 +97,7 @@ def random_directions(generator: np.random.Generator, cosine: Array) -> Array:
 def incident_cosines(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike) -> tuple[Array, Array]:
     """Return the cosines of omega_in and omega_out to the surface normal from half and difference angles [rad].
 
-    The angles broadcast. The two cosines are
+    The shapes of the angles broadcast. The two cosines are
     ``cos(theta_half) cos(theta_diff) -/+ sin(theta_half) sin(theta_diff) cos(phi_diff)``.
     """
     half, diff, phi = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
@@ -110,8 +109,8 @@ def incident_cosines(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: Arr
 def above_horizon(theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike, cutoff: float = np.pi / 2) -> Mask:
     """Return whether both directions are above the horizon, and at most `cutoff` [rad] from the normal.
 
-    A direction exactly at the cutoff counts, a direction exactly at the horizon does not. Raises InvalidArgumentError
-    if the cutoff is out of range.
+    A direction exactly at the cutoff is inside, and a direction exactly at the horizon is not above the horizon.
+    Raises InvalidArgumentError if the cutoff is out of range.
     """
     check_horizon_cutoff(cutoff)
     cosine = np.minimum(*incident_cosines(theta_half, theta_diff, phi_diff))
@@ -159,7 +158,7 @@ def _vectors(name: str, omega: ArrayLike) -> Array:
 def checked_angles(**named: ArrayLike) -> tuple[Array, ...]:
     """Return angles as arrays; raise InvalidArgumentError if they are not numeric or do not broadcast."""
     arrays = tuple(_numbers(name, value) for name, value in named.items())
-    # Equal shapes are not checked, because the check takes as long as the evaluation of one point.
+    # Equal shapes always broadcast: without a check of them, the evaluation of a model at one point takes half as long.
     if len({array.shape for array in arrays}) == 1:
         return arrays
     try:

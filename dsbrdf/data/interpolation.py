@@ -1,11 +1,11 @@
 """Evaluate a measurement at any angles: interpolate its logarithm linearly between the nodes of the grid.
 
-The interpolation is linear in ``sqrt(theta_half)``, in which the rows are evenly spaced, in ``theta_diff`` and in
-``phi_diff``. The period of ``phi_diff`` is pi by reciprocity. The logarithm is interpolated because highlights fall by
-orders of magnitude from node to node.
+The interpolation is linear in ``theta_diff``, in ``phi_diff`` and in ``sqrt(theta_half)``, because the nodes are evenly
+spaced in the square root. The period of ``phi_diff`` is pi by reciprocity. The logarithm is interpolated because
+highlights fall by orders of magnitude from node to node.
 
-A node without a value gets the value of the nearest node along theta_diff, along which reflectance changes most slowly.
-Then every node has a value, and the interpolation is continuous, also beside invalid nodes.
+A node without a measured value gets the value of the nearest measured node along theta_diff, because reflectance
+changes most slowly along this angle. Thus every node has a value, and the interpolation is continuous everywhere.
 """
 
 from collections.abc import Iterator
@@ -21,9 +21,9 @@ from dsbrdf.data.geometry import checked_angles
 from dsbrdf.data.grid import GRID_SHAPE
 from dsbrdf.errors import InvalidArgumentError
 
-# Added to values before the logarithm, so that 0 has a logarithm; it is far below any visible reflectance.
+# This constant is added to values before the logarithm, so that 0 has one; it is far below any visible reflectance.
 _LOG_OFFSET_PER_SR = 1e-6
-# Points are evaluated in blocks of this size, whose arrays stay in the processor's cache.
+# Points are evaluated in blocks of this size, because the arrays of a block stay in the processor's cache.
 _POINTS_PER_BLOCK = 65536
 
 
@@ -42,21 +42,23 @@ class Grid(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class InterpolatedMeasurement:
-    """Evaluate a measurement at any angles; `interpolate` makes it.
+    """Evaluate a measurement at any angles; `interpolate` makes an instance.
 
-    A node has the value of another node, or of itself if its value was measured: at the theta_diff `diff`, and at the
-    theta_half and phi_diff whose flat index with theta_diff = 0 is `start`. C = 3 if a node has values in some channels
-    only, otherwise C = 1.
+    Every node has a source: the measured node whose value it takes, or the node itself if it was measured. The
+    theta_diff index of the source is `diff`. The flat index of the node with theta_diff = 0 and the same theta_half and
+    phi_diff as the source is `start`. Both arrays have the axis C first, of length 3 if the channels are measured at
+    different nodes, otherwise 1.
     """
 
     measurement: Grid
-    diff: NDArray[np.int8]  # (C, 90, 90, 180)
-    start: NDArray[np.int32]  # (C, 90, 180)
+    diff: NDArray[np.int8]  # axes (C, theta_half, theta_diff, phi_diff), with C = 1 or 3 channels
+    start: NDArray[np.int32]  # axes (C, theta_half, phi_diff), with C = 1 or 3 channels
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return values (..., 3) [1/sr] at half and difference angles (...) that broadcast [rad]; never negative.
 
-        Beyond the last row of the grid, values are those of this row. Below the horizon, values are extrapolated.
+        Beyond the last theta_half of the grid, 88 degrees, values are as at this angle. Below the horizon, values are
+        extrapolated.
         """
         named = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
         angles = np.broadcast_arrays(*named)
@@ -71,11 +73,11 @@ class InterpolatedMeasurement:
 
     @property
     def source(self) -> NDArray[np.int32]:
-        """Flat index of the node whose value each node has, (C, 90, 90, 180)."""
+        """Flat index of the measured node whose value each node takes, (1 or 3 channels, 90, 90, 180)."""
         return np.asarray(self.start[:, :, np.newaxis] + np.int32(GRID_SHAPE[2]) * self.diff)
 
     def is_measured(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Mask:
-        """Return a mask (...) of the angles with at least one valid node among those of the interpolation."""
+        """Return a mask (...) of the angles whose grid cell has a valid node with a positive interpolation weight."""
         angles = np.broadcast_arrays(*checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff))
         found = np.zeros(angles[0].shape, dtype=bool)
         for weight, node in _corners(*angles):
@@ -83,7 +85,7 @@ class InterpolatedMeasurement:
         return found
 
     def _values(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (3, N) [1/sr] at N points."""
+        """Return values (3, N) [1/sr] at angles (N,) [rad]."""
         stored = self.measurement.stored.reshape(3, -1)
         scale = self.measurement.scale[:, np.newaxis]
         logarithm = np.zeros((3, theta_half.size))
@@ -124,13 +126,13 @@ def interpolate(measurement: Grid) -> InterpolatedMeasurement:
 
 
 def _cells(position: Array, count: int) -> tuple[Indices, Array]:
-    """Return the index of the node below each position, and the interpolation weight of the next node, at most 1."""
+    """Return the index of the node at or below each position, and the interpolation weight of the node above it."""
     lower = np.minimum(position.astype(np.intp), count - 2)
     return lower, np.minimum(position - lower, 1.0)
 
 
 def _nearest_valid(valid: Mask) -> tuple[NDArray[np.int8], NDArray[np.int32]]:
-    """Return `diff` and `start` of the nearest node with a value, as in `InterpolatedMeasurement`.
+    """Return the arrays `diff` and `start` of `InterpolatedMeasurement`, which give each node its nearest valid node.
 
     The search first goes towards theta_diff = 0, away from the horizon, then in the other direction along theta_diff,
     and finally to the nearest (theta_half, phi_diff) with a valid node.

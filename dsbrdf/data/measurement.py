@@ -69,12 +69,12 @@ class Measurement:
 
     @cached_property
     def interpolated(self) -> InterpolatedMeasurement:
-        """The measurement as a function that has values at all angles, extrapolated where nodes are not valid."""
+        """The measurement as a function of continuous angles, extrapolated where nodes are not valid."""
         return interpolate(self)
 
     @cached_property
     def known(self) -> Mask:
-        """Mask (C, 90, 90, 180) of measured values, with C = 1 if all channels are measured at the same nodes."""
+        """Mask of measured values, (3, 90, 90, 180), or (1, 90, 90, 180) if all channels have the same mask."""
         masks = [self.valid & (channel >= 0.0) for channel in self.stored]
         alike = all(np.array_equal(mask, self.valid) for mask in masks)
         return self.valid[np.newaxis] if alike else np.stack(masks)
@@ -83,7 +83,7 @@ class Measurement:
     def values(self) -> Array:
         """The BRDF in 1/sr, shape (3, 90, 90, 180); every access makes a new array of 35 MB.
 
-        Values are measured at the nodes in ``valid``, in the channels in which they are not negative.
+        A negative value is missing, and so are all values at nodes that are not in ``valid``.
         """
         return self.stored * self.scale[:, np.newaxis, np.newaxis, np.newaxis]
 

@@ -1,7 +1,7 @@
 """Read and write the MERL ``.binary`` format: bytes <-> `Measurement` (Matusik et al. 2003).
 
 A file is three little-endian int32 dimensions (90, 90, 180) followed by 3 x 90 x 90 x 180 little-endian
-float64 values, axes (channel, theta_half, theta_diff, phi_diff). A stored value times the channel's ``SCALE``
+float64 values, whose axes are (channel, theta_half, theta_diff, phi_diff). A stored value times the channel's ``SCALE``
 is the BRDF in 1/sr; a negative value marks a node without a measurement.
 """
 
@@ -69,13 +69,13 @@ def read_merl(path: str | os.PathLike[str]) -> Measurement:
         check_header(file.read(HEADER_SIZE))
         check_length(status.st_size)
         file.seek(0)
-        # Reading one more byte shows whether the file has grown since its length was checked.
+        # One byte more than expected is read, to notice a file that has grown since its length was checked.
         data = file.read(FILE_SIZE + 1)
     return parse_merl(data, source.stem)
 
 
 def map_merl(path: str | os.PathLike[str], sha256: str) -> Measurement:
-    """Map a file that was validated before into memory, and return its measurement without another check.
+    """Map a validated MERL file into memory, and return the measurement without another check.
 
     `sha256` is the digest of the file, which must not change while the measurement is in use. Raises ValueError if the
     file is shorter than a measurement.

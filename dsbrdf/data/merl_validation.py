@@ -1,6 +1,6 @@
-"""Check a MERL ``.binary`` file: its header before its length, and its length before its values.
+"""Check a MERL ``.binary`` file: first the header, then the length, then the values.
 
-`dsbrdf.data.merl` describes the format.
+`dsbrdf.data.merl` describes the format of the file.
 """
 
 import hashlib
@@ -24,13 +24,15 @@ SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
 SCALE.flags.writeable = False
 MAX_VALUE = 1e8  # A file with a larger value is refused, because no BRDF is so large [1/sr].
 MIN_NONZERO_VALUE = 1e-8  # Smaller values count as zero, because every real material is brighter [1/sr].
-MIN_VALID_FRACTION = 0.01  # A channel with a smaller fraction of valid nodes is refused.
-MIN_NONZERO_FRACTION = 0.001  # A file with a smaller fraction of nonzero nodes is refused, because they are noise.
+# A file is refused if a channel has valid values at a smaller fraction of the nodes above the horizon.
+MIN_VALID_FRACTION = 0.01
+# A file is refused if a smaller fraction of its nodes has a nonzero value, because so few values are noise.
+MIN_NONZERO_FRACTION = 0.001
 
 _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 SHAPE = (len(CHANNELS), *GRID_SHAPE)
 _AXES = ("theta_half", "theta_diff", "phi_diff")
-_MAX_LIKELY_SIZE = 100_000  # Larger numbers are not the dimensions of a grid: the file is of another kind.
+_MAX_LIKELY_SIZE = 100_000  # A header with a larger number has no dimensions of a grid: the file is of another kind.
 _NOT_FINITE = "NaN or infinite; every value must be finite."
 _UNIT = "Stored values are the BRDF in 1/sr times 1500 / (1, 1.15, 1.66)."
 _TOO_LARGE = f"1e8/sr, which no reflectance has. {_UNIT}"
@@ -71,12 +73,12 @@ def _other_kind(start: bytes) -> str:
 
 
 def check_length(n_bytes: int) -> None:
-    """Raise MeasurementFormatError unless a whole file, header included, has `FILE_SIZE` bytes."""
+    """Raise MeasurementFormatError unless `n_bytes`, the length of a file with its header, is `FILE_SIZE`."""
     if n_bytes == FILE_SIZE:
         return
     right = f"a MERL measurement has exactly {FILE_SIZE} bytes (12 + 3 x 90 x 90 x 180 x 8)"
     if n_bytes > FILE_SIZE:
-        # The message has no length: during an upload, the length is not known yet.
+        # This message does not name the file's length, which is still unknown during an upload.
         raise MeasurementFormatError(f"The data is longer than {FILE_SIZE} bytes; {right}.")
     if n_bytes == 0:
         raise MeasurementFormatError(f"The data is empty; {right}.")
@@ -90,8 +92,9 @@ def check_length(n_bytes: int) -> None:
 def check_values(rows: Iterable[Array]) -> Mask:
     """Check the values of a file; return the mask (90, 90, 180) of valid nodes.
 
-    A valid node is above the horizon and not negative in at least one channel. `rows` yields the values of each row of
-    theta_half, shape (16200,): 90 rows of red, then 90 of green and 90 of blue. A check takes 4 MB and one row.
+    A valid node is above the horizon and not negative in at least one channel. `rows` yields the values at each
+    theta_half, shape (16200,): 90 rows of red, then 90 of green and 90 of blue. The check takes 4 MB of memory and one
+    row.
 
     Raises MeasurementFormatError if a value is NaN, infinite or above 1e8/sr, a channel is negative at more than 99 %
     of the nodes above the horizon, or almost all are zero.
@@ -102,12 +105,12 @@ def check_values(rows: Iterable[Array]) -> Mask:
     not_finite, too_large = _Fault(_NOT_FINITE, "is", "are"), _Fault(_TOO_LARGE, "exceeds", "exceed")
     for number, values in enumerate(rows):
         channel, row = divmod(number, N_ROWS)
-        # NumPy would warn about comparisons with signalling NaN.
+        # Without this, NumPy would warn about comparisons with a signalling NaN, which is counted as a fault here.
         with np.errstate(invalid="ignore"):
             largest, smallest, limit = values.max(), values.min(), MAX_VALUE / SCALE[channel]
             if not (np.isfinite(largest) and np.isfinite(smallest)):
                 not_finite.add(channel, row, ~np.isfinite(values))
-            # This is false if the maximum is NaN, which has been recorded above.
+            # This comparison is false if the largest value is NaN, which has been counted above.
             if largest > limit:
                 too_large.add(channel, row, (values > limit) & above[row])
             measured = (values >= 0.0) & above[row]
@@ -121,9 +124,9 @@ def check_values(rows: Iterable[Array]) -> Mask:
 
 
 def _check_numbers(n_measured: Sequence[int], n_nonzero: int, n_above: int) -> None:
-    """Check the numbers of measured nodes of each channel, and of nodes with light at a theta_half above 0.
+    """Raise MeasurementFormatError if a channel has too few measured nodes, or the file too few nonzero nodes.
 
-    Nodes at theta_half = 0 have no solid angle.
+    `n_nonzero` excludes the nodes at theta_half = 0, because a bin of zero solid angle is no evidence of a measurement.
     """
     fewest = int(np.argmin(n_measured))
     if n_measured[fewest] < MIN_VALID_FRACTION * n_above:
@@ -140,14 +143,14 @@ def _check_numbers(n_measured: Sequence[int], n_nonzero: int, n_above: int) -> N
 
 
 class _Fault:
-    """Count the values with one fault, and remember the position of the first one."""
+    """Count the values that have one kind of fault, and remember the position of the first of these values."""
 
     def __init__(self, fault: str, verb: str, verb_of_many: str) -> None:
         self._fault, self._verb, self._verb_of_many = fault, verb, verb_of_many
         self._count, self._first = 0, ""
 
     def add(self, channel: int, row: int, where: Mask) -> None:
-        """Count the nodes of a row that a mask selects."""
+        """Count the nodes of a row of theta_half at which the mask `where` is True."""
         found = np.flatnonzero(where)
         if found.size and not self._count:
             node = tuple(int(index) for index in (row, *np.unravel_index(found[0], _ROW_SHAPE)))

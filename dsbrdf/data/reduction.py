@@ -1,19 +1,19 @@
 """Reduce a measurement to profiles: sums over phi_diff, or over bins of phi_diff.
 
-Let m be the value of a model that does not depend on phi_diff. For every (channel, theta_diff, theta_half), its squared
-error is
+Let f be the samples, w their weights, and m the value of a model that does not depend on phi_diff. For every (channel,
+theta_diff, theta_half), the squared error of the model is
 
     sum_phi w (f - m)**2 = W (mean - m)**2 + within,
 
-where W is the summed weight, ``mean`` the weighted mean of f over phi_diff, and ``within`` the weighted squared
-deviation from this mean, which does not depend on the model. A fit to `Profiles` is therefore exactly a fit to all 4.4
-million samples. The sum of ``within`` is the **bivariate floor**, the smallest error of any such model.
+where W is the sum of w over phi_diff, ``mean`` the weighted mean of f over phi_diff, and ``within`` the weighted
+squared deviation of f from this mean, which does not depend on the model. A fit to `Profiles` is therefore exactly a
+fit to all 4.4 million samples. The sum of ``within`` is the **bivariate floor**: no model without phi_diff has a
+smaller error.
 
 The values of a reciprocal isotropic material, and of a model with elongated lobes, are equal at phi_diff, -phi_diff and
 pi - phi_diff. Therefore phi_diff is folded: mapped to the equivalent angle from 0 to 90 degrees. The samples are summed
-in `N_BINS` bins of the folded phi_diff. The value of a model in a bin is its value at the mean of cos(phi_diff)**2.
-
-Only this module decides which samples count, and with which weight.
+in `N_BINS` bins of the folded phi_diff. A fit evaluates the model once for a bin, at the mean of cos(phi_diff)**2 over
+the samples of the bin.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 
 N_BINS = 10
-"""Number of bins of the folded phi_diff: nine of 10 degrees each, and 90 degrees alone.
+"""Number of bins of the folded phi_diff: nine of 10 degrees each, and one for phi_diff = 90 degrees alone.
 
-A lobe that is stretched far across the plane of incidence can be a narrow peak at 90 degrees, which a wider bin would
-hide.
+A lobe that is stretched far across the plane of incidence can be a narrow peak at phi_diff = 90 degrees, which a bin of
+10 degrees would average away.
 """
 WEIGHTINGS = ("plain", "cosine", "log")
-"""Names of the weightings of samples, see `profiles`."""
+"""Names of the weightings of samples, which `profiles` describes."""
 
 
 _BIN_OF = np.minimum(np.arange(180), 180 - np.arange(180)) // 10
 IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)
 """1 if a phi_diff of the grid belongs to a bin, otherwise 0, shape (180, 10)."""
 SAMPLES_IN_BIN = IN_BIN[:QUARTER] * np.where(np.arange(QUARTER) % (QUARTER - 1) == 0, 1.0, 2.0)[:, None]
-"""Number of grid samples that each phi_diff up to 90 degrees stands for, in the column of its bin, shape (91, 10)."""
+"""Number of nodes of the grid that fold onto each phi_diff up to 90 degrees, in the column of its bin, (91, 10)."""
 _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
 _BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(N_BINS))
 OUTLIER = 6.0
-"""Weights of samples further from the median fall, to 0 at twice this distance [standard deviations]."""
+"""Weights of samples further than this from the median fall, to 0 at twice this distance [standard deviations]."""
 NORMAL_QUARTILE = 1.1503
 """Third quartile of the absolute deviation of a normal variable [standard deviations]."""
-# In a bin with fewer samples, half of them may be outliers: the samples of the neighbouring bins are used too.
+# In a bin with fewer samples, half may be outliers, so that the median also takes the samples of the neighbouring bins.
 _MIN_SAMPLES_FOR_MEDIAN = 5
 
 
@@ -58,12 +58,12 @@ class FoldedProfiles:
     """Hold samples up to the horizon, summed over bins of the folded phi_diff.
 
     For each (channel, theta_diff, theta_half, bin), `mean` is the mean value [1/sr] and `weight` the number of samples.
-    In a robust reduction, samples far from the others of their bin have less weight.
+    In a robust reduction, a sample counts as less than one if it is far from the other samples of its bin.
     """
 
-    mean: Array  # (3, 90, 90, 10)
-    weight: Array  # (3, 90, 90, 10)
-    cos2_phi: Array  # mean of cos(phi_diff)**2 over the samples of a bin, (90, 90, 10)
+    mean: Array  # axes (channel, theta_diff, theta_half, bin of phi_diff), shape (3, 90, 90, 10)
+    weight: Array  # axes (channel, theta_diff, theta_half, bin of phi_diff), shape (3, 90, 90, 10)
+    cos2_phi: Array  # mean of cos(phi_diff)**2 over the samples of a bin, axes (theta_diff, theta_half, bin)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -146,16 +146,16 @@ def profiles(
 
 
 def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
-    """Return the mask (C, 90 theta_diff, 180 phi_diff) of the used samples in the theta_half row ``i``.
+    """Return the mask (channels, 90 theta_diff, 180 phi_diff) of the used samples at the theta_half with index ``i``.
 
-    C is 1 if the mask is common to all channels, otherwise 3.
+    The first axis has the length 1 if one mask is common to all channels, otherwise 3.
     """
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     return measurement.known[:, i] & nodes_above_horizon(cutoff)[i]
 
 
 def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust: bool) -> None:
-    """Sum the samples (3, 90, 180) of the theta_half row ``i`` into the folded profiles, in place."""
+    """Write the means of the samples (3, 90, 180) at the theta_half with index ``i`` into the folded profiles."""
     weights, valid = known.astype(float), known.any(axis=0)
     if robust:
         weights = _trusted_in_bins(samples, np.broadcast_to(known, samples.shape))
@@ -169,7 +169,7 @@ def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust
 def _trusted_in_bins(samples: Array, known: Mask) -> Array:
     """Return weights of samples (3, 90, 180), low for a sample far from the other samples of its bin.
 
-    If a bin has too few samples to find outliers, they are compared with the samples of the neighbouring bins too.
+    The samples of a bin that has too few to find outliers are also compared with those of the neighbouring bins.
     """
     weights = np.zeros(samples.shape)
     for members, beside in zip(_MEMBERS, _BESIDE, strict=True):
@@ -184,7 +184,7 @@ def _trusted_in_bins(samples: Array, known: Mask) -> Array:
 
 
 def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
-    """Return weighted mean, summed weight and weighted squared deviation over the last axis; 0 without weight."""
+    """Return the weighted mean, the summed weight and the weighted squared deviation from the mean (last axis)."""
     total = weights.sum(-1)
     mean = np.einsum("...p,...p->...", weights, samples) / np.where(total > 0, total, 1.0)
     deviation = samples - mean[..., None]
@@ -192,20 +192,20 @@ def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
 
 
 def _outlier_weights(samples: Array, used: Mask) -> Array:
-    """Return weights of samples: 1 near the median over phi_diff, falling to 0 far from it; 1 without outliers.
+    """Return weights of samples: 1 near the median over phi_diff, falling to 0 for outliers far from the median.
 
-    The samples of a bin often form two groups, at phi_diff and at 180 degrees - phi_diff. The scale is the third
-    quartile of the deviations, because their median would take the smaller group for outliers.
+    The samples of a bin often form two groups, at phi_diff and at 180 degrees - phi_diff. Therefore the scale of
+    deviations is their third quartile: with the median deviation as scale, the smaller group would be outliers.
     """
     count = used.sum(axis=-1, keepdims=True)
     masked = np.where(used, samples, np.nan)
-    # Unused samples are NaN, which sorts last.
+    # Unused samples are NaN, so that they are sorted behind all used samples.
     ordered = np.sort(masked, axis=-1)
     lower = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=-1)
     median = np.where(count > 0, 0.5 * (lower + np.take_along_axis(ordered, count // 2, axis=-1)), 0.0)
     deviations = np.sort(np.abs(masked - median), axis=-1)
     scale = np.take_along_axis(deviations, 3 * np.maximum(count - 1, 0) // 4, axis=-1) / NORMAL_QUARTILE
-    # If all samples are equal, the scale would be 0: a minimum of 1 % of the median replaces it.
+    # The scale is at least 1 % of the median, because it would be 0 if all samples were equal.
     scale = np.maximum(np.where(count > 0, scale, 0.0), 1e-2 * np.abs(median) + 1e-12)
     relative = np.where(used, np.abs(samples - median) / (OUTLIER * scale), 0.0)
     return np.clip(2.0 - relative, 0.0, 1.0)

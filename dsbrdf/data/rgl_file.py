@@ -6,8 +6,9 @@ A tensor file stores named arrays one after the other, with little-endian number
     length of the name (uint16), name, number of axes (uint16), type (uint8), offset of the data (uint64),
     length of each axis (uint64); the data follow.
 
-A warp maps uniform samples of the unit square to points with a given density: first the row, by the marginal density,
-then the column, by the conditional density of the row. The density is a table with bilinear interpolation.
+A warp maps uniform samples of the unit square to points of the square with a given density. One coordinate of a sample
+gives the row of the point, by the marginal density; the other gives the column, by the conditional density of the row.
+The density is a table with bilinear interpolation.
 """
 
 import struct
@@ -25,15 +26,15 @@ from dsbrdf.errors import MeasurementFormatError
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """Hold one warp, or T warps for increasing values of a parameter, interpolated linearly in between."""
+    """Hold one warp, or a stack of warps for increasing values of a parameter, interpolated linearly in between."""
 
-    density: Array  # (..., H, W)
-    conditional: Array  # integral of the density along each row, up to each node, (..., H, W)
-    marginal: Array  # integral of the density over all rows up to each row, (..., H)
+    density: Array  # axes (..., row, column)
+    conditional: Array  # integral of the density along each row, up to each node, axes (..., row, column)
+    marginal: Array  # integral of the density over all rows up to each row, axes (..., row)
 
     @classmethod
     def of(cls, table: ArrayLike) -> "Warp":
-        """Make the warp of a density table (..., H, W), whose values are not negative and not all 0."""
+        """Make the warp of a density table (..., rows, columns), whose values are not negative and not all 0."""
         density = np.asarray(table, dtype=np.float64)
         height, width = density.shape[-2:]
         conditional = _running(density) / (width - 1)
@@ -42,7 +43,7 @@ class Warp:
         return cls(density / total, conditional / total, marginal / total[..., 0])
 
     def sample(self, columns: Array, rows: Array) -> tuple[Array, Array]:
-        """Map uniform samples (columns, rows) to points (x, y) by a single warp; all arrays are (n,)."""
+        """Map uniform samples of the unit square, `columns` and `rows`, to points (x, y) by a single warp."""
         height, width = self.density.shape
         row = np.clip(np.searchsorted(self.marginal, rows, side="right") - 1, 0, height - 2)
         ends = self.conditional[:, -1]
@@ -58,7 +59,7 @@ class Warp:
         return (column + across) / (width - 1), (row + down) / (height - 1)
 
     def invert(self, lower: Indices, share: Array, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the uniform samples (columns, rows) that a stack of warps maps to points (x, y); all arrays are (n,).
+        """Return the uniform samples (columns, rows) that a stack of warps maps to points (x, y).
 
         The warp of each point is interpolated between the warps ``lower`` and ``lower + 1``, with the weights
         ``1 - share`` and ``share``.
@@ -86,9 +87,9 @@ class Warp:
 
 
 def bilinear(table: Array, x: Array, y: Array, of: Indices | None = None) -> Array:
-    """Interpolate a table (..., H, W) at points (n,) of the unit square, x along the columns.
+    """Interpolate a table (..., rows, columns) at points (x, y) of the unit square; x varies along a row.
 
-    With ``of``, the table is a stack of tables, and point n is interpolated in the table ``of[n]``.
+    With ``of``, the table is a stack of tables, and the point with index n is interpolated in the table ``of[n]``.
     """
     row, down = _cell(y, table.shape[-2])
     column, across = _cell(x, table.shape[-1])
@@ -99,28 +100,28 @@ def bilinear(table: Array, x: Array, y: Array, of: Indices | None = None) -> Arr
 
 
 def _cell(position: Array, count: int) -> tuple[Indices, Array]:
-    """Return the index of the node below each position from 0 to 1, and the interpolation weight of the next node."""
+    """Return the index of the node below each position from 0 to 1, and the interpolation weight of the node above."""
     lower = np.clip((position * (count - 1)).astype(np.intp), 0, count - 2)
     return lower, position * (count - 1) - lower
 
 
 def _running(values: Array) -> Array:
-    """Integrate along the last axis from the first node to each node; nodes are 1 apart, with linear interpolation."""
+    """Integrate a piecewise linear function along the last axis, from the first node to each node, 1 apart."""
     steps = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]), axis=-1)
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), steps], axis=-1)
 
 
 def _invert_linear(start: Array, end: Array, area: Array) -> Array:
-    """Return the fraction of a cell at which the integral of a linear density from start to end reaches an area."""
+    """Return at which fraction of a cell the integral of a density, linear from `start` to `end`, reaches `area`."""
     slope = end - start
     root = np.sqrt(np.maximum(start * start + 2.0 * area * slope, 0.0))
-    # This is (root - start) / slope in a form without cancellation.
+    # The fraction is (root - start) / slope, written here in a form without cancellation.
     below = start + root
     return np.clip(np.where(below > 0.0, 2.0 * area / np.where(below > 0.0, below, 1.0), 0.0), 0.0, 1.0)
 
 
 _MAGIC = b"tensor_file\0\x01\x00"
-# The code of a type in the file is its position in this tuple, counted from 1.
+# The file gives the type of an array as a position in this tuple, counted from 1.
 _TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8")
 _ALIGNMENT_BYTES = 8
 _MAX_FIELDS = 64

@@ -1,13 +1,14 @@
 """Read RGL ``.bsdf`` files of isotropic materials: bytes -> values at any directions -> `Measurement`.
 
-The file is a tensor file. For each angle theta_i of the first direction, it has a warp ``vndf`` of the unit square, and
-values ``rgb`` on a regular grid over the square of the uniform samples. Let (u, v) be the point of the half vector, and
-let (x, y) be the uniform sample that the warp maps to it. Then
+The file is a tensor file. For each angle theta_i of the first direction to the normal, the file has a warp ``vndf`` of
+the unit square, and values ``rgb`` on a regular grid over the square of the warp's uniform samples. The half vector is
+a point (u, v) of the unit square, and the warp maps a uniform sample (x, y) to this point. Then
 
     f cos(theta_out) = rgb(x, y) ndf(u, v) / (4 sigma(theta_i)),
     theta_half = pi/2 u**2,    azimuth of the half vector from the first direction = (2 v - 1) pi
 
-(Dupuy and Jakob 2018, section 4). Tables are interpolated linearly between two theta_i, as in Mitsuba 3.
+where f is the BRDF, ``ndf`` the density of microfacet normals and sigma their projected area (Dupuy and Jakob 2018,
+section 4). Tables are interpolated linearly between two theta_i, as in Mitsuba 3.
 """
 
 import os
@@ -28,29 +29,29 @@ from dsbrdf.data.rgl_file import Warp, bilinear, parse_tensors
 from dsbrdf.errors import MeasurementFormatError
 
 _AXES = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "rgb": 5}
-# Larger files are refused; the files of the RGL database have at most 100 MB.
+# Larger files are refused, because the files of the RGL database have at most 100 MB.
 _MAX_FILE_BYTES = 1 << 28
 _POINTS_PER_BLOCK = 32768
-# Random pairs of directions, at most 75 degrees from the normal, at which reciprocity is tested.
+# Reciprocity is tested at this number of random pairs of directions, at most 75 degrees from the normal.
 _RECIPROCITY_PAIRS = 4000
 _MIN_RECIPROCITY_COSINE = float(np.cos(np.radians(75.0)))
 
 
 @dataclass(frozen=True, eq=False)
 class RglMaterial:
-    """Hold an isotropic material of the RGL database, see the top of this file; `theta_i` (T,) [rad] increases."""
+    """Hold the tables of an isotropic material of the RGL database."""
 
-    theta_i: Array
+    theta_i: Array  # angles of the first direction to the normal, increasing [rad]
     ndf: Array  # (H, W)
     sigma: Array  # (H, W)
-    vndf: Warp  # (T, H, W)
-    rgb: Array  # (T, 3, H, W)
+    vndf: Warp  # one warp for each angle theta_i
+    rgb: Array  # axes (theta_i, channel, row, column)
     name: str
 
     def evaluate_directions(self, omega_in: Array, omega_out: Array) -> Array:
         """Return RGB values (n, 3) [1/sr] for pairs of unit vectors (n, 3); 0 if a direction is not above the horizon.
 
-        The first direction of the file is omega_in.
+        The direction omega_in is the first direction of the file.
         """
         first = check_directions("omega_in", omega_in, below_horizon=True)
         second = check_directions("omega_out", omega_out, below_horizon=True)
@@ -67,7 +68,7 @@ class RglMaterial:
         return self.evaluate_directions(first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape)
 
     def non_reciprocity(self) -> float:
-        """Return the median relative difference of values between both orders of the directions.
+        """Return the median relative difference between f(omega_in, omega_out) and f(omega_out, omega_in).
 
         Directions are drawn uniformly, up to 75 degrees from the normal. In every fourth pair, the second direction is
         near the mirror direction of the first.
@@ -109,9 +110,9 @@ class RglMaterial:
     def measurement(self) -> Measurement:
         """Return the values at the nodes of the MERL grid.
 
-        A value is the mean over both orders of the two directions, so that the result is reciprocal. If the first
-        direction of an order is beyond the last ``theta_i``, this order does not count; a node without any order is
-        invalid.
+        A value is the mean over both orders of the two directions, so that the result is reciprocal. An order whose
+        first direction is further from the normal than the last ``theta_i`` has no value. A node is invalid if neither
+        order has a value.
         """
         above = np.argwhere(nodes_above_horizon())
         values, valid = np.full((3, *GRID_SHAPE), -1.0), np.zeros(GRID_SHAPE, dtype=np.bool_)
@@ -130,9 +131,9 @@ class RglMaterial:
 
 
 def read_rgl(path: str | os.PathLike[str]) -> RglMaterial:
-    """Read an RGL ``.bsdf`` file of an isotropic material in RGB; its stem becomes the name.
+    """Read an RGL ``.bsdf`` file of an isotropic material in RGB; the file's stem becomes the material's name.
 
-    Raises MeasurementFormatError if the file is not such a material.
+    Raises MeasurementFormatError if the file is damaged, anisotropic, spectral or of another kind.
     """
     source = Path(path)
     with source.open("rb") as file:
@@ -143,7 +144,7 @@ def read_rgl(path: str | os.PathLike[str]) -> RglMaterial:
 
 
 def parse_rgl(data: bytes, name: str = "measurement") -> RglMaterial:
-    """Return the material in the bytes of a ``.bsdf`` file; raises the errors of `read_rgl`."""
+    """Return the material in the bytes of a ``.bsdf`` file; raise MeasurementFormatError as `read_rgl` does."""
     if not data.startswith(b"tensor_file") and (kind := known_kind(data[:16])) is not None:
         raise MeasurementFormatError(f"The data is {kind}; a material of the RGL database is a .bsdf file.")
     fields = parse_tensors(data)

@@ -81,8 +81,8 @@ def synthetic_measurement(
 def model_measurement(model: Reflectance, *, noise: float = 0.0, seed: int = 0, name: str = "model") -> Measurement:
     """Return a measurement with the values of a model at all nodes above the horizon.
 
-    `noise`, `seed` and `name` are as in `synthetic_measurement`. Raises MeasurementFormatError if the values of the
-    model are not an acceptable measurement, such as NaN.
+    The arguments `noise`, `seed` and `name` are as in `synthetic_measurement`. Raises MeasurementFormatError if the
+    values of the model are not a valid measurement, for example if one is NaN.
     """
     above = nodes_above_horizon()
     values = np.full((3, *above.shape), -1.0)
@@ -95,7 +95,7 @@ def model_measurement(model: Reflectance, *, noise: float = 0.0, seed: int = 0, 
 def _ggx(cos_half: Array, cos_in: Array, cos_out: Array, alpha: float) -> Array:
     """Return the GGX distribution times the shadowing of both directions, divided by 4 cos_in cos_out."""
     square = alpha * alpha
-    # This is 1 + (square - 1) cos^2, in a form without cancellation at cos = 1.
+    # The sum is 1 + (square - 1) cos_half**2, written in a form without cancellation at cos_half = 1.
     slope = (1.0 - cos_half) * (1.0 + cos_half) + square * cos_half**2
     distribution = square / (np.pi * slope**2)
     smith_in = cos_out * np.sqrt(square + (1.0 - square) * cos_in**2)
@@ -113,7 +113,7 @@ def _noisy(values: Array, noise: float, seed: int) -> Array:
     factor = np.random.default_rng(seed).standard_normal(values.shape)
     factor *= np.sqrt(variance)
     factor -= variance / 2
-    # All operations are in place, because new arrays of 35 MB take longer than the arithmetic.
+    # All operations are in place, because allocating new arrays of 35 MB takes longer than the arithmetic.
     np.exp(factor, out=factor)
     factor *= values
     return factor

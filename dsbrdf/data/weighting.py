@@ -1,19 +1,20 @@
-"""Compute the weights of bins of samples for the fit of all rows.
+"""Compute the weights of bins of samples for the fit of a model at all theta_diff together.
 
 ``plain``
     All samples within the horizon cutoff have equal weights, as in the paper. Beyond the cutoff, where measurements are
-    unreliable, weights fall with the eighth power of the smaller cosine to the normal. Where theta_half < 1 degree,
-    nodes are dense, so that their weight is their solid angle. All these nodes together weigh at most as much as all
-    others: otherwise the fit of a mirror-like coat would consider only its peak.
+    unreliable, weights fall with the eighth power of the smaller cosine to the normal. At theta_half below 1 degree,
+    the nodes of the grid are dense, so that a node has its solid angle as weight. These dense nodes together weigh at
+    most as much as all other nodes: otherwise a fit of a mirror-like coat would consider only the peak.
 ``cosine``
-    ``plain`` times cos(theta_in) cos(theta_out): the squared error of reflected radiance.
+    The weights ``plain`` times cos(theta_in) cos(theta_out): the squared error of reflected radiance.
 ``log``
-    ``cosine`` divided by (1 + mean)**2: about the squared error of log(1 + f).
+    The weights ``cosine`` divided by (1 + mean of f)**2: approximately the squared error of log(1 + f).
 ``balanced``
     The sum of two errors, each divided by the error of the best model that ignores phi_diff: the ``plain`` error, and
-    1.75 times the error that a lit sphere shows. In the latter, the weight of a node is its solid angle times
+    1.75 times the error in a rendering of a lit sphere. For the sphere, the weight of a node is its solid angle times
     cos(theta_in) cos(theta_out), and errors are relative to f**1.2, because a screen shows radiance f as about f**0.4.
-    The first error alone does not determine the diffuse part, the second alone not the height of grazing highlights.
+    The ``plain`` error alone does not determine the diffuse part, and the sphere's error alone does not determine the
+    peak values of grazing highlights.
 """
 
 import numpy as np
@@ -23,25 +24,26 @@ from dsbrdf.data.grid import CENTER_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
 
 SEEN_FACTOR = 1.75
-"""Weight of the sphere's error in ``balanced``; with 1, psnr is 0.4 dB lower, with 3, excess is some 3 % larger."""
+"""Weight of the sphere's error in ``balanced``; with 1, psnr is 0.4 dB lower; with 3, excess is some 3 % larger."""
 SEEN_POWER = 1.2
-"""The errors that a lit sphere shows are relative to this power of f."""
+"""In a rendering of a lit sphere, errors of the BRDF f are relative to this power of f."""
 DARK_VALUE_FRACTION = 0.02
-"""Smaller values than this fraction of a typical value have the weight of a value of this fraction."""
-# Minimum of the floor relative to the squared signal; without it, a floor near 0 would make weights infinite.
+"""This fraction of a typical value is added before weights are divided by values, to bound the weights of dark ones."""
+# The error of the best model counts as at least this fraction of the squared signal, so that it can be a divisor.
 _MIN_RELATIVE_FLOOR = 1e-4
 TINY = 1e-300
 """Added to sums of weights that are divisors, so that they are not 0."""
-# Minimum weight of nodes near theta_half = 0: their solid angle is nearly 0, but they have the peak value.
+# Nodes near theta_half = 0 have at least this relative weight: their solid angle is nearly 0, but they have the peak.
 _MIN_RELATIVE_SOLID_ANGLE = 1e-3
 
 
 def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | None) -> Array:
     """Return the weights of bins, shape (3, 90 theta_diff, 90 theta_half, 10).
 
-    Samples with a direction beyond the cutoff, an angle to the normal [rad], have smaller weights, except with None.
+    Samples with a direction further from the normal than `horizon_cutoff` [rad] have smaller weights. If the cutoff is
+    None, no weight is smaller for this reason.
     """
-    # The cosines of the directions to the normal are level -/+ swing cos(phi_diff).
+    # The cosines of the two directions to the normal are level - swing cos(phi_diff) and level + swing cos(phi_diff).
     level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
     swing = np.sin(THETA_DIFF)[:, None, None] * np.sin(THETA_HALF)[:, None]
     lowest = np.maximum(level - swing * np.sqrt(folded.cos2_phi), 0.0)
@@ -65,7 +67,7 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
 
 
 def _floor(folded: FoldedProfiles, weight: Array) -> float:
-    """Return the weighted squared deviation from the mean over phi_diff, plus 1e-4 of the squared signal."""
+    """Return the summed squared deviation of values from the mean over phi_diff, plus 1e-4 of the summed squares."""
     deviation = folded.mean - _over_phi(folded.mean, weight)[..., None]
     scatter = float(np.vdot(weight * deviation, deviation))
     signal = float(np.vdot(weight * folded.mean, folded.mean))
@@ -78,7 +80,7 @@ def _over_phi(values: Array, weight: Array) -> Array:
 
 
 def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
-    """Return 1 within the cutoff, falling to 0 at the horizon, from the `lowest` of both cosines to the normal."""
+    """Return weights for the smaller cosine to the normal of two directions: 1 within the cutoff, 0 at the horizon."""
     if horizon_cutoff is None or np.cos(horizon_cutoff) < 1e-9:
         return np.ones_like(lowest)
     squared = np.square(np.minimum(lowest / np.cos(horizon_cutoff), 1.0))
@@ -86,15 +88,15 @@ def trust(lowest: Array, horizon_cutoff: float | None) -> Array:
 
 
 def seen_weight(lit: Array, mean: Array, typical: float, power: float = SEEN_POWER) -> Array:
-    """Divide weights of errors of radiance by a power of the values, so that errors count as on a screen."""
+    """Divide the weights of errors of radiance by a power of the values, so that errors weigh as on a screen."""
     return np.asarray(lit / (mean + DARK_VALUE_FRACTION * typical + 1e-12) ** power)
 
 
 def center_share(theta_half: Array) -> Array:
-    """Return the solid angle of nodes below 1 degree, relative to a node at 1 degree; 1 for all other nodes."""
+    """Return the solid angle of nodes with theta_half below 1 degree, relative to a node at 1 degree; 1 for others."""
     return np.asarray(np.minimum((theta_half / CENTER_CUTOFF) ** 1.5 + _MIN_RELATIVE_SOLID_ANGLE, 1.0))
 
 
 def interval_ends(nodes: Array, last: float = np.pi / 2) -> Array:
-    """Return the ends (n + 1,) of intervals around increasing angles (n,), from 0 to `last` [rad]."""
+    """Return the n + 1 ends of the intervals around n increasing angles, from 0 to `last` [rad]."""
     return np.concatenate([[0.0], 0.5 * (nodes[1:] + nodes[:-1]), [last]])

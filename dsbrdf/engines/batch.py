@@ -1,4 +1,4 @@
-"""Fit many files, several at once; a faulty file does not stop the others, and an interrupted run resumes."""
+"""Fit many files, several at once; a faulty file does not stop the others, and a repeated run skips finished files."""
 
 import os
 import time
@@ -21,7 +21,7 @@ from dsbrdf.samples.reading import read_samples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 from dsbrdf.version import ALGORITHM_VERSION
 
-_CLUSTER_TIMEOUT_S = 15.0  # A cluster that has no usable worker for longer is refused.
+_CLUSTER_TIMEOUT_S = 15.0  # A cluster without a usable worker for this time is refused.
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class FileFit:
     output: Path | None = None  # file of the model; None if the fit failed
     result: FitResult | None = None  # None if the fit failed
     error: str | None = None  # one sentence with the reason why the fit failed
-    lost: bool = False  # The process died, or the disk could not be read: the measurement may be good.
+    lost: bool = False  # whether the process died or the disk failed, so that the measurement may be good
     resumed: bool = False  # whether the fit is from an earlier run
 
 
@@ -60,15 +60,16 @@ def fit_files(
     """Yield the fit of each file as soon as it is done; closing the iterator closes the engine and ends its processes.
 
     A single file is fitted in this process if the engine is a `LocalEngine`. Each model is written atomically to
-    ``NAME.json`` in the `folder`, or beside its measurement without a folder; there, a file that is not a fit is never
-    replaced. Tables are read with the options in `table`. Without `force`, an earlier fit is kept if it is newer than
-    its measurement, and has equal samples, options and algorithm version. `progress` is called, also in other threads,
-    with the number of finished files, including fractions of unfinished files.
+    ``NAME.json`` in the `folder`, or, if the folder is None, beside its measurement, where a file that is not a fit is
+    never replaced. Tables are read with the options in `table`. Without `force`, an earlier fit is kept if the fit is
+    newer than its measurement, and has equal samples, options and algorithm version. `progress` is called, also in
+    other threads, with the number of finished files, including fractions of unfinished files.
 
     Raises InvalidArgumentError if two files would have the same output, and OSError if an output cannot be written or
     no worker of the cluster can be reached.
     """
-    is_single = len(files) == 1 and isinstance(engine, LocalEngine)  # This saves the start of a process.
+    # A single file is fitted in this process, because the start of a worker process takes time.
+    is_single = len(files) == 1 and isinstance(engine, LocalEngine)
     shares, in_turn = [0.0] * len(files), Lock()
 
     def tell(number: int, share: float) -> None:
@@ -103,7 +104,7 @@ def fit_files(
 def _unreadable(file: Path) -> FileFit | None:
     """Return a failed fit if a file cannot be opened, otherwise None."""
     try:
-        # With O_NONBLOCK, a pipe without a writer does not block.
+        # O_NONBLOCK lets `open` return if the file is a pipe without a writer.
         os.close(os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)))
     except OSError as error:
         return FileFit(file, error=error.strerror or str(error), lost=not isinstance(error, WRONG_PATH_ERRORS))
@@ -122,7 +123,7 @@ def _wait_until_ready(engine: Engine) -> None:
 
 
 def _file_fit(file: Path, output: Path, outcome: Outcome) -> FileFit:
-    """Write the outcome of a fit to its output, and return it; beside a measurement, only fits are replaced."""
+    """Write the outcome of a fit to the file `output`; beside a measurement, replace no file that is not a fit."""
     if isinstance(outcome, Fault):
         lost = outcome.origin != "input"
         advice = "; run the command again, with fewer --jobs if memory was short" if lost else ""
@@ -156,7 +157,7 @@ def _is_fit(file: Path) -> bool:
 
 
 def _earlier_fit(file: Path, output: Path, options: FitOptions, table: TableOptions) -> FileFit | None:
-    """Return the fit in ``output`` if a new fit would be equal, otherwise None."""
+    """Return the fit in the file ``output`` if a new fit would give an equal result, otherwise None."""
     try:
         if output.stat().st_mtime < file.stat().st_mtime:
             return None
@@ -171,7 +172,7 @@ def _earlier_fit(file: Path, output: Path, options: FitOptions, table: TableOpti
 
 
 def _digest(file: Path, table: TableOptions) -> str | None:
-    """Return the digest of the samples in a file; None if they cannot be read, because a new fit reports the reason."""
+    """Return the digest of the samples in a file; None if the file is unreadable, so that a new fit says why."""
     try:
         return read_samples(file, table).sha256
     except DSBRDFError:

@@ -1,11 +1,11 @@
 """Run fits on the workers of a Dask cluster.
 
 A process of this machine reads the measurement, reduces it to profiles, and completes the report. The fit runs in a
-child process of a Dask worker. Only the profiles (5 MB) or the scattered samples are sent. Dask chooses the worker of a
-fit, and runs the fit again if its worker is lost. If the scheduler is lost, the fit is sent again. Workers need equal
-versions of all software and permission to start child processes; other workers are not used.
+child process of a Dask worker. Only the profiles (5 MB) or the scattered samples are sent to the worker. Dask chooses
+the worker of a fit, and runs the fit again if the worker is lost. If the scheduler is lost, this machine sends the fit
+again. A worker is used only if its software has the same versions as here and it may start child processes.
 
-Anyone who can connect to a Dask cluster can run any code on it, unless TLS is set up in Dask's configuration.
+Anyone who can connect to a Dask cluster can run any code there, unless TLS is set up in Dask's configuration.
 """
 
 import asyncio
@@ -32,14 +32,14 @@ from dsbrdf.pipeline import add_sample_metrics, profiles_for
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.version import versions
 
-# Workers send {key of a fit: completed fraction} to this topic of Dask.
+# Workers publish the progress of fits, as {key of the fit: completed fraction}, under this topic of Dask.
 _PROGRESS_TOPIC = "dsbrdf-progress"
-_CANCEL_POLL_INTERVAL_S = 0.1  # Workers check at this interval whether their fit has been cancelled.
+_CANCEL_POLL_INTERVAL_S = 0.1  # A worker checks at this interval whether its fit has been cancelled.
 _CLUSTER_POLL_INTERVAL_S = 0.5
 _SCHEDULER_TIMEOUT_S = 2.5
-_START_TIMEOUT_S = 60.0  # A worker whose fork server has not started by then counts as unreachable.
-_CLUSTER_CHECK_LIFETIME_S = 5.0  # The result of a successful check is used for this time.
-_LOST_WORKER_TIMEOUT_S = 5.0  # Time for the scheduler to report that the fit of a lost worker has ended.
+_START_TIMEOUT_S = 60.0  # The cluster counts as unreachable if the fork server of a worker takes longer to start.
+_CLUSTER_CHECK_LIFETIME_S = 5.0  # After a successful check, the cluster counts as usable for this time.
+_LOST_WORKER_TIMEOUT_S = 5.0  # After all workers are lost, the scheduler has this time to report how the fit ended.
 
 logger = logging.getLogger(__name__)
 
@@ -47,13 +47,13 @@ logger = logging.getLogger(__name__)
 class DaskEngine(Processes):
     """Run fits on a Dask cluster, which receives at most `count` fits at once.
 
-    If `count` exceeds the number of threads of all workers, they can begin the next fit without waiting. The `limits`
-    apply to the child processes of the workers. Raises MissingExtraError if Dask distributed is not installed.
+    If `count` exceeds the number of threads of all workers, a worker can begin its next fit without waiting. The
+    `limits` apply to the child processes of the workers. Raises MissingExtraError if Dask distributed is not installed.
     """
 
     def __init__(self, scheduler: str, count: int, limits: FitLimits = NO_LIMITS) -> None:
         require("dask", "distributed", purpose="fits on a Dask cluster")
-        super().__init__(count)  # These processes have no time limit, because they wait for the cluster.
+        super().__init__(count)  # The processes of this machine have no time limit, because they wait for the cluster.
         self._scheduler, self._fit_limits = scheduler, limits
         self._good_at = float("-inf")
 
@@ -71,8 +71,8 @@ class DaskEngine(Processes):
 
 @asynccontextmanager
 async def _cluster(scheduler: str) -> AsyncIterator[tuple[Any, set[str]]]:
-    """Connect to a cluster; yield the client and the addresses of the usable workers, at least one."""
-    distributed: Any = import_module("distributed")  # Its type annotations are incomplete.
+    """Connect to a cluster; yield the client and the addresses of the usable workers, at least one of them."""
+    distributed: Any = import_module("distributed")  # The type annotations of this module are incomplete.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # Dask logs every lost connection with long tracebacks.
     client = distributed.Client(
         scheduler, timeout=_SCHEDULER_TIMEOUT_S, asynchronous=True, set_as_default=False, name="dsbrdf"
@@ -87,7 +87,7 @@ async def _cluster(scheduler: str) -> AsyncIterator[tuple[Any, set[str]]]:
 async def _usable(client: Any, scheduler: str) -> set[str]:
     """Connect the client, and return the addresses of the workers that can run fits."""
     try:
-        # Dask itself would wait for ever for a scheduler that hangs.
+        # Without a time limit, Dask would wait for ever for a scheduler that hangs.
         async with asyncio.timeout(2 * _SCHEDULER_TIMEOUT_S):
             await client
         async with asyncio.timeout(_START_TIMEOUT_S):
@@ -138,7 +138,7 @@ async def _fit(
     limits: FitLimits,
     on_progress: OnProgress,
 ) -> FitResult | Fault | None:
-    """Fit on a cluster; return None if there is none, or its scheduler or all its workers are lost."""
+    """Fit on a cluster; return None if no cluster can be reached, or if its scheduler or all its workers are lost."""
     try:
         async with _cluster(scheduler) as (client, workers):
             fit = client.submit(fit_on_worker, reduced, options, limits, workers=[*workers], retries=3, pure=False)
@@ -162,7 +162,7 @@ async def _answer(future: Any) -> FitResult | Fault:
     except KilledWorker as error:
         count = error.allowed_failures + 1
         return Fault("system", "WorkerLost", f"{count} workers of the Dask cluster were lost while they ran this fit.")
-    except CancelledError:  # The scheduler is lost: the caller sends the fit again.
+    except CancelledError:  # The scheduler is lost, and the caller of this function sends the fit again.
         raise
     except Exception as error:
         logger.exception("a fit could not run on the Dask cluster")
@@ -173,9 +173,9 @@ _REMEDY = "start it with --no-nanny, or with DASK_DISTRIBUTED__WORKER__DAEMON=fa
 
 
 async def unusable_because(theirs: dict[str, str], dask_worker: Any) -> str | None:
-    """Return why this Dask worker cannot run fits of a client with the versions `theirs`, or None if it can.
+    """Return why this Dask worker cannot run fits of a client with the software versions `theirs`, or None if it can.
 
-    `Client.run` of Dask adds the argument `dask_worker`.
+    Dask's method `Client.run` adds the argument `dask_worker`.
     """
     mine = asdict(versions())
     other = [f"{name} {found}, not {theirs.get(name)}" for name, found in mine.items() if found != theirs.get(name)]
@@ -186,18 +186,18 @@ async def unusable_because(theirs: dict[str, str], dask_worker: Any) -> str | No
     memory = _memory_of_fit(dask_worker)
     if memory is not None and memory < MIN_FIT_MEMORY_MB:
         return f"has {memory} MB for a fit, which needs {MIN_FIT_MEMORY_MB} MB: start it with a higher --memory-limit"
-    await asyncio.to_thread(start_fork_server)  # The first fit then starts sooner.
+    await asyncio.to_thread(start_fork_server)  # Starting the fork server now lets the first fit start sooner.
     return None
 
 
 def _memory_of_fit(worker: Any) -> int | None:
-    """Return the memory limit of a fit on a Dask worker [MB], an equal part for each thread; None without a limit."""
+    """Return the memory limit of a fit [MB]: the Dask worker's limit divided by its number of threads, or None."""
     memory: int | None = worker.memory_manager.memory_limit
     return None if memory is None else memory // worker.state.nthreads >> 20
 
 
 def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, limits: FitLimits) -> FitResult | Fault:
-    """Fit profiles or samples in a child process of this Dask worker; end the process if the task is cancelled."""
+    """Fit profiles or samples in a child process of this Dask worker; end the process if the fit is cancelled."""
     from distributed import get_worker
     from distributed.core import Status
 
@@ -205,7 +205,7 @@ def fit_on_worker(reduced: Profiles | ScatteredSamples, options: FitOptions, lim
     key = worker.get_current_task()
 
     def stopped() -> bool:
-        # Dask itself does not stop a running task when it is cancelled, its client is lost or the worker closes.
+        # Dask itself does not stop a running task if the task is cancelled, its client is lost or the worker closes.
         state = worker.state.tasks.get(key)
         return state is None or state.state != "executing" or worker.status in (Status.closing, Status.closed)
 

@@ -1,8 +1,8 @@
 """Define the common interface of engines, which run fits.
 
-An engine turns a task, which names a file of this machine, into an outcome; it does not use a database, requests or
-output files. Every engine returns the same result for the same task. A fit that fails does not affect other fits, and
-no process outlives its engine.
+An engine fits the measurement in a file of this machine, and returns the fit or a description of the failure. An engine
+knows no database, no HTTP requests and no output files. Every engine returns the same result for the same task. A fit
+that fails does not affect other fits, and no process outlives its engine.
 """
 
 import errno
@@ -21,10 +21,10 @@ from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 logger = logging.getLogger(__name__)
 
 OnProgress = Callable[[float], None]
-"""Function that is called with the completed fraction of a fit, 0 to 1."""
+"""Type of the progress callback, which is called with the completed fraction of a fit, 0 to 1."""
 
 NOT_STARTED = "ProcessNotStarted"
-"""Type of the fault if no process could be started, so that the fit was not attempted."""
+"""The `type` of a `Fault` if no process could be started, so that the fit was not attempted."""
 
 
 @dataclass(frozen=True)
@@ -32,25 +32,25 @@ class FitLimits:
     """Hold the limits of one fit."""
 
     seconds: float = math.inf  # elapsed time [s]
-    memory_mb: int | None = None  # address space of the process [MB]; None sets no limit
-    niceness: int = 0  # increase of the nice value of the process, if the system has nice values
+    memory_mb: int | None = None  # address space of the process [MB]; None means no limit
+    niceness: int = 0  # increase of the nice value of the process, ignored on systems without nice values
     processor_seconds: float = math.inf  # processor time [s], which does not depend on the load of the machine
 
 
 NO_LIMITS = FitLimits()
 MIN_FIT_MEMORY_MB = 768
-"""With less address space, every fit fails [MB]."""
+"""Every fit fails if its process may use less address space than this [MB]."""
 
 
 @dataclass(frozen=True)
 class FitTask:
     """Describe one fit to compute."""
 
-    fit_id: str  # identifies the fit in names and logs
+    fit_id: str  # identifier of the fit for names and logs
     path: Path  # file of the measurement
     options: FitOptions
-    table: TableOptions = AS_WRITTEN  # options for reading a table in the file
-    sha256: str | None = None  # digest of a file that was checked before, a MERL file or a canonical file of samples
+    table: TableOptions = AS_WRITTEN  # options for reading the file if it is a table of samples
+    sha256: str | None = None  # digest of the file, if the file was checked before, so that it is not checked again
     with_thumbnail: bool = False
 
 
@@ -58,22 +58,22 @@ class FitTask:
 class FitDocument:
     """Hold the stored form of a fit that has succeeded."""
 
-    text: str  # JSON from `to_json`, with the components
-    metrics: dict[str, float | None]  # The keys are the names in `Metrics`.
-    thumbnail: bytes | None = None  # PNG, if the task requests a thumbnail
+    text: str  # the model, its report and its components, as JSON from `to_json`
+    metrics: dict[str, float | None]  # metrics of the fit by name; the names are the fields of `Metrics`
+    thumbnail: bytes | None = None  # picture of measurement and fit as PNG, if the task requests a thumbnail
 
 
 @dataclass(frozen=True)
 class Fault:
     """Describe why a fit failed.
 
-    ``input``: the measurement or the options do not allow a fit. ``compute``: the computation failed, or reached its
-    time or memory limit. ``system``: the process was lost for a reason outside of the fit.
+    The origin ``input`` means that the measurement or the options do not allow a fit; ``compute``, that the computation
+    failed or reached its time or memory limit; ``system``, that the process was lost for a reason outside of the fit.
     """
 
     origin: Literal["input", "compute", "system"]
-    type: str  # name for scripts, which does not change between releases
-    message: str  # one sentence
+    type: str  # name of the fault for scripts, which does not change between releases
+    message: str  # one sentence for the user on what is wrong
 
 
 Outcome = FitDocument | Fault
@@ -85,9 +85,10 @@ class Engine(Protocol):
     """Declare the methods of every engine."""
 
     def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
-        """Compute a task when there is room for it; `on_progress` is called in a thread with increasing fractions.
+        """Compute a task as soon as a process is free; call `on_progress` in a thread with increasing fractions.
 
-        `Future.cancel` also stops a running fit. The future is done when the process of the fit has ended.
+        The method `cancel` of the returned future also stops a running fit. The future is done when the process of the
+        fit has ended.
         """
 
     def check(self) -> None:
@@ -106,11 +107,12 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
     except MemoryError:
         return MEMORY_LIMIT
     except OSError as error:
-        if error.errno == errno.ENOMEM:  # Without memory, mapping a file fails with this error.
+        if error.errno == errno.ENOMEM:  # The system call that maps a file raises ENOMEM if memory is short.
             return MEMORY_LIMIT
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return DISK_FULL
-        reason = error.strerror or type(error).__name__  # For example, the file was deleted in the meantime.
+        # A file can become unreadable after the task was submitted, for example if a user deletes it.
+        reason = error.strerror or type(error).__name__
         logger.warning("a measurement could not be read: %s", reason)
         return Fault("system", "MeasurementUnreadable", f"The stored measurement could not be read: {reason}.")
     except Exception as error:

@@ -1,7 +1,7 @@
-"""Start the fork server, a process with the library loaded from which worker processes are forked.
+"""Start the fork server: a process that has loaded the library, and from which worker processes are forked.
 
-Worker processes share neither memory nor connections with this process. On systems without fork servers, each worker is
-a new interpreter, which takes longer to start.
+A worker process shares neither memory nor connections with this process. On systems without fork servers, each worker
+is a new interpreter, which takes longer to start.
 """
 
 import multiprocessing
@@ -12,10 +12,10 @@ from multiprocessing import resource_tracker, util
 from pathlib import Path
 from typing import Any
 
-# Every worker imports the modules among these that this process has imported, so the server imports them once.
+# The fork server also imports each of these modules that this process uses, so that no worker has to import it again.
 _IMPORTED_BY_WORKERS = {"distributed", "dsbrdf_service.compute.steps"}
 START_LOCK = threading.Lock()
-"""Held while a process starts or its exit code is collected, because each start collects exit codes of others too."""
+"""Lock for starting a process or collecting an exit code, because a start also collects other processes' exit codes."""
 
 
 def context() -> Any:
@@ -29,16 +29,18 @@ def context() -> Any:
 
 
 def start_fork_server() -> None:
-    """Start the fork server, unless it runs or the system has none; Ctrl-C does not reach it or its workers.
+    """Start the fork server, unless it runs already or the system has none.
 
-    Raises OSError if the server cannot be started, or if its socket has been removed.
+    The server and its workers ignore Ctrl-C. Raises OSError if the server cannot be started, or if the socket of a
+    running server has been removed.
     """
     if context().get_start_method() != "forkserver":
         return
     from multiprocessing import forkserver
 
     with START_LOCK:
-        resource_tracker.ensure_running()  # If the server started the tracker, interrupts would be unblocked.
+        # The resource tracker starts first, because its start unblocks SIGINT, which must be blocked below.
+        resource_tracker.ensure_running()
         signals = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             forkserver.ensure_running()

@@ -1,4 +1,4 @@
-"""Import all modules of workers once, in the fork server, so that workers start with them loaded."""
+"""Import the modules that workers use once, in the fork server, so that workers start with loaded modules."""
 
 import atexit
 import os
@@ -8,17 +8,17 @@ from pathlib import Path
 
 from dsbrdf.process_settings import ONE_BLAS_THREAD
 
-os.environ.update(ONE_BLAS_THREAD)  # NumPy reads these variables at its import.
+os.environ.update(ONE_BLAS_THREAD)  # The variables are set before the import of NumPy, which reads them.
 
 import dsbrdf.engines.local  # noqa: F401 (workers run its functions)
 from dsbrdf.data.grid import nodes_above_horizon
 
-nodes_above_horizon()  # The result is cached, and workers share its memory.
+nodes_above_horizon()  # This call fills the cache of the function, whose memory all forked workers share.
 
 
 @atexit.register
 def _remove_socket() -> None:
-    """Remove the socket of the server and its folder; after kill -9, the process that made them cannot do so."""
+    """Remove the server's socket and the folder of the socket, because a parent process ended by kill -9 cannot."""
     with suppress(OSError):
         socket = Path(forkserver._forkserver._forkserver_address)  # type: ignore[attr-defined]
         socket.unlink()

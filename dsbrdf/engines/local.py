@@ -1,4 +1,4 @@
-"""Define the steps that run in the processes of fits, and the engine of this machine."""
+"""Define the steps of a fit that run in worker processes, and the engine that runs fits on this machine."""
 
 import warnings
 from concurrent.futures import Future
@@ -20,14 +20,14 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 
 def compute(task: FitTask, on_progress: OnProgress) -> FitDocument:
-    """Fit the measurement of a task, and return its document."""
+    """Fit the measurement of a task, and return the fit as a `FitDocument`."""
     measurement = measurement_of(task)
     result = fit_quietly(measurement, task.options, on_progress)
     return document_of(result, measurement if task.with_thumbnail else None)
 
 
 def measurement_of(task: FitTask) -> Measurement | ScatteredSamples:
-    """Read the file of a task."""
+    """Read the measurement in the file of a task."""
     if task.sha256 is None:
         return read_measurement(task.path, task.table)
     return open_checked(task.path, task.sha256)
@@ -36,15 +36,15 @@ def measurement_of(task: FitTask) -> Measurement | ScatteredSamples:
 def fit_quietly(
     measurement: Measurement | Profiles | ScatteredSamples, options: FitOptions, on_progress: OnProgress
 ) -> FitResult:
-    """Fit without a ConvergenceWarning, because the report contains it."""
+    """Fit without raising a ConvergenceWarning, because the report contains the warning."""
     with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
         return fit(measurement, options, progress=on_progress)
 
 
 def document_of(result: FitResult, drawn: Measurement | ScatteredSamples | None = None) -> FitDocument:
-    """Return the stored form of a fit; with `drawn`, its thumbnail shows measurement and fit.
+    """Return the stored form of a fit; if `drawn` is a measurement, add a thumbnail of the measurement and the fit.
 
-    The remarks of the components are added to the warnings of the report.
+    The remarks of the decomposition into components are added to the warnings of the report.
     """
     parts = decompose(result.model)
     report = replace(result.report, warnings=(*result.report.warnings, *parts.remarks))

@@ -1,7 +1,7 @@
-"""Run computations in worker processes: start a process, receive its messages and end it, in one thread for each.
+"""Run computations in worker processes; one thread per process starts it, receives its messages and ends it.
 
-If a process is killed, crashes, hangs or runs out of memory, only its own computation fails. `dsbrdf.engines.worker`
-runs in the worker process.
+If a process is killed, crashes, hangs or runs out of memory, only the computation of this process fails. The module
+`dsbrdf.engines.worker` runs in the worker process.
 """
 
 import logging
@@ -23,11 +23,11 @@ from dsbrdf.engines.engine import MEMORY_LIMIT, NO_LIMITS, NOT_STARTED, Fault, F
 from dsbrdf.engines.fork_server import START_LOCK, context, start_fork_server
 from dsbrdf.engines.worker import OUT_OF_MEMORY, run_in_worker
 
-_EXIT_TIMEOUT_S = 5.0  # A process that still runs this long after it sent its outcome is killed.
+_EXIT_TIMEOUT_S = 5.0  # A process is killed if it still runs this long after sending its outcome.
 _UNKNOWN_EXIT_CODE = 255  # `multiprocessing` reports this code if the fork server is gone.
-# Ends of a process that an operator or the kernel causes, so that another attempt may succeed.
+# Reasons for the end of a process that lie outside of the fit, so that another attempt may succeed.
 _FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", f"exit code {_UNKNOWN_EXIT_CODE}")
-_NOTHING = object()  # stands for the outcome of a process that died without sending one
+_NOTHING = object()  # replaces the outcome if a process dies without sending an outcome
 
 logger = logging.getLogger(__name__)
 
@@ -45,15 +45,17 @@ class Processes:
     ) -> "Future[Any]":
         """Call ``step(*arguments, on_progress)`` in a new process; the future gets its result, or a `Fault`.
 
-        The step must be importable, and its arguments must be picklable. `Future.cancel` ends the process; the future
-        is done when the process has ended.
+        The step must be importable, and its arguments must be picklable. The method `cancel` of the future ends the
+        process, and the future is done when the process has ended.
         """
         call = _Call(self._limits, on_progress, step, arguments)
         self._unfinished.add(call)
         call.add_done_callback(self._unfinished.discard)
         try:
             self._threads.submit(copy_context().run, call.settle)
-        except RuntimeError:  # No new thread can be started, but an existing thread would still take this call.
+        except (
+            RuntimeError
+        ):  # No new thread can be started; without `cancel`, an older thread would run this call later.
             call.cancel()
             raise
         return call
@@ -70,7 +72,7 @@ class Processes:
 
 
 class _Call(Future[Any]):
-    """Represent a computation in a process; `cancel` ends the process, and then the future is done."""
+    """Represent a computation in a process; `cancel` ends the process, and the future is done after its end."""
 
     def __init__(self, limits: FitLimits, on_progress: OnProgress, step: Callable[..., Any], arguments: Any) -> None:
         super().__init__()
@@ -87,28 +89,28 @@ class _Call(Future[Any]):
         return False
 
     def settle(self) -> None:
-        """Run the process, and set the result or the exception of the future."""
+        """Run the computation in a process, and set the result or the exception of this future."""
         if not self.set_running_or_notify_cancel():
             return
         try:
             outcome = self._run()
             if self._is_stopped:
                 raise CancelledError  # noqa: TRY301 (handled like any error)
-        except BaseException as error:  # The arguments cannot be pickled, or the progress callback fails.
+        except BaseException as error:  # For example, an argument cannot be pickled, or the progress callback fails.
             self.set_exception(error)
         else:
             self.set_result(outcome)
 
     def _run(self) -> Any:
-        """Start a process, receive messages until its outcome, its death or its time limit, and end it."""
+        """Start a process, receive messages until its outcome, its end or its time limit, and end the process."""
         ours, its = socket.socketpair()
         arguments = its, self._limits, self._step, self._arguments
         process = context().Process(target=run_in_worker, args=arguments, name="dsbrdf-fit", daemon=True)
-        self._stop = partial(ours.shutdown, socket.SHUT_RDWR)  # It ends the reading of messages.
+        self._stop = partial(ours.shutdown, socket.SHUT_RDWR)  # Closing the connection ends the wait for messages.
         with ours:
             try:
                 with its:
-                    # `cancel` may have been called before `_stop` was set.
+                    # If `cancel` was called before `_stop` was set, the process must not be started.
                     if self._is_stopped:
                         return _NOTHING
                     start_fork_server()
@@ -164,7 +166,7 @@ def _end(process: Any, patience: float) -> int | None:
 
 
 def _kill(process: Any) -> None:
-    with suppress(ProcessLookupError):  # `Process.kill` does nothing if the fork server is gone.
+    with suppress(ProcessLookupError):  # `Process.kill` is not used, because it does nothing without the fork server.
         os.kill(process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
 
 

@@ -1,7 +1,7 @@
-"""Run in a worker process: set its limits, call a step, and send the outcome.
+"""Run in a worker process: set the limits of the process, call a step, and send the outcome.
 
-A worker process uses one BLAS thread, see `dsbrdf.process_settings`. It ends when the process that started it ends, for
-whatever reason.
+A worker process uses one BLAS thread, see `dsbrdf.process_settings`. A worker process ends when its parent process
+ends, for whatever reason.
 """
 
 import logging
@@ -28,34 +28,34 @@ OUT_OF_MEMORY = 75
 """Exit code of a process that had too little memory to send its outcome."""
 
 _MIN_PROGRESS_INTERVAL_S = 0.05
-_MIN_FREE_MEMORY_BYTES = 4 << 20  # With less memory, a step does not begin.
+_MIN_FREE_MEMORY_BYTES = 4 << 20  # A step does not begin with less free memory, because it could crash.
 
 
 def run_in_worker(pipe: socket.socket, limits: FitLimits, step: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    """Run a step; send its progress, log records and finally the outcome, as pairs (kind, content)."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C reaches all processes of a terminal, but only the parent handles it.
+    """Run a step; send its progress, its log records and finally its outcome, as pairs (kind, content)."""
+    # Ctrl-C reaches all processes of a terminal, but only the parent process handles it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def send(kind: str, content: object) -> None:
         try:
             pipe.sendall(pickle.dumps((kind, content)))
-        except ConnectionError:  # The parent has closed the connection and will kill this process.
+        except ConnectionError:  # The parent process has closed the connection and will kill this process.
             os._exit(0)
 
     try:
         _prepare(limits)
         logging.basicConfig(handlers=[_LogToParent(send)], level=logging.INFO, force=True)
         send("outcome", run_step(step, *arguments, _rising(partial(send, "progress"))))
-    except (MemoryError, RuntimeError) as error:  # There is too little memory to begin, or to send the outcome.
+    except (MemoryError, RuntimeError) as error:  # Memory is too short to begin the step, or to send its outcome.
         limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
-        if isinstance(error, MemoryError) or limited:  # A RuntimeError without a memory limit has another reason.
+        # A RuntimeError means too little memory only if a memory limit is set.
+        if isinstance(error, MemoryError) or limited:
             os._exit(OUT_OF_MEMORY)
         raise
 
 
 def _rising(on_progress: OnProgress) -> OnProgress:
-    """Throttle progress: forward increasing fractions, at most one every 50 ms, and always the final 1."""
+    """Throttle a progress callback: forward increasing fractions, at most one every 50 ms, and always the final 1."""
     last, then = 0.0, -math.inf
 
     def filtered(share: float) -> None:
@@ -69,9 +69,9 @@ def _rising(on_progress: OnProgress) -> OnProgress:
 
 
 def _prepare(limits: FitLimits) -> None:
-    """Set the limits of this process; a stricter memory limit from outside is kept.
+    """Set the limits of this process; if the process has a stricter memory limit already, keep that limit.
 
-    Raises MemoryError if hardly any memory is left, because a step without memory may crash without an error.
+    Raises MemoryError if less than 4 MB can be allocated, because a step without memory may crash without an error.
     """
     end_with_parent()
     if limits.niceness and hasattr(os, "nice"):
@@ -100,8 +100,7 @@ class _LogToParent(logging.Handler):
         self._send = send
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.format(
-            record
-        )  # This sets the message and the text of the traceback; a traceback itself cannot be pickled.
+        # `format` turns the traceback into text, because a traceback cannot be pickled.
+        self.format(record)
         record.msg, record.args, record.exc_info = record.message, None, None
         self._send("log", record)
