@@ -39,12 +39,12 @@ from .settings import Settings
 from .storage.store import Store
 
 _REFERENCED: tuple[type[BaseModel], ...] = (FitRequest, NewName, *FORMS, MeasurementDetails)
-_MAX_WORKER_THREADS = 8  # Every thread keeps its own heap after its first request.
-# The longest computation of a request takes some 15 s of processor time, and fits have a higher priority.
+_MAX_WORKER_THREADS = 8  # A thread keeps its own heap after its first request, so more threads take more memory.
+# These limits suit the longest computation of a request, 15 s of processor time at a lower priority than fits.
 _COMPUTATION_TIMEOUT_S = 120.0
 _COMPUTATION_PROCESSOR_LIMIT_S = 60.0
 _COMPUTATION_NICENESS = 5
-_SWITCH_INTERVAL_S = 0.0005  # A busy thread delays the event loop at most by this; Python's default is 0.005.
+_SWITCH_INTERVAL_S = 0.0005  # A busy thread delays the event loop by at most this time, a tenth of Python's default.
 
 _DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in the MERL format.
 
@@ -77,7 +77,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         queue = FitQueue(store, engine, settings, metrics.fit_meters)
         parts = settings, store, queue, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)
-        await run_in_threadpool(nodes_above_horizon)  # The mask is cached before the first upload.
+        await run_in_threadpool(nodes_above_horizon)  # This caches the grid's mask before the first upload needs it.
         await queue.start()
         try:
             yield
@@ -107,10 +107,10 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
         version=dsbrdf.__version__,
         description=_DESCRIPTION,
         lifespan=_lifespan,
-        openapi_url=None,  # The document is a static file.
+        openapi_url=None,  # `api.about` sends the OpenAPI document as a static file.
         docs_url=None,
         redoc_url=None,
-        redirect_slashes=False,  # Every resource has one path.
+        redirect_slashes=False,  # Every resource has one path, without a slash at its end.
         telemetry={"tracing": False, "metrics": False, "logs": False},  # The service has its own log and metrics.
     )
     metrics, keys = Metrics(), Keys(settings)
@@ -118,14 +118,14 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     app.openapi = cache(partial(openapi.document_of, app, _REFERENCED))  # type: ignore[method-assign]
     access = Access(settings, keys, metrics.requests_in_progress, is_open)
     # This is the complete middleware stack: the usual stack of Starlette and FastAPI would answer errors a second time.
-    stack = AsyncExitStackMiddleware(app.router)  # FastAPI's routes need it.
+    stack = AsyncExitStackMiddleware(app.router)  # FastAPI's routes need this middleware.
     app.middleware_stack = RequestLogMiddleware(stack, access, settings, metrics)
-    # Routes are tried in this order, so the fast ones come first. They are added to the application itself, because
-    # an included router would match each request a second time.
+    # Routes are tried in this order, so the routes with the quickest answers come first.
     of_fits = (values.router, fits.router, components.router, exports.router, pictures.router)
     routers = (*of_fits, values.measured, measurements.router, tables.router, about.router, about.page)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     for route in given:
-        route.unique_id = route.name  # Links and generated clients use this name for the operation.
+        route.unique_id = route.name  # Generated clients name their functions after this id.
+    # The application gets the routes themselves, because an included router would match each request a second time.
     app.router.routes.extend(given)
     return app

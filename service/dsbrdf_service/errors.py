@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-_PLAIN_WORDS = {  # Patterns in pydantic's messages, and plain words for each.
+_PLAIN_WORDS = {  # Plain words replace each of these patterns in pydantic's messages.
     r", unable to [^,]*| after validation": "",
     r"^(Input|String|List|Value) should (be|have|match) ": r"must \2 ",
     r"^Value error, ": "",
@@ -28,14 +28,14 @@ class DataFolderError(DSBRDFServiceError):
 
 
 class DatabaseLostError(DSBRDFServiceError, OSError):
-    """The database's file has been removed or replaced, so further writes would be lost with this process."""
+    """The database's file has been removed or replaced, so further writes would be lost at the end of this process."""
 
 
 class ProblemError(DSBRDFServiceError):
     """The request cannot be fulfilled; the client gets a problem document.
 
-    `kind` is a key of `http.problems.KINDS`, which has the status. `detail` is one sentence with the mistake and the
-    remedy. The response gets `headers`.
+    `kind` is a key of `http.problems.KINDS`, which has the HTTP status. `detail` is one sentence with the mistake
+    and the remedy. `headers` are added to the response.
     """
 
     def __init__(self, kind: str, detail: str, headers: Mapping[str, str] | None = None) -> None:
@@ -78,7 +78,7 @@ class MeasurementDamagedError(ProblemError):
 def validation_sentence(errors: Sequence[Mapping[str, Any]], known: Iterable[str] = ()) -> str:
     """Return pydantic's list of errors as one sentence, with the values that were sent and the `known` members."""
     unknown = [error["loc"][-1] for error in errors if error["type"] == "extra_forbidden"]
-    if unknown:  # A misspelt name is missing too, which would be the second error.
+    if unknown:  # Only this error is reported, because a misspelt name also causes an error about a missing name.
         return f"Unknown {min(unknown)[:60]!r}; known are {', '.join(known)}."
     parts = []
     for error in errors[:3]:

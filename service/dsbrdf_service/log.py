@@ -1,7 +1,7 @@
 """Write the log of this process to stderr, as lines of JSON, or as plain text if stderr is a terminal.
 
-A line contains the id of the request that caused it, and other bound values, also in tasks and threads that the request
-started. Texts that look like keys are removed from every line, and long texts are truncated.
+A line contains the id of its request and other values of `bind`, also in tasks and threads that the request started.
+Texts that look like keys are removed from every line, and long texts are truncated.
 """
 
 import json
@@ -22,10 +22,10 @@ from typing import Any
 from .settings import Settings
 
 _SECRETS = re.compile(r"(dsbrdf_[A-Za-z0-9]+_)[\w-]{8,}|(?i:(\b(?:bearer|basic)\s+)[\w.~+/=-]{8,})")
-# Every record has these attributes, and uvicorn adds `color_message`; other attributes were passed as `extra`.
+# A line leaves out these attributes, which every record has, and shows all others, which were passed as `extra`.
 _NOT_SHOWN = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime", "color_message"))
 _MAX_VALUE_LENGTH = 500  # [characters] Longer values in a line are truncated.
-_MAX_TRACEBACK_LENGTH = 20_000  # [characters]
+_MAX_TRACEBACK_LENGTH = 20_000  # [characters] Longer tracebacks are truncated.
 _bound: ContextVar[Mapping[str, str]] = ContextVar("bound", default=MappingProxyType({}))
 _MAX_QUEUED_LINES = 2000  # Further lines are dropped and counted until lines have been written.
 _FLUSH_TIMEOUT_S = 1.0
@@ -47,8 +47,8 @@ def configure(settings: Settings) -> None:
 class LogWriter(logging.Handler):
     """Write lines in a separate thread, so that logging never waits for a slow reader of the log.
 
-    When the queue is full, lines are dropped and counted, and the count is logged. The thread writes to the descriptor,
-    because a blocked write to a Python stream would hold the lock of the stream.
+    When the queue is full, lines are dropped and counted, and the count is logged. The thread writes to the file
+    descriptor, because a blocked write to a Python stream would hold the lock of the stream.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -59,7 +59,7 @@ class LogWriter(logging.Handler):
         Thread(target=self._write_lines, name="log", daemon=True).start()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Put a line in the queue."""
+        """Put the line of a record in the queue, or count the line as dropped."""
         try:
             self._lines.put_nowait(self.format(record))
         except Full:
@@ -81,7 +81,7 @@ class LogWriter(logging.Handler):
                 lines.append(self.format(logging.makeLogRecord(about)))
                 n_reported = n_dropped
             rest = "".join(f"{line}\n" for line in lines).encode(errors="replace")
-            with suppress(OSError):  # The reader of the log has ended.
+            with suppress(OSError):  # If the program that reads the log has ended, lines are lost.
                 while rest:
                     rest = rest[os.write(self._descriptor, rest) :]
             self._lines.task_done()
@@ -95,7 +95,7 @@ class LineFormatter(logging.Formatter):
         self._in_words = in_words
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line."""
+        """Return a record as one line."""
         line: dict[str, Any] = {
             "time": f"{datetime.fromtimestamp(record.created, UTC):%Y-%m-%dT%H:%M:%S.%fZ}",
             "level": record.levelname.lower(),
@@ -111,7 +111,7 @@ class LineFormatter(logging.Formatter):
             line["exception"] = _shown(exception, _MAX_TRACEBACK_LENGTH)
         if not self._in_words:
             return json.dumps(line)
-        texts = {name: json.dumps(value).strip('"') for name, value in line.items()}  # JSON has no line breaks.
+        texts = {name: json.dumps(value).strip('"') for name, value in line.items()}  # JSON escapes line breaks.
         first = [texts.pop(name) for name in ("time", "level", "event")]
         return " ".join([*first, *(f"{name}={text}" for name, text in texts.items())])
 

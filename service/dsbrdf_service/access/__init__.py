@@ -1,4 +1,4 @@
-"""Control access by API keys, and by users of this machine without a key.
+"""Admit requests that have an API key, and requests of the local user, who needs no key.
 
-`keys` reads the keys with their limits; `authentication` admits or refuses requests.
+`keys` reads API keys and their limits from the database; `authentication` admits or refuses requests.
 """

@@ -1,4 +1,4 @@
-"""Authenticate requests, and limit their rate and their number at once.
+"""Authenticate requests, and limit the rate and the number of simultaneous requests of each caller.
 
 An API key is needed if other machines can reach the service. On loopback, the local user needs no key. Two kinds of
 requests reach loopback but are not from the local user, and are refused: requests of another site's page in the user's
@@ -21,18 +21,18 @@ from .keys import Keys
 HEALTH = ("/health/live", "/health/ready")
 """Paths that are answered to everyone, even when the service is overloaded."""
 CALLER = "dsbrdf.caller"
-"""Member of the ASGI scope: the `Caller` whose rows the request sees."""
+"""Member of the ASGI scope: the `Caller`, whose measurements and fits the request may use."""
 CALLER_NAME = "dsbrdf.caller_name"
 """Member of the ASGI scope: the key or the address under which the request is counted."""
 _LOCAL = Caller()
-# Names without a dot are allowed: nobody outside of the local network can make them resolve to this machine.
+# Host names without a dot are allowed, because only the local network can make such a name resolve to this machine.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 
 
 class Access:
-    """Admit or refuse requests; one caller can have half of all requests in progress.
+    """Admit or refuse requests; a single caller can have at most half of the allowed requests in progress.
 
-    `is_open` tells whether a path shows no data of any key.
+    `is_open` tells whether a path needs no key, because it shows no data of a caller.
     """
 
     def __init__(self, settings: Settings, keys: Keys, in_progress: Gauge, is_open: Callable[[str], bool]) -> None:
@@ -41,14 +41,14 @@ class Access:
         self._needs_key = settings.require_keys or not (settings.loopback or settings.insecure)
         self._local_only = settings.loopback and not settings.insecure
         self._free = self._places = settings.limit_concurrency
-        self._in_progress: Counter[str] = Counter()  # By key, or by address without a key.
+        self._in_progress: Counter[str] = Counter()  # Requests by API key, or by address if a client has no key.
         in_progress.set_function(lambda: self._places - self._free)
 
     def admit(self, scope: Scope, headers: dict[bytes, bytes]) -> str | None:
-        """Count a request and return its key or its address; None for requests of the service's health.
+        """Count a request and return its key or its client's address; return None for a path in `HEALTH`.
 
         Raises ProblemError if the request is not allowed, if the number of requests in progress is at its limit, or if
-        the caller has as many requests in progress as are left to all callers.
+        the caller already has as many requests in progress as could still be admitted.
         """
         path = scope["path"]
         if path in HEALTH:
@@ -64,7 +64,7 @@ class Access:
                 caller = f"key {scope[CALLER].owner}"
             else:
                 self._check_local(headers)
-            if not path.isprintable():  # A route would read a line break as the end of the path.
+            if not path.isprintable():  # A route would take the text before a line break for the path.
                 raise ProblemError("not-found", "The path has a control character; GET /docs lists all paths.")
         scope[CALLER_NAME] = caller
         number = self._in_progress[caller]
@@ -84,9 +84,10 @@ class Access:
                 del self._in_progress[caller]
 
     def _owner(self, scope: Scope) -> Caller:
-        """Return the owner of the key that a request sends, and count the request.
+        """Check the API key of a request, count the request, and return the owner of the key.
 
-        A key is checked even if none is needed. Two keys are refused, because it is unclear which one counts.
+        A key is checked even if the service needs no key. A request with two keys is refused, because it is unclear
+        which one counts.
         """
         sent = [value for name, value in scope["headers"] if name == b"authorization"]
         scheme, _, text = sent[0].partition(b" ")
@@ -100,7 +101,7 @@ class Access:
         return caller
 
     def _check_local(self, headers: dict[bytes, bytes]) -> None:
-        """Check that the request is the local user's own."""
+        """Raise ProblemError unless a request without a key comes from the local user."""
         if self._needs_key:
             detail = "The request has no API key, but this service needs one; send it as 'Authorization: Bearer <key>'."
             raise ProblemError("unauthorized", detail, {"WWW-Authenticate": "Bearer"})

@@ -1,7 +1,8 @@
 """Manage API keys and their limits.
 
 A key is ``dsbrdf_<id>_<secret>``. The database stores only the sha256 of the secret: a secret of 32 random bytes cannot
-be guessed from its hash, so a slow hash would add nothing. The public id owns all data that are stored with the key.
+be guessed from its hash, so a slow hash would not be safer. Data that are stored with a key belong to its id, which is
+public.
 """
 
 import hashlib
@@ -15,7 +16,7 @@ from ..storage.database import Database
 from ..storage.keys import active_key, insert_key, is_active
 from ..storage.schema import Caller
 
-if TYPE_CHECKING:  # Importing pydantic would take longer than `dsbrdf keys` takes to run.
+if TYPE_CHECKING:  # At runtime, this import would load pydantic, which takes longer than `dsbrdf keys` itself.
     from ..settings import Settings
 
 _KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
@@ -25,7 +26,7 @@ _BURST_SECONDS = 5.0
 
 
 def add_key(database: Database, name: str, **fields: Any) -> tuple[str, str]:
-    """Make a key, with other `fields` of its row; return its id and the key, which is not stored."""
+    """Make a key and its row, with further `fields`; return the id and the key, whose secret is not stored."""
     key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
     digest = hashlib.sha256(secret.encode()).hexdigest()
     insert_key(database, {"id": key_id, "name": name, "secret_sha256": digest, **fields})
@@ -33,14 +34,17 @@ def add_key(database: Database, name: str, **fields: Any) -> tuple[str, str]:
 
 
 class Keys:
-    """Find the active keys of a database, which is read at each request; `settings` has the default limits."""
+    """Find keys in the database at each request, so that a change of a key applies at once.
+
+    `settings` has the limits of keys that have no limits of their own.
+    """
 
     def __init__(self, settings: "Settings") -> None:
         self._usual = settings.key_requests_per_second, settings.key_stored_mb, settings.key_queued_fits
-        self._paid_until: dict[str, float] = {}  # By key: the time until which its requests use up its rate.
+        self._next_due: dict[str, float] = {}  # By key: when its next request is due if requests come at an even rate.
 
     def open(self, database: Database) -> None:
-        """Set the database, before the first request."""
+        """Set the database in which keys are found; this is called before the first request."""
         self._database = database
 
     def find(self, text: bytes) -> Caller | None:
@@ -58,16 +62,16 @@ class Keys:
         return Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics), rate)
 
     def wait(self, caller: Caller) -> float:
-        """Count a request and return 0, or return the time until the next one may come [s].
+        """Count a request of a caller and return 0, or return the time after which a request is allowed [s].
 
-        A burst may have the requests of five seconds, and at least one.
+        A burst may have as many requests as are allowed in five seconds, but at least one.
         """
         now, each = monotonic(), 1.0 / caller.requests_per_second
-        begin = max(now, self._paid_until.get(caller.owner, now))
+        begin = max(now, self._next_due.get(caller.owner, now))
         too_early = begin - now - max(0.0, _BURST_SECONDS - each)
         if too_early > 0.0:
             return too_early
-        self._paid_until[caller.owner] = begin + each
+        self._next_due[caller.owner] = begin + each
         return 0.0
 
     def allows(self, caller: Caller) -> bool:

@@ -22,7 +22,7 @@ Json = Annotated[bool, Parameter(help="Print one JSON document instead of text."
 def data_folder(given: Path | None, *, existing: bool = True) -> Path:
     """Return the given data folder, or the folder in ``DSBRDF_DATA_DIR``, or the default folder.
 
-    Raises DataFolderError if an `existing` folder is needed and no service has made it.
+    Raises DataFolderError if an `existing` folder is needed, but no service has made the folder.
     """
     folder = given or Path(os.environ.get("DSBRDF_DATA_DIR") or DEFAULT_DATA_DIR)
     if existing and not is_data_folder(folder):
@@ -31,10 +31,10 @@ def data_folder(given: Path | None, *, existing: bool = True) -> Path:
 
 
 def run_on_folder(app: App, words: Sequence[str]) -> int:
-    """Run an application that works on a data folder with the arguments `words`; return the exit code."""
+    """Run a command that uses a data folder, with the arguments `words`; report its errors and return the exit code."""
     try:
         return run_words(app, words)
-    except BrokenPipeError:  # The reader of the output has ended; the caller handles this.
+    except BrokenPipeError:  # The caller handles the early end of the program that reads the output.
         raise
     except (DataFolderError, OSError) as error:
         return refuse(str(error))

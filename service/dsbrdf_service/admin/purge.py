@@ -1,7 +1,8 @@
 """Define ``dsbrdf purge``, which removes fits and measurements older than a given age, also while a server runs.
 
-A fit is removed if it ended before that age. A measurement is removed if it was stored before that age and no remaining
-fit of its owner uses it. A file is removed after its last row of any owner; files without rows are removed on request.
+The age of a fit counts from its end. An old measurement is removed only if no remaining fit of its owner uses it. The
+file of a measurement is removed after the last row that refers to the file. The option `--files-without-rows` removes
+files to which no row refers.
 """
 
 import time

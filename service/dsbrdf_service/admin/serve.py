@@ -33,9 +33,10 @@ from ..storage.keys import has_active_key
 from ..storage.store import Store
 from .data_folder import refuse
 
-_CONNECTIONS_PER_REQUEST = 8  # Most connections are idle; further ones are refused.
-_CLEANUP_TIMEOUT_S = 5.0  # If closing all parts takes longer, the process is ended.
-_INTERPRETER_EXIT_TIMEOUT_S = 60.0  # After this time, the process ends even if a thread hangs.
+# More connections than requests are allowed, because most connections are idle; beyond this limit, requests get 503.
+_CONNECTIONS_PER_REQUEST = 8
+_CLEANUP_TIMEOUT_S = 5.0  # The process ends if its queue, processes and database are not closed within this time.
+_INTERPRETER_EXIT_TIMEOUT_S = 60.0  # The process ends at most this time after its server, even if a thread hangs.
 
 logger = logging.getLogger(__name__)
 _PURPOSE = "Run the HTTP service. Further settings are environment variables that begin with DSBRDF_."
@@ -67,8 +68,8 @@ def serve(
                 f"{settings.host} can be reached from other machines and there is no API key: add one with "
                 "dsbrdf keys add NAME, listen on 127.0.0.1, or add --insecure to let everyone in."
             )
-        make_engine(settings)  # This raises an error now if a library is missing.
-        store = Store(settings.data_dir)  # No other server can open the folder from here on.
+        make_engine(settings)  # If a library is missing, this fails before the data folder is opened.
+        store = Store(settings.data_dir)  # This locks the folder, so that no other server can open it.
     except (DataFolderError, MissingExtraError) as error:
         return refuse(str(error))
     except OSError as error:
@@ -104,25 +105,25 @@ def _run(settings: Settings, store: Store) -> int:
         limit_concurrency=_CONNECTIONS_PER_REQUEST * settings.limit_concurrency,
         timeout_graceful_shutdown=settings.shutdown_seconds,
         server_header=False,
-        # The headers of a proxy count only if the operator names the proxies, because anyone can send such headers.
+        # X-Forwarded-For is trusted only if the operator names the proxies, because any client can send this header.
         proxy_headers="FORWARDED_ALLOW_IPS" in os.environ,
         ws="none",
         log_config=None,
         log_level=settings.log_level,
         access_log=False,
-        callback_notify=partial(asyncio.to_thread, trim_memory),  # This thread is not one of the requests' threads.
+        callback_notify=partial(asyncio.to_thread, trim_memory),  # Requests run in other threads, which stay free.
         timeout_notify=60,
     )
     server = _Server(config)
     logger.info("dsbrdf %s serves the data folder %s", app.version, settings.data_dir.resolve())
     server.run()
-    # All parts are closed. On a busy machine, the exit of the interpreter takes seconds, which is not a failure.
+    # This replaces the shorter timeout of the shutdown, because the interpreter may take seconds to exit.
     faulthandler.dump_traceback_later(_INTERPRETER_EXIT_TIMEOUT_S, exit=True)
     return 0 if server.started else 1
 
 
 class _Server(uvicorn.Server):
-    """Run uvicorn's server, which ends all waits for fits at shutdown before it waits for open requests."""
+    """Run uvicorn's server; at shutdown, first answer the requests that wait for fits."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -132,7 +133,7 @@ class _Server(uvicorn.Server):
             self.should_exit = True
 
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-            if signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores SIGHUP, for example.
+            if signal.getsignal(number) != signal.SIG_IGN:  # SIGHUP, for example, stays ignored under nohup.
                 signal.signal(number, end)
         yield
 
@@ -148,7 +149,7 @@ class _Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop accepting requests, and let the requests in progress end soon."""
         context: Context = cast(FastAPI, self.config.app).state.context
-        # If a part hangs, the process is ended anyway: accepted fits are stored, and the next start cleans up.
+        # If the shutdown hangs, the process ends anyway, because accepted fits are stored and the next start runs them.
         faulthandler.dump_traceback_later(context.settings.shutdown_seconds + _CLEANUP_TIMEOUT_S, exit=True)
         context.readiness.stop()
         context.queue.release_waiters()
@@ -168,7 +169,7 @@ def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
 def _raise_descriptor_limit() -> None:
     """Raise the limit of open files to the maximum, because the usual limit is below the number of connections."""
     _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with suppress(OSError, ValueError):  # Some systems report more than they allow.
+    with suppress(OSError, ValueError):  # Some systems report a higher maximum than they allow.
         resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
 
 

@@ -1,5 +1,6 @@
-"""Define the resources: each module has the routes of one resource with their documents and parameters.
+"""Define the HTTP resources: each module has the routes of one resource with their documents and parameters.
 
 Resources are `fits`, `exports`, `values`, `components`, `measurements`, `tables`, `pictures` and `about`. `context` has
-the dependencies of routes; `fields` and `points` have inputs of several routes; `uploads` receives files.
+the dependencies of routes; `fields` and `points` define documents and parameters that several routes use; `uploads`
+receives files.
 """

@@ -39,7 +39,7 @@ async def get_live() -> Health:
 
 @router.get("/health/ready", responses=openapi.problems("not-ready", behind_a_key=False))
 async def get_ready(context: TheContext) -> Health:
-    """Return 200 if rows and files can be written, there is disk space, and fits can run; otherwise 503.
+    """Return 200 if the database and files can be written, the disk has space, and fits can run; otherwise 503.
 
     The answer comes within 3 s.
     """
@@ -51,7 +51,7 @@ async def get_ready(context: TheContext) -> Health:
 
 @router.get("/metrics", response_class=PlainTextResponse, responses=openapi.problems("not-found"))
 async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
-    """Return requests, fits, times and sizes of all keys in Prometheus' text format; only some API keys may read it."""
+    """Return counts, times and sizes over all keys in Prometheus' text format; a key needs permission to read them."""
     if not caller.metrics:
         raise ProblemError("not-found", "This key may not read the metrics; make a key with dsbrdf keys add --metrics.")
     metrics = await run_in_threadpool(context.metrics.exposition, context.store)
@@ -66,7 +66,7 @@ async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
 @page.get("/docs/{name}")
 @page.get("/page/{name}")
 async def get_file(request: Request) -> Response:
-    """Return the page, or another static file; the page asks ``/v1`` for all data."""
+    """Return the web page or another static file; the page requests all data from ``/v1``."""
     file = file_at(request.scope["path"])
     if file is None:
         raise HTTPException(404)

@@ -26,7 +26,7 @@ class ComponentLobe(Document):
 
 
 class SurfaceDocument(Document):
-    """One rough surface of a component; a parameter that does not describe the component is null."""
+    """One rough surface of a component; a parameter is null if it does not describe the component well."""
 
     alpha: Annotated[float | None, Field(description="Roughness, as in the GGX and Beckmann distributions.")]
     tail_exponent: float | None
@@ -41,12 +41,12 @@ class SurfaceDocument(Document):
 class ComponentDocument(Document):
     """One component of a fit that reflects light; the values of all components add up to the values of the fit.
 
-    The surfaces describe the component, the brightest first; a diffuse component has no surfaces.
+    The surfaces describe the component and are sorted, the brightest first; a diffuse component has no surfaces.
     """
 
     label: Label
     structure: str
-    """The most probable structure of layers that has the component."""
+    """The most probable list of layers that contains the component, such as `dielectric over diffuse`."""
     light_share: Share
     """Fraction of the reflected light that belongs to the component, at normal incidence."""
     albedo: Rgb

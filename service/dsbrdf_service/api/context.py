@@ -33,7 +33,7 @@ from .fields import FIT_ID, SHA256
 
 @dataclass(frozen=True)
 class Context:
-    """Hold the parts of one service, which are opened when it starts and closed when it stops."""
+    """Hold the parts of one service, which are opened when the service starts and closed when it stops."""
 
     settings: Settings
     store: Store
@@ -54,9 +54,10 @@ class Context:
         max_bytes: int = 0,
         place: Place = "medium",
     ) -> Any:
-        """Return the result of `Computations.run_in_process`; with `max_bytes`, the file of `Computations.make_file`.
+        """Compute a step in a separate process; return its result or, with `max_bytes`, the file that it writes.
 
-        Raises MeasurementNotFoundError if the measurement is deleted meanwhile.
+        Raises the errors of `Computations`, and MeasurementNotFoundError if a measurement among the arguments is
+        deleted during the computation.
         """
         try:
             if not max_bytes:
@@ -72,7 +73,7 @@ class Context:
     async def stored_measurement(
         self, owner: str, sha256: str, name: str | None = None, kind: Literal["grid", "samples", "any"] = "grid"
     ) -> StoredMeasurement:
-        """Return a measurement to be drawn; raises as `Store.measurement_file`."""
+        """Check the file of a stored measurement and return its path and name; raises as `Store.measurement_file`."""
         path = await in_thread(self.store.measurement_file, owner, sha256, kind)
         return StoredMeasurement(path, sha256, name)
 

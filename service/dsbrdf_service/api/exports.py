@@ -37,7 +37,7 @@ class Export(Input):
         ),
     ] = None
     name: Annotated[
-        str | None, Field(description="Of the function in `glsl`; all other names in the file begin with it.")
+        str | None, Field(description="Name of the function in `glsl`; all other names in the file begin with it.")
     ] = None
     sampling: Annotated[bool, Field(description="Add functions to `glsl` that draw directions.")] = False
     example: Annotated[
@@ -51,7 +51,7 @@ class Export(Input):
 
 router = APIRouter(prefix="/v1/fits", tags=["export"], dependencies=CHECKED_QUERY)
 _MEDIA_TYPES = (BINARY, *(kind.media_type.partition(";")[0] for kind in FORMATS.values()))
-# A generated client reads an answer as the first type that it knows; binary comes first, so it reads bytes.
+# Binary comes first, because a generated client reads every answer as the first media type that it knows.
 _EXPORTED = {name: openapi.file(name) for name in _MEDIA_TYPES} | {JSON: {"schema": {"type": "object"}}}
 
 
@@ -76,7 +76,7 @@ async def export_fit(
     headers = {"Content-Disposition": content_disposition(file), "Content-Type": FORMATS[wanted.format].media_type}
     model = loaded.decomposition.layers if wanted.component == LAYERS else loaded.part(wanted.component)
     key, place = ("export", row.key, row.name, *wanted.model_dump().values()), FORMATS[wanted.format].time
-    if wanted.example and wanted.format != "glsl":  # Only the example for GLSL contains the exported file.
+    if wanted.example and wanted.format != "glsl":  # Examples of other formats only name the exported file.
         return _example(Path(file), wanted, b"")
     if place != "short":
         arguments = model, wanted.format, name

@@ -46,7 +46,7 @@ PLAIN = BeforeValidator(_check_plain)
 
 
 class Document(BaseModel):
-    """A document of the service; a text below a member describes it."""
+    """A JSON document of the service; the text below a member is its description in OpenAPI."""
 
     model_config = ConfigDict(use_attribute_docstrings=True)
 
@@ -58,7 +58,7 @@ class Input(Document):
 
 
 def _options_schema(kind: type, defaults: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of options: the types, bounds and sentences of the library's dataclass."""
+    """Return the JSON schema of options, with types, bounds and descriptions from the library's dataclass."""
     declared = TypeAdapter(kind).json_schema()["properties"]
     for name, example in (("columns", "theta_in=AOI"), ("constants", "theta_in=30")):
         pair = {"type": "string", "pattern": r"^[^=]*[^=\s][^=]*=.*\S", "examples": [example]}
@@ -69,7 +69,7 @@ def _options_schema(kind: type, defaults: dict[str, Any]) -> dict[str, Any]:
         schema = declared[name]
         del schema["title"]
         for choice in schema.get("anyOf", ()):
-            if "const" in choice:  # Few generators of clients know `const`.
+            if "const" in choice:  # Few client generators understand `const`, so an enum of one value replaces it.
                 choice["enum"] = [choice.pop("const")]
         properties[name] = {**schema, "default": default, "description": sentences[name]}
     description = "What is not given is the default."
@@ -97,7 +97,7 @@ def parse(kind: type[_Document], body: bytes) -> _Document:
 
 
 def _refuse_repetition(members: list[tuple[str, Any]]) -> None:
-    """Raise InvalidArgumentError if an object has two members of one name: it is unclear which one counts."""
+    """Raise InvalidArgumentError if an object has two members of one name, because it is unclear which one counts."""
     for name, count in Counter(name for name, _ in members).items():
         if count > 1:
             raise InvalidArgumentError(f"The member {name[:60]!r} is given more than once; give it once.")
@@ -114,7 +114,7 @@ class Page(Input):
 
 
 def members(document: type[BaseModel], row: FitRow | MeasurementRow) -> dict[str, Any]:
-    """Return the members of a document that a row has, with times as datetimes instead of seconds since 1970."""
+    """Return the values of a database row for the members of a document; times are converted to datetimes."""
     known = {}
     for name in document.model_fields:
         if hasattr(row, name):

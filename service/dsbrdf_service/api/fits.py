@@ -34,7 +34,7 @@ from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLE_PARAMETERS, T
 
 
 class FitRequest(Input):
-    """A fit of a stored measurement."""
+    """A request for a fit of a stored measurement."""
 
     measurement: Annotated[str, Field(pattern=SHA256, description="The measurement's sha256.")]
     options: Options = {}
@@ -47,7 +47,7 @@ class NewName(Input):
 
 
 class FitSummary(Document):
-    """A fit without its model."""
+    """The state of a fit, without its model."""
 
     id: Annotated[str, Field(pattern=FIT_ID)]
     name: Name
@@ -57,7 +57,7 @@ class FitSummary(Document):
     options: Options
     metrics: Metrics | None
     error: Fault | None
-    """The same request runs again unless `origin` is `input`."""
+    """Why the fit failed; an equal request runs the fit again unless `origin` is `input`."""
     created: datetime
     started: datetime | None
     finished: datetime | None
@@ -77,19 +77,19 @@ class FitDocument(FitSummary):
     measure_next: list[SuggestedPair]
     """Directions at which further samples would help most, the best first; empty on a grid."""
     components: list[ComponentDocument] | None
-    """Those that have light, from narrow to wide."""
+    """The components that reflect light, from narrow to wide."""
     diffuse_range: Range | None
-    """Where the diffuse fraction of all light lies with a probability of 90 %."""
+    """Interval that contains the diffuse fraction of the reflected light with a probability of 90 %."""
     structures: list[dict[str, Any]] | None
     """The structures of layers that explain the model, each with its probability as `weight`."""
     model: dict[str, Any] | None
-    """The model's own parameters as its file has them, which `export?format=json` gives: knots in radians, and
-    control values, which are no values at angles; for those take `components`, or `/brdf`.
+    """Parameters of the model as in the file of `export?format=json`: knots in radians, and control values of splines.
+    `components` and `/brdf` have values at angles.
     """
     report: dict[str, Any] | None
     """How the fit went and how good it is: the fields of `dsbrdf.FitReport`."""
     format: Literal["dsbrdf"] | None
-    """What the document is as a file: `dsbrdf.load` reads that of a fit that succeeded."""
+    """Format of the document as a file: `dsbrdf.load` reads the document of a fit that succeeded."""
     version: int | None
     """Version of the format."""
 
@@ -99,11 +99,11 @@ RESULT_MEMBERS = tuple(FitDocument.model_fields)[len(FitSummary.model_fields) :]
 
 
 class RemovedFit(Document):
-    """The outcome of a DELETE."""
+    """The outcome of a DELETE request for a fit."""
 
     id: Annotated[str, Field(pattern=FIT_ID)]
     status: Literal["cancelled", "deleted"]
-    """`cancelled`: it was unfinished and stays in the list. `deleted`: it had ended and is gone."""
+    """`cancelled`: the fit was unfinished and stays in the list. `deleted`: the fit had ended and was removed."""
 
 
 class FitPage(Page):
@@ -184,7 +184,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, t
 
 async def _requested(request: Request, context: Context) -> FitRequest:
     """Return the JSON document of a request; explain the mistake if a client sends a file as JSON."""
-    if int(request.headers.get("content-length", 0)) > _MAX_JSON_BYTES:  # uvicorn has checked that it is a number.
+    if int(request.headers.get("content-length", 0)) > _MAX_JSON_BYTES:  # uvicorn refuses a length that is no number.
         raise ProblemError("too-large", _FILE_AS_JSON)
     async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
         if body[:1].strip() not in (b"", b"{", b"[", b'"'):
@@ -196,7 +196,7 @@ async def _requested(request: Request, context: Context) -> FitRequest:
 async def list_fits(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[FitPage, Query()]
 ) -> Response:
-    """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next one."""
+    """Return a page of fits, newest first; `Link` with `rel="next"` leads to the next page."""
     rows = await run_in_threadpool(
         context.store.fits, caller.owner, page.limit + 1, page.cursor, page.name, page.status, page.measurement
     )
@@ -206,7 +206,7 @@ async def list_fits(
 
 @router.get("/{fit_id}", response_model=FitDocument, responses=openapi.TAGGED | openapi.problems("not-found"))
 async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit: TheFit, wait: _Wait = 0.0) -> Response:
-    """Return a fit; with `wait`, return it when it has ended or the time is over."""
+    """Return a fit; with `wait`, the answer comes when the fit has ended or the time is over."""
     row = await _wait(request, context, caller, fit, min(wait, context.settings.max_wait))
     document = await _document(context, row)
     headers = {} if row.ended else {"Retry-After": "1"}
@@ -220,7 +220,7 @@ async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit:
     openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(NewName)}}),
 )
 async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Response:
-    """Rename a fit, or remove its name; nothing else can be changed."""
+    """Rename a fit, or remove its name; nothing else of a fit can be changed."""
     media_type_of(request, JSON)
     async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
         given = parse(NewName, body)
@@ -233,7 +233,7 @@ async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Resp
 async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> RemovedFit:
     """Cancel an unfinished fit, which stays in the list, or delete a fit that has ended; the answer says which.
 
-    With `only=cancel`, a fit that ends just before is not deleted; `only=delete` cancels nothing.
+    With `only=cancel`, a fit that ends just before the request is not deleted. With `only=delete`, no fit is cancelled.
     """
     if only != "delete" and await context.queue.cancel(fit) is not None:
         return RemovedFit(id=fit.id, status="cancelled")
@@ -256,7 +256,7 @@ async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> Re
     },
 )
 async def follow_fit(context: TheContext, caller: TheCaller, begin: TheRow) -> AsyncIterable[ServerSentEvent]:
-    """Send an event at every step of a fit, named by the fit's status; the last event reports its end."""
+    """Send an event at every step of a fit; an event's name is the fit's status, and the last event reports its end."""
     async for row in context.queue.watch(begin.key):
         if not context.keys.allows(caller):
             return
@@ -266,7 +266,8 @@ async def follow_fit(context: TheContext, caller: TheCaller, begin: TheRow) -> A
 async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey, seconds: float) -> FitRow:
     """Return the fit's row when it has ended or after `seconds`.
 
-    The wait ends early when the client leaves. Raises InvalidKeyError if the key was revoked meanwhile.
+    The wait ends early when the client closes the connection. Raises InvalidKeyError if the key was revoked during the
+    wait.
     """
     if not seconds:
         return await run_in_threadpool(context.store.fit, fit)

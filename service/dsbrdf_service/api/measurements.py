@@ -76,7 +76,7 @@ _FILE: openapi.Responses = {
 async def upload_measurement(
     request: Request, context: TheContext, caller: TheCaller, options: TheTableOptions
 ) -> Response:
-    """Store the measurement in the body: 201, or 200 if it is stored already.
+    """Store the measurement in the body; the answer is 201, or 200 if the measurement is stored already.
 
     A MERL file is stored byte for byte. An RGL `.bsdf` file is converted to a MERL table, and a table of samples is
     read with its options and converted to a file of samples. `sha256` and `size` describe the stored file.
@@ -91,7 +91,7 @@ async def upload_measurement(
 async def list_measurements(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
 ) -> Response:
-    """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next one."""
+    """Return a page of measurements, newest first; `Link` with `rel="next"` leads to the next page."""
     rows = await run_in_threadpool(context.store.measurements, caller.owner, page.limit + 1, page.cursor, page.name)
     items = [members(MeasurementDocument, row) for row in rows[: page.limit]]
     return Response(to_json({"items": items}), 200, next_page(request, page, rows), JSON)
@@ -99,9 +99,10 @@ async def list_measurements(
 
 @router.get("/{sha256}", response_model=MeasurementDetails, responses=_FILE, openapi_extra={"parameters": [_ACCEPT]})
 async def get_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Return the document of a measurement: name, size, time of the upload and fits. `HEAD` tells whether it is stored.
+    """Return the document of a measurement: name, size, time of the upload and fits.
 
-    With `Accept: application/octet-stream` the answer is the file, as below `/content`.
+    `HEAD` tells whether the measurement is stored. With `Accept: application/octet-stream` the answer is the file, as
+    at the address `/content`.
     """
     if prefers(request, BINARY, JSON):
         return await download_measurement(request, context, caller, sha256)
@@ -141,7 +142,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),
 )
 async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Delete a measurement; its finished fits stay. With unfinished fits, the answer is 409."""
+    """Delete a measurement; its finished fits stay. If it has unfinished fits, it stays too, and the answer is 409."""
     if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
         raise MeasurementNotFoundError(sha256)
     return Response(status_code=204)

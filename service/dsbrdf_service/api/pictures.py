@@ -37,7 +37,7 @@ _Lighting = Annotated[
     Query(description="Three lights, or a sky with sun and window."),
 ]
 _Component = Annotated[Label | None, Query(description="One component instead of the whole fit.")]
-_Most = Annotated[int, Query(ge=1, le=100_000, description="So many at most."), PLAIN]
+_Most = Annotated[int, Query(ge=1, le=100_000, description="Maximum number of samples."), PLAIN]
 _Figure = Annotated[
     Literal[*FIGURES],  # type: ignore[valid-type]
     Path(description=f"One of {', '.join(FIGURES)}.", examples=["components"]),
@@ -66,7 +66,7 @@ _PANORAMA = openapi.body("float32 or float64 (rows, 2 rows, 3): linear RGB.", {N
 
 
 class _Drawing:
-    """Answer a request with the result of a step, or with 304 if the client has this result."""
+    """Answer a request with the picture that a step draws, or with 304 if the client has this picture."""
 
     def __init__(self, request: Request, context: TheContext, caller: TheCaller) -> None:
         self._request, self._context, self._caller = request, context, caller
@@ -74,7 +74,7 @@ class _Drawing:
     async def __call__(
         self, step: Callable[..., Any], *arguments: Any, of: Hashable = None, max_bytes: int = 0
     ) -> Response:
-        """Return the result of a `step`, which is determined by the request's address, its owner and `of`.
+        """Return the result of a `step`, whose ETag is a hash of the request's address, the caller and `of`.
 
         With `max_bytes`, the step writes a file of at most this length.
         """
@@ -94,7 +94,7 @@ Draw = Annotated[_Drawing, Depends()]
 
 
 async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[np.float32], bytes]:
-    """Return the panorama in the body, and its digest."""
+    """Return the panorama in the body, and the sha256 of the body."""
     media_type_of(request, NPY)
     async with context.bodies.received(request, _MAX_PANORAMA_BYTES) as body:
         pixels = panorama_from_npy(body).astype(np.float32)
@@ -115,8 +115,8 @@ async def draw_sphere(
 ) -> Response:
     """Return a lit sphere of the fit, or of one component: a picture, or its linear RGB radiance.
 
-    The radiance is float32 (size, size, 3), from the top. The picture has the exposure of the whole fit, which scales
-    the 99th percentile of the fit's sphere to 1; larger values are clipped, and the sRGB curve is applied.
+    The radiance is float32 (size, size, 3), with rows from the top. The picture has the exposure of the whole fit,
+    which scales the 99th percentile of the fit's sphere to 1; larger values are clipped, and the sRGB curve is applied.
     """
     return await draw(sphere_step, file_format, fit.model, fit.part(component), lighting, size)
 
@@ -140,7 +140,7 @@ async def draw_sphere_in_panorama(
     size: _Size = 128,
     component: _Component = None,
 ) -> Response:
-    """Return a sphere of the fit in a panorama, whose first row is straight up and middle column behind the sphere."""
+    """Return a sphere of the fit under a panorama: first row straight up, middle column behind the sphere."""
     pixels, digest = panorama
     return await draw(sphere_step, file_format, fit.model, fit.part(component), pixels, size, of=digest)
 
@@ -175,7 +175,7 @@ async def draw_measurement(
     size: _Size = 128,
     lighting: _Lighting = LIGHTINGS[0],
 ) -> Response:
-    """Return a lit sphere of the interpolated measurement, as of a fit; the picture has the measurement's exposure."""
+    """Return a lit sphere of the interpolated measurement, as for a fit; the picture has the measurement's exposure."""
     return await draw(sphere_step, file_format, stored, stored, lighting, size)
 
 
@@ -183,7 +183,7 @@ async def draw_measurement(
 async def draw_measurement_in_panorama(
     draw: Draw, stored: TheMeasurement, file_format: _SphereFormat, panorama: _Panorama, size: _Size = 128
 ) -> Response:
-    """Return a sphere of a measurement in a panorama: first row straight up, middle column behind the sphere."""
+    """Return a sphere of a measurement under a panorama, which is placed as for a fit."""
     pixels, digest = panorama
     return await draw(sphere_step, file_format, stored, stored, pixels, size, of=digest)
 
@@ -192,7 +192,7 @@ async def draw_measurement_in_panorama(
 async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
     """Return ln(value + 1e-6) at the nodes of the MERL grid: float16 (theta_half, theta_diff, phi_diff, RGB), 8.7 MB.
 
-    Linear interpolation of this table gives the measurement as the spheres show it, for example in a shader's texture.
+    A shader can interpolate this table linearly, as a texture, to show the measurement as the drawn spheres do.
     """
     return await draw(table_step, stored, max_bytes=_MAX_TABLE_BYTES)
 

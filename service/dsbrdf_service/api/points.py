@@ -38,26 +38,26 @@ _Vectors = Annotated[
     Field(description="Unit vectors; values are 0 where one is below the horizon (z < 0)."),
 ]
 
-_MIRROR_PHI_DIFF_DEG: Any = (90.0,)  # pydantic would copy a list for every request.
+_MIRROR_PHI_DIFF_DEG: Any = (90.0,)  # A tuple is used, because pydantic would copy a list for every request.
 
 
 class AnglesRequest(Input):
-    """Points by half and difference angles in degrees; one angle counts for all points."""
+    """Points by half and difference angles in degrees; a list with one angle applies to all points."""
 
     theta_half_deg: Annotated[_Angles, Field(examples=[[10]])]
     theta_diff_deg: Annotated[_Angles, Field(examples=[[30]])]
     phi_diff_deg: _Turns = _MIRROR_PHI_DIFF_DEG
-    """90 where it is left out: both directions at one angle to the normal."""
+    """90 by default: both directions have equal angles to the normal."""
 
 
 class SidesRequest(Input):
-    """Points by the angles of both directions to the normal, and about it, in degrees; one counts for all points."""
+    """Points by polar and azimuth angles of both directions in degrees; a list with one angle applies to all points."""
 
     theta_in_deg: _Angles
     theta_out_deg: _Angles
     phi_in_deg: _Turns = [0.0]
     phi_out_deg: _Turns = [180.0]
-    """180, the side of the mirror direction, where left out."""
+    """180 by default, the azimuth of the mirror direction."""
 
 
 class DirectionsRequest(Input):
@@ -74,7 +74,7 @@ _POINTS = (
     "(n, 2) or (n, 3), theta_half, theta_diff and phi_diff in degrees, or (n, 6) or (n, 2, 3), omega_in and omega_out"
 )
 _PANORAMA = "(rows, 2 rows, 3), linear RGB of 360 by 180 degrees"
-_BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # Every model is 0 at these angles.
+_BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # Every model is 0 at these half and difference angles [rad].
 
 
 class Points(NamedTuple):
@@ -89,13 +89,13 @@ _CHOICE = "give theta_half_deg and theta_diff_deg, or theta_in_deg and theta_out
 
 
 def from_query(query: bytes) -> Points:
-    """Return the points of a query; a name occurs once for each point.
+    """Return the points of a query; a parameter is repeated for several points.
 
     Raises InvalidArgumentError with one sentence that names the mistake and the remedy.
     """
     given: dict[str, list[Any]] = {}
     for name, text in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
-        if "_" in text:  # Only Python reads 1_0 as a number.
+        if "_" in text:  # Python would read 1_0 as the number 10.
             raise InvalidArgumentError(f"{name[:40]} must be a number, not {text[:40]!r}.")
         given.setdefault(name, []).append(text.split(",") if name in _DIRECTIONS else text)
     return _points(given, strict=False)
@@ -112,7 +112,7 @@ def from_json(body: bytes) -> Points:
         raise InvalidArgumentError(f"The body is not JSON: {error}.") from None
     if not isinstance(given, dict):
         raise InvalidArgumentError(f"The body must be an object; {_CHOICE}.")
-    for name in given.keys() & _FORM_OF:  # The parser silently keeps the last member of a name.
+    for name in given.keys() & _FORM_OF:  # The parser would silently keep the last of two members of one name.
         if body.count(b'"%b"' % name.encode()) > 1:
             raise InvalidArgumentError(f"The member {name!r} is given more than once; give it once.")
     several = {name: [value] if isinstance(value, int | float) else value for name, value in given.items()}
@@ -167,7 +167,7 @@ def read_npy(data: bytes, allowed: Callable[[tuple[int, ...]], bool], wanted: st
 
 
 def _points(given: Mapping[str, Any], *, strict: bool) -> Points:
-    """Return the points in the form to which the first name belongs; numbers may be texts unless `strict`."""
+    """Return points, read in the form that the first parameter selects; numbers may be texts unless `strict`."""
     form = _FORM_OF.get(next(iter(given), ""))
     if form is None:
         fault = f"{next(iter(given))[:60]!r} does not belong to a point" if given else "The request has no point"

@@ -23,7 +23,7 @@ class ColumnDocument(BaseModel):
 
     name: str
     read_as: Annotated[str | None, Field(description="What it means; null if it is not read.")]
-    unit: Annotated[str, Field(description="As the table says it, empty if it does not.")]
+    unit: Annotated[str, Field(description="The unit that the table states; empty if it states none.")]
 
 
 class TableDocument(BaseModel):
@@ -37,9 +37,9 @@ class TableDocument(BaseModel):
         Field(description=f"Smallest and largest of {', '.join(ANGLE_NAMES)}, red, green and blue [1/sr]."),
     ]
     angles_of_incidence_deg: Annotated[list[float] | None, Field(description="Angles theta_in, if they are few.")]
-    in_plane_of_incidence: Annotated[Share, Field(description="Share of the samples.")]
+    in_plane_of_incidence: Annotated[Share, Field(description="Fraction of the samples in the plane of incidence.")]
     warnings: list[str]
-    first: Annotated[list[list[float]], Field(description="The first samples, with numbers as those of `ranges`.")]
+    first: Annotated[list[list[float]], Field(description="The first samples, with numbers in the order of `ranges`.")]
 
 
 router = APIRouter(prefix="/v1/tables", tags=["measurements"], dependencies=CHECKED_QUERY)

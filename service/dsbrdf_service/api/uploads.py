@@ -61,8 +61,8 @@ OPTION_PARAMETERS, TABLE_PARAMETERS = (
 """Query parameters for the options of a fit, and of a table."""
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
-_PIECE_BYTES = 1 << 15  # Every unfinished upload keeps one piece in memory.
-_MAX_SHORT_TEXT_BYTES = 1 << 16  # A text of this size is read in about a second; a spreadsheet takes longer.
+_PIECE_BYTES = 1 << 15  # Every unfinished upload keeps one piece of this size in memory.
+_MAX_SHORT_TEXT_BYTES = 1 << 16  # A longer text takes over a second to read, so its reading is a long computation.
 _ZIP = b"PK"  # Every .xlsx file begins with these bytes.
 MAX_CONVERTED_BYTES = 1 << 23
 """Limit of an RGL file or a table, because reading one takes up to 70 times as much memory."""
@@ -73,11 +73,11 @@ async def receive_upload(
 ) -> tuple[MeasurementRow, bool]:
     """Store the measurement in the body; return its row, and whether it is new to the caller.
 
-    The content determines the kind of the file, whatever its type or name. A table is read with the options, and its
-    samples are stored.
+    The kind of the file is determined from its content, not from its media type or name. A table is read with the
+    options, and its samples are stored.
 
     Raises InvalidArgumentError if options are given for another file than a table, MeasurementFormatError if the file
-    is not a measurement, and ProblemError if it is too long, cannot be decoded, or exceeds the caller's quota.
+    is not a measurement, and ProblemError if the body is too long, cannot be decoded, or exceeds the caller's quota.
     """
     if name is not None and Path(name).suffix.lower() in _SUFFIXES:
         name = Path(name).stem
@@ -97,7 +97,7 @@ async def receive_upload(
 
 
 async def _receive_merl(request: Request, start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming) -> None:
-    """Write and check a MERL file; its first piece is enough to refuse a wrong header or a wrong declared length.
+    """Write and check a MERL file; a wrong header or a wrong declared length is refused after the first piece.
 
     Values are checked when all have arrived, so that an unfinished upload needs no memory for this check.
     """
@@ -124,7 +124,7 @@ def _count_valid_nodes(path: Path) -> int:
 
 
 async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming, most: int, kind: str) -> None:
-    """Write and close a file; raise ProblemError with its `kind` if it is longer than `most` bytes."""
+    """Write and close a file of a `kind`; raise ProblemError if the file is longer than `most` bytes."""
     piece = start
     while piece:
         if incoming.size + len(piece) > most:
@@ -132,19 +132,19 @@ async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming,
                 "measurement-too-large", f"{kind} has at most {most} bytes here, and this one is longer."
             )
         await in_thread(incoming.write, piece)
-        del piece  # A slow upload does not keep it in memory.
+        del piece  # This piece is not kept in memory while the next one arrives.
         piece = await anext(pieces, b"")
     await in_thread(incoming.close)
 
 
 def place_of_table(start: bytes, size: int) -> Place:
-    """Return the `Place` at which a table is read, by its first bytes and its size: a short text need not wait long."""
+    """Return the duration class of reading a table, by its first bytes and its size; a short text is `medium`."""
     is_short_text = size <= _MAX_SHORT_TEXT_BYTES and measurement_kind(start) == "samples" and start[:2] != _ZIP
     return "medium" if is_short_text else "long"
 
 
 async def read_table(request: Request, context: Context, *arguments: Any, **named: Any) -> Any:
-    """Call `Computations.run_in_process`; raise MeasurementFormatError instead of InvalidArgumentError."""
+    """Read a table in a separate process; raise MeasurementFormatError if the table is refused."""
     try:
         return await context.computations.run_in_process(request, *arguments, **named)
     except InvalidArgumentError as error:
@@ -152,7 +152,7 @@ async def read_table(request: Request, context: Context, *arguments: Any, **name
 
 
 async def _pieces(request: Request) -> AsyncIterator[bytes]:
-    """Yield the decoded body: first enough bytes to recognise the kind of the file, then pieces."""
+    """Yield the decoded body: first enough bytes to recognise the kind of the file, then further pieces."""
     piece, begun = b"", False
     async for part in decoded(request, FILE_SIZE):
         piece += part

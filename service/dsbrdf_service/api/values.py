@@ -32,8 +32,8 @@ from .points import FORMS, Points, batch_step, from_json, from_npy, from_query
 class _DirectRoute(APIRoute):
     """Call a route's function with its dependencies and path parameters, without FastAPI's validation.
 
-    FastAPI describes the route like any other. Without FastAPI's dependencies, validation and exit stacks, a GET takes
-    a third less time. An invalid id is answered as not found.
+    The OpenAPI document describes the route like any other. Without FastAPI's dependencies, validation and exit stacks,
+    a GET takes a third less time. An invalid id is answered as not found.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -63,15 +63,15 @@ router = APIRouter(prefix="/v1/fits/{fit_id}", tags=["values"], route_class=_Dir
 measured = APIRouter(prefix="/v1/measurements/{sha256}/brdf", tags=["values"])
 _Component = Annotated[Label, Path(description=f"One of {', '.join(LABELS)}.", examples=[LABELS[0]])]
 
-_MAX_INLINE_POINTS = 64  # More points take longer to evaluate than to pass to a thread.
-_BLOCK_POINTS = 4096  # Larger blocks take more memory and are not faster.
+_MAX_INLINE_POINTS = 64  # More points are evaluated in a thread; for fewer, the change of thread would take longer.
+_BLOCK_POINTS = 4096  # Points are evaluated in blocks of this size; larger blocks take more memory and are not faster.
 _MAX_BODY_BYTES = 16_000_000  # This is the size of 100,000 pairs of directions as JSON with all digits.
 _MAX_POINTS = 100_000
-_MAX_INLINE_JSON_BYTES = 1 << 20  # The parser blocks all threads for 50 ms; more goes to a process.
+_MAX_INLINE_JSON_BYTES = 1 << 20  # A process parses longer JSON, which would block all threads for over 50 ms.
 
 
 def _query_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Declare a member of a document of points as a query parameter, which is repeated for several points."""
+    """Return the OpenAPI declaration of a query parameter, from the JSON schema of the member with this name."""
     several = schema.get("anyOf", [schema])[0]
     is_vector = several["items"]["type"] == "array"
     described = {
@@ -109,7 +109,7 @@ _post = partial(router.post, response_model=Values, responses=_POST_RESPONSES, o
 
 @_get("/brdf")
 async def get_values(request: Request, context: TheContext, fit: TheFit) -> Response:
-    """Return the fit's values; parameters repeat for several points."""
+    """Return BRDF values of a fit; repeat each parameter for several points."""
     return await _values(request, context, fit, None)
 
 
@@ -121,24 +121,24 @@ async def get_component_values(request: Request, context: TheContext, fit: TheFi
 
 @_post("/brdf")
 async def post_values(request: Request, context: TheContext, fit: TheFit) -> Response:
-    """Return the fit's values at a batch of points, JSON or .npy in, by `Accept` JSON or .npy out.
+    """Return BRDF values of a fit at a batch of points; body and answer are JSON or .npy.
 
-    A .npy array holds (n, 2) or (n, 3) angles in degrees: theta_half, theta_diff and, where it is not 90, phi_diff;
-    or (n, 6) or (n, 2, 3) directions. The answer is (n, 3) float64, 0 where a direction is below the horizon.
-    A request has at most 100,000 points.
+    `Accept` chooses the type of the answer. A .npy array holds (n, 2) or (n, 3) angles in degrees: theta_half,
+    theta_diff and, where it is not 90, phi_diff; or pairs of directions, (n, 6) or (n, 2, 3). The answer is (n, 3)
+    float64, 0 where a direction is below the horizon. A request has at most 100,000 points.
     """
     return await _values(request, context, fit, None)
 
 
 @_post("/components/{label}/brdf")
 async def post_component_values(request: Request, context: TheContext, fit: TheFit, label: _Component) -> Response:
-    """Return one component's values at a batch of points, as for the whole fit."""
+    """Return the values of one component at a batch of points, in the formats of the whole fit's values."""
     return await _values(request, context, fit, label)
 
 
 @measured.get("", response_model=MeasuredValues, responses=_OF_MEASUREMENT, openapi_extra=_QUERY)
 async def get_measured_values(request: Request, context: TheContext, stored: TheMeasurement) -> Response:
-    """Return the measurement's own values, interpolated between its nodes; parameters repeat for several points.
+    """Return the measurement's own values, interpolated between its nodes; repeat each parameter for several points.
 
     A value is null if no neighbouring node was measured, for example below the horizon.
     """
@@ -152,11 +152,12 @@ async def post_measured_values(request: Request, context: TheContext, stored: Th
 
 
 async def _values(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
-    """Return the values of a fit or of a component: few values directly, more in a turn of `Computations`."""
+    """Return values of a fit or a component; a few are computed at once, more when it is the caller's turn."""
     try:
         points, media_type = await _points(request, context)
     except (InvalidArgumentError, ProblemError):
-        (await context.models.get(fit)).part(label)  # A wrong address is the first mistake to mend.
+        # If the fit or the component does not exist, this reports the wrong address instead of the wrong points.
+        (await context.models.get(fit)).part(label)
         raise
     if points.theta_half.size <= _MAX_INLINE_POINTS and media_type == JSON:
         values = await context.models.evaluate(fit, label, *points)

@@ -1,4 +1,4 @@
-"""Run computations for requests: equal computations run once, callers take turns, and abandoned ones are cancelled.
+"""Run computations for requests: equal computations run once, callers take turns, and unneeded ones are cancelled.
 
 Every route that computes more than a few values uses `Computations`. A computation that takes more than some 50 ms
 runs in a separate process.
@@ -39,7 +39,7 @@ _TOO_COSTLY = {
 
 @dataclass
 class _Computation:
-    """A computation that runs or waits for its turn, and the number of requests that wait for its result."""
+    """Hold a computation that runs or waits for its turn, and the number of requests that wait for its result."""
 
     task: "asyncio.Task[Any]"
     scope: CancelScope
@@ -60,7 +60,7 @@ class Computations:
         at_once = replace(limits, niceness=0)
         self._processes = {"medium": Processes(1, at_once), "long": Processes(1, limits)}
         self._in_progress: dict[Hashable, _Computation] = {}
-        # Files that are still being sent, by the key of their computation.
+        # Files that are still being sent, by the key of their computation, so that equal requests share a file.
         self._files: WeakValueDictionary[Hashable, OpenFile] = WeakValueDictionary()
 
     async def run(self, request: Request, key: Hashable, compute: Callable[[], T]) -> T:
@@ -170,6 +170,6 @@ class Computations:
 
 async def departure(request: Request) -> None:
     """Return when the client has closed the connection."""
-    with suppress(ProblemError):  # The rest of the body may arrive too slowly.
+    with suppress(ProblemError):  # A client that sends the rest of a body too slowly counts as gone.
         while (await request.receive())["type"] != "http.disconnect":
             pass

@@ -49,13 +49,13 @@ class _Batch:
 
 
 class ModelCache:
-    """Cache the `size` models that were used last, by fit."""
+    """Cache the models of the fits that were used last, at most `size` of them."""
 
     def __init__(self, store: Store, size: int) -> None:
         self._store = store
         self._size = size
-        self._models: OrderedDict[tuple[FitKey, int | None], LoadedFit] = OrderedDict()  # By fit and result stamp.
-        self._batches: dict[tuple[FitKey, str | None], _Batch] = {}  # By fit and component.
+        self._models: OrderedDict[tuple[FitKey, int | None], LoadedFit] = OrderedDict()  # By fit and result's checksum.
+        self._batches: dict[tuple[FitKey, str | None], _Batch] = {}  # By fit and component label.
 
     async def get(self, key: FitKey) -> LoadedFit:
         """Return the model of a fit; raise ProblemError if there is no such fit, or it has no result.
@@ -67,24 +67,25 @@ class ModelCache:
             self._models.move_to_end((key, stamp))
             return self._models[key, stamp]
         loaded = LoadedFit(*await run_in_threadpool(lambda: fit_from_json(self._store.result(key).decode())))
-        if stamp is not None:  # Without a stamp, the fit ended after it was read.
-            loaded = self._models.setdefault((key, stamp), loaded)  # Another request may have loaded it meanwhile.
+        if stamp is not None:  # A fit that had no result when its stamp was read is not cached.
+            loaded = self._models.setdefault((key, stamp), loaded)  # Another request may have loaded the fit.
             if len(self._models) > self._size:
                 self._models.popitem(last=False)
         return loaded
 
     async def evaluate(self, key: FitKey, label: str | None, *angles: Array) -> Array:
-        """Return the values (n, 3) of a fit, or of one component, at a few points with checked angles (n,) each [rad].
+        """Return the values (n, 3) of a fit, or of one component, at a few points.
 
-        Requests that come while others are read are evaluated together, because NumPy takes as long for 16 points as
-        for one. Raises ProblemError as `get` and `LoadedFit.part`.
+        `angles` are the checked theta_half, theta_diff and phi_diff of the points, shape (n,) each [rad]. Requests that
+        come while others are read are evaluated together, because NumPy takes as long for 16 points as for one. Raises
+        ProblemError as `get` and `LoadedFit.part`.
         """
         batch = self._batches.get((key, label))
         if batch is None:
             batch = self._batches[key, label] = _Batch(asyncio.create_task(self._evaluate(key, label)))
         start, batch.n_points = batch.n_points, batch.n_points + len(angles[0])
         batch.angles.append(angles)
-        values = await asyncio.shield(batch.task)  # A cancelled request must not cancel the others.
+        values = await asyncio.shield(batch.task)  # A cancelled request must not cancel the values of others.
         return values[start : start + len(angles[0])]
 
     async def _evaluate(self, key: FitKey, label: str | None) -> Array:

@@ -1,7 +1,7 @@
 """Define the functions that `Computations.run_in_process` calls in separate processes.
 
-Every such process imports this module, so the module imports nothing of the service. The caller has already checked
-the files of measurements whose paths it passes.
+Every such process imports this module, so the module imports nothing of the service. The files of
+measurements are checked before their paths are passed to these functions.
 """
 
 import hashlib
@@ -60,16 +60,16 @@ _SAMPLE_FIGURES: dict[str, Callable[[ScatteredSamples, DSBRDF], "Figure"]] = {
     "parameters": lambda samples, model: parameters_figure(model, title=samples.name),
     "residual": samples_residual_figure,
 }
-_MIN_LOGARITHM_VALUE = 1e-6  # [1/sr] It is added to each value, as in `interpolate`.
+_MIN_LOGARITHM_VALUE = 1e-6  # [1/sr] `interpolate` too adds this to each value, so that 0 has a logarithm.
 
 
 @dataclass(frozen=True)
 class StoredMeasurement:
-    """Locate a stored measurement."""
+    """Hold the path, the sha256 and the name of a stored measurement."""
 
     path: Path
     sha256: str
-    name: str | None = None  # Figures have this title, or the beginning of the digest.
+    name: str | None = None  # Title of figures; without a name, the title is the beginning of the sha256.
 
     def mapped(self) -> Measurement:
         """Return the measurement, with its file mapped into memory."""
@@ -140,8 +140,10 @@ def figure_step(
     import matplotlib.style
 
     mpl.style.use("dark_background" if dark else "default")
-    mpl.rcParams["savefig.transparent"] = dark  # Dark pages are seldom black.
-    mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # Equal figures have equal bytes, because they have equal ETags.
+    mpl.rcParams["savefig.transparent"] = dark  # Dark pages are seldom black, so their colour shows through.
+    mpl.rcParams["svg.hashsalt"] = (
+        "dsbrdf"  # A fixed salt gives equal figures equal bytes, as their equal ETags promise.
+    )
     measured = open_checked(stored.path, stored.sha256)
     name = stored.name or stored.sha256[:12]
     if isinstance(measured, Measurement):
@@ -165,7 +167,7 @@ def samples_step(stored: StoredMeasurement, most: int, _: OnProgress) -> bytes:
 
 
 def understood_step(content: bytes, options: TableOptions, _: OnProgress) -> dict[str, Any]:
-    """Read a table and return its `summary_of_table`.
+    """Read a table and return its summary, as `dsbrdf table` prints it.
 
     Raises MeasurementFormatError if the table cannot be read.
     """
@@ -180,7 +182,7 @@ def export_step(
 
 
 def conversion_step(path: Path, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:
-    """Replace an RGL file by a MERL table, or a table by a file of samples.
+    """Convert the uploaded file at `path` in place: an RGL file to a MERL table, a table to a file of samples.
 
     Return the sha256 and the length of the content, and the number of grid nodes with a value, 0 for samples.
 

@@ -1,4 +1,4 @@
-"""Limit the head of a request, and how slowly its body may arrive.
+"""Limit the length of a request's head, and the time in which its body must arrive.
 
 The proxy in front of a public service (`docker/nginx.conf`) must limit slow heads, slow readers and floods of requests.
 """
@@ -14,7 +14,8 @@ from ..errors import ProblemError
 _READ_BYTES = 1 << 16
 _MAX_LINE_BYTES = 8192  # Longer headers and addresses are refused.
 _MAX_HEADERS = 100
-_SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")  # If one occurs twice, it is unclear which counts.
+# A request may have each of these headers only once, because it would be unclear which one counts.
+_SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")
 _CLOSE_HEADERS = {"Connection": "close"}
 ABORT = "dsbrdf.abort"
 """Member of the ASGI scope: a function that closes the connection at once, without sending buffered data."""
@@ -26,7 +27,7 @@ class Connection(HttpToolsProtocol, asyncio.BufferedProtocol):
     Without a buffer, asyncio would read 256 kB at a time, which every slow upload would keep in memory.
     """
 
-    # All connections of the process's event loop share one buffer, because its content is parsed before the next read.
+    # All connections can share one buffer, because its content is parsed before the next read.
     _received = memoryview(bytearray(_READ_BYTES))
 
     def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 (asyncio's signature)
@@ -45,9 +46,9 @@ class Connection(HttpToolsProtocol, asyncio.BufferedProtocol):
 
 
 def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
-    """Raise ProblemError if the head of a request is too long, or has no single host.
+    """Raise ProblemError if the head of a request is too long, or does not name exactly one host.
 
-    `headers` are those of `scope` by name.
+    `headers` has the headers in `scope` by name.
     """
     sent = scope["headers"]
     too_long = len(sent) > _MAX_HEADERS or len(scope["path"]) + len(scope["query_string"]) > _MAX_LINE_BYTES

@@ -28,7 +28,7 @@ class Metrics:
         timed: dict[str, Any] = {"buckets": _BUCKET_BOUNDS_S, "registry": registry}
         from_head_to_end = "Time from a request's head to the end of its answer [s]."
         request_seconds = Histogram("dsbrdf_request_seconds", from_head_to_end, ("method", "route"), **timed)
-        # The cache saves the search for labels, which takes longer than counting.
+        # Counters are cached by their labels, because finding a counter takes longer than counting.
         self._of_request = cache(lambda *of: (requests.labels(*of), request_seconds.labels(*of[:2])))
         stage_seconds = Histogram("dsbrdf_stage_seconds", "Time of a part of the work [s].", ("stage",), **timed)
         self.upload_seconds = stage_seconds.labels("upload")

@@ -32,7 +32,7 @@ def check_name(text: str) -> str:
 def given_name(request: "Request") -> str | None:
     """Return the name that a request gives to its upload or fit, if any.
 
-    It is in the query, or it is the name of the file in ``Content-Disposition`` (RFC 6266).
+    The name is the parameter `name` of the query, or the file name in ``Content-Disposition`` (RFC 6266).
 
     Raises InvalidArgumentError if the name is not valid.
     """

@@ -1,4 +1,4 @@
-"""Complete the OpenAPI document: declarations of routes beyond their types, and answers of every operation."""
+"""Complete the OpenAPI document with bodies, headers, errors and examples that FastAPI does not derive from types."""
 
 import json
 from collections.abc import Sequence
@@ -86,7 +86,7 @@ def answer(description: str, model: type[BaseModel], *names: str) -> dict[str, A
 
 
 def body(description: str, content: dict[str, Any]) -> dict[str, Any]:
-    """Return the declaration of a request body that FastAPI does not read; `content` by media type."""
+    """Return the declaration of a request body that FastAPI does not read; `content` has a schema for each type."""
     return {"requestBody": {"required": True, "description": description, "content": content}}
 
 
@@ -109,14 +109,14 @@ def reference(model: type[BaseModel]) -> dict[str, str]:
 
 
 def file(media_type: str, **schema: Any) -> dict[str, Any]:
-    """Return the content of a binary body or response."""
-    # OpenAPI 3.1 needs only the media type; generators of clients read `format`.
+    """Return the OpenAPI declaration of a binary body or response."""
+    # OpenAPI 3.1 needs only the media type, but client generators read `format`.
     return {"schema": {"type": "string", "format": "binary", "contentMediaType": media_type, **schema}}
 
 
 def document_of(app: FastAPI, referenced: Sequence[type[BaseModel]]) -> dict[str, Any]:
-    """Return the complete OpenAPI document of `app`; FastAPI does not find the models `referenced` itself."""
-    # Fits come first in the document and in generated pages.
+    """Return the OpenAPI document of `app`, with the schemas of `referenced`, which FastAPI does not find."""
+    # Routes are sorted by tag, so that fits come first in the document and in generated pages.
     routes = sorted((route for route in app.routes if getattr(route, "tags", None)), key=_place)
     document = get_openapi(title=app.title, version=app.version, description=app.description, routes=routes)
     models: tuple[type[BaseModel], ...] = (Problem, *referenced)
@@ -138,7 +138,7 @@ def _place(route: Any) -> int:
 
 def _complete(content: dict[str, Any]) -> None:
     """Add the example to a body or an answer, and remove a member that OpenAPI 3.1 does not know."""
-    content.get("text/event-stream", {}).pop("itemSchema", None)  # OpenAPI 3.1 has no such member.
+    content.get("text/event-stream", {}).pop("itemSchema", None)  # OpenAPI 3.1 has no member `itemSchema`.
     described = content.get(JSON, {})
     model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
     if model in _EXAMPLES:

@@ -1,4 +1,4 @@
-"""Convert exceptions to RFC 9457 problem documents, by one table for every error status.
+"""Convert exceptions to RFC 9457 problem documents, by one table of all kinds of problems.
 
 The ``type`` of a problem is stable, so that scripts may depend on it. Its ``detail`` is one sentence for a person.
 """
@@ -81,7 +81,7 @@ KINDS: dict[str, Kind] = {
     "disk-full": Kind(507, "The service's disk is full", 30),
 }
 
-# The kinds of errors that the library raises.
+# Each error of the library becomes a problem of this kind.
 _KIND_OF_ERROR: dict[type[Exception], str] = {
     MeasurementFormatError: "measurement-format",
     InvalidArgumentError: "invalid-argument",
@@ -108,10 +108,10 @@ def problem_of(request: Request, error: Exception) -> ProblemError:
     path = request.url.path
     if isinstance(error, ProblemError):
         return error
-    if isinstance(error, ClientDisconnect):  # Only the log and the metrics record this answer.
+    if isinstance(error, ClientDisconnect):  # Nobody receives this answer, but the log and the metrics record it.
         return ProblemError("bad-request", "The client disconnected before the end of the body.")
     if isinstance(error, RequestValidationError):
-        if any(fault["loc"][0] == "path" for fault in error.errors()):  # No resource can have this id or label.
+        if any(fault["loc"][0] == "path" for fault in error.errors()):  # No resource can have an ill-formed id.
             return _nothing_at(path)
         return ProblemError("invalid-argument", validation_sentence(error.errors()))
     if isinstance(error, HTTPException) and error.status_code == 404:

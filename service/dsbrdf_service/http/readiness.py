@@ -58,7 +58,7 @@ class Readiness:
             try:
                 check()
             except (OSError, sqlite3.Error, RuntimeError) as error:
-                # The client gets the reason; the log also names the file.
+                # The client gets the reason of a failed check; the log also names the file.
                 logger.warning("%s is not ready: %s", name, error)
                 reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
                 faults.append(f"{name} is not ready: {reason.rstrip('.')}.")

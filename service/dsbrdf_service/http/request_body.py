@@ -12,7 +12,7 @@ from ..access.authentication import CALLER_NAME
 from ..errors import ProblemError
 
 PIECE = 1 << 16
-_MAX_HELD_BYTES = 64_000_000  # Further bodies of the same caller are refused until some are answered.
+_MAX_HELD_BYTES = 64_000_000  # If unanswered bodies of a caller exceed this size, the next body is refused.
 
 
 def media_type_of(request: Request, *supported: str) -> str:
@@ -23,7 +23,7 @@ def media_type_of(request: Request, *supported: str) -> str:
     media_type = request.headers.get("content-type", supported[0]).partition(";")[0].strip().lower()
     if media_type not in supported:
         alone = f"send the file or document alone as the body, with one of {', '.join(supported)}"
-        if media_type == "application/x-www-form-urlencoded":  # curl sends it with --data-binary.
+        if media_type == "application/x-www-form-urlencoded":  # curl sends this type with --data-binary.
             alone = f"add --header 'Content-Type: {supported[0]}', or another of {', '.join(supported[1:])}"
         detail = f"The content type {media_type[:60]!r} is not supported here; {alone}."
         raise ProblemError("unsupported-media-type", detail, {"Accept-Post": ", ".join(supported)})
@@ -31,10 +31,10 @@ def media_type_of(request: Request, *supported: str) -> str:
 
 
 class Bodies:
-    """Receive request bodies into memory, bounded for each caller."""
+    """Receive request bodies into memory, of which each caller may use a limited amount."""
 
     def __init__(self) -> None:
-        self._held: Counter[str] = Counter()  # Bytes by caller.
+        self._held: Counter[str] = Counter()  # Bytes of bodies in memory, by caller.
 
     @asynccontextmanager
     async def received(self, request: Request, limit: int) -> AsyncIterator[bytes]:
@@ -56,14 +56,14 @@ class Bodies:
             yield bytes(content)
         finally:
             self._held[caller] -= len(content)
-            self._held += Counter()  # This removes callers without bodies.
+            self._held += Counter()  # Adding a counter removes callers with 0 bytes.
 
 
 async def decoded(request: Request, limit: int) -> AsyncIterator[bytes]:
-    """Yield the decoded body; a compressed body, which can become very long, in pieces of at most `PIECE` bytes.
+    """Yield the decoded body in pieces; a piece of a compressed body has at most `PIECE` bytes.
 
-    Raises ProblemError if the encoding is unknown, or the body is damaged or longer than `limit` encoded bytes can be.
-    The caller bounds the length of the decoded body.
+    Raises ProblemError if the encoding is unknown, if the body is damaged, or if it is longer than any encoding of
+    `limit` bytes. The caller must bound the length of the decoded body, which can be much longer.
     """
     names = ",".join(request.headers.getlist("content-encoding")).lower().split(",")
     encoding = ", ".join(name for part in names if (name := part.strip()) not in ("", "identity"))
@@ -73,7 +73,7 @@ async def decoded(request: Request, limit: int) -> AsyncIterator[bytes]:
     member, left = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS), limit + limit // 64 + 1024
     async for piece in request.stream():
         left -= len(piece)
-        if left < 0:  # An endless gzip body can decode to nothing.
+        if left < 0:  # The encoded length is limited too, because an endless gzip body can decode to nothing.
             raise _too_large(limit)
         if not encoding:
             yield piece

@@ -34,7 +34,7 @@ _SECURITY_HEADERS = (
     # The client may store a response, but must validate it with If-None-Match before each use.
     (b"cache-control", b"private, no-cache"),
 )
-_POLICY = b"content-security-policy"  # The pages have their own policy.
+_POLICY = b"content-security-policy"  # The web pages set their own policy instead of `_STRICT`.
 _STRICT = b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 
 logger = logging.getLogger(__name__)
@@ -66,22 +66,20 @@ class RequestLogMiddleware:
             caller = self._access.admit(scope, headers)
             await self._app(scope, body, exchange.send)
         except asyncio.CancelledError:
-            # The server is stopping, and its waiting time is over; the task of this request ends here anyway.
+            # The server is stopping and its waiting time is over, so it cancels the task of this request.
             detail = "The service is shutting down and cannot finish this request; ask again later."
             await exchange.refuse(scope, ProblemError("shutting-down", detail))
         except Exception as error:
-            # The exception becomes a problem document. If a part of the answer has been sent, the server logs the
-            # exception and closes the connection.
             await exchange.refuse(scope, error)
             if not (exchange.complete or exchange.given_up):
-                raise
+                raise  # A part of the answer has been sent, so the server logs the exception and closes the connection.
         finally:
             self._access.release(caller)
             self._log(scope, exchange, body.n_bytes)
 
     def _log(self, scope: Scope, exchange: "_Exchange", n_received: int) -> None:
         seconds = perf_counter() - exchange.begin
-        method, status = exchange.method, exchange.status or 499  # 499: the client left before the answer.
+        method, status = exchange.method, exchange.status or 499  # 499 means that the client left before the answer.
         route = getattr(scope.get("route"), "path", NO_ROUTE)
         self._metrics.answered(method, route, status, seconds)
         if status >= 500:
@@ -129,14 +127,14 @@ class _Exchange:
             await problem_response(problem_of(request, error), scope["path"])(scope, request.receive, self.send)
 
     async def send(self, message: Message) -> None:
-        """Send a part of the response; add the request's id to its head."""
+        """Send a part of the response; add the request's id and protective headers to the response's head."""
         if message["type"] == "http.response.start":
             self.status = message["status"]
             headers = [*message.get("headers", ()), *_SECURITY_HEADERS, (b"x-request-id", self.request_id.encode())]
             if _POLICY not in dict(headers):
                 headers.append((_POLICY, _STRICT))
             message["headers"] = headers
-        elif self.method == "HEAD":  # The answer of a HEAD has no body, so the first piece of a body ends it.
+        elif self.method == "HEAD":  # The answer of a HEAD has no body, so the first piece of a body ends the answer.
             if self.complete:
                 return
             message, self.complete = {"type": "http.response.body"}, True
@@ -148,7 +146,7 @@ class _Exchange:
         await self._send(message)
 
     async def _send_in_pieces(self, message: Message) -> None:
-        """Send a part of a long answer; close the connection if the client reads more slowly than a body may arrive."""
+        """Send a part of a long answer; close the connection if the client reads more slowly than it may upload."""
         body, begin = message.get("body", b""), perf_counter()
         for start in range(0, max(len(body), 1), PIECE_BYTES):
             piece = body[start : start + PIECE_BYTES]
@@ -163,7 +161,7 @@ class _Exchange:
                 self.given_up = True
                 logger.info("gave up a client that does not read its answer")
                 self._abort()
-                await asyncio.sleep(0)  # The server processes the end of the connection.
+                await asyncio.sleep(0)  # This lets the server process the aborted connection first.
                 raise ClientDisconnect from None
             self._n_sent += len(piece)
             self._waited += perf_counter() - begin

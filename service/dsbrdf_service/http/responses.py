@@ -1,4 +1,4 @@
-"""Make responses: JSON documents with strong ETags, files, and links to the next page."""
+"""Make responses with strong ETags or from open files, and read the request headers that affect responses."""
 
 import hashlib
 import re
@@ -19,7 +19,7 @@ JSON = "application/json"
 NPY = "application/x-npy"
 PIECE_BYTES = 1 << 16
 """Length of the pieces of an answer [bytes]: a connection with a slow client keeps two pieces in memory."""
-_MAX_HELD_BYTES = 1 << 18  # A longer answer is written to a temporary file while it is sent.
+_MAX_HELD_BYTES = 1 << 18  # A longer answer is sent from a temporary file, so that it does not stay in memory.
 # Files are read in their own threads, so that no other request waits for the pieces of many answers.
 _read_in_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(2))
 _WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?([0-9]{1,9}(?:\.[0-9]{1,9})?)"?\s*(?:[,;]|$)', re.IGNORECASE)
@@ -75,7 +75,7 @@ class OpenFileResponse(Response):
 
 
 async def long_reply(writing: Writing, caller: Caller, content: bytes, headers: Mapping[str, str]) -> Response:
-    """Return an answer whose content no other request needs; a long answer is sent from a file."""
+    """Return an answer with the given content and headers; a long answer is sent from a temporary file."""
     if len(content) <= _MAX_HELD_BYTES:
         return Response(content, 200, dict(headers))
     return OpenFileResponse(await writing.answer_with(caller, content), headers)
@@ -93,6 +93,6 @@ def preferred_wait(request: Request, default: float, longest: float) -> float:
 
 
 def prefers(request: Request, wanted: str, other: str) -> bool:
-    """Return whether ``Accept`` names one media type, and not the other before it; weights are ignored."""
+    """Return whether ``Accept`` names the media type `wanted`, and not `other` before it; weights are ignored."""
     accepted = ",".join(request.headers.getlist("accept")).lower()
     return re.findall(f"{re.escape(wanted)}|{re.escape(other)}", accepted)[:1] == [wanted]

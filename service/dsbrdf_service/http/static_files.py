@@ -1,6 +1,7 @@
 """Send the files of the web page, and of the page that shows the OpenAPI document; these files need no API key.
 
-The pages load nothing from the internet. Their addresses are relative, so they work behind a proxy that adds a prefix.
+The pages load nothing from the internet. Addresses in the pages are relative, so that the pages work behind a proxy
+that adds a prefix.
 """
 
 import gzip
@@ -63,7 +64,7 @@ STATIC_FILES["/docs"] = _read(_OURS / "docs.html")
 
 
 def file_at(path: str) -> StaticFile | None:
-    """Return the file for a path; below ``/fits`` and ``/measurements``, the page's addresses begin a level higher."""
+    """Return the static file for a path; addresses in the page fit the depth of the path."""
     if _PAGE_PATHS.fullmatch(path):
         return _PAGE_BELOW if path.count("/") > 1 else _PAGE
     return STATIC_FILES.get(path)

@@ -31,15 +31,15 @@ logger = logging.getLogger(__name__)
 Values = TypeVarTuple("Values")
 T = TypeVar("T")
 
-_RETRY_DELAY = 5.0  # [s] Pause after a failed write, or after a process could not be started.
+_RETRY_DELAY = 5.0  # [s] Pause before a failed write, or the failed start of a process, is repeated.
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)
 _MIN_POLL_INTERVAL = 0.05  # [s] Pause between two readings of the row of a fit that has no task in this process.
-_LOST_DELAY = 0.5  # [s] At a shutdown of the machine, the service is stopped within this time after the fit.
+_LOST_DELAY = 0.5  # [s] Wait after the loss of a process, because a shutdown of the machine soon stops the service too.
 
 
 @dataclass
 class _RunningFit:
-    """Hold an unfinished fit of this process. Its scope cancels the task after calls in threads have returned."""
+    """Hold an unfinished fit of this process; its scope cancels the task after calls in threads have returned."""
 
     task: "asyncio.Task[None]"
     scope: CancelScope
@@ -79,7 +79,7 @@ class FitQueue:
             self._begin(key)
 
     def release_waiters(self) -> None:
-        """End all waits for fits with their present states, because the service is about to stop."""
+        """Answer all requests that wait for fits with the present states, because the service is about to stop."""
         if not self._stopping.done():
             self._stopping.set_result(None)
 
@@ -94,7 +94,7 @@ class FitQueue:
     async def submit(
         self, caller: Caller, sha256: str, options: dict[str, Any], name: str | None = None
     ) -> tuple[FitRow, bool]:
-        """Accept a fit, or find an equal one; return its durable row, and whether it is new. See `Store.add_fit`."""
+        """Accept a fit, or find an equal one; return its stored row, and whether it is new. See `Store.add_fit`."""
         limit = self._settings.queue_limit
         row, new = await in_write_thread(self._store.add_fit, caller, sha256, options, limit, name)
         if new and not self._stopping.done():
@@ -116,7 +116,7 @@ class FitQueue:
         return 0.0 if running is None else running.progress
 
     async def watch(self, key: FitKey, *ends: "asyncio.Future[None]", each_step: bool = True) -> AsyncIterator[FitRow]:
-        """Yield the row of a fit now, at `each_step` of its progress if wanted, and at its end.
+        """Yield the row of a fit at once, after each step if `each_step`, and at the end of the fit.
 
         The iteration ends early when the fit is deleted, or one of `ends` is done.
         """
@@ -131,14 +131,14 @@ class FitQueue:
             yield row
             if row.ended or any(map(asyncio.Future.done, ends)):
                 return
-            if change is None:  # The fit has no task, so only its row shows a change.
+            if change is None:  # The fit has no task in this process, so only its row shows a change.
                 await asyncio.sleep(_MIN_POLL_INTERVAL)
             else:
                 await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
 
     async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""
-        running = self._running.get(key)  # Read this before the row changes, because an equal request may then begin.
+        running = self._running.get(key)  # Read first: an equal request may start a new fit after the row changes.
         row = await in_write_thread(self._store.cancel_fit, key)
         if row is not None and running is not None:
             running.scope.cancel()
@@ -146,7 +146,7 @@ class FitQueue:
 
     def _begin(self, key: FitKey) -> None:
         previous, scope = self._running.get(key), CancelScope()
-        if previous is not None:  # The database says that the previous fit has ended: its task is obsolete.
+        if previous is not None:  # The previous fit has ended in the database, so its task is obsolete.
             previous.scope.cancel()
         task = asyncio.create_task(self._run(key, scope, previous.task if previous else None))
         self._running[key] = running = _RunningFit(task, scope, self._loop.create_future())
@@ -173,7 +173,7 @@ class FitQueue:
                 logger.exception("the fit could not be brought to its end")
 
     async def _attempt(self, key: FitKey) -> bool:
-        """Run a fit once; return whether it is over."""
+        """Run a fit once; return False if the fit must run again."""
         row = await _write(self._store.start_fit, key)
         if row is None:
             return True

@@ -1,7 +1,8 @@
 """Store measurement files on disk: write a temporary file, then rename it to its final name in one step.
 
-A file gets its final name before its row is committed, and is deleted after its row (see `removal`). The name is the
-sha256 of the content. Before a file is read, its sha256 is checked; it is computed again only if the file has changed.
+A file gets its final name before its row is committed and is deleted after its row (see `removal`), so that every row
+has a file. The name is the sha256 of the content. Before a file is read, its sha256 is checked, but the sha256 is
+computed again only if the file has changed.
 """
 
 import errno
@@ -31,8 +32,8 @@ class Incoming:
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=folder)
         self.path = Path(name)
         self.size = 0  # [bytes]
-        self.sha256 = ""  # `close` sets it.
-        self.valid_nodes = 0  # The caller sets it for a grid; it stays 0 for samples.
+        self.sha256 = ""  # `close` sets this digest.
+        self.valid_nodes = 0  # Number of grid nodes with a value, set by the caller; 0 for samples.
         self._file: BinaryIO = os.fdopen(descriptor, "wb", buffering=0)
         self._digest = hashlib.sha256()
 
@@ -45,13 +46,13 @@ class Incoming:
         self.size += len(data)
 
     def close(self) -> None:
-        """Make the content durable."""
+        """Write the content durably to the disk, close the file, and set its digest."""
         os.fsync(self._file.fileno())
         self._file.close()
         self.sha256 = self._digest.hexdigest()
 
     def discard(self) -> None:
-        """Remove the file, unless it has been placed."""
+        """Remove the file, unless `Blobs.place` has moved it."""
         self._file.close()
         self.path.unlink(missing_ok=True)
 
@@ -80,11 +81,11 @@ class Blobs:
     def __init__(self, folder: Path) -> None:
         self._blobs = folder / "blobs"
         self.temporary = folder / "tmp"
-        # Stat of each file at the time when its sha256 was checked and right.
+        # Stat of each file when its sha256 was last correct, so that an unchanged file need not be read again.
         self._sound: dict[str, tuple[int, ...]] = {}
 
     def make_folders(self) -> None:
-        """Make both folders if they do not exist; raise DataFolderError if something else is in their place."""
+        """Make both folders if they do not exist; raise DataFolderError if the path of one is not a folder."""
         own_folder(self._blobs)
         own_folder(self.temporary)
 
@@ -96,7 +97,7 @@ class Blobs:
     def temporary_file(self, hold: object) -> Iterator[tuple[OpenFile, Path]]:
         """Yield an open file and its path, to which the block writes; the path is removed when the block ends.
 
-        The file keeps `hold` alive.
+        The open file keeps a reference to `hold`, so that its disk space stays reserved until the file is closed.
         """
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, dir=self.temporary)
         file = OpenFile(descriptor, hold)
@@ -106,9 +107,9 @@ class Blobs:
             Path(name).unlink()
 
     def place(self, incoming: Incoming) -> None:
-        """Move a closed incoming file to its place; durable when this returns.
+        """Move a closed incoming file to its final name; the move is durable when this returns.
 
-        The move takes equally long if the file exists already, so that time does not reveal whether another key has it.
+        A file that exists already is replaced, so that the duration does not reveal whether another key has this file.
         """
         target = self.path(incoming.sha256)
         if not target.parent.exists():
@@ -119,7 +120,7 @@ class Blobs:
         self._sound[incoming.sha256] = _stamp(target.stat())
 
     def damage(self, sha256: str) -> str | None:
-        """Return the damage of a measurement's file; None if the file's bytes have the sha256 in its name.
+        """Return what is wrong with a measurement's file, or None if its bytes have the sha256 in its name.
 
         All bytes are read, unless they were correct before and the file's stat has not changed. Raises OSError if too
         many files are open.
@@ -127,14 +128,14 @@ class Blobs:
         path = self.path(sha256)
         try:
             status = path.stat()
-            if not stat.S_ISREG(status.st_mode):  # To open a pipe could block.
+            if not stat.S_ISREG(status.st_mode):  # A pipe is not opened, because that could block.
                 return "it is no regular file"
             if self._sound.get(sha256) == _stamp(status):
                 return None
             with path.open("rb") as file:
                 right = hashlib.file_digest(file, "sha256").hexdigest() == sha256
         except OSError as error:
-            if error.errno in (errno.EMFILE, errno.ENFILE):  # The file may be undamaged.
+            if error.errno in (errno.EMFILE, errno.ENFILE):  # Too many files are open; this one may be undamaged.
                 raise
             return error.strerror or str(error)
         if right:

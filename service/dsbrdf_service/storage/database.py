@@ -20,9 +20,9 @@ from .schema import VERSION, create_tables
 FILE_NAME = "dsbrdf.sqlite"
 RESERVE = "dsbrdf.reserve"
 """File that is deleted if the service starts on a full disk, to free space in which rows can be deleted."""
-_BUSY_TIMEOUT = 5.0  # [s] A transaction that waits longer for others fails, and its request gets 503.
-_MIN_DATABASE_BYTES = 512  # SQLite treats a shorter file as an empty database and overwrites it.
-_MIN_FREE_BYTES = 1 << 16  # SQLite's files beside the database need this space.
+_BUSY_TIMEOUT = 5.0  # [s] A transaction that waits longer for other transactions fails, and its request gets 503.
+_MIN_DATABASE_BYTES = 512  # A shorter, non-empty file is refused, because SQLite would overwrite it.
+_MIN_FREE_BYTES = 1 << 16  # With less free space, SQLite cannot create its files beside the database.
 _RESTORE = "restore the folder from a copy; nothing in it has been changed"
 _REMEDIES = {
     sqlite3.SQLITE_CORRUPT: _RESTORE,
@@ -60,7 +60,7 @@ class Database:
                     if _is_full(folder):
                         (folder / RESERVE).unlink(missing_ok=True)
                 check_integrity(folder)
-                with suppress(FileExistsError):  # SQLite gives the mode of this file to its other files.
+                with suppress(FileExistsError):  # SQLite gives its other files the access mode of this one.
                     os.close(os.open(self._path, os.O_CREAT | os.O_EXCL, 0o600))
                 self._writer = resources.enter_context(closing(self._connection()))
                 self._reader = resources.enter_context(closing(self._connection()))
@@ -70,7 +70,7 @@ class Database:
                 self._writer.execute("PRAGMA synchronous = FULL")
                 self._reader.execute(
                     "SELECT 1 FROM sqlite_master"
-                ).fetchall()  # This creates all files of the database.
+                ).fetchall()  # This creates all files of the database, whose stat is recorded next.
                 ours = [self._path.with_name(f"{FILE_NAME}{suffix}") for suffix in ("", "-wal", "-shm")]
                 self._files = {path: path.stat() for path in ours}
                 self._resources = resources.pop_all()
@@ -88,16 +88,16 @@ class Database:
             return self._reader.execute(query, values).fetchall()
 
     def row_now(self, query: str, *values: object) -> tuple[Any, ...] | None:
-        """Return the first row that `query` selects, on a connection of the event loop, which waits for no other query.
+        """Return the first row that `query` selects, without waiting for other queries; the event loop may call this.
 
-        To find a row by an index takes some 10 microseconds.
+        Finding a row by an index takes some 10 microseconds.
         """
         row: tuple[Any, ...] | None = self._prompt_reader.execute(query, values).fetchone()
         return row
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Write all or nothing; the data are durable when the block ends.
+        """Open a transaction, which is written as a whole or not at all, and is durable when the block ends.
 
         Raises sqlite3.OperationalError if other transactions take too long, and DatabaseLostError if the database or
         its log has been removed or replaced before the end of the block.
@@ -109,7 +109,7 @@ class Database:
             with self._writer:  # This commits the transaction or rolls it back.
                 self._writer.execute("BEGIN IMMEDIATE")
                 yield self._writer
-            self._check_files()  # Data in a deleted log would be lost.
+            self._check_files()  # If the log was deleted meanwhile, the written data would be lost.
             self._written_at = monotonic()
         finally:
             self._writer_lock.release()
@@ -117,7 +117,7 @@ class Database:
     def check_writing(self) -> None:
         """Raise sqlite3.Error or OSError unless rows can be written; do not wait for other writers.
 
-        While others write, a recent end of a transaction proves that rows can be written.
+        While another transaction runs, a recent end of an earlier one proves that rows can be written.
         """
         self._check_files()
         if not self._writer_lock.acquire(blocking=False):
@@ -125,7 +125,7 @@ class Database:
                 raise sqlite3.OperationalError("a transaction takes too long")
             return
         try:
-            # Writing the present value again is a write too.
+            # This writes the value that the database has already, to test writing without a change.
             self._writer.execute(f"PRAGMA user_version = {VERSION}")
         finally:
             self._writer_lock.release()
@@ -150,7 +150,7 @@ def is_data_folder(folder: Path) -> bool:
 
 
 def check_integrity(folder: Path) -> None:
-    """Read the whole database of a folder, about a second for two gigabytes; raise DataFolderError if it is damaged.
+    """Read the whole database of a folder and raise DataFolderError if it is damaged; two gigabytes take a second.
 
     A damaged table can lack rows, and the service would answer as if their fits did not exist.
     """
@@ -191,7 +191,7 @@ def _is_full(folder: Path) -> bool:
 
 
 def _claim(folder: Path) -> None:
-    """Make the folder; raise DataFolderError if it contains anything, but not the service's database."""
+    """Make the folder; raise DataFolderError if it contains files, but not the service's database."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except FileExistsError:
@@ -201,7 +201,7 @@ def _claim(folder: Path) -> None:
     database = folder / FILE_NAME
     ours = database.is_file() and not database.is_symlink()
     if ours and (size := database.stat().st_size) < _MIN_DATABASE_BYTES:
-        # A service that was killed at its first start leaves an empty file.
+        # A service that was killed at its first start leaves only an empty database file, which is accepted.
         ours = not size and names <= {FILE_NAME, f"{FILE_NAME}-journal"}
     if names and not ours:
         raise DataFolderError(
@@ -211,8 +211,8 @@ def _claim(folder: Path) -> None:
 
 
 def _cannot_be_opened(folder: Path, error: sqlite3.DatabaseError) -> DataFolderError:
-    """Make an error from SQLite's error, with the remedy: only a damaged database must be restored."""
-    remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)  # The upper bits are details.
+    """Return a DataFolderError for SQLite's error, with the remedy that fits the cause."""
+    remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)  # The lower byte is the kind of error.
     if _is_full(folder):  # SQLite reports a full disk as "disk I/O error".
         remedy = _REMEDIES[sqlite3.SQLITE_FULL]
     return DataFolderError(

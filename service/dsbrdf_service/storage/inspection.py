@@ -1,4 +1,4 @@
-"""Examine a data folder without changing it, even while a server runs; each check returns whether it found no fault."""
+"""Examine a data folder without changing it, even while a server runs; each check returns whether all is right."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from .schema import VERSION
 
 
 def check_database(folder: Path) -> tuple[bool, str]:
-    """Read the whole database; return whether it is intact, and one sentence."""
+    """Read the whole database; return whether the database is intact, and a sentence about it."""
     if read_only(folder, "PRAGMA user_version") != [(VERSION,)]:
         return False, "another release made it, with other tables: use that release"
     faults = [fault for (fault,) in read_only(folder, "PRAGMA integrity_check(3)") if fault != "ok"]
@@ -19,10 +19,10 @@ def check_database(folder: Path) -> tuple[bool, str]:
 
 
 def check_measurements(folder: Path) -> tuple[bool, str]:
-    """Read every measurement's file; return whether all are what their rows say, and one sentence."""
+    """Read the file of every measurement; return whether each has the sha256 in its row, and a sentence about them."""
     blobs = Blobs(folder)
     faults = {sha256: fault for sha256 in _stored(folder) if (fault := blobs.damage(sha256))}
-    stored = _stored(folder)  # A measurement whose row was deleted meanwhile has no fault.
+    stored = _stored(folder)  # A file that was deleted with its row meanwhile is no fault.
     damaged = [sha256 for sha256 in faults if sha256 in stored]
     if damaged:
         number = f"{len(damaged)} of {len(stored)} files are damaged or missing"
@@ -31,8 +31,9 @@ def check_measurements(folder: Path) -> tuple[bool, str]:
 
 
 def check_files(folder: Path) -> tuple[bool, str]:
-    """Return whether every file has a row, and one sentence."""
-    files = set(Blobs(folder).all())  # Files are listed before rows, because a file is stored before its row.
+    """Return whether every file has a row, and a sentence about the files."""
+    # If rows were read first, a file that is uploaded in between would seem to have no row.
+    files = set(Blobs(folder).all())
     without = files - _stored(folder)
     if without:
         return False, (

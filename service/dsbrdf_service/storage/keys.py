@@ -52,7 +52,9 @@ def has_active_key(folder: Path) -> bool:
 
 
 def active_key(database: Database, key_id: str, *usual: float) -> tuple[str, float, int, int, int] | None:
-    """Return the secret's sha256 and the limits of an active key, for the event loop; None if there is no such key.
+    """Return the secret's sha256 and the limits of a key, or None if no active key has this id.
+
+    The query is quick enough for the event loop.
 
     The `usual` limits replace missing limits of the key: requests per second, stored MB, queued fits. The last returned
     number tells whether the key may read the metrics.
@@ -61,5 +63,5 @@ def active_key(database: Database, key_id: str, *usual: float) -> tuple[str, flo
 
 
 def is_active(database: Database, key_id: str) -> bool:
-    """Return whether a key is not revoked, for the event loop."""
+    """Return whether a key exists and is not revoked; the query is quick enough for the event loop."""
     return database.row_now("SELECT 1 FROM keys WHERE id = ? AND revoked IS NULL", key_id) is not None

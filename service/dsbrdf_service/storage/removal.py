@@ -1,6 +1,6 @@
 """Remove fits and measurements: first their rows, then the files without remaining rows.
 
-A crash in between leaves a file without a row, which `dsbrdf purge --files-without-rows` removes.
+A crash between these two steps leaves a file without a row, which `dsbrdf purge --files-without-rows` removes.
 """
 
 import shutil
@@ -13,8 +13,8 @@ from .blobs import Blobs
 from .database import Database
 from .schema import IS_UNFINISHED
 
-_SPARE_DISK_BYTES = 1 << 24  # With less free space, the commit of a removal could fail.
-_ROWS_PER_TRANSACTION = 50  # A running server waits for one transaction, a few milliseconds.
+_SPARE_DISK_BYTES = 1 << 24  # With less free space, files are deleted first, so that the commit has space.
+_ROWS_PER_TRANSACTION = 50  # A running server waits a few milliseconds for each transaction of this size.
 
 _OLD_FITS = f"FROM fits WHERE NOT {IS_UNFINISHED} AND coalesce(finished, created) < :before"
 # A measurement stays as long as it has an unfinished fit, or a fit that ended after the given time.
@@ -42,7 +42,7 @@ def remove_rows(db: sqlite3.Connection, blobs: Blobs, rows: Sequence[tuple[int, 
 def remove_files(database: Database, blobs: Blobs, names: Iterable[str]) -> list[int]:
     """Remove the files of measurements that have no row; return their sizes.
 
-    The transaction excludes a simultaneous upload of the same bytes; the row of an earlier upload is found here.
+    During the transaction, no upload can add a row for the same bytes; a file with an earlier row stays.
     """
     sizes = []
     with database.transaction() as db:
@@ -89,7 +89,7 @@ def _remove_fits(database: Database, before: float) -> int:
 
 
 def _remove_measurements(database: Database, blobs: Blobs, before: float) -> tuple[int, int]:
-    """Remove some old measurements; return their number and the bytes of their files."""
+    """Remove some old measurements; return their number and the bytes of the removed files."""
     query = f"SELECT m.rowid, sha256 {_OLD_MEASUREMENTS} LIMIT {_ROWS_PER_TRANSACTION}"
     with database.transaction() as db:
         old = db.execute(query, {"before": before}).fetchall()

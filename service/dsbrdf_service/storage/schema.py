@@ -13,12 +13,14 @@ from typing import Any, Literal, NamedTuple
 
 from ..errors import DataFolderError
 
-# `owner` is the id of an API key, '' without keys. `seq` counts the rows of each owner, so that the cursor of a page
-# does not show how many rows other owners have. `size` of a fit is its size on the disk, which counts in the quota.
-# `checksum` covers metrics and result, because SQLite does not notice swapped pages. A limit of a key that is NULL
-# means the server's default. `metrics` tells whether a key may read ``/metrics``, the totals of all keys.
+# The column `owner` is the id of an API key, or '' for requests without a key.
+# `seq` counts the rows of each owner, so that the cursor of a page does not reveal how many rows other owners have.
+# `size` of a fit is its size on the disk, which counts in the quota of its key.
+# `checksum` covers the metrics and the result of a fit, because SQLite does not notice swapped pages.
+# A limit of a key that is NULL means the server's default.
+# `metrics` of a key tells whether the key may read ``/metrics``, the totals of all keys.
 ROW_SIZE = 2_000  # [bytes] Size of a fit's row with its index entries, without the result.
-UNFINISHED_SIZE = 100_000  # [bytes] An unfinished fit counts with this size, which few results exceed.
+UNFINISHED_SIZE = 100_000  # [bytes] Size with which an unfinished fit counts in the quota; few results are larger.
 _TABLES = f"""
     CREATE TABLE IF NOT EXISTS measurements (
         owner TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT, sha256 TEXT NOT NULL, size INTEGER NOT NULL,
@@ -49,11 +51,11 @@ _TABLES = f"""
         metrics INTEGER NOT NULL DEFAULT 0
     ) STRICT;
 """
-VERSION = zlib.crc32(_TABLES.encode()) >> 1  # It changes with the tables; SQLite keeps 31 bits.
+VERSION = zlib.crc32(_TABLES.encode()) >> 1  # This number changes with the tables; SQLite keeps 31 bits.
 
 Status = Literal["accepted", "running", "succeeded", "failed", "cancelled"]
 UNFINISHED: tuple[Status, ...] = ("accepted", "running")
-IS_UNFINISHED = f"status IN {UNFINISHED}"  # A tuple of Python is a list in SQL.
+IS_UNFINISHED = f"status IN {UNFINISHED}"  # Python writes a tuple as SQL writes a list.
 
 
 def create_tables(connection: sqlite3.Connection) -> None:
@@ -94,9 +96,9 @@ class FitKey(NamedTuple):
 
 @dataclass(frozen=True)
 class Caller:
-    """Hold the sender of a request, who sees the rows of one owner, and the sender's limits."""
+    """Describe the sender of a request, who may use the rows of one owner, and the sender's limits."""
 
-    owner: str = ""  # The id of the key that was sent.
+    owner: str = ""  # The id of the API key that was sent.
     stored_bytes: float = math.inf
     queued_fits: float = math.inf
     metrics: bool = True  # Whether the caller may read the totals of all keys.
@@ -123,7 +125,7 @@ class MeasurementRow:
 
     @property
     def on_grid(self) -> bool:
-        """Whether it is a MERL file; otherwise it is a table of scattered samples."""
+        """Whether the measurement is a MERL file; otherwise it has scattered samples."""
         return self.valid_nodes > 0
 
 

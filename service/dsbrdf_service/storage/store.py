@@ -65,20 +65,20 @@ def fit_identity(sha256: str, options: Mapping[str, Any]) -> str:
 
 
 class Store:
-    """Manage rows and files in one folder, which an exclusive `Database` makes and locks; raises its errors."""
+    """Manage rows and files in one folder, which a `Database` makes and locks; raises the errors of `Database`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.database = Database(folder)
         self.blobs = Blobs(folder)
         self.writing = Writing(self.database, self.blobs)
-        self.running = folder.resolve() / "run"  # Its files are needed only while the service runs.
+        self.running = folder.resolve() / "run"  # Files in this folder are needed only while the service runs.
         try:
             self.blobs.make_folders()
             self.blobs.clear_temporary()
-            for left in own_folder(self.running).glob("pymp-*"):  # These are left by multiprocessing.
+            for left in own_folder(self.running).glob("pymp-*"):  # multiprocessing leaves these folders after a kill.
                 shutil.rmtree(left, ignore_errors=True)
-            with suppress(OSError):  # On a full disk, the service starts without the reserve.
+            with suppress(OSError):  # A full disk has no space for this file, and the service starts without it.
                 (folder / RESERVE).touch(mode=0o600)
                 (folder / RESERVE).write_bytes(bytes(_RESERVE_BYTES))
         except BaseException:
@@ -86,12 +86,12 @@ class Store:
             raise
 
     def close(self) -> None:
-        """Release the folder."""
+        """Close the database and release the lock on the folder."""
         self.database.close()
 
     def keep_temporary_files(self) -> None:
-        """Put temporary files of this process, such as the fork server's socket, where the next start removes them."""
-        # A socket's path has at most 107 characters; through the open folder's descriptor it is always short.
+        """Keep temporary files of this process, such as the fork server's socket, in a folder that a start empties."""
+        # A socket's path has at most 107 characters, so the folder is named by its descriptor, which is always short.
         descriptor = Path(f"/proc/self/fd/{os.open(self.running, os.O_RDONLY)}")
         if descriptor.is_dir():
             tempfile.tempdir = str(descriptor)
@@ -99,7 +99,9 @@ class Store:
     def add_measurement(
         self, caller: Caller, incoming: Incoming, name: str | None = None
     ) -> tuple[MeasurementRow, bool]:
-        """Store a closed file; return its row, and whether it is new. A new name replaces the old one.
+        """Store a closed file as a measurement; return its row, and whether the caller did not have it yet.
+
+        A given name replaces the earlier name.
 
         Raises ProblemError if the caller's quota would be exceeded, or the caller's key has been revoked.
         """
@@ -112,7 +114,7 @@ class Store:
                 check_storage(db, caller, incoming.size, "the measurement has")
             values = (caller.owner, caller.owner, sha256, name, incoming.size, incoming.valid_nodes, time.time())
             (row,) = db.execute(_ADD_MEASUREMENT, values).fetchall()
-            # The file is stored even if it exists: this repairs damage, and does not reveal that another key has it.
+            # An existing file is replaced too, which repairs damage and does not reveal that another key has the file.
             self.blobs.place(incoming)
         return MeasurementRow(*row), new
 
@@ -123,14 +125,14 @@ class Store:
         raise MeasurementNotFoundError(sha256)
 
     def sound_file(self, sha256: str) -> Path:
-        """Check a measurement's file by its sha256 and return its path; raise MeasurementDamagedError if it differs."""
+        """Check a measurement's file by its sha256 and return its path; raise MeasurementDamagedError on damage."""
         damage = self.blobs.damage(sha256)
         if damage is not None:
             raise MeasurementDamagedError(damage)
         return self.blobs.path(sha256)
 
     def measurement_file(self, owner: str, sha256: str, kind: Literal["grid", "samples", "any"] = "any") -> Path:
-        """Check a measurement's file by its sha256 and return its path, before the file is read.
+        """Check the file of an owner's measurement by its sha256, and return its path.
 
         Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if its file is
         damaged, and ProblemError if the measurement is not of the `kind`.
@@ -139,7 +141,7 @@ class Store:
         try:
             path = self.sound_file(sha256)
         except MeasurementDamagedError as error:
-            self.measurement(owner, sha256)  # This raises if row and file have been deleted meanwhile.
+            self.measurement(owner, sha256)  # This raises if the measurement was deleted, which is no damage.
             logger.error("the file of the measurement %s is damaged: %s", sha256, error)  # noqa: TRY400 (no traceback)
             raise
         if kind == "grid" and not row.on_grid:
@@ -172,14 +174,14 @@ class Store:
         try:
             if unwanted:
                 remove_files(self.database, self.blobs, unwanted)
-        except (OSError, sqlite3.Error) as error:  # The measurement itself is deleted.
+        except (OSError, sqlite3.Error) as error:  # The row is deleted, so the request succeeds.
             logger.warning("the file of the deleted measurement %s stays: %s", sha256, error)
         return bool(rows)
 
     def add_fit(
         self, caller: Caller, sha256: str, options: Mapping[str, Any], queue_limit: int, name: str | None = None
     ) -> tuple[FitRow, bool]:
-        """Accept a fit of a stored measurement, or find an equal fit; the flag tells whether it must be computed.
+        """Accept a fit of a stored measurement, or find an equal fit; return its row, and whether it must be computed.
 
         `options` are in JSON types; without a `name`, the fit gets the name of its measurement.
 
@@ -189,7 +191,8 @@ class Store:
         key = FitKey(caller.owner, fit_identity(sha256, options))
         select = f"{_SELECT_FIT} {_WHERE_FIT}"
         found = next(map(FitRow.from_values, self.database.rows(select, *key)), None)
-        if found is not None and not found.repeatable and name in (None, found.name):  # Nothing has to be written.
+        # An equal fit that has the name already is returned without a transaction, which would wait for other writers.
+        if found is not None and not found.repeatable and name in (None, found.name):
             return found, False
         with self.database.transaction() as db:
             check_key(db, caller)
@@ -235,7 +238,7 @@ class Store:
         status: Status | None = None,
         measurement: str | None = None,
     ) -> list[FitRow]:
-        """Return at most `limit` fits, newest first, `seq` below `before`, of a given name, status or measurement."""
+        """Return at most `limit` fits, newest first; `before` bounds their `seq`, and other arguments select some."""
         wanted = {"name": name, "status": status, "measurement": measurement}
         return [FitRow.from_values(row) for row in self._page(_SELECT_FIT, owner, limit, before, wanted)]
 
@@ -245,14 +248,14 @@ class Store:
         return [fit_id for (fit_id,) in self.database.rows(query, sha256, owner, limit)]
 
     def result(self, key: FitKey) -> bytes:
-        """Return the document of a fit that succeeded, as its process wrote the document.
+        """Return the JSON document of a fit that succeeded, byte for byte as the fit's process wrote it.
 
         Raises FitNotFoundError, or ProblemError if the fit has no document, or the document is damaged.
         """
         return self._result(key)[0]
 
     def thumbnail(self, key: FitKey) -> bytes:
-        """Return the thumbnail of a fit that succeeded; raise as `result`, and ProblemError if none is stored."""
+        """Return the thumbnail of a fit; raise the errors of `result`, and ProblemError if no thumbnail is stored."""
         picture = self._result(key)[1]
         if picture is None:
             detail = "The fit is stored without a thumbnail; figures/sphere.png of the fit draws its sphere."
@@ -277,7 +280,7 @@ class Store:
         return document, thumbnail
 
     def result_stamp(self, key: FitKey) -> int | None:
-        """Return the checksum of a fit's result, None without a result; quick enough for the event loop."""
+        """Return the checksum of a fit's result, None without a result; the query suits the event loop."""
         row = self.database.row_now(f"SELECT checksum FROM fits {_WHERE_FIT} AND status = 'succeeded'", *key)  # noqa: S608
         return None if row is None else int(row[0])
 
@@ -338,7 +341,7 @@ class Store:
         return int(size)
 
     def check_space(self, least_mb: int) -> None:
-        """Raise RuntimeError if fewer MB of the disk are free."""
+        """Raise RuntimeError if less than `least_mb` MB of the disk is free."""
         free = shutil.disk_usage(self.folder).free >> 20
         if free < least_mb:
             raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")

@@ -35,12 +35,12 @@ class Hold:
 
 
 class Writing:
-    """Write the files in progress: uploads, and answers until they have been read; these files count in the quota."""
+    """Write uploads in progress, and answers that clients have not read completely; both count in the key's quota."""
 
     def __init__(self, database: Database, blobs: Blobs) -> None:
         self._database = database
         self._blobs = blobs
-        self._holds: WeakSet[Hold] = WeakSet()  # Only the event loop adds to it.
+        self._holds: WeakSet[Hold] = WeakSet()  # Only the event loop adds to this set, so no lock is needed.
 
     async def hold(self, caller: Caller, n_bytes: int, kind: str) -> Hold:
         """Reserve space for a file; raise ProblemError of a `kind` if the files in progress exceed the caller's quota.
@@ -61,7 +61,7 @@ class Writing:
 
     @asynccontextmanager
     async def incoming(self, caller: Caller) -> AsyncIterator[Incoming]:
-        """Yield a new file, which is removed afterwards unless it was stored; raises as `hold`."""
+        """Yield a new file, which is removed afterwards unless it was stored; raises the errors of `hold`."""
         held = await self.hold(caller, FILE_SIZE, "storage-quota")
         try:
             incoming = await in_thread(Incoming, self._blobs.temporary)
@@ -74,9 +74,9 @@ class Writing:
 
     @asynccontextmanager
     async def answer(self, caller: Caller, n_bytes: int) -> AsyncIterator[tuple[OpenFile, Path]]:
-        """Yield a file of at most `n_bytes`, which the block writes by its path and the last reader deletes.
+        """Yield an open file and its path, to which the block writes at most `n_bytes`.
 
-        Raises as `hold`.
+        The content is deleted when the last reference to the open file ends. Raises the errors of `hold`.
         """
         held = await self.hold(caller, n_bytes, "too-many-at-once")
         try:
@@ -88,7 +88,7 @@ class Writing:
             raise
 
     async def answer_with(self, caller: Caller, content: bytes) -> OpenFile:
-        """Return a file with the content of an answer; raises as `hold`."""
+        """Return a file with the content of an answer; raises the errors of `hold`."""
         async with self.answer(caller, len(content)) as (file, path):
             await in_thread(path.write_bytes, content)
         return file
@@ -114,7 +114,7 @@ def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
 
 
 def check_storage(db: sqlite3.Connection, caller: Caller, more: int, said: str) -> None:
-    """Raise ProblemError if `more` bytes would exceed the caller's quota; `said` precedes this number in the text."""
+    """Raise ProblemError if `more` bytes would exceed the caller's quota; `said` is the text before this number."""
     (stored,) = db.execute(_STORED, (caller.owner, caller.owner)).fetchone()
     if stored + more > caller.stored_bytes:
         raise _full(caller.stored_bytes, stored, f" and {said} {more / 1e6:.1f} MB")
