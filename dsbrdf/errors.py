@@ -34,4 +34,4 @@ class FitError(DSBRDFError):
 
 
 class ConvergenceWarning(UserWarning):
-    """Issued if a fit stops at its iteration limit; the result is usable, and its report names these parts."""
+    """Issued if a fit stops at its iteration limit; the result is usable, and its report shows which parts stopped."""

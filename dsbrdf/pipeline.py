@@ -48,7 +48,8 @@ from dsbrdf.version import versions
 
 FEW_SAMPLES = 200
 """With fewer scattered samples, the model is only fitted to a predicted table, and not refined at the samples."""
-# Number of fits to the exact samples. Before each, the latest model moves the samples to whole degrees of theta_diff.
+# Number of fits to the scattered samples. Before each of these fits, the latest model converts the samples to whole
+# degrees of theta_diff.
 REFINEMENT_ROUNDS = 3
 # If there are more samples, a random subset of this size is used for refinement.
 MAX_REFINED_SAMPLES = 30_000
@@ -146,7 +147,7 @@ fit.__doc__ = (inspect.getdoc(fit) or "").replace(
 def _result(
     found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock, *, is_unit_wrong: bool = False
 ) -> FitResult:
-    """Return model and report, without metrics."""
+    """Return the result of a fit, the model and its report, without metrics."""
     model, knots = found.model, found.knots
     albedo = DirectionalAlbedo(tuple(ALBEDO_ANGLES.tolist()), tuple(map(tuple, model.albedo(ALBEDO_ANGLES).tolist())))
     clock.lap("albedo")
@@ -175,7 +176,7 @@ def _fit_samples(
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
     doubts = sample_doubts(samples)
-    used = replace(samples, values=samples.values * doubts.factor)  # The amplitudes are divided by this factor below.
+    used = replace(samples, values=samples.values * doubts.factor)  # The model is divided by this factor below.
     if options.robust:
         used = without_outliers(used)
     known = thinned(used)
@@ -227,7 +228,7 @@ def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Pr
 
     Raises InvalidArgumentError if `measurement` is profiles that were made with other options.
     """
-    # The method "global" applies its weighting to the folded bins later.
+    # The method "global" weights the means in bins of phi_diff itself, so it needs profiles without weighting.
     weighting = options.resolved_weighting if options.method == "paper" else "plain"
     wanted: dict[str, Any] = {
         "horizon_cutoff": options.horizon_cutoff,

@@ -23,10 +23,11 @@ The matrices of a fit are so small that several threads are slower than one thre
 `one_blas_thread` limits BLAS after NumPy has been imported.
 """
 _blas_lock = threading.Lock()
-# The first entry is the limiter, which stores the former number of threads; each running computation adds an entry.
+# The first entry is the limiter, which stores the former number of threads; each running computation adds an entry, so
+# that the last computation to end can restore this number.
 _blas_limits: list[Any] = []
 
-# The BLAS libraries of NumPy and of SciPy reserve 32 MB each; 32 MB are a margin for small buffers.
+# The BLAS libraries of NumPy and of SciPy reserve 32 MB each; another 32 MB are a margin for small buffers.
 _BLAS_MEMORY_BYTES = 96 << 20
 _THREAD_START_TIMEOUT_S = 10.0
 
@@ -63,7 +64,7 @@ def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
 
 @cache
 def _blas() -> Any:
-    # This import is slow; commands that do not compute do without it.
+    # This import is slow and therefore inside the function: commands that do not compute never need threadpoolctl.
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
@@ -87,7 +88,7 @@ def end_with_parent() -> None:
         connection.wait([sentinel])
         os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
 
-    # `Thread.start` would wait for ever if the new thread has too little memory to begin.
+    # `Thread.start` would wait for ever if the new thread has too little memory to begin; this lock has a timeout.
     _thread.start_new_thread(watch, ())
     if not begun.acquire(timeout=_THREAD_START_TIMEOUT_S):
         raise MemoryError("the thread that watches the parent process could not begin")
@@ -117,8 +118,8 @@ def reserve_blas_memory() -> None:
 def keep_freed_memory() -> None:
     """Make the C library keep freed memory for reuse, because a fit allocates arrays of equal sizes many times.
 
-    By default, glibc returns large buffers to the system, and every page of a new buffer causes a page fault. This
-    takes a tenth of the time of a fit. Other C libraries have no such setting.
+    By default, glibc returns large buffers to the system, and every page of a new buffer causes a page fault. These
+    page faults take a tenth of the time of a fit. With other C libraries than glibc, this function has no effect.
     """
     _mallopt({_MMAP_THRESHOLD: 1 << 25, _TRIM_THRESHOLD: 1 << 30})
 
@@ -127,8 +128,9 @@ def return_freed_memory() -> None:
     """Make the C library return large buffers to the system when they are freed.
 
     By default, glibc raises its threshold when large buffers are freed, and then keeps them, so that a long-running
-    process grows. A threshold set here is fixed. By default, glibc also gives almost every thread its own heap, whose
-    free memory other threads cannot use; two heaps are enough. Other C libraries have neither parameter.
+    process grows. A threshold that this function sets stays fixed. By default, glibc also gives almost every thread
+    its own heap, whose free memory other threads cannot use; two heaps are enough. With other C libraries than glibc,
+    this function has no effect.
     """
     # Without a trim threshold, the C library would request memory from the system for each large buffer.
     _mallopt({_MMAP_THRESHOLD: 1 << 20, _TRIM_THRESHOLD: 2 << 20, _ARENA_MAX: 2})

@@ -1,7 +1,7 @@
 """Write warnings about a fitted model, one sentence each.
 
 The limits were chosen on 70 reference materials, 8 of the RGL database and 62 stand-ins for MERL, so that only the
-material with the worst fit exceeds a limit. The comment of each limit has the largest value of the other materials.
+material with the worst fit exceeds a limit. The comment above each limit has the largest value of all other materials.
 """
 
 from collections.abc import Iterator
@@ -14,15 +14,19 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# If data end at a larger angle, only a thin rim of a sphere is missing; the data of all materials reach 88 degrees.
+# If data end at a larger angle, only a thin rim of a rendered sphere is extrapolated, so there is no warning; the data
+# of all reference materials reach 88 degrees.
 _COMPLETE_ANGLE = np.radians(85.0)
-# A smaller albedo is printed as 1.000 with three decimals; the materials reach 0.93.
+# A smaller albedo would be printed as 1.000, so there is no warning; the reference materials reach an albedo of 0.93.
 _MAX_ALBEDO = 1.0 + 5e-4
-# Noise of 20 % on each sample causes this asymmetry; the materials have up to 0.11.
+# Noise of 20 % on each sample causes this relative difference between samples that should be equal by symmetry; the
+# reference materials have differences up to 0.11.
 _MAX_RELATIVE_ASYMMETRY = 0.15
-# Errors of the diffuse part show in the albedo, hardly in relative_rms; the materials have up to 0.06.
+# Errors of diffuse reflection change the albedo, but hardly relative_rms; the reference materials have albedo errors up
+# to 0.06.
 _MAX_ALBEDO_ERROR = 0.15
-# Misfit relative to the signal; the material chm_mint has 0.15, the others have up to 0.05.
+# Error of a fit without the part that noise explains, relative to the measurement; the reference material chm_mint has
+# 0.15, the others have up to 0.05.
 _MAX_RELATIVE_MISFIT = 0.1
 
 
@@ -82,7 +86,8 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
             "isotropic material has equal values there. The measurement is noisy, or the material sparkles or is "
             "anisotropic; no model of this kind can be more accurate."
         )
-    # symmetric_floor compares means of two samples: independent noise alone causes relative_rms = sqrt(2) of it.
+    # symmetric_floor compares means of two samples, so that independent noise alone causes a relative_rms of
+    # sqrt(2) * symmetric_floor.
     misfit = np.sqrt(max(error**2 - 2.0 * floor**2, 0.0))
     if misfit > _MAX_RELATIVE_MISFIT:
         yield (
@@ -98,7 +103,8 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
 
 MAX_EXPECTED_ERROR = 0.1
 """If the expected error over all directions is larger, a report lists directions to measure next."""
-# The product of the sines of both polar angles and of the azimuth between them; smaller ones count as in one plane.
+# If the product of the sines of both polar angles and of the azimuth between both directions is smaller for every
+# sample, all samples count as lying in one plane of incidence.
 _MIN_OUT_OF_PLANE_SINE = 0.02
 _MAX_SAMPLE_MISFIT = 0.3
 # The error at held-out samples is reported if it is at least this multiple of the error at the samples of the fit,
@@ -108,7 +114,7 @@ _MIN_REPORTED_ERROR = 0.05
 
 
 def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str, few: int) -> Iterator[str]:
-    """Yield warnings about the accuracy of a fit of samples; `structure` names their most probable layers."""
+    """Yield warnings about the accuracy of a fit of samples; `structure` names the material's most probable layers."""
     here, left_out, expected = metrics.relative_rms, metrics.relative_rms_left_out, metrics.relative_rms_expected
     if here is None or left_out is None or expected is None:
         return

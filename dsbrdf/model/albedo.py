@@ -3,13 +3,14 @@
     rho(omega_out) = integral f(omega_in, omega_out) cos(theta_in) d omega_in,
     d omega_in = 4 cos(theta_diff) d omega_half.
 
-The half vector has the polar angle theta_half and an azimuth, which starts at omega_out. A specular spike is narrow
-only in theta_half, so the nodes in theta_half are dense near 0. The azimuth ends where omega_in reaches the horizon, at
-an angle in closed form.
+The half vector has the polar angle theta_half and an azimuth, which is 0 towards omega_out. A specular spike is narrow
+only in theta_half, so the nodes of the quadrature are dense near theta_half = 0. The integral over the azimuth ends
+where omega_in reaches the horizon; this azimuth has a closed form.
 
-The paper's model has a kink wherever theta_diff is one of its slices. Both integrals are divided at these kinks, so
-that the integrand is smooth in every part: the azimuth where theta_diff passes a slice, and theta_half where a slice
-begins or ceases to be among the theta_diff of its azimuths. Models with splines have no kinks.
+The values of the paper's model have a kink wherever theta_diff is the angle of a slice. The integrals over theta_half
+and over the azimuth are divided at these kinks, so that the integrand is smooth in every part. The azimuth is divided
+where theta_diff passes a slice. The polar angle theta_half is divided where the range of theta_diff over all azimuths
+begins or ceases to contain a slice. Models with splines have no kinks.
 """
 
 from functools import cache, lru_cache
@@ -23,12 +24,13 @@ from dsbrdf.data.grid import CENTER_CUTOFF
 _NO_KNOTS = np.zeros(0)
 _gauss = cache(np.polynomial.legendre.leggauss)
 
-_N_PANEL_NODES = 8  # Gauss-Legendre nodes of each panel.
-# Ends of narrow panels [rad]; they resolve a spike of 0.01 degrees, and the edge of the delta term at 1 degree.
+_N_PANEL_NODES = 8  # Number of Gauss-Legendre nodes in each panel, an interval of the quadrature.
+# Ends of narrow intervals of the quadrature in theta_half [rad]. These intervals resolve a lobe of 0.01 degrees, and
+# the step at 1 degree of a model with `delta`.
 _FINE_PANEL_ENDS = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
-_PANEL_WIDTH = np.radians(4.0)  # Width of the panels beyond the narrow ones [rad].
-# Ends of panels, as fractions of the azimuths with omega_in above the horizon. Panels are short near azimuth 0, because
-# there theta_diff varies fastest with the azimuth.
+_PANEL_WIDTH = np.radians(4.0)  # Width of the intervals at larger theta_half, where the integrand is smooth [rad].
+# Ends of the intervals in the azimuth, as fractions of the range in which omega_in is above the horizon. Intervals are
+# short near azimuth 0, because theta_diff varies fastest with the azimuth there.
 _AZIMUTH_ENDS = np.array([0.0, 0.2, 0.5, 1.0])
 
 
@@ -60,7 +62,8 @@ def half_vector_rule(
 ) -> HalfVectorRule:
     """Return a quadrature over all omega_in for one omega_out; `knots` as in `directional_albedo`.
 
-    With 4 instead of 8 nodes in each panel, there are a quarter of the nodes, and the error is mostly below 1e-3.
+    With 4 instead of 8 nodes in each panel, the quadrature has a quarter of the nodes in all, and the relative error of
+    an albedo is mostly below 1e-3.
     """
     gauss = _gauss(n_panel_nodes)
     theta_half, weight = _half_angle_rule(theta_out, knots, gauss)
@@ -87,13 +90,14 @@ def _smooth_rule(theta_out: float) -> HalfVectorRule:
 def _half_angle_rule(theta_out: float, knots: Array, gauss: tuple[Array, Array]) -> tuple[Array, Array]:
     """Return composite Gauss-Legendre nodes and weights in theta_half.
 
-    Panels end at the theta_half from which on some azimuths are below the horizon, at the theta_half from which on all
-    are, and where a knot begins or ceases to be among the theta_diff of the azimuths. At these ends the integral over
-    the azimuth behaves like a square root; the substitution s*s*(3 - 2 s) makes the integrand smooth there.
+    Beyond one theta_half, omega_in is below the horizon at some azimuths; beyond another theta_half, at all azimuths.
+    Intervals end at these two angles, and where the range of theta_diff over all azimuths begins or ceases to contain a
+    knot. Near such ends the integral over the azimuth behaves like a square root of the distance; the substitution
+    s*s*(3 - 2 s) makes the integrand smooth there.
     """
     shrinks, ends = 0.5 * (np.pi / 2 - theta_out), 0.5 * (np.pi / 2 + theta_out)
     even = np.arange(_FINE_PANEL_ENDS[-1], ends, _PANEL_WIDTH)
-    # Over the azimuths, theta_diff covers |theta_half - theta_out| to theta_half + theta_out.
+    # Over all azimuths, theta_diff has the range from |theta_half - theta_out| to theta_half + theta_out.
     kinks = np.concatenate([np.abs(theta_out - knots), theta_out + knots])
     breaks = np.unique(np.concatenate([[0.0], _FINE_PANEL_ENDS, even, kinks, [shrinks, ends]]))
     breaks = breaks[breaks <= ends]
@@ -108,7 +112,7 @@ def _azimuth_rule(
 ) -> tuple[Indices, Array, Array]:
     """Return a composite Gauss-Legendre rule in the azimuth for each theta_half, divided at the knots.
 
-    Returns the index of the theta_half of each panel, and azimuths and weights (panels, nodes).
+    Returns the index of theta_half for each interval of the azimuth, and azimuths and weights (intervals, nodes).
     """
     last = last_azimuth(theta_half, theta_out)[:, None]
     across = np.sin(theta_out) * np.sin(theta_half)[:, None]

@@ -19,18 +19,18 @@ class Blend(RenderableModel):
     t: float
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
+        """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""
         angles = theta_half, theta_diff, phi_diff
         return self._mean(self.first.evaluate_unmasked(*angles), self.second.evaluate_unmasked(*angles))
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
+        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
         axes = theta_half, theta_diff, phi_diff
         return map(self._mean, self.first.evaluate_grid(*axes), self.second.evaluate_grid(*axes))
 
     @property
     def kinks(self) -> Array:
-        """Angles theta_diff at which values have a kink (n,) [rad]."""
+        """Angles theta_diff (n,) [rad] at which the values of the model have a kink."""
         return np.union1d(self.first.kinks, self.second.kinks)
 
     def _mean(self, first: Array, second: Array) -> Array:

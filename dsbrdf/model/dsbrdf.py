@@ -2,12 +2,14 @@
 
     f_c = sum_k amplitude_ck(theta_diff) s_k(theta'_k) + delta_c(theta_diff) [theta_half < 1 degree]
 
-where s_k is a lobe of height 1 (`dsbrdf.model.lobes`) with the shape kappa_k, gamma_k and center_k, and theta'_k is the
-angle theta_half stretched by elongation_k. All channels have the same shapes, so that the amplitude of a lobe is its
-colour. In the paper's model, each channel has its own shapes. The paper's lobe exp(kappa cos(theta_half)**gamma) - 1
-has the amplitude expm1(kappa) (Nishino 2009, eqs. 3 and 5); the delta term is from section 6 of the paper.
+is the value of channel c, where s_k is a lobe of height 1 (`dsbrdf.model.lobes`) with the shape kappa_k, gamma_k and
+center_k, and theta'_k is the angle theta_half stretched by elongation_k. All channels have the same shapes, so that the
+amplitude of a lobe is its colour. In the paper's model, each channel has its own shapes. The paper's lobe
+exp(kappa cos(theta_half)**gamma) - 1 has the amplitude expm1(kappa) (Nishino 2009, eqs. 3 and 5). The term delta_c,
+which is added where theta_half < 1 degree, is from section 6 of the paper.
 
-The model is non-negative, continuous except for the delta term, and equal for both orders of the directions.
+The model is non-negative, has equal values for both orders of the directions, and is continuous except at
+theta_half = 1 degree, where delta_c ends.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ TEXTS = ("interpolation", "lobe")
 """Attributes of a model that are strings; all other attributes are arrays."""
 INTERPOLATIONS = ("linear", "spline")
 """Interpolations of parameters between knots, see `DSBRDF`."""
-# Larger parameters may overflow in the formula.
+# Larger parameters are refused, because the formula of the model may overflow.
 _MAX_PARAMETERS = {"amplitude": 1e300, "kappa": 700.0, "gamma": 1e100, "delta": 1e300}
 _MAX_ELONGATION = 10.0
 
@@ -188,7 +190,7 @@ class DSBRDF(RenderableModel):
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
+        """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""
         values = self._evaluator.values(theta_half, theta_diff, phi_diff)
         if self._has_delta:
             inside = theta_half < CENTER_CUTOFF
@@ -196,7 +198,7 @@ class DSBRDF(RenderableModel):
         return values
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
+        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
         delta = self._delta_at(theta_diff).T[..., None]
         for angle, values in zip(theta_half, self._evaluator.grid(theta_half, theta_diff, phi_diff), strict=True):
             yield values + delta if angle < CENTER_CUTOFF else values
@@ -223,16 +225,16 @@ class DSBRDF(RenderableModel):
 
     @property
     def pieces(self) -> tuple[Array, Array]:
-        """Return the parameters as P cubic polynomials in theta_diff, for exports; the delta term is not included.
+        """Return the parameters of the lobes as piecewise cubic polynomials in theta_diff, for exports.
 
-        The breaks (P + 1,) are the ends of the pieces [rad]; theta_diff beyond them is clipped. The terms (4, R, P) are
-        the coefficients of ``(theta_diff - break)**3`` to ``**0``; `dsbrdf.model.evaluation.Evaluator` lists the R
-        rows.
+        The breaks (P + 1,) are the ends of P pieces [rad]; theta_diff is clipped to the first and the last break. The
+        terms (4, R, P) are the coefficients of ``(theta_diff - break)**3`` to ``**0`` for R parameters, in the order of
+        `dsbrdf.model.evaluation.Evaluator`. The attribute `delta` is not included.
         """
         return self._evaluator.pieces
 
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> DSBRDF:
-        """Return a model with only the given lobes, with or without the delta term."""
+        """Return a model with only the lobes of some indices, and with or without `delta`."""
         names = ("amplitude", "kappa", "gamma", "center", "elongation")
         chosen = {name: getattr(self, name)[..., list(lobes)] for name in names}
         delta = self.delta if with_delta else np.zeros_like(self.delta)
@@ -240,7 +242,7 @@ class DSBRDF(RenderableModel):
 
     @property
     def kinks(self) -> Array:
-        """Angles theta_diff at which values have a kink (n,) [rad]."""
+        """Angles theta_diff (n,) [rad] at which the values of the model have a kink."""
         return self.theta_diff if self.interpolation == "linear" else np.zeros(0)
 
     def _delta_at(self, theta_diff: Array) -> Array:

@@ -1,9 +1,10 @@
 """Evaluate a model, quickly at a single point and without large arrays at a million points.
 
-Between two knots every parameter is a cubic polynomial in theta_diff, whose coefficients are computed once for a model.
-A few points look up their coefficients one by one, and consecutive lobes of one kind are evaluated together. Many
-points are sorted by their piece between knots, one block of points after another: within a piece, each coefficient is a
-single number. The lobes are then evaluated in turn, so that intermediate arrays stay in the cache. Both ways do equal
+Between two knots every parameter of a lobe is a cubic polynomial in theta_diff, whose coefficients are computed once
+for a model. For a few points, the coefficients of each point are looked up, and consecutive lobes of one kind (with or
+without a center) are evaluated together. Many points are divided into blocks, and the points of a block are sorted by
+the interval between knots that contains theta_diff, because within an interval each coefficient is a single number. The
+lobes are then evaluated in turn, so that intermediate arrays stay in the processor's cache. Both ways do equal
 operations on every point.
 """
 
@@ -16,19 +17,23 @@ from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.model.lobes import lobe_values, log_cosine
 from dsbrdf.model.splines import pieces_of
 
-_MAX_LOOKED_UP_POINTS = 512  # More points are sorted by piece, which is then faster than looking up coefficients.
-_SORTED_POINTS = 65536  # Points are sorted in blocks of this size, whose arrays stay in the cache.
-_MAX_TANGENT = 1e15  # tan(theta_half) at pi/2 is clipped to this value.
+_MAX_LOOKED_UP_POINTS = (
+    512  # For more points, sorting by interval between knots is faster than looking up coefficients.
+)
+_SORTED_POINTS = (
+    65536  # Many points are evaluated in blocks of this size, so that the arrays of a block stay in the cache.
+)
+_MAX_TANGENT = 1e15  # tan(theta_half) is clipped to this value, because the tangent of pi/2 is infinite.
 
 
 class Evaluator:
     """Evaluate the lobes of a model; safe to use from several threads.
 
-    The three `groups` are amplitude; kappa, gamma and center; and elongation. Each has knots (B,) and control values
-    (D, R). The R rows are amplitude (channel, lobe), then kappa, gamma and center (shape, lobe), then elongation
-    (lobe). If `spline`, amplitude, kappa and gamma are logarithms; otherwise amplitude is log1p(amplitude). There is
-    one shape for all channels, or one for each of 3; `is_ring` is the mask of the lobes (K,) with a center other than
-    0.
+    The three `groups` are amplitude; kappa, gamma and center; and elongation. Each group has knots (B,) and the control
+    values (D, R) of R parameters. The parameters are amplitude (channel, lobe), then kappa, gamma and center (shape,
+    lobe), then elongation (lobe). If `spline`, the control values of amplitude, kappa and gamma are logarithms;
+    otherwise the control values of amplitude are log1p(amplitude). All three channels have one shape, or each channel
+    has its own; `is_ring` is the mask (lobes,) of the lobes with a center other than 0.
     """
 
     def __init__(self, *groups: tuple[Array, Array], n_shapes: int, is_ring: Mask, family: str, spline: bool) -> None:
@@ -36,7 +41,7 @@ class Evaluator:
         if breaks.size == 1:
             breaks = breaks[0] + np.array([0.0, 1.0])
         rows = np.concatenate([pieces_of(*group, breaks, spline=spline) for group in groups], axis=2)
-        self.pieces = breaks, np.ascontiguousarray(rows.transpose(0, 2, 1))  # `dsbrdf.DSBRDF.pieces` describes them.
+        self.pieces = breaks, np.ascontiguousarray(rows.transpose(0, 2, 1))  # `DSBRDF.pieces` describes both arrays.
         self._breaks, self._terms = self.pieces
         self._n_lobes = n_lobes = is_ring.size
         self._n_shapes, self._family, self._spline, self._is_ring = n_shapes, family, spline, is_ring
@@ -50,7 +55,10 @@ class Evaluator:
         self._n_logarithms = ends[3 if spline else 1]
 
     def parameters(self, theta_diff: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return amplitude (n, 3, K), kappa, gamma and center (n, C, K) and elongation (n, K) at angles (n,)."""
+        """Return the parameters of all lobes at n angles.
+
+        The arrays are amplitude (n, 3, lobes), kappa, gamma and center (n, shapes, lobes) and elongation (n, lobes).
+        """
         rows = self._looked_up(theta_diff)
         amplitude, kappa, gamma, center, elongation = (rows[part].T for part in self._parts)
         n, k = theta_diff.size, self._n_lobes
@@ -72,9 +80,10 @@ class Evaluator:
         return result
 
     def grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield the values (3, D, P) for each angle theta_half at all pairs of angles (D,) and (P,).
+        """Yield for each theta_half the values (3, D, P) at all pairs of theta_diff (D,) and phi_diff (P,).
 
-        Parameters and stretch factors are computed once for all theta_half. Round lobes do not depend on phi_diff.
+        The parameters of the lobes and the factors that stretch theta_half are computed once for all theta_half. If no
+        lobe has an elongation, values do not depend on phi_diff and are computed for one phi_diff.
         """
         shape = (3, theta_diff.size, phi_diff.size)
         phi_diff = phi_diff[:1] if self._round else phi_diff
@@ -90,12 +99,12 @@ class Evaluator:
                     values[:, channel, lobe] = lobe_values(
                         at, kappa[:, channel, lobe, None], gamma[:, channel, lobe, None], ring, self._family
                     )
-            # Shapes are common to all channels, or separate for each channel.
+            # One product serves both kinds of models: all channels have one shape, or each channel has its own.
             total = amplitude.reshape(theta_diff.size, self._n_shapes, 3 // self._n_shapes, self._n_lobes) @ values
             yield np.broadcast_to(total.reshape(theta_diff.size, 3, phi_diff.size).transpose(1, 0, 2), shape)
 
     def _fill(self, result: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> None:
-        """Write the values of one block of points into `result`, piece by piece."""
+        """Write the values of a block of points into `result`, one interval between knots after another."""
         piece, step = self._place(theta_diff)
         order = np.argsort(piece.astype(np.uint8 if self._breaks.size < 256 else np.uint16), kind="stable")
         start = 0
@@ -104,25 +113,26 @@ class Evaluator:
             start += count
             if count:
                 steps, angles = step[chosen], theta_diff[chosen]
-                if (angles == angles[0]).all():  # For one distant light and one viewer, all theta_diff are equal.
+                # For a distant light and viewer, all theta_diff are equal: parameters at one of them are enough.
+                if (angles == angles[0]).all():
                     steps, angles = steps[:1], angles[:1]
                 rows = self._rows(self._terms[:, :, index : index + 1], steps)
                 result[chosen] = self._sum(rows, squared[chosen], angles, phi_diff[chosen])
 
     def _place(self, theta_diff: Array) -> tuple[Indices, Array]:
-        """Return the index of the piece that contains each angle, and the distance from the start of this piece."""
+        """Return for each angle the index of its interval between knots, and the distance from the interval's start."""
         breaks = self._breaks
         held = np.minimum(np.maximum(theta_diff, breaks[0]), breaks[-1])
         piece = breaks[1:-1].searchsorted(held, side="right")
         return piece, held - breaks[piece]
 
     def _looked_up(self, theta_diff: Array) -> Array:
-        """Return parameters (R, n) at angles (n,), with coefficients looked up for each angle."""
+        """Return the parameters (rows, n) of the lobes at n angles, with coefficients looked up for each angle."""
         piece, step = self._place(theta_diff)
         return self._rows(self._terms.take(piece, axis=2), step)
 
     def _rows(self, terms: Array, step: Array) -> Array:
-        """Evaluate polynomials with terms (4, R, n or 1), and convert logarithms to parameters."""
+        """Evaluate cubic polynomials with coefficients (4, rows, n or 1), and convert logarithms to parameters."""
         rows = terms[0] * step
         for term in terms[1:3]:
             rows += term
@@ -133,7 +143,7 @@ class Evaluator:
         return rows
 
     def _sum(self, rows: Array, squared: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the sum of the lobes (n, 3), from parameters (R, n or 1) and squared tangents (n,)."""
+        """Return the sum of the lobes (n, 3), from parameters (rows, n or 1) and tan(theta_half)**2 (n,)."""
         amplitude, kappa, gamma, center, elongation = map(rows.__getitem__, self._parts)
         k, n_shapes = self._n_lobes, self._n_shapes
         if self._round:

@@ -1,6 +1,7 @@
-"""Define the families of lobes, as functions of the offset, the distance of theta' from the center.
+"""Define the families of lobes, as functions of the angle between theta' and the center of a lobe.
 
-`FAMILIES` lists the families. `dsbrdf.model.lobes` has their formulas, and the code that they have in common.
+`FAMILIES` has the families by name. `dsbrdf.model.lobes` has the formulas of the families, and the code that all
+families have in common.
 """
 
 from collections.abc import Callable
@@ -14,27 +15,38 @@ from dsbrdf.arrays import Array
 Family = Literal["hemi_epd", "student"]
 """Names of the families of lobes."""
 MAX_CENTER = 1.57
-"""Maximum distance of a center from the normal [rad]; closer to pi/2, the sign of its tangent is uncertain."""
-_MIN_LOG = -200.0  # Smaller exponents are clipped: squares of their exponentials are slow subnormal numbers.
-_MIN_SINGLE_LOG = -35.0  # In single precision, squares of smaller exponentials are subnormal.
+"""Maximum angle between a lobe's center and the normal [rad]; at pi/2, rounding may change the tangent's sign."""
+_MIN_LOG = -200.0  # Smaller exponents are clipped: squared exponentials could be subnormal numbers, which are slow.
+_MIN_SINGLE_LOG = -35.0  # Smaller exponents are clipped in single precision, where exp(-87) is already subnormal.
 
 Slopes = Callable[[], tuple[Array, Array, Array, Array]]
-"""Returns derivatives in log kappa, log gamma, the squared tangent of the offset, and this square at the top."""
+"""Function that returns the derivatives of lobes in log kappa, in log gamma and in two squared tangents.
+
+The tangents are those of the angle to the center, and of this angle at the maximum of a cusp.
+"""
 
 
 @dataclass(frozen=True)
 class LobeFamily:
-    """Define a family of lobes by positive kappa and gamma; gamma multiplies the reach, a function of the offset."""
+    """Define a family of lobes with positive kappa and gamma.
 
-    fall_to_half: Callable[[Array], Array]  # kappa -> gamma times the reach at half height
-    slope_of_fall: Callable[[Array], Array]  # kappa -> derivative of log(fall_to_half) in log kappa
-    reach: Callable[[Array], Array]  # squared tangent of the offset -> reach
-    squared_tangent: Callable[[Array], Array]  # inverse of `reach`
-    # (reach, tangent of the offset) -> derivative of the offset in log reach
+    In the formula of a lobe, gamma multiplies a function of the angle to the center of the lobe, called `reach`.
+    """
+
+    # Takes kappa, and returns the product of gamma and `reach` at which a lobe has half its height.
+    fall_to_half: Callable[[Array], Array]
+    # Takes kappa, and returns the derivative of log(fall_to_half) in log kappa.
+    slope_of_fall: Callable[[Array], Array]
+    # Takes the squared tangent of the angle to the center; returns the function of this angle that gamma multiplies.
+    reach: Callable[[Array], Array]
+    # Takes a value of `reach`, and returns the squared tangent of the angle to the center.
+    squared_tangent: Callable[[Array], Array]
+    # Takes `reach` and the tangent of the angle to the center, and returns the derivative of this angle in log(reach).
     slope_of_width: Callable[[Array, Array], Array]
-    largest_tangent: float  # Larger tangents of the offset are clipped.
-    # Returns lobes of height 1 and a function for their derivatives. The arguments are the squared tangent of the
-    # offset, kappa, gamma and, for cusps, the squared tangent at their top, the normal.
+    # Larger tangents of the angle to the center are clipped, because the tangent of 90 degrees is infinite.
+    largest_tangent: float
+    # Returns lobes of height 1, and a function that returns the derivatives of these lobes. The arguments are the
+    # squared tangent of the angle to the center, kappa, gamma and, for cusps, the squared tangent at the maximum.
     curve: Callable[[Array, Array, Array, Array | None], tuple[Array, Slopes]]
 
 
@@ -112,9 +124,9 @@ FAMILIES = {
         slope_of_fall=_student_slope,
         reach=lambda squared_tangent: squared_tangent,
         squared_tangent=lambda reach: reach,
-        slope_of_width=lambda _, tangent: 0.5 * tangent / (1.0 + tangent**2),  # The reach is tangent**2.
+        slope_of_width=lambda _, tangent: 0.5 * tangent / (1.0 + tangent**2),  # Here `reach` is tangent**2.
         largest_tangent=float(np.tan(MAX_CENTER)),
         curve=_student_curve,
     ),
 }
-"""Families by name; a new family also needs a name in `Family`, and formulas in the exports."""
+"""Families of lobes by name; a new family also needs a name in `Family`, and formulas in the exports."""

@@ -1,14 +1,15 @@
 """Evaluate lobes of height 1 and their derivatives, for fits and for the model.
 
-In both families, a lobe is a decreasing function of the distance of ``theta'`` from its center. It is divided by its
-largest value, so that its amplitude is its height in 1/sr:
+In both families, a lobe is a decreasing function of the angle between ``theta'`` and the center of the lobe. The
+function is divided by its largest value, so that the amplitude of a lobe is its height in 1/sr:
 
     hemi_epd    s = expm1(kappa cos(theta' - center)**gamma) / expm1(kappa)        (Nishino 2009, eq. 3)
     student     s = (1 + gamma tan(theta' - center)**2)**-kappa                    (Student's t over slopes)
 
-A lobe with ``center = 0`` is the paper's, about the normal. With ``center > 0`` its maximum is a ring. With
-``center < 0`` it is a cusp: only the flank of the lobe remains, with its maximum at the normal. For a cusp, the
-distance is defined by tangents, so that it reaches 90 degrees together with theta':
+A lobe with ``center = 0`` is the paper's lobe, whose maximum is at the normal. A lobe with ``center > 0`` has its
+maximum on a ring about the normal. A lobe with ``center < 0`` is a cusp: only the flank of the lobe remains, and its
+maximum is at the normal. For a cusp, the angle to the center is defined by tangents, so that this angle reaches 90
+degrees together with theta':
 
     tan(theta' - center) = tan(theta') + tan(-center),    center < 0.
 
@@ -17,13 +18,13 @@ distance is defined by tangents, so that it reaches 90 degrees together with the
     tan(theta')**2 = tan(theta_half)**2 (cos(phi_diff)**2 c**-e + sin(phi_diff)**2 c**e),
     c**4 = cos(theta_diff)**4 + g**4 (1 - cos(theta_diff)**4).
 
-c is nearly cos(theta_diff), but at least g = `GRAZING_COSINE`; up to 75 degrees it differs from the cosine by less than
-0.3 %. With the cosine itself, the stretch would be infinite at the horizon.
+Here c is nearly cos(theta_diff), but at least g = `GRAZING_COSINE`; up to 75 degrees, c differs from the cosine by less
+than 0.3 %. With the cosine in place of c, the stretch would be infinite at the horizon.
 
-A lobe with ``e = 0`` is the paper's, round about the half vector. Swapping the two directions adds pi to phi_diff,
-which does not change theta': every lobe is reciprocal.
+A lobe with ``e = 0`` is round: its values do not depend on phi_diff, like the values of the paper's lobes. Swapping the
+two directions adds pi to phi_diff, which does not change theta': every lobe is reciprocal.
 
-All arrays broadcast; usually the first axis is the lobe.
+The arrays in all functions of this module broadcast; usually the first axis is the lobe.
 """
 
 from collections.abc import Callable
@@ -35,7 +36,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.model.lobe_families import FAMILIES
 
 GRAZING_COSINE = 0.08
-"""Minimum of the cosine c that stretches lobes, equal to cos(85.4 degrees)."""
+"""Minimum of c, the cosine of theta_diff by which lobes are stretched; it is cos(85.4 degrees)."""
 
 
 class LobeSlopes(NamedTuple):
@@ -43,38 +44,38 @@ class LobeSlopes(NamedTuple):
 
     by_log_kappa: Array
     by_log_gamma: Array
-    by_center: Array  # derivative per radian; 0 for a lobe without a center
+    by_center: Array  # derivative in the center [1/rad]; 0 for a lobe about the normal
     by_squared_tangent: Array  # derivative in tan(theta')**2
 
 
 def log_cosine(theta_diff: Array) -> Array:
-    """Return the logarithm of the cosine c that stretches lobes; it is 0 at normal incidence."""
+    """Return the logarithm of c, the bounded cosine of theta_diff by which lobes are stretched."""
     fourth = GRAZING_COSINE**4
     return np.asarray(0.25 * np.log(fourth + (1.0 - fourth) * np.cos(theta_diff) ** 4))
 
 
 def half_width(kappa: Array, gamma: Array, family: str) -> Array:
-    """Return the distance from the center at which a lobe has half its height [rad]."""
+    """Return the angle from the center at which a lobe has half its height [rad]."""
     return width_of_reach(fall_to_half(kappa, family) / gamma, family)
 
 
 def gamma_of_half_width(width: Array, kappa: Array, family: str) -> Array:
-    """Return the gamma that gives a lobe with kappa a half width [rad]."""
+    """Return the gamma with which a lobe of a given kappa has a given half width [rad]."""
     return fall_to_half(kappa, family) / reach_of_width(width, family)
 
 
 def fall_to_half(kappa: Array, family: str) -> Array:
-    """Return gamma times the reach at which a lobe has half its height."""
+    """Return the product of gamma and `reach_of_width` at the half width of a lobe."""
     return FAMILIES[family].fall_to_half(kappa)
 
 
 def reach_of_width(width: Array, family: str) -> Array:
-    """Return the reach, the factor of gamma in the formula, at an angle from the center [rad]."""
+    """Return the function that gamma multiplies in the formula of a lobe, at an angle from the center [rad]."""
     return np.asarray(FAMILIES[family].reach(np.tan(width) ** 2))
 
 
 def width_of_reach(reach: Array, family: str) -> Array:
-    """Return the angle from the center [rad] at a reach, the inverse of `reach_of_width`."""
+    """Return the angle from the center [rad] at a value of `reach_of_width`; this is the inverse function."""
     return np.asarray(np.arctan(np.sqrt(FAMILIES[family].squared_tangent(reach))))
 
 
@@ -110,7 +111,7 @@ def lobe_curves(
         by_log_kappa, by_log_gamma, by_square, by_top = slopes()
         by_offset = 2.0 * offset * by_square * (offset < known.largest_tangent)
         by_offset /= below * below
-        # At theta' = 0, the derivative in tan(theta')**2 is infinite; it is clipped.
+        # At theta' = 0, the derivative in tan(theta')**2 is infinite, so the tangent that divides it is bounded.
         least = np.sqrt(np.finfo(root.dtype).tiny)
         by_squared_tangent = by_offset * (0.5 + 0.5 * of_ring**2) / np.maximum(root, least)
         by_tangent = 2.0 * of_cusp * by_top - by_offset * (1.0 + squared_tangent * (tangent > 0.0))

@@ -16,7 +16,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
 
-# A direction with a smaller cosine to the normal is below the horizon; 0 would fail by rounding.
+# A direction whose cosine to the normal is smaller is below the horizon; the bound is not 0 because of rounding.
 _MIN_COSINE_ABOVE_HORIZON = -1e-12
 
 
@@ -25,11 +25,11 @@ class ReflectanceModel(ABC):
 
     @abstractmethod
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
+        """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""
 
     @abstractmethod
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
+        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return RGB values (..., 3) [1/sr] at half and difference angles (...) that broadcast.
@@ -51,13 +51,13 @@ class ReflectanceModel(ABC):
         phi_diff = np.asarray(phi_diff, dtype=float)
         if not np.isfinite(phi_diff).all():
             raise InvalidArgumentError("phi_diff must be finite")
-        # Broadcasting takes as long as the evaluation of a point, so equal shapes skip it.
+        # Broadcasting takes as long as the evaluation of a point, so it is skipped if all shapes are equal.
         if not theta_half.shape == theta_diff.shape == phi_diff.shape:
             checked = checked_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff)
             theta_half, theta_diff, phi_diff = np.broadcast_arrays(*checked)
         flat = theta_half.ravel(), theta_diff.ravel(), phi_diff.ravel()
         values = self.evaluate_unmasked(*flat)
-        if (flat[0] + flat[1] > np.pi / 2).any():  # Otherwise no direction is below the horizon.
+        if (flat[0] + flat[1] > np.pi / 2).any():  # At smaller angles, both directions are above the horizon.
             values[np.minimum(*incident_cosines(*flat)) < _MIN_COSINE_ABOVE_HORIZON] = 0.0
         return values.reshape(*theta_half.shape, 3)
 
@@ -79,7 +79,8 @@ class ReflectanceModel(ABC):
     def tabulate(self) -> Array:
         """Return values at the nodes of the measurement grid, shape (3, 90, 90, 180) [1/sr].
 
-        Nodes below the horizon have the value of the formula too, so that programs can interpolate near the horizon.
+        Where a direction is below the horizon, nodes have values of the formula too, so that programs can interpolate
+        near the horizon.
         """
         grid = np.empty((3, THETA_HALF.size, THETA_DIFF.size, PHI_DIFF.size))
         for row, values in enumerate(self.evaluate_grid(THETA_HALF, THETA_DIFF, PHI_DIFF[:QUARTER])):
@@ -93,7 +94,7 @@ class RenderableModel(ReflectanceModel):
 
     @property
     def kinks(self) -> Array:
-        """Angles theta_diff at which values have a kink (n,) [rad]."""
+        """Angles theta_diff (n,) [rad] at which the values of the model have a kink."""
         return np.zeros(0)
 
     def albedo(self, theta_out: ArrayLike) -> Array:
@@ -163,7 +164,7 @@ class RenderableModel(ReflectanceModel):
 
     @cached_property
     def sampler(self) -> DirectionSampler:
-        """The mixture of densities that `sample` draws from; exports copy its numbers."""
+        """The mixtures of densities that `sample` draws from; exports copy the numbers of these mixtures."""
         return direction_sampler(self.evaluate_unmasked)
 
 

@@ -1,30 +1,32 @@
 """Draw directions roughly in proportion to the reflected light, and compute their exact density.
 
-A direction omega_in is drawn in one of two ways. Either its density is proportional to the cosine of its angle to the
-normal. Or omega_out is mirrored at a facet of a rough surface, drawn from the facets that omega_out sees (Heitz 2018).
-The surface is GGX with different roughness along and across the plane of incidence (Walter et al. 2007). Visible facets
-reflect most light upwards at grazing angles too.
+A direction omega_in is drawn in one of two ways: with a density proportional to the cosine of its angle to the normal,
+or by mirroring omega_out at a facet of a rough surface. The facet is drawn from the facets that are visible from
+omega_out (Heitz 2018). The rough surface has the GGX distribution of normals, with different roughness along and across
+the plane of incidence (Walter et al. 2007). Visible facets reflect most light upwards even at grazing angles, so that
+few directions are drawn below the horizon.
 
-Let T = omega_in + omega_out, and let L be its length. In a frame whose first axis is the projection of omega_out on the
-surface, the density of omega_in per solid angle is
+Let L be the length of T = omega_in + omega_out. In a frame whose first axis is the projection of omega_out on the
+surface, the density of a mirrored omega_in per solid angle is
 
     L**4 / (2 pi a b (T_z**2 + (T_x/a)**2 + (T_y/b)**2)**2 (o_z + sqrt(o_z**2 + (a o_x)**2))),
 
-where a and b are the roughnesses along and across, and o is omega_out. This is the density of visible normals divided
-by 4 h . omega_out, in a form that is defined at the horizon too.
+where a and b are the roughnesses along and across the plane of incidence, and o is omega_out. This density equals the
+density of visible normals h divided by 4 h . omega_out, in a form that is defined at the horizon too.
 
-Each theta_out has a mixture of surfaces from `_CANDIDATE_ROUGHNESSES` and of the cosine. The variance of the weights
-f cos(theta_in) / pdf is, up to a constant,
+For each theta_out, omega_in is drawn from a mixture of such densities, with roughnesses from `_CANDIDATE_ROUGHNESSES`,
+and of the cosine density. The variance of the weights f cos(theta_in) / pdf of the samples is, up to a constant,
 
     integral (f cos(theta_in))**2 / pdf d omega_in.
 
-To build a mixture, the density that lowers this integral most is added repeatedly. Each time, all fractions are
-improved by the iteration w_m <- w_m sqrt(integral (f cos)**2 p_m / pdf**2), whose fixed point has the minimum variance
-because the integral is convex in the fractions. The minimum fraction of the cosine, `MIN_COSINE_FRACTION`, bounds the
-weights.
+A mixture begins with the cosine density; the density that lowers this integral most is added repeatedly. After each
+addition, the fraction w_m of every density p_m is improved by the iteration
+w_m <- w_m sqrt(integral (f cos)**2 p_m / pdf**2). The fixed point of the iteration has the minimum variance, because
+the integral is convex in the fractions. The cosine density has at least the fraction `MIN_COSINE_FRACTION`, which
+bounds the weights of the samples.
 
-The mixtures are tabulated at `ANGLES`. Both `sample` and `pdf` use the mixture of the nearest angle, so that they agree
-to rounding.
+The mixtures are tabulated at the angles theta_out in `ANGLES`. Both `sample` and `pdf` use the mixture of the nearest
+angle, so that their densities agree to rounding.
 """
 
 from dataclasses import dataclass
@@ -43,16 +45,16 @@ MIN_COSINE_FRACTION = 0.1
 MAX_MIXTURE_ANGLE = np.radians(89.5)
 """Larger angles use the mixture of this angle [rad], because at 90 degrees all nodes are below the horizon."""
 MIXTURE_PARTS = 6
-"""Number of densities of a mixture besides the cosine."""
+"""Number of densities of a mixture besides the cosine density."""
 LOG_STRETCHES = np.array([-1.0, 0.0, 1.0])
 """Logarithms of candidate ratios of the roughness along the plane of incidence to the roughness across it."""
 _CANDIDATE_ROUGHNESSES = np.stack(
     [np.geomspace(1e-3, 1.0, 14)[:, None] * np.exp(sign * LOG_STRETCHES) for sign in (0.5, -0.5)], axis=-1
 ).reshape(-1, 2)
 START_FRACTION = 0.03
-"""Fraction of an added density before the fractions are improved."""
+"""Fraction with which a density is added to a mixture, before all fractions are improved."""
 FRACTION_ITERATIONS = 20
-"""Iterations that improve the fractions after each added density."""
+"""Number of iterations that improve the fractions of a mixture after a density is added."""
 
 
 class Samples(NamedTuple):
@@ -65,11 +67,11 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DirectionSampler:
-    """Draw from mixtures of M densities and the cosine at the N angles in `ANGLES`; see `direction_sampler`."""
+    """Draw directions from the mixture of densities that each angle in `ANGLES` has; see `direction_sampler`."""
 
-    along: Array  # roughness along the plane of incidence, (N, M)
-    across: Array  # roughness across the plane of incidence, (N, M)
-    cumulative: Array  # cumulative sums of the fractions, (N, M + 1); the cosine is last
+    along: Array  # roughness along the plane of incidence, (angles, densities)
+    across: Array  # roughness across the plane of incidence, (angles, densities)
+    cumulative: Array  # cumulative sums of a mixture's fractions, (angles, densities + 1); the cosine density is last
 
     def sample(self, omega_out: Array, rng: np.random.Generator) -> Array:
         """Draw a direction omega_in for each omega_out, both of shape (n, 3)."""
@@ -87,7 +89,7 @@ class DirectionSampler:
         return omega_in
 
     def pdf(self, omega_in: Array, omega_out: Array) -> Array:
-        """Return the density of omega_in per solid angle, for omega_out, both (n, 3); it is 0 below the horizon."""
+        """Return the density [1/sr] of directions omega_in (n, 3) for omega_out (n, 3); it is 0 below the horizon."""
         result = np.zeros(len(omega_in))
         above = np.flatnonzero((omega_in[:, 2] > 0.0) & (omega_out[:, 2] > 0.0))
         first, second = omega_in[above], omega_out[above]
@@ -101,7 +103,7 @@ class DirectionSampler:
 
 
 def direction_sampler(evaluate: Evaluate) -> DirectionSampler:
-    """Tabulate mixtures that suit the values of a model."""
+    """Build the mixture of densities for every angle in `ANGLES`, from the values of a model."""
     along, across = np.ones((2, ANGLES.size, MIXTURE_PARTS))
     share = np.zeros((ANGLES.size, MIXTURE_PARTS + 1))
     for row, theta_out in enumerate(ANGLES):
@@ -113,7 +115,7 @@ def direction_sampler(evaluate: Evaluate) -> DirectionSampler:
 
 
 def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
-    """Return the indices of the candidates in the mixture at one angle, and their fractions; the cosine is last."""
+    """Return indices of the densities in the mixture for one angle, and all fractions, the cosine density's last."""
     rule = half_vector_rule(theta_out)
     used = rule.cos_in > 0.0
     theta_half, azimuth, cos_in = rule.theta_half[used], rule.azimuth[used], rule.cos_in[used]
@@ -139,7 +141,10 @@ def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
 
 
 def _improved(share: Array, densities: Array, squared: Array) -> Array:
-    """Improve the fractions (M,) of densities (M, n) for the weighted squares (n,) of the integrand."""
+    """Improve the fractions of the densities (densities, nodes) in a mixture.
+
+    `squared` (nodes,) is the squared integrand times the weights of the quadrature.
+    """
     for _ in range(FRACTION_ITERATIONS):
         share = share * np.sqrt(densities @ (squared / (share @ densities) ** 2))
         share = share / max(share.sum(), 1e-300)
@@ -149,7 +154,10 @@ def _improved(share: Array, densities: Array, squared: Array) -> Array:
 
 
 def _in_plane_of_incidence(omega_in: Array, omega_out: Array) -> tuple[Array, ...]:
-    """Return T_x, T_y, T_z**2, L**2, o_z and o_x of the module's formula, each of shape (n,)."""
+    """Return the six terms by which the density of a mirrored direction depends on both directions, each (n,).
+
+    In the formula of the module's docstring, the terms are T_x, T_y, T_z**2, L**2, o_z and o_x.
+    """
     total = omega_in + omega_out
     x, y = _heading(omega_out)
     toward, aside = total[:, 0] * x + total[:, 1] * y, total[:, 1] * x - total[:, 0] * y
@@ -158,7 +166,7 @@ def _in_plane_of_incidence(omega_in: Array, omega_out: Array) -> tuple[Array, ..
 
 
 def _mirrored_density(seen: tuple[Array, ...], along: Array, across: Array) -> Array:
-    """Return the density per solid angle of mirrored directions omega_in, by the module's formula."""
+    """Return the density per solid angle of mirrored directions, by the formula of the module's docstring."""
     toward, aside, squared_up, squared_length, height, radius = seen
     slopes = squared_up + (toward / along) ** 2 + (aside / across) ** 2
     visible = height + np.sqrt(height**2 + (along * radius) ** 2)
@@ -166,7 +174,9 @@ def _mirrored_density(seen: tuple[Array, ...], along: Array, across: Array) -> A
 
 
 def _visible_normals(omega_out: Array, along: Array, across: Array, uniform: Array) -> Array:
-    """Draw normals visible to directions (n, 3) from uniform numbers (2, n), by Dupuy and Benyoub (2023).
+    """Draw a normal of a rough surface visible from each direction (n, 3), from uniform numbers (2, n).
+
+    The method is the one of Dupuy and Benyoub (2023).
 
     After the surface is stretched to roughness 1, a normal is the half vector of omega_out and of a point drawn
     uniformly from a spherical cap.

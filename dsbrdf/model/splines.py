@@ -1,8 +1,9 @@
 """Interpolate the parameters of the model over theta_diff.
 
-A parameter is a clamped cubic B-spline of its control values. Between two knots it stays within the range of the four
-control values that determine it there: a positive parameter stays positive and does not overshoot. A spline with B
-knots has B + 2 control values; a single knot makes a constant. The paper interpolates linearly between values at knots.
+A parameter is a clamped cubic B-spline of its control values. Between two knots the spline stays within the range of
+the four control values that determine it there: a positive parameter stays positive and does not overshoot. A spline
+with B knots has B + 2 control values; a single knot makes a constant. The paper interpolates linearly between values at
+knots.
 """
 
 import numpy as np
@@ -11,7 +12,7 @@ from dsbrdf.arrays import Array
 
 DEGREE = 3
 SECOND_DIFFERENCE_WEIGHT = 3e-2
-"""Weight of a squared second difference of control values, relative to a squared error."""
+"""Weight of squared second differences of control values, relative to squared errors, where splines are fitted."""
 
 
 def n_control_values(n_knots: int) -> int:
@@ -20,14 +21,15 @@ def n_control_values(n_knots: int) -> int:
 
 
 def knot_vector(knots: Array) -> Array:
-    """Return the knots (B + 6,) of a clamped spline: the first and the last of B knots are there four times."""
+    """Return the knots (B + 6,) of a clamped cubic spline, with the first and the last of B knots four times."""
     return np.concatenate([np.repeat(knots[0], DEGREE), knots, np.repeat(knots[-1], DEGREE)])
 
 
 def spline_basis(knots: Array, theta_diff: Array) -> Array:
-    """Return the weights (R, D) of the D control values at each theta_diff (R,), for knots (B,) [rad].
+    """Return the weight of every control value at each theta_diff, (angles, control values), for knots (B,) [rad].
 
-    Weights are not negative, and each row sums to 1; theta_diff is clipped to the first and the last knot.
+    Weights are not negative, and the weights at an angle sum to 1; theta_diff is clipped to the first and the last
+    knot.
     """
     if knots.size == 1:
         return np.ones((theta_diff.size, 1))
@@ -36,10 +38,11 @@ def spline_basis(knots: Array, theta_diff: Array) -> Array:
 
 
 def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Array:
-    """Return coefficients (4, P - 1, R) of (theta_diff - break)**3 to **0 on pieces that begin at the breaks (P,).
+    """Return R curves as cubic polynomials in theta_diff (4, P - 1, R), one between any two of the P breaks.
 
-    The curves are R splines with control values (D, R) on knots (B,), or linear between values (B, R) at the knots.
-    The breaks include all knots, and the last break ends the last piece. Beyond its own knots a curve is constant.
+    The first axis has the coefficients of (theta_diff - break)**3 to **0 for the break at which a polynomial begins.
+    The curves are splines with control values (D, R) on knots (B,), or linear between values (B, R) at the knots. The
+    breaks include all knots. Beyond its own knots a curve is constant.
     """
     starts = breaks[:-1]
     if knots.size == 1:
@@ -71,7 +74,10 @@ def roughness(n_values: int) -> Array:
 
 
 def smooth_control_values(basis: Array, values: Array) -> Array:
-    """Return control values (D, n) of smooth splines that fit values (R, n), with `spline_basis` (R, D) at the rows."""
+    """Return control values (D, n) of n smooth splines that fit values (rows, n).
+
+    `basis` (rows, D) is the `spline_basis` at the angles of the rows.
+    """
     ridge = SECOND_DIFFERENCE_WEIGHT * roughness(basis.shape[1]) + 1e-9 * np.eye(basis.shape[1])
     return np.asarray(np.linalg.solve(basis.T @ basis + ridge, basis.T @ values))
 

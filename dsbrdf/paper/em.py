@@ -1,7 +1,7 @@
 """Algorithm 1 of Nishino 2009 on a batch of slices: expectation-maximisation for mixtures of hemi-EPDs.
 
 A slice is the profile of one channel at one theta_diff: the mean L_n over phi_diff at each theta_half. The E-step
-computes the responsibility of each lobe k for the data,
+computes the responsibility q_k of each lobe l_k for the data,
 
     q_k(theta) = l_k(theta) / sum_j l_j(theta),
 
@@ -12,10 +12,10 @@ and the M-step fits each lobe to its part q_k L of the data, separately and by L
 where l = exp(kappa cos(theta)**gamma) - 1 is the paper's lobe, the hemispherical exponential power distribution without
 its normalisation (eqs. 3 and 5). With gamma = 0 it is constant, a Lambertian lobe; with gamma -> infinity, a mirror.
 
-Because q depends on theta_half only, sums over all samples and sums over the profile differ by a constant, so that the
-algorithm runs exactly on `Profiles`. All slices, channels and lobes are iterated together. Each Levenberg-Marquardt
-step solves a 2 x 2 system in (log kappa, log gamma) for each lobe. `dsbrdf.model.lobes` is not used, because its lobes
-are divided by their height, which would need four more derivatives.
+Because q_k depends on theta_half only, sums of squares over all samples and over their means differ by a constant, so
+that fits of `Profiles` equal fits of all samples. All slices, channels and lobes are iterated together. Each
+Levenberg-Marquardt step solves a 2 x 2 system in (log kappa, log gamma) for each lobe. `dsbrdf.model.lobes` is not
+used, because lobes of height 1 would need four more derivatives.
 """
 
 from collections.abc import Callable
@@ -27,26 +27,26 @@ from numpy.typing import ArrayLike, NDArray
 from dsbrdf.arrays import Array, Mask
 
 EM_KAPPA_BOUNDS = (1e-9, 40.0)
-"""Measured values are at most 1e8/sr, so that kappa is at most log(1 + 1e8) = 18.4; twice this allows extrapolation."""
+"""Bounds of kappa: values up to 1e8/sr need at most log(1 + 1e8) = 18.4; twice this number allows extrapolation."""
 EM_GAMMA_BOUNDS = (1e-4, 1e7)
-"""Half widths from a constant lobe to 0.02 degrees."""
+"""Bounds of gamma, from a nearly constant lobe to a lobe with a half width of 0.02 degrees."""
 _LOWER_LOG_BOUNDS = np.log([EM_KAPPA_BOUNDS[0], EM_GAMMA_BOUNDS[0]])
 _UPPER_LOG_BOUNDS = np.log([EM_KAPPA_BOUNDS[1], EM_GAMMA_BOUNDS[1]])
 
 EM_TOLERANCE = 1e-4
-"""A slice has converged if an iteration changes its curve by a smaller fraction of the norm of the data."""
+"""A slice has converged if an iteration changes the mixture by a smaller fraction of the norm of the data."""
 M_STEP_TOLERANCE = 1e-9
 M_STEP_ITERATIONS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class SliceFits:
-    """Hold mixtures fitted to a batch of slices."""
+    """Hold mixtures fitted to a batch of slices: parameters (slices, lobes), and the convergence (slices,)."""
 
-    kappa: Array  # (slices, lobes)
-    gamma: Array  # (slices, lobes)
-    iterations: NDArray[np.int64]  # (slices,)
-    converged: Mask  # (slices,)
+    kappa: Array
+    gamma: Array
+    iterations: NDArray[np.int64]
+    converged: Mask
 
 
 def fit_slices(
@@ -65,7 +65,7 @@ def fit_slices(
     `mean` and `weight` (slices, N) are the data [1/sr] and their weights; data with the weight 0 are ignored, and every
     slice needs a positive weight. `iterations` is the maximum number of EM iterations. A `robust` fit reduces the
     weights of large residuals (Huber's weights, from the mixture before each M-step). `largest_kappa` (slices,) bounds
-    the lobes where there are no samples. `on_iteration` is called with the number of each iteration.
+    the height of lobes at smaller angles than theta_half. `on_iteration` is called with the number of each iteration.
     """
     log_cos = np.log(np.cos(theta_half))
     upper = np.tile(_UPPER_LOG_BOUNDS, (len(mean), 1))
@@ -99,9 +99,10 @@ def fit_slices(
 
 
 def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> Array:
-    """Return start values (slices, lobes, 2) of log kappa and log gamma; each lobe has half of the previous lobe's.
+    """Return start values (slices, lobes, 2) of log kappa and log gamma.
 
-    The kappa of the first lobe comes from the peak of the data, its gamma from the angle at which they fall to half.
+    The kappa of the first lobe comes from the peak of the data, and gamma from the angle at which the data fall to half
+    of the peak. Each further lobe has half of the previous lobe's kappa and gamma.
     """
     data = np.where(weight > 0, mean, 0.0)
     peak = np.maximum(data.max(axis=1), np.expm1(EM_KAPPA_BOUNDS[0]))
@@ -109,7 +110,7 @@ def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> A
     above = (data >= 0.5 * peak[:, None]) & (weight > 0)
     last = np.where(above.any(axis=1), above.shape[1] - 1 - np.argmax(above[:, ::-1], axis=1), 0)
     width = theta_half[np.minimum(last + 1, theta_half.size - 1)]
-    # The half width of a lobe with this kappa and gamma = 1; its log-cosine scales with 1 / gamma.
+    # The log-cosine of a lobe's half width is proportional to 1 / gamma, and `_half_width` assumes gamma = 1.
     gamma = np.log(np.cos(_half_width(kappa))) / np.log(np.cos(width))
     halving = 0.5 ** np.arange(n_lobes)
     start = np.log(np.stack([kappa, np.clip(gamma, *EM_GAMMA_BOUNDS)], axis=-1)[:, None, :] * halving[:, None])
@@ -148,10 +149,10 @@ def huber_weights(residual: Array, weight: Array) -> Array:
 
 
 def m_step(log_cos: Array, targets: Array, weights: Array, start: Array, upper: Array) -> Array:
-    """Fit each lobe separately to its part q_k L of the data, `targets` (slices, lobes, N).
+    """Fit each lobe separately to the product of its responsibility and the data, `targets` (slices, lobes, N).
 
     `start` and the result are log kappa and log gamma (slices, lobes, 2), with upper bounds `upper` (slices, 2). The
-    data have log-cosines `log_cos` (N,) and `weights` (slices, N).
+    angles of the data have log-cosines `log_cos` (N,), and the data have `weights` (slices, N).
     """
     slices, lobes, n = targets.shape
     upper = np.repeat(upper, lobes, axis=0)

@@ -41,14 +41,14 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.fitting.report import SelectionStep
 from dsbrdf.paper import em
 
-# Nodes of a trapezium rule over x. Because the integrand is smooth and decays like a Gaussian, the error of the rule is
-# at rounding level for up to 7 doses.
+# Nodes of a trapezium rule over x, the normal variable of the control. Because the integrand is smooth and decays like
+# a Gaussian, the error of the rule is at rounding level for up to 7 doses.
 _CONTROL = np.linspace(-9.0, 9.0, 91)
 _CONTROL_WEIGHT = np.exp(-0.5 * _CONTROL**2) * (0.2 / math.sqrt(2.0 * math.pi))
 _LEGENDRE_NODES, _LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(80)
-# The integral over s leaves out this probability at either end.
+# The integral over s, the estimated standard deviation, leaves out this probability at either end.
 _CUT_OFF_PROBABILITY = 1e-18
-# Beyond this value of c, the mean of 1 - H over x is below 1e-30 and is left out.
+# For larger values c, the probability that the statistic exceeds c is below 1e-30, so the integral leaves them out.
 _CERTAIN_CRITICAL_VALUE = 18.0
 
 
@@ -89,8 +89,8 @@ def williams_test(statistic: ArrayLike, alpha: float = 0.01) -> tuple[WilliamsRo
     n_groups, n_blocks = values.shape
     degrees_of_freedom = (n_groups - 1) * (n_blocks - 1)
     rounding = 8.0 * float(np.finfo(np.float64).eps) * float(np.abs(values).max())
-    # The test depends only on differences from the block means, which have smaller rounding errors.
-    # From here on, row i is dose i, and row 0 is the control.
+    # The test depends only on differences from the block means, which have smaller rounding errors than the values.
+    # In these differences, row i is dose i, and row 0 is the control.
     centred = (values - values.mean(axis=0))[::-1]
     means = centred.mean(axis=1)
     variance = float(np.sum((centred - means[:, np.newaxis]) ** 2)) / max(degrees_of_freedom, 1)
@@ -132,7 +132,7 @@ def _exceedance(t: float, n_doses: int, degrees_of_freedom: float) -> float:
     half = 0.5 * degrees_of_freedom
     first = math.sqrt(float(gammaincinv(half, _CUT_OFF_PROBABILITY)) / half)
     last = math.sqrt(float(gammainccinv(half, _CUT_OFF_PROBABILITY)) / half)
-    # For a large t, only small s contribute: larger ones are left out.
+    # For a large t, only small s contribute to the integral: larger s are left out.
     if t > 0:
         last = min(last, max(_CERTAIN_CRITICAL_VALUE / (math.sqrt(2.0) * t), 2.0 * first))
     s = first + 0.5 * (last - first) * (1.0 + _LEGENDRE_NODES)
@@ -146,7 +146,7 @@ def _exceedance(t: float, n_doses: int, degrees_of_freedom: float) -> float:
 
 def _leaves_half_line(c: Array, n_steps: int) -> Array:
     """Return ``1 - H_k(c)`` by Spitzer's identity, in a form that has small rounding errors for small results."""
-    # Entry j - 1 is 1 - Phi(c sqrt(j)).
+    # Entry j - 1 of this list is 1 - Phi(c sqrt(j)), where Phi is the normal distribution function.
     single = [ndtr(-math.sqrt(j) * c) for j in range(1, n_steps + 1)]
     leaves = [np.zeros_like(c)]
     for k in range(1, n_steps + 1):
@@ -168,10 +168,11 @@ def choose_n_lobes(
     within: Array,
     fit_slices: Callable[[int], em.SliceFits],
 ) -> tuple[int, tuple[SelectionStep, ...]]:
-    """Fit 1, 2, ... lobes and choose a number by Williams' test; return it with a row for each number.
+    """Fit 1, 2, ... lobes and choose a number by Williams' test; return the number, and the test of each number.
 
     The profiles of the slices are `mean`, `weight` and `within` (slices, N) at nodes theta_half (N,) [rad]; `within` is
-    the squared error that every mixture has. `fit_slices` fits the slices with a given number of lobes.
+    the sum of squared differences of samples from their mean, an error that every mixture has. `fit_slices` fits the
+    slices with the number of lobes that is passed to it.
     """
     # A lobe has two parameters: with more lobes than half of the nodes, a slice would be fitted exactly.
     largest = int(np.clip(np.count_nonzero(weight, axis=1).min() // 2, 1, MAX_AUTOMATIC_LOBES))

@@ -1,8 +1,9 @@
 """Fit a model by the paper's procedure: Algorithm 1 on each of 18 slices of theta_diff (Nishino 2009, section 6).
 
-The slices are 5 degrees apart. In each slice, lobes are sorted by kappa; lobes with equal positions belong together,
-and their kappa and gamma are linear between slices. A delta term is added where theta_half < 1 degree: the part of the
-data that the lobes lack. If the number of lobes is "auto", Williams' test chooses it.
+The slices are 5 degrees apart. In each slice, lobes are sorted by kappa. The first lobes of all slices are one lobe of
+the model, the second lobes are another lobe, and so on; kappa and gamma of a lobe are linear in theta_diff between
+slices. Where theta_half < 1 degree, the mean difference between data and lobes is added to the model. If the number of
+lobes is "auto", Williams' test chooses the number.
 """
 
 from collections.abc import Callable
@@ -31,7 +32,7 @@ _SELECTION_PROGRESS = 0.8
 
 
 def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float], None]) -> FoundModel:
-    """Fit all slices of all channels in one batch; if the number of lobes is "auto", once for each number.
+    """Fit all slices of all channels in one batch; if the number of lobes is "auto", once for each possible number.
 
     `progress` is called with the completed fraction. Raises FitError if the options leave no data to fit.
     """
@@ -42,7 +43,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     largest_kappa, n_nodes = _largest_kappa(data, rows), np.count_nonzero(weight, axis=2)
 
     def fit(chosen: Mask, n_lobes: int, done: float, share: float) -> em.SliceFits:
-        """Run Algorithm 1 on chosen slices (3, D); the progress rises from `done` by `share`."""
+        """Run Algorithm 1 on slices in the mask (channels, slices); the progress rises from `done` by `share`."""
         return em.fit_slices(
             _ANGLES,
             mean[chosen],
@@ -56,8 +57,8 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
 
     n_lobes, selection, done = options.n_lobes, tuple[SelectionStep, ...](), 0.0
     if n_lobes == "auto":
-        # Compare on slices with enough nodes for every number of lobes; if a channel has none, on slices with any
-        # nodes.
+        # Numbers of lobes are compared on slices with enough nodes for the largest number. If a channel has no such
+        # slice, slices with at least two nodes are compared.
         compared = n_nodes >= 2 * MAX_AUTOMATIC_LOBES
         if not compared.any(axis=1).all():
             compared = n_nodes >= 2
@@ -70,7 +71,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
                 within[compared],
                 lambda number: fit(compared, number, (number - 1) * share, share),
             )
-    # A slice with fewer nodes than parameters does not determine the parameters.
+    # A slice with fewer nodes than parameters is not fitted, because its data do not determine the parameters.
     fitted = n_nodes >= 2 * n_lobes
     if not fitted.any(axis=1).all():
         raise FitError(
@@ -88,39 +89,39 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
 
 
 def _largest_kappa(data: Profiles, rows: Indices) -> Array:
-    """Return for each slice the kappa (3, D) of a lobe whose height is twice the largest value of the slice.
+    """Return the kappa of a lobe whose height is twice the largest value of a slice, (channels, slices).
 
-    It is an upper bound of kappa. Data below 1 degree are not fitted, so that without a bound a steep lobe could have
-    any height there. A slice without data below 1 degree has no bound.
+    This kappa is an upper bound. Data at theta_half below 1 degree are not fitted, so that without a bound a steep lobe
+    could have any height there. A slice without data below 1 degree has no bound.
     """
     centre_seen = np.any(data.weight[:, rows][:, :, ~OUTSIDE_CENTER] > 0, axis=2)
     return np.where(centre_seen, np.log1p(2.0 * data.mean[:, rows].max(axis=2)), np.inf)
 
 
 def _nearest_fitted(fitted: Mask) -> Indices:
-    """Return for each slice the index (3, D) of the nearest fitted slice of its channel; 0 if there is none."""
+    """Return for each slice the index of the nearest fitted slice of its channel, (channels, slices); 0 without one."""
     index = np.arange(fitted.shape[1])
     distance = np.where(fitted[:, None, :], np.abs(index[:, None] - index), np.inf)
     return np.argmin(distance, axis=2)
 
 
 def _spread(values: NDArray[Any], fitted: Mask, nearest: Indices) -> NDArray[Any]:
-    """Copy values of fitted slices to all slices (3, D, ...); others have the nearest fitted slice's value."""
+    """Copy values of fitted slices to all slices (channels, slices, ...); the nearest fitted slice fills a gap."""
     full = np.zeros((*fitted.shape, *values.shape[1:]), values.dtype)
     full[fitted] = values
     return full[np.arange(len(fitted))[:, None], nearest]
 
 
 def _delta(data: Profiles, rows: Indices, kappa: Array, gamma: Array) -> Array:
-    """Return the mean residual where theta_half < 1 degree, weighted by solid angle, shape (3, D).
+    """Return the mean residual of each slice where theta_half < 1 degree, weighted by solid angle, (channels, slices).
 
-    A negative mean becomes 0, because subtracting it could make the model negative between nodes. A slice without data
-    has the value of the nearest slice.
+    A negative mean residual becomes 0, because subtracting it could make the model negative between nodes. A slice
+    without such data has the mean residual of the nearest slice.
     """
     center = np.flatnonzero(~OUTSIDE_CENTER)
     solid_angle = np.diff(-np.cos(interval_ends(THETA_HALF[center], CENTER_CUTOFF)))
     weight = data.weight[:, rows][:, :, center] * solid_angle
-    # np.log(np.cos(...)) would lose the digits of small angles.
+    # The logarithm of the cosine is computed from the sine, because the cosine loses the digits of small angles.
     log_cos = 0.5 * np.log1p(-(np.sin(THETA_HALF[center]) ** 2))
     lobes = np.expm1(kappa[..., None] * np.exp(gamma[..., None] * log_cos)).sum(axis=2)
     total = weight.sum(-1)

@@ -20,10 +20,10 @@ from dsbrdf.extras import require
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance of linear sRGB."""
-MAX_RADIANCE = 1e10  # A brighter pixel is refused, because in sums with it, other pixels are lost by rounding.
+MAX_RADIANCE = 1e10  # A brighter pixel is refused, because in sums with this pixel other pixels are lost by rounding.
 _MAX_PICTURE_WIDTH_PX = 2048  # Wider panoramas are averaged to this width.
 _MIN_LIGHT_RATIO = 16.0  # Small spots brighter than this multiple of the mean luminance become distant lights.
-_MAX_LIGHT_SIZE_SR = np.radians(5.0) ** 2  # Larger spots stay in the panorama.
+_MAX_LIGHT_SIZE_SR = np.radians(5.0) ** 2  # Larger bright spots stay in the panorama and do not become distant lights.
 _MAX_LIGHTS = 8
 
 
@@ -41,7 +41,7 @@ def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
 
 
 THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
-"""A key light from the upper left, a fill light from the right and a rim light from behind (theta_diff 20, 40, 70)."""
+"""Key light from the upper left, fill light from the right, rim light from behind (theta_diff 20, 40, 70 degrees)."""
 SUN = _light(55.0, 132.0, 3.0 * np.pi)
 """Sun of the built-in environment; it is a distant light, because it is narrower than any measurable lobe."""
 
@@ -54,7 +54,8 @@ def _axes(towards: Array) -> Array:
     return np.array([across, np.cross(across, towards), towards])
 
 
-# Widths are in radians or in slopes. They exceed the spacing of the map of directions, so that edges are resolved.
+# The edges of horizon and window have widths in radians or slopes. These widths exceed the spacing of the map of
+# directions, so that the map resolves the edges.
 _ZENITH_COLOR = np.array([0.25, 0.45, 0.9])
 _HORIZON_COLOR = np.array([0.9, 0.95, 1.0])
 _GROUND_COLOR = np.array([0.22, 0.19, 0.16])
@@ -203,7 +204,7 @@ def averaged(image: Array, width: int) -> Array:
 
 
 def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
-    """Convert small bright spots into distant lights, and lower their pixels to the threshold of brightness."""
+    """Convert small bright spots into distant lights, and lower the pixels of the spots to the threshold luminance."""
     height, width, _ = image.shape
     up, turn = (np.arange(height) + 0.5) * np.pi / height, ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * np.pi
     area = (np.sin(up) * np.pi / height * 2.0 * np.pi / width)[:, np.newaxis] * np.ones(width)

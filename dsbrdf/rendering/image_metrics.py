@@ -56,7 +56,7 @@ def ssim(reference: Array, image: Array, mask: Mask) -> float:
 
 
 def _windowed(image: Array) -> Array:
-    """Return the weighted mean over the window about each pixel."""
+    """Return the mean over the Gaussian window about each pixel."""
     return np.asarray(
         gaussian_filter(
             image,

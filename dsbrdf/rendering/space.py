@@ -23,7 +23,7 @@ MEAN_LUMINANCE = 0.2
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _SPHERE_SIZE_PX = 48
 _MIN_NEIGHBORS = 7  # The graph of Isomap has at least this number of edges at each material.
-_MIN_EDGE_LENGTH = 1e-6  # Shorter edges are lengthened, because SciPy ignores edges shorter than 1e-8.
+_MIN_EDGE_LENGTH = 1e-6  # Shorter edges of the graph are lengthened, because SciPy ignores edges below 1e-8.
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def space(models: Mapping[str, Source]) -> MaterialSpace:
 
 
 def _lightness(name: str, source: Source) -> Array:
-    """Return the lightness of a material's spheres, those of all lightings in one array (pixels,)."""
+    """Return the lightness of a material's spheres under all lightings, in one array (pixels,)."""
     _, mask = sphere_normals(_SPHERE_SIZE_PX)
     rows = [render_sphere(source, lighting=lighting, size=_SPHERE_SIZE_PX)[mask] @ LUMINANCE for lighting in LIGHTINGS]
     if not all(row.mean() > 0.0 for row in rows):
@@ -89,7 +89,8 @@ def _places(distance: Array, gloss: Array) -> Array:
     """Return the map (n, 2) of Isomap (Tenenbaum, de Silva and Langford 2000): classical scaling of shortest paths."""
     count = len(distance)
     places = np.zeros((count, 2))
-    for neighbors in range(min(_MIN_NEIGHBORS, count - 1), count):  # Until the graph is connected.
+    # Neighbours are added until the graph is connected, because separate parts would have no distance.
+    for neighbors in range(min(_MIN_NEIGHBORS, count - 1), count):
         farthest = np.sort(distance, axis=1)[:, neighbors, np.newaxis]
         graph = np.where(distance <= farthest, np.maximum(distance, _MIN_EDGE_LENGTH), 0.0)
         if connected_components(graph, directed=False)[0] == 1:

@@ -1,7 +1,7 @@
 """Render a lit unit sphere of one material, seen along -z in parallel projection, x to the right and y up.
 
 The direction to the viewer is (0, 0, 1) at every pixel. The angles at which the material is evaluated depend only on
-lighting and size. They are cached, so that an image needs one call of ``evaluate`` and sparse matrix products.
+lighting and size and are cached, so that an image needs one call of ``evaluate`` and sparse matrix products.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _evaluator(source: Source) -> Evaluate:
 
 @lru_cache(maxsize=4)
 def _lit(size: int, lights: tuple[Light, ...]) -> tuple[tuple[Array, Array, Array], list[sparse.csr_array]]:
-    """Return the angles of distant lights on the sphere, and for each channel the matrix from values to N pixels."""
+    """Return the angles of all pixels and distant lights, and for each channel the matrix from values to pixels."""
     normals, _ = sphere_normals(size)
     parts = [_light_angles(normals, light) for light in lights]
     pixel = np.concatenate([lit for lit, _, _ in parts])
@@ -126,7 +126,7 @@ def _lit(size: int, lights: tuple[Light, ...]) -> tuple[tuple[Array, Array, Arra
 
 
 def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:
-    """Return the pixels (n,) that a light reaches, their angles (3, n) and their irradiance (n, 3).
+    """Return the indices (n,) of the pixels that a light reaches, and the angles (3, n) and irradiance (n, 3) there.
 
     The directions to light and viewer are constant over the sphere, and so are their half vector and theta_diff. In
     polar coordinates about the half vector, theta_half is the polar angle of the normal, and phi_diff its azimuth from
@@ -139,7 +139,8 @@ def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:
     cos_diff = float(direction @ half)
     across = np.cross(_VIEW_DIRECTION, half) if cos_diff < 1.0 - 1e-12 else np.array([1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
-    # The first axis points towards the light, at right angles to the half vector; phi_diff is measured from it.
+    # The first axis points towards the light, at right angles to the half vector; phi_diff is 0 where the normal is
+    # tilted in the opposite direction.
     frame = np.stack([np.cross(across, half), across, half])
     along, aside, height = frame @ normals[lit].T
     theta_half, phi_diff = np.arctan2(np.hypot(along, aside), height), np.arctan2(aside, -along)
@@ -154,13 +155,13 @@ def _rings(size: int) -> Callable[[Evaluate, Array], Array]:
 
 @lru_cache(maxsize=2)
 def _map_of_sky(size: int) -> Array:
-    """Return the radiance (3, P, A) of the built-in environment at the nodes of the map of directions."""
+    """Return the radiance of the built-in environment at the nodes of the map of directions, (3, rows, columns)."""
     return np.moveaxis(environment_radiance(map_directions(size)), -1, 0)
 
 
 @lru_cache(maxsize=2)
 def _map_of_picture(size: int, environment: EnvironmentMap) -> Array:
-    """Return the mean radiance (3, P, A) of a panorama around each node of the map of directions."""
+    """Return the mean radiance of a panorama around each node of the map of directions, (3, rows, columns)."""
     columns = map_shape(size)[1]
     picture = replace(environment, pixels=averaged(environment.pixels, _MAX_PIXELS_PER_NODE * columns))
     fine = -(-picture.pixels.shape[1] // columns)
