@@ -14,23 +14,24 @@ from dsbrdf.errors import MeasurementFormatError
 SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "bars", " ": "blanks"}
 """Characters that can separate cells, with their names for error messages."""
 MAX_CELLS = 5_000_000
-"""Tables with more cells, which would take 5 s and 1 GB, are refused."""
+"""Tables with more cells are refused, because they would take 5 s and 1 GB to read."""
 MAX_COLUMNS = 4096
 _MISSING = {"", "nan", "na", "n/a", "n.a.", "null", "none", "missing", "-nan(ind)", "1.#qnan", "-1.#ind"}
-_N_TRIED_BYTES = 64  # So many bytes tell the encoding.
+_N_TRIED_BYTES = 64  # This number of bytes at the start of a text is enough to recognise UTF-16.
 _PRINTED = frozenset((*b"\t\r\n", *range(32, 127)))
-# Spreadsheets write "#N/A" and "#DIV/0!"; Markdown separates the head of a table by hyphens.
+# These cells have no number: "#N/A" and "#DIV/0!" of spreadsheets, and the hyphens below the head of a Markdown table.
 _NO_NUMBER = re.compile(r"#.*|:?-+:?")
-_TOLERANCE = re.compile(r"(?:±.*|[\N{DEGREE SIGN}*]\s*)$")  # also the mark of a footnote
+# A tolerance, a degree sign or the mark of a footnote behind a number is ignored.
+_TOLERANCE = re.compile(r"(?:±.*|[\N{DEGREE SIGN}*]\s*)$")
 _FORTRAN_EXPONENT = re.compile(r"(?<=[0-9.])[dD](?=[-+0-9])")
 
 Constants = dict[str, float]
-"""Numbers, by name, that one line of a file gives to all rows after this line."""
+"""Numbers by name, such as theta_in, that a line of a file states for all rows below the line."""
 
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """Hold the cells of a table, and columns of numbers beside the cells.
+    """Hold the cells of a table, and further columns whose numbers are not in its cells.
 
     Attributes
     ----------
@@ -55,7 +56,7 @@ class TextTable:
 
     @classmethod
     def of_numbers(cls, names: Sequence[str], columns: Iterable[Array], *notes: str) -> "TextTable":
-        """Return a table of columns of numbers, shape (n,) each."""
+        """Return a table without cells, made of columns of numbers."""
         return cls(tuple(names), [], [], columns=tuple(columns), notes=notes)
 
     @property
@@ -75,23 +76,23 @@ class TextTable:
         cells = [row[column] for row in self.rows]
         try:
             return np.array(cells, dtype=np.float64)
-        except ValueError:  # The column has empty cells, decimal commas, or words.
+        except ValueError:  # NumPy cannot convert a column with empty cells, decimal commas or words.
             return np.array([self._number(place, column) for place in range(len(cells))])
 
     def varies(self, column: int) -> bool:
-        """Return whether a column has numbers that differ; a column of words does not vary."""
+        """Return whether a column has different numbers; the result is False for a column of words."""
         try:
             return len(np.unique(self.numbers(column))) > 1
         except MeasurementFormatError:
             return False
 
     def words(self, column: int) -> list[str]:
-        """Return the different cells of a column of words, in order; an empty list for a column of numbers."""
+        """Return the different words in a column, in their order; an empty list for a column of numbers."""
         cells = dict.fromkeys(row[column].strip() for row in self.rows) if column < self.n_cells else {}
         return [*cells] if any(as_number(cell, self.separator) is None for cell in cells) else []
 
     def with_columns(self, columns: dict[str, Array], *notes: str) -> "TextTable":
-        """Return the table with more columns of numbers, by name."""
+        """Return the table with additional columns of numbers, which are given by name."""
         return replace(
             self,
             names=(*self.names, *columns),
@@ -111,7 +112,7 @@ class TextTable:
 
 
 def decoded(data: bytes) -> str:
-    """Decode UTF-8, UTF-16, or else the code page of Windows, in which no byte is wrong."""
+    """Decode a text in UTF-16 or UTF-8, or else in the code page of Windows, which decodes any byte."""
     try:
         text = data.decode(utf_16_of(data) or "utf-8-sig")
     except UnicodeDecodeError:
@@ -122,7 +123,7 @@ def decoded(data: bytes) -> str:
 
 
 def utf_16_of(data: bytes) -> str | None:
-    """Return the encoding of a text in UTF-16, which spreadsheets write, also without a mark; None for others."""
+    """Return the encoding of a text in UTF-16, with or without a byte order mark; None for another encoding."""
     first, second = data[:_N_TRIED_BYTES:2], data[1:_N_TRIED_BYTES:2]
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
@@ -131,7 +132,7 @@ def utf_16_of(data: bytes) -> str | None:
 
 
 def check_size(n_rows: int, n_columns: int) -> None:
-    """Raise MeasurementFormatError if a table would take too long to read, before its cells are split."""
+    """Raise MeasurementFormatError if a table has so many cells that reading them would take too long."""
     if n_columns > MAX_COLUMNS:
         raise MeasurementFormatError(f"The table has {n_columns} columns; it may have {MAX_COLUMNS}.")
     if n_rows * n_columns > MAX_CELLS:
@@ -147,7 +148,7 @@ def split_cells(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
     try:
         reader = csv.reader(spaced, delimiter=separator, skipinitialspace=True)
         for number, cells in enumerate(reader, 1):
-            if reader.line_num > number:  # A quoted cell must not span lines.
+            if reader.line_num > number:  # A quotation mark that is not closed would join all lines to one cell.
                 raise MeasurementFormatError("A quotation mark in the table is not closed on its line.")
             yield cells
     except csv.Error:
@@ -158,7 +159,7 @@ def split_cells(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
 
 
 def wrong_count(number: int, count: int, separator: str, n_names: int) -> MeasurementFormatError:
-    """Return the error for a line whose number of cells differs from the number of names."""
+    """Return the error for a line whose number of cells differs from the number of column names."""
     between = f", separated by {SEPARATORS[separator]}" if separator and count > 1 else ""
     hint = "; separate numbers with a decimal comma by semicolons" if separator == "," and count > n_names else ""
     return MeasurementFormatError(
@@ -168,7 +169,7 @@ def wrong_count(number: int, count: int, separator: str, n_names: int) -> Measur
 
 
 def about_foot(lines: Sequence[tuple[int, str]]) -> tuple[str, ...]:
-    """Return a sentence on the lines behind the last row of a table, if there are any."""
+    """Return a sentence that says which lines below the last row of a table were not read, or nothing."""
     if not lines:
         return ()
     kind = "line is no row" if len(lines) == 1 else f"{len(lines)} lines are no rows"

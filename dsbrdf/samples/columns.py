@@ -37,32 +37,32 @@ _NO_UNIT = ("", "1", "-", "none")
 # Wavelengths without a unit are in metres or micrometres if they are below these limits, otherwise in nanometres.
 _MAX_WAVELENGTH_M = 1e-3
 _MAX_WAVELENGTH_UM = 20.0
-_MAX_MATERIALS = 20  # A column of more different words names samples or dates.
+_MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
 _MAX_THETA_RAD = 1.6  # If no theta is larger, the angles look like radians.
-# If a larger fraction of the rows is at or below the horizon, theta and phi may be exchanged.
+# If more than this fraction of the rows is at or below the horizon, the columns theta and phi may be exchanged.
 _DOUBTFUL_FRACTION = 0.5
-_PHASE_TOLERANCE = np.radians(1.0)  # Phase angles that are further off for rounding are refused.
+_PHASE_TOLERANCE = np.radians(1.0)  # A phase angle may lie outside of the possible range by this rounding error.
 LOWEST_COSINE = 1e-6
-"""A direction with a smaller cosine counts as at the horizon, because of rounding errors."""
+"""A direction whose cosine to the normal is smaller counts as at the horizon, because of rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampleRows:
-    """Hold rows of samples, and a description of the columns of their table.
+    """Hold rows of samples, and a description of the columns of the table that contained the rows.
 
-    The columns of `numbers` (n, 10) are omega_in and omega_out, not yet of unit length, the three values and the
-    weight. A missing number is NaN.
+    The columns of `numbers` (n, 10) are omega_in (3) and omega_out (3), not yet of unit length, the values of red,
+    green and blue, and the weight. A missing number is NaN.
     """
 
     numbers: Array
-    written: Array  # Values as written in the file, (n, bands).
-    notes: tuple[str, ...]  # A sentence on each decision of the reader.
+    written: Array  # values as written in the file, axes (row, band)
+    notes: tuple[str, ...]  # a sentence on each decision of the reader
     columns: Description
-    n_rows: int  # The number of rows in the file.
+    n_rows: int  # number of rows in the file, also unusable rows
 
 
 def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
-    """Return the directions and values of a table, in radians and 1/sr.
+    """Return the directions of the samples in a table as vectors, and their values as RGB.
 
     Raises MeasurementFormatError if a column is missing, occurs twice, or has an unknown unit.
     """
@@ -85,7 +85,7 @@ def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
 
 
 def _written(found: FoundColumns, options: TableOptions, notes: list[str]) -> Array:
-    """Return the values as written in the file, missing ones as NaN, shape (n, bands)."""
+    """Return the values as written in the file, shape (rows, bands), with NaN for a missing value."""
     columns = [found.columns[name] for name in found.values]
     for name, column in zip(found.values, columns, strict=True):
         is_band = wavelength_of(name) is not None and column.unit in WAVELENGTH_UNITS
@@ -119,7 +119,7 @@ def _in_radians(name: str, column: Column) -> Array:
 
 
 def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Array]:
-    """Return omega_in and omega_out, (n, 3) each, from the columns of one form."""
+    """Return omega_in and omega_out, (n, 3) each, from the columns that describe directions."""
     if form is VECTORS:
         first, second = (np.stack([columns[name].numbers for name in form[i : i + 3]], axis=-1) for i in (0, 3))
         return first, second
@@ -171,7 +171,7 @@ def _check_not_exchanged(angles: dict[str, Array], columns: dict[str, Column]) -
 
 
 def _check_sizes(angles: dict[str, Array], columns: dict[str, Column]) -> None:
-    """Raise MeasurementFormatError for too large angles, and for angles without a unit that look like radians."""
+    """Raise MeasurementFormatError if an angle is too large, or if angles without a unit look like radians."""
     for name, angle in angles.items():
         bound, largest = 180.0 if name.startswith("theta") else 360.0, np.degrees(_largest(angle))
         if largest > bound + 1e-4:

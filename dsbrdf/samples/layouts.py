@@ -1,8 +1,9 @@
 """Recognise the layout of a file of samples by its content, and read it.
 
-The readers are in `dsbrdf.samples.optics` (Zemax, LightTools, FRED, Speos) and `dsbrdf.samples.research` (ASTM E1392,
-Cornell's spectral text, ALTA, RAMI, JSON), with their published sources. A reader returns None for a text of
-another layout. Any other text is a table of rows (`dsbrdf.samples.text_table`) or a matrix over two angles.
+The readers of known formats are in `dsbrdf.samples.optics` (Zemax, LightTools, FRED, Speos) and
+`dsbrdf.samples.research` (ASTM E1392, Cornell's spectral text, ALTA, RAMI, AMBRALS, JSON). A reader returns None for a
+text in another format. A text in no known format is a table of rows (`dsbrdf.samples.text_table`) or a matrix over two
+angles.
 """
 
 import re
@@ -34,18 +35,18 @@ _REFUSED = {
     rb"\A\s*IESNA": "the light distribution of a lamp (IES LM-63)",
     rb"\A\s*PDS_VERSION_ID": "a label of the Planetary Data System, which describes another file",
 }
-# Files of these formats are refused unless they name their columns.
+# A file in one of these formats is refused unless a line of the file names the columns.
 _REFUSED_WITHOUT_NAMES = {
     rb"\bE\s?-?1392\b": "a file of ASTM E1392",
     rb"\bE\s?-?2387\b": "a file of ASTM E2387",
 }
-_START_BYTES = 4096  # The name of a format is in these first bytes.
+_START_BYTES = 4096  # The name of an unsupported format is searched only in this number of bytes at the beginning.
 
 
 def table_in(data: bytes, options: TableOptions) -> TextTable:
     """Return the table in the bytes of a text.
 
-    Raises MeasurementFormatError with a sentence that names the mistake, or the format if it is not supported.
+    Raises MeasurementFormatError with a sentence that names the mistake, or the file's format if that is unsupported.
     """
     for kind, reader in _READERS.items():
         try:
@@ -81,9 +82,9 @@ def _not_read(kind: str) -> MeasurementFormatError:
 
 
 def _unfolded(table: TextTable, options: TableOptions) -> TextTable:
-    """Convert a matrix over two angles to a table of samples; return any other table unchanged.
+    """Convert a matrix of values over two angles to a table of samples; return any other table unchanged.
 
-    The first name of a matrix is "theta_out / theta_in" or "theta_out / phi_out".
+    The first cell of a matrix names both angles, as in "theta_out / theta_in" or "theta_out / phi_out".
     """
     names = matrix_names(table.names[0]) if table.names else ()
     if not names:

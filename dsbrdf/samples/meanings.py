@@ -18,7 +18,7 @@ PHIS = ("phi_in", "phi_out")
 GREY = ("value",)
 FROM_MIRROR = ("theta_in", "theta_from_mirror")
 _DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS, FROM_MIRROR)
-# A column that is not understood, and may be an azimuth that the samples need.
+# A column of unknown meaning is refused if its name matches this, because it may be an azimuth that the samples need.
 _AZIMUTH = re.compile(r"phi|(?:^|_)az|azi|azm|[rv]aa|phase")
 _POSSIBLE = (
     "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
@@ -26,7 +26,7 @@ _POSSIBLE = (
     "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF, and the option "
     "constants gives an angle that all rows have, as in constants theta_in=30"
 )
-# Usual order of columns without names, by the number of columns.
+# An error message suggests these meanings for columns without names; they depend on the number of columns.
 _ORDERS = {
     3: "theta_in=1,theta_out=2,value=3",
     4: "theta_in=1,theta_out=2,phi_out=3,value=4",
@@ -36,7 +36,7 @@ _ORDERS = {
 }
 
 Description = tuple[tuple[str, str, str], ...]
-"""Name as written, meaning and unit of each column; meaning and unit may be empty."""
+"""The name as written, the meaning and the unit of each column; meaning and unit may be empty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +51,10 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class FoundColumns:
-    """Hold columns by their meaning, the meanings of directions (`form`) and of values, and a description of columns.
+    """Hold the columns of a table by their meaning, such as theta_in.
 
-    `wavelengths` [nm] belong to the columns of values if these are spectra; otherwise it is empty.
+    `form` lists the meanings of the columns for directions, and `values` the meanings of the columns for values. If the
+    values are spectra, `wavelengths` [nm] has the wavelength of each column of values; otherwise it is empty.
     """
 
     columns: dict[str, Column]
@@ -94,9 +95,9 @@ def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
 
 
 def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int]], dict[str, str]]:
-    """Return the indices of the columns with each meaning, and the units that the options give.
+    """Return the indices of the columns with each meaning, and the units that the option `columns` gives.
 
-    A column in the rows takes precedence over a constant with the same meaning.
+    A column of the table takes precedence over a constant with the same meaning.
     """
     named = options.named_columns()
     if table.names[:2] == ("1", "2") and not named:
@@ -118,7 +119,7 @@ def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int
 
 
 def _refuse_unread_azimuth(table: TextTable, read: Container[int]) -> None:
-    """Raise MeasurementFormatError for a column that varies and may be the azimuth, in a table without one."""
+    """Raise MeasurementFormatError if a table without an azimuth has a varying column that may be the azimuth."""
     for at, name in enumerate(table.names):
         if at not in read and _AZIMUTH.search(name_and_unit(name)[0]) and table.varies(at):
             raise MeasurementFormatError(
@@ -128,7 +129,7 @@ def _refuse_unread_azimuth(table: TextTable, read: Container[int]) -> None:
 
 
 def _places_of(table: TextTable, name: str) -> list[int]:
-    """Return the indices of the columns with a name; if there is none, a number is a position from 1."""
+    """Return the indices of the columns with a name; if no column has the name, a number is a position from 1."""
     found = [place for place, written in enumerate(table.names) if written.lower() == name.lower()]
     bare = name_and_unit(name)[0]
     found = found or [place for place, written in enumerate(table.names) if name_and_unit(written)[0] == bare]
@@ -158,7 +159,7 @@ def _unnamed(table: TextTable) -> MeasurementFormatError:
 
 
 def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
-    """Return index and wavelength [nm], ascending, of columns named by wavelengths; a single one needs a word too."""
+    """Return index and wavelength [nm] of the columns named by wavelengths; a bare number alone is no wavelength."""
     found = [(wavelength, place) for place, name in enumerate(table.names) if (wavelength := wavelength_of(name))]
     is_band = len(found) > 1 or (found and not table.names[found[0][1]].isdecimal())
     return {f"{wavelength:g} nm": (place, wavelength) for wavelength, place in sorted(found)} if is_band else {}

@@ -16,14 +16,14 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 START_BYTES = 4096
-"""This number of bytes at the beginning of a file is enough to recognise its kind."""
+"""This number of bytes at the beginning of a file is enough to recognise the kind of the file."""
 _RGL = b"tensor_file\0"
 _OLD_SPREADSHEET = b"\xd0\xcf\x11\xe0"  # .xls
 _CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _NAMES = {"merl": "a MERL file", "rgl": "an RGL file"}
 
 MeasurementKind = Literal["merl", "rgl", "samples"]
-"""Kinds of files: MERL's tables, RGL's ``.bsdf`` files, and all others, which are samples."""
+"""Kinds of measurement files: MERL tables, RGL ``.bsdf`` files, and texts or spreadsheets of samples."""
 
 
 def measurement_kind(start: bytes) -> MeasurementKind:
@@ -43,7 +43,7 @@ def measurement_kind(start: bytes) -> MeasurementKind:
 
 
 def kind_of_file(path: str | os.PathLike[str]) -> MeasurementKind:
-    """Return the kind of a file; raise the errors of `measurement_kind`, and OSError."""
+    """Return the kind of a file; raise OSError, or MeasurementFormatError as `measurement_kind` does."""
     with Path(path).open("rb") as file:
         return measurement_kind(file.read(START_BYTES))
 

@@ -18,19 +18,19 @@ from dsbrdf.samples.cells import TextTable, check_size, decoded
 from dsbrdf.samples.names import VECTORS
 from dsbrdf.samples.text_table import rows_of, unnamed_table
 
-_HEAD_BYTES = 1 << 16  # The head of a Zemax or LightTools file ends before this.
+_HEAD_BYTES = 1 << 16  # The head of a Zemax or LightTools file has fewer bytes.
 _ZEMAX_LISTS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _ZEMAX_WORDS = {"ScatterType": "BRDF", "SpectralContent": "Monochrome"}
 _LIGHTTOOLS_BLOCK = re.compile(r"((?:^[ \t]*[A-Za-z]\w*[ \t]+\S+[ \t\r]*\n)+)([-+0-9.eE\s]*)", re.MULTILINE)
-# The possessive *+ prevents backtracking, so that many blank lines are not slow.
+# The possessive *+ prevents backtracking, which would be slow for a file of many blank lines.
 _FRED = re.compile(rb"\A(?:[ \t]*(?:[#!].*)?\r?\n)*+[ \t]*(?:type\s+)?bsdf_data\b")
 _SPEOS = b"OPTIS - brdf surface file"
-# The columns of `_block`.
+# Names of the columns of each block of samples in these files.
 _NAMES = ("theta_out", "phi_out", "value", "theta_in", "phi_in", "wavelength")
 
 
 def scatter_table(data: bytes) -> TextTable | None:
-    """Return the samples of a BSDF file of Zemax or LightTools, which name ScatterRadial."""
+    """Return the samples of a BSDF file of Zemax or LightTools, recognised by the word ScatterRadial in its head."""
     head = data[:_HEAD_BYTES]
     if b"ScatterRadial" not in head:
         return None
@@ -42,7 +42,8 @@ def scatter_table(data: bytes) -> TextTable | None:
 def _zemax_table(text: str) -> TextTable:
     """Return the samples of a Zemax file, whose viewing angles are relative to the mirror direction.
 
-    ScatterRadial is the angle to the mirror direction; ScatterAzimuth is the rotation about it, 0 towards the normal.
+    ScatterRadial is the angle to the mirror direction; ScatterAzimuth is the rotation about the mirror direction, 0
+    towards the normal.
     """
     lines = _words(text)
     begin = next(at for at, line in enumerate(lines) if line[0] == "DataBegin")
@@ -67,7 +68,7 @@ def _zemax_table(text: str) -> TextTable:
 
 
 def _lighttools_table(text: str) -> TextTable:
-    """Return the front reflection in a LightTools file; its light comes from an azimuth of 90 degrees."""
+    """Return the samples of front reflection in a LightTools file, whose light comes from an azimuth of 90 degrees."""
     head, _, body = text.partition("DataBegin")
     lines = _words(head)
     phi, theta = _numbers_after("ScatterAzimuth", lines)[:, np.newaxis], _numbers_after("ScatterRadial", lines)
@@ -96,7 +97,7 @@ def fred_table(data: bytes) -> TextTable | None:
         raise MeasurementFormatError(f"The file of FRED has bsdf={words['bsdf']}; only bsdf=value is read.")
     table = unnamed_table([(number, line) for number, line in lines if "=" not in line and "bsdf_data" not in line])
     unit, half_turn = ("rad", np.pi) if words.get("angles", "deg").startswith("rad") else ("deg", 180.0)
-    # The numbers before each block are the last columns; blocks in one plane have no azimuths.
+    # The numbers before each block became the last columns; a file of a single plane of incidence has no azimuths.
     names = {3: ("theta_out", "value", "theta_in"), 5: _NAMES[:5]}.get(len(table.names))
     if names is None:
         raise MeasurementFormatError(
@@ -132,12 +133,12 @@ def speos_table(data: bytes) -> TextTable | None:
 
 
 def _block(*columns: ArrayLike) -> Array:
-    """Return the six columns of `_NAMES` for a grid of directions, shape (6, n)."""
+    """Return a block of samples on a grid of directions, shape (6, n): rows are the columns that `_NAMES` lists."""
     return np.stack([column.ravel() for column in np.broadcast_arrays(*columns)])
 
 
 def _table_of_blocks(blocks: Sequence[Array]) -> TextTable:
-    """Join blocks into a table, without the wavelength if all blocks have the same one."""
+    """Join blocks of samples into a table, without a column for the wavelength if all blocks have one wavelength."""
     columns = np.concatenate(blocks, axis=1)
     is_spectral = len(np.unique(columns[5])) > 1
     return TextTable.of_numbers(_NAMES[: 5 + is_spectral], columns[: 5 + is_spectral])
@@ -149,7 +150,7 @@ def _words(text: str) -> list[list[str]]:
 
 
 def _numbers_after(name: str, head: Sequence[list[str]]) -> Array:
-    """Return the numbers that follow a line with a name and the count of the numbers, in the head of a file."""
+    """Return a list of numbers from the head of a file, where a line with its name and its length precedes the list."""
     count = 0
     try:
         at = next(at for at, line in enumerate(head) if line[0] == name)

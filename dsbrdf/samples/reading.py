@@ -1,8 +1,8 @@
 """Read files with a table of scattered samples.
 
-`dsbrdf.samples.layouts` finds the cells of a file, and `dsbrdf.samples.columns` their meaning. This module repairs and
-counts faults of a measurement, and describes them in the notes of the samples: rows without a number, directions at or
-below the horizon, zeros for missing values, small negative values, and vectors that are nearly of unit length.
+The module `dsbrdf.samples.layouts` finds the cells of a file, and `dsbrdf.samples.columns` the meaning of the cells.
+This module repairs faults of a measurement, and describes each repair in a note: rows without a number, directions at
+or below the horizon, zeros for missing values, small negative values, and vectors that are nearly of unit length.
 """
 
 from __future__ import annotations
@@ -26,13 +26,15 @@ from dsbrdf.samples.spreadsheet import is_spreadsheet, spreadsheet_text
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 _MAX_FILE_BYTES = 1 << 30
-# Vectors are refused if their length deviates from 1 by more than the first number, and noted beyond the second.
+# A file is refused if the length of a direction vector deviates from 1 by more.
 _MAX_LENGTH_DEVIATION = 0.02
+# A note says that vectors were scaled if a length deviates from 1 by more; smaller deviations are rounding errors.
 _ROUNDED_LENGTH_DEVIATION = 1e-3
-# Unit vectors whose components differ by less count as equal.
+# Components of unit vectors are rounded to this step, so that nearly equal directions count as equal.
 _SAME_COMPONENT = 1e-5
-# Values of one pair of directions contradict each other beyond this factor, after this fraction of the median is added.
+# Values at one pair of directions contradict each other if their ratio is larger than this factor.
 _CONTRADICTION_FACTOR = 1.25
+# Before the ratio is computed, this fraction of the median is added, because dark values are noisy.
 _DARK_FRACTION = 0.05
 
 
@@ -81,12 +83,12 @@ def read_samples(
 
 
 def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
-    """Return the samples in the bytes of a table; errors are those of `read_samples`."""
+    """Return the samples in the bytes of a table; raise the errors that `read_samples` raises."""
     return read_table(data, name, options).samples
 
 
 def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ReadTable:
-    """Return the samples in the bytes of a table with its description; errors are those of `read_samples`."""
+    """Return the samples in the bytes of a table, and a description of the table; raise as `read_samples` does."""
     found = _read(data, options)
     return ReadTable(found.columns, found.n_rows, _joined([found], name))
 
@@ -99,7 +101,7 @@ def _joined(found: Sequence[SampleRows], name: str) -> ScatteredSamples:
 
 
 def _read(data: bytes, options: TableOptions) -> SampleRows:
-    """Return the usable rows of a file, even if they are too few for a fit."""
+    """Return the usable rows of a file, even if the rows are too few for a fit."""
     if data.startswith(CANONICAL):
         options.refuse("a file of samples, which says everything itself")
         made = ScatteredSamples.decode(data)
@@ -134,7 +136,7 @@ def _usable(found: SampleRows, notes: list[str]) -> Array:
 
 
 def _in_units(numbers: Array, options: TableOptions, notes: list[str]) -> Array:
-    """Return rows with values in 1/sr, divided by a cosine and with omega_in turned if the options ask for it."""
+    """Return rows with values in 1/sr, after the division by a cosine and the turn of omega_in that options ask for."""
     omega_in, omega_out, values, weight = np.split(numbers, (3, 6, 9), axis=1)
     is_grey = bool(np.all(values == values[:, :1]))
     values = np.broadcast_to(_without_noise(values[:, :1] if is_grey else values, notes), values.shape)
@@ -161,7 +163,7 @@ def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Ar
 
 
 def _without_noise(values: Array, notes: list[str]) -> Array:
-    """Replace small negative values by 0; raise MeasurementFormatError for large ones."""
+    """Replace small negative values by 0; raise MeasurementFormatError for large negative values."""
     negative = values < 0.0
     count = int(np.count_nonzero(negative))
     if count == 0:
@@ -182,7 +184,8 @@ def _contradictions(pairs: Array, values: Array) -> list[str]:
     if values.size == 0:
         return []
     digits = np.rint(pairs / _SAME_COMPONENT).astype(np.int64)
-    key = digits @ np.random.default_rng(0).integers(1 << 62, size=6)  # Hashing finds equal pairs in linear time.
+    # Each pair is reduced to one random hash, because sorting hashes is faster than sorting rows of six numbers.
+    key = digits @ np.random.default_rng(0).integers(1 << 62, size=6)
     order = np.lexsort((values, key))
     starts = np.flatnonzero(np.diff(key[order], prepend=key[order][:1] - 1))
     lowest, highest = values[order][starts], values[order][np.append(starts[1:], values.size) - 1]

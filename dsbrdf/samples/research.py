@@ -41,7 +41,7 @@ _ALTA = {
 def plain_astm(data: bytes) -> bytes:
     """Convert a file of ASTM E1392 to a text table with names and units; return any other text unchanged.
 
-    The head of such a file ends with the word VARS and the names of the columns; its angles are in radians.
+    The head of an ASTM E1392 file ends with the word VARS and the names of the columns; its angles are in radians.
     """
     found = _ASTM_NAMES.search(data)
     if found is None:
@@ -54,9 +54,10 @@ def plain_astm(data: bytes) -> bytes:
 def cornell_spectra_table(data: bytes) -> TextTable | None:
     """Return the samples of a spectral text of Cornell.
 
-    The file has a count of wavelengths, the wavelengths, and rows of four angles and a spectrum.
+    The file has the number of wavelengths, then the wavelengths, then rows of four angles and a spectrum.
     """
-    start, first = _without_comments(data[:4096]), _without_comments(data[:4096]).split()[:-1]  # The last may be cut.
+    # The last word of the first 4096 bytes is dropped, because the end of these bytes may cut it.
+    start, first = _without_comments(data[:4096]), _without_comments(data[:4096]).split()[:-1]
     count = int(first[0][:4]) if first and first[0].isdigit() else 0
     if _NOT_NUMBERS.search(start) or not 2 <= count < len(first):
         return None
@@ -96,9 +97,10 @@ def alta_table(data: bytes) -> TextTable | None:
 
 
 def rami_table(data: bytes) -> TextTable | None:
-    """Return the samples of a measurement of the RAMI benchmark: rows of SZA, VZA, SAA - VAA [rad], BRF and its error.
+    """Return the samples of a measurement of the RAMI benchmark.
 
-    The first line has the numbers of rows and columns, and a fraction of rays.
+    The first line has the numbers of rows and columns, and a fraction of rays. A row has the zenith angles of sun and
+    viewer, the azimuth between them [rad], the reflectance factor and its error.
     """
     rows = _rows_behind(_RAMI.match(data), data)
     names = ("SZA [rad]", "VZA [rad]", "phi_out [rad]", "BRF")
@@ -108,8 +110,9 @@ def rami_table(data: bytes) -> TextTable | None:
 def kernels_table(data: bytes) -> TextTable | None:
     """Return the samples in a file of observations for kernel models (AMBRALS).
 
-    The first line has BRDF, the numbers of rows and bands, and the bands. A row has a day, which may be left out, a
-    mark of validity, VZA, VAA, SZA, SAA and a value at each band.
+    The first line has the word BRDF, the numbers of rows and bands, and the wavelengths of the bands. A row has a day,
+    which may be left out, a mark of validity, zenith angle and azimuth of the viewer, zenith angle and azimuth of the
+    sun, and a value for each band.
     """
     found = _KERNELS.match(data)
     rows, bands = _rows_behind(found, data), found[2].split() if found else []
@@ -121,7 +124,7 @@ def kernels_table(data: bytes) -> TextTable | None:
 
 
 def _rows_behind(found: re.Match[bytes] | None, data: bytes) -> Array:
-    """Return the rows of numbers behind a first line, whose first group counts them; no columns for another text."""
+    """Return the rows of numbers below a first line that states their number; an array without columns if not found."""
     try:
         numbers = np.array(data[found.end() :].split() if found else [], dtype=np.float64)
         return numbers.reshape(int(found[1]) if found else 0, -1)
@@ -132,7 +135,7 @@ def _rows_behind(found: re.Match[bytes] | None, data: bytes) -> Array:
 def json_table(data: bytes) -> TextTable | None:
     """Return the samples in JSON: rows of ASAM OpenMATERIAL 3D, or columns or records of numbers by name.
 
-    Each column of the BiRD project's format has its values and their unit, in the object "data".
+    In the BiRD project's format, the object "data" has the values and the unit of each column.
     """
     try:
         document: Any = json.loads(data) if data[:_JSON_START_BYTES].strip()[:1] in (b"{", b"[") else None
@@ -155,7 +158,7 @@ def json_table(data: bytes) -> TextTable | None:
 
 
 def _number_columns(held: Any) -> Iterator[tuple[str, Array]]:
-    """Yield the columns of numbers in a dict of columns, or in a list of records, by name."""
+    """Yield name and numbers of each column in a dict of columns or in a list of records."""
     if isinstance(held, list) and held and all(isinstance(record, dict) for record in held):
         held = {name: [record.get(name) for record in held] for name in held[0]}
     for name, values in held.items() if isinstance(held, dict) else ():

@@ -16,7 +16,7 @@ _D65 = np.array([0.95047, 1.0, 1.08883])
 _FROM_XYZ = np.array(
     [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]]
 )
-# If all pairs of directions times all wavelengths are more than this multiple of the rows, wavelengths differ by pair.
+# A table is refused if complete spectra at all pairs of directions would need more than this multiple of its rows.
 _MAX_PLACES_PER_ROW = 4
 
 
@@ -25,7 +25,7 @@ def _bell(mean: float, below: float, above: float) -> Array:
 
 
 def _sensitivities() -> Array:
-    """Return the sensitivities of red, green and blue at the wavelengths, shape (3, n); their sums are 1."""
+    """Return the sensitivities of red, green and blue at all wavelengths (3, wavelengths); each sums to 1."""
     observer = np.stack(
         [
             1.056 * _bell(599.8, 37.9, 31.0) + 0.362 * _bell(442.0, 16.0, 26.7) - 0.065 * _bell(501.1, 20.4, 26.2),
@@ -39,9 +39,9 @@ def _sensitivities() -> Array:
 
 
 def linear_srgb(wavelengths: Array, spectra: Array) -> Array:
-    """Return RGB, shape (n, 3), of spectra (n, k) at increasing wavelengths (k,) [nm]; one wavelength gives grey.
+    """Return the RGB values (n, 3) of n spectra at increasing wavelengths [nm]; a single wavelength gives grey.
 
-    Negative channels of colours outside of sRGB are set to 0. Raises MeasurementFormatError if no wavelength is
+    A negative channel of a colour outside of sRGB is set to 0. Raises MeasurementFormatError if no wavelength is
     visible.
     """
     if len(wavelengths) > 1 and not np.any((wavelengths >= _VISIBLE_NM[0]) & (wavelengths <= _VISIBLE_NM[1])):
@@ -56,10 +56,10 @@ def linear_srgb(wavelengths: Array, spectra: Array) -> Array:
 
 
 def of_rows(numbers: Array, wavelengths: Array) -> tuple[Array, Array]:
-    """Merge rows of single wavelengths into one row for each pair of directions; return it with the wavelengths.
+    """Merge rows of single wavelengths into one row for each pair of directions; return the rows and the wavelengths.
 
-    `numbers` (n, 10) has the columns of `SampleRows`, with the value at each row's wavelength. Values at a repeated
-    wavelength are averaged; if a wavelength is missing at a pair, all its channels are NaN.
+    The input `numbers` (n, 10) has the columns of `SampleRows.numbers`, with the value at the wavelength of the row.
+    Values at a repeated wavelength are averaged. If a pair of directions lacks a wavelength, its RGB values are NaN.
     """
     used = np.isfinite(wavelengths) & np.isfinite(numbers[:, :6]).all(axis=1)
     numbers, wavelengths = numbers[used], wavelengths[used]

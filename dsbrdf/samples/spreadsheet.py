@@ -1,4 +1,4 @@
-"""Convert spreadsheets (``.xlsx``) to the text of a table; this needs the extra ``xlsx``."""
+"""Convert spreadsheets (``.xlsx``) to the text of a table; the conversion needs the optional extra ``xlsx``."""
 
 import csv
 import io
@@ -14,13 +14,13 @@ _ARCHIVE = b"PK\x03\x04"
 _WORKBOOK = "xl/workbook.xml"
 _PIECE_BYTES = 1 << 20
 _MAX_UNPACKED_BYTES = 1 << 26
-_MAX_TAGS = 2_000_000  # openpyxl takes 5 s for so many tags; a cell has four tags.
-_MAX_ROWS = 1 << 20  # Spreadsheet programs write at most this number of rows.
+_MAX_TAGS = 2_000_000  # A file with more XML tags is refused, because openpyxl would take over 5 s; a cell has four.
+_MAX_ROWS = 1 << 20  # A sheet with more rows is refused, because no spreadsheet program writes so many.
 _MAX_TEXT_LENGTH = 1 << 26  # [characters]
 
 
 def is_spreadsheet(data: bytes) -> bool:
-    """Tell whether bytes are a spreadsheet (``.xlsx``)."""
+    """Return whether the bytes of a file are a spreadsheet (``.xlsx``)."""
     if not data.startswith(_ARCHIVE):
         return False
     try:
@@ -46,7 +46,7 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
         texts = {sheet.title: _text(sheet.iter_rows(values_only=True)) for sheet in workbook.worksheets}
     except (MeasurementFormatError, MemoryError):
         raise
-    except Exception as error:  # Openpyxl, XML and ZIP raise exceptions of their own.
+    except Exception as error:  # A damaged file raises exceptions of many types, from openpyxl, XML and ZIP.
         raise MeasurementFormatError("The spreadsheet cannot be read; save its sheet as .csv.") from error
     title = max(texts, key=lambda name: len(texts[name]), default="")
     notes = [f"The spreadsheet has {len(texts)} sheets; the longest was read, {title!r}."] if len(texts) > 1 else []
@@ -54,7 +54,7 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def _check_work(archive: zipfile.ZipFile) -> None:
-    """Unpack a file and count its tags; raise MeasurementFormatError if it would take too long to read."""
+    """Count the XML tags of a spreadsheet; raise MeasurementFormatError if the file would take too long to read."""
     n_bytes = n_tags = 0
     for part in archive.namelist():
         with archive.open(part) as file:
@@ -68,12 +68,12 @@ def _check_work(archive: zipfile.ZipFile) -> None:
 
 
 def _text(rows: Iterable[Sequence[Any]]) -> str:
-    """Return rows as lines with equal numbers of cells, which end with a separator; rows without content are empty."""
+    """Return rows as lines of equally many cells, with a separator at the end; a row without content is empty."""
     lines: list[list[str]] = []
     length = n_cells = 0
     for row in rows:
         n_cells += len(row)
-        # openpyxl yields empty rows and cells where the file leaves them out.
+        # Rows and cells that the file leaves out count too, because openpyxl yields them as empty.
         if n_cells > MAX_CELLS or len(lines) == _MAX_ROWS:
             most = f"{_MAX_ROWS} rows or {MAX_CELLS} cells, empty ones between others included"
             raise MeasurementFormatError(f"The sheet has more than {most}; save it as .csv.")

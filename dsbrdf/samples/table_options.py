@@ -73,17 +73,17 @@ class TableOptions:
 
     @classmethod
     def chosen(cls, options: TableOptions | None, choices: dict[str, Any]) -> TableOptions:
-        """Return options given as an object or by name; raise InvalidArgumentError if both are given."""
+        """Return `options`, or options made from `choices` by name; raise InvalidArgumentError if both are given."""
         if options is not None and choices:
             raise InvalidArgumentError("give the options as TableOptions or by name, not both")
         return options or cls(**choices)
 
     def named_columns(self) -> dict[str, str]:
-        """Return the names of columns, by meaning, that the option `columns` gives."""
+        """Return the option `columns` as a dict: the name of a column for each meaning, such as theta_in."""
         return dict(_parts(pair) for pair in self.columns)
 
     def held(self) -> dict[str, float]:
-        """Return the numbers, by meaning, that the option `constants` gives."""
+        """Return the option `constants` as a dict: a number for each meaning, such as theta_in."""
         numbers = {}
         for meaning, text in map(_parts, self.constants):
             try:
@@ -93,7 +93,7 @@ class TableOptions:
         return numbers
 
     def refuse(self, what: str) -> None:
-        """Raise InvalidArgumentError if an option is set, because `what`, such as "a MERL file", has no options."""
+        """Raise InvalidArgumentError if an option is set; `what`, such as "a MERL file", is read without options."""
         chosen = [one.name for one in fields(self) if getattr(self, one.name) != one.default]
         if chosen:
             verb = "is an option" if len(chosen) == 1 else "are options"
@@ -121,11 +121,11 @@ def _parts(pair: str) -> tuple[str, str]:
 def _is_number(value: Any) -> bool:
     try:
         return not isinstance(value, bool | str) and math.isfinite(value)
-    except (TypeError, OverflowError):  # such as 10**400
+    except (TypeError, OverflowError):  # A value may be no number, or too large for a float, such as 10**400.
         return False
 
 
 AS_WRITTEN = TableOptions()
-"""Options for a table that needs none."""
+"""The default options, for a table that is read as it is written."""
 TABLE_OPTIONS = tuple(declared.name for declared in fields(TableOptions))
-"""Names of the options of a table."""
+"""Names of the options for reading a table."""

@@ -1,9 +1,9 @@
 """Parse tables of numbers as people and instruments write them: from bytes to cells under names of columns.
 
 Cells are separated by commas, semicolons, tabs, bars or blanks; if the separator is not the comma, numbers may have a
-decimal comma. Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments; the line that names the columns may be
-a comment, and other lines may precede it. A line below the names without any number gives the units. A line with a name
-and a number, such as ``#intheta 30``, applies to the rows after it.
+decimal comma. Lines that begin with ``#``, ``%``, ``//`` or ``!`` are comments. The line that names the columns may be
+a comment, and need not be the first line. A line without any number directly below the column names gives the units. A
+line with a name and a number, such as ``#intheta 30``, gives an angle to all rows below the line.
 """
 
 import re
@@ -28,29 +28,32 @@ from dsbrdf.samples.cells import (
 from dsbrdf.samples.names import constants_in, count_names, meaning_of, name_and_unit, wavelength_of
 
 NumberedLines = Sequence[tuple[int, str]]
-"""Lines of a text, each with its number from 1."""
-_N_TRIED_LINES = 50  # The separator of a table without names is chosen by this number of lines.
+"""Lines of a text, each with its number in the file, from 1."""
+_N_TRIED_LINES = 50  # If a table does not name its columns, this number of lines determines the separator.
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
 _BEGINS_NUMBER = tuple("+-.0123456789")
 _NUMBERS = re.compile(r"[-+.,;\s\deE]*")
 _MAX_LINES_BEFORE_NAMES = 500
 _MAX_LINES_OF_UNITS = 20
-_MAX_LINE_LENGTH = 1 << 17  # [characters]; lines of 4096 numbers with all digits are shorter.
-_MAX_HEAD_LENGTH = 1 << 18  # [characters]; the line of names is searched only up to here.
+_MAX_LINE_LENGTH = 1 << 17  # A longer line is refused; a line of 4096 numbers with all digits is shorter [characters].
+_MAX_HEAD_LENGTH = 1 << 18  # The column names are searched only in this part at the beginning of a file [characters].
 _LISTED = re.compile(
     r"[ \t]*(?:[#%!]+[ \t]*(?:column|col\.?|field)?|column|col\.?|field)[ \t]*([0-9]+)[ \t]*[-:=.)][ \t]*(\S.*)", re.I
 )
-_FITS_BONUS = 2  # A line with a name for each cell of the row below it counts as so many names more.
-_MIN_NAMES = 2  # A line below the names with so many names repeats them in another language, and has no units.
-# Fewer lines that begin with a name do not make a transposed table.
+# In the search for column names, a line that has a name for each cell of the row below counts as two names more.
+_FITS_BONUS = 2
+# If the line below the column names has this number of names too, it repeats the names in another language.
+_MIN_NAMES = 2
+# A table is transposed only if at least this number of lines begin with a column name.
 _MIN_TRANSPOSED_LINES = 3
 
 
 def parse_text_table(data: bytes, named: Collection[str] = ()) -> TextTable:
-    """Return the table in the bytes of a text, whose columns may also have the names in `named`, in lower case.
+    """Return the table in the bytes of a text.
 
-    The line with most known names is the line of names. Raises MeasurementFormatError with a sentence that names the
-    mistake and the remedy.
+    The line with most known column names is taken to name the columns. In addition to the built-in names, the names in
+    `named`, in lower case, are known. Raises MeasurementFormatError with a sentence that names the mistake and the
+    remedy.
     """
     lines = decoded(data).splitlines()
     longest = max(lines, key=len, default="")
@@ -67,12 +70,12 @@ def parse_text_table(data: bytes, named: Collection[str] = ()) -> TextTable:
 
 
 def rows_of(lines: Sequence[str]) -> NumberedLines:
-    """Return the lines of a text that are not comments, each with its number."""
+    """Return the lines of a text that are neither empty nor comments, each with its number in the file."""
     return [(number, line.strip()) for number, line in enumerate(lines, 1) if _is_row(line)]
 
 
 def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
-    """Return the table in the lines below the line of names; the first of these lines may give units."""
+    """Return the table in the lines below the column names; the first of these lines may give units."""
     check_size(len(lines), len(names))
     separator, first = ",", 0
     for number, line in lines[:_MAX_LINES_OF_UNITS]:
@@ -98,7 +101,7 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
 
 
 def _rows_and_constants(lines: Sequence[str], place: int) -> tuple[NumberedLines, dict[int, Constants]]:
-    """Return the numbered rows below the line of names, and by this number the constants that apply to each row."""
+    """Return the rows below the column names with their line numbers, and by line number the constants of each row."""
     rows, held, now = list[tuple[int, str]](), dict[int, Constants](), Constants()
     names = _without_comment(lines[place]) if place >= 0 else None
     for number, line in enumerate(lines, 1):
@@ -108,7 +111,7 @@ def _rows_and_constants(lines: Sequence[str], place: int) -> tuple[NumberedLines
         if found or bare == names:
             now = now | found
             while rows and rows[-1][1][0].isalpha() and not rows[0][1][0].isalpha():
-                rows.pop()  # The title of a block precedes its constants or its names.
+                rows.pop()  # This line of words is no row but a title, because constants or column names follow.
         elif bare and number > place + 1 and _is_row(text):
             rows.append((number, text))
             held[number] = now
@@ -116,7 +119,7 @@ def _rows_and_constants(lines: Sequence[str], place: int) -> tuple[NumberedLines
 
 
 def _with_constants(table: TextTable, held: dict[int, Constants]) -> TextTable:
-    """Return the table with a column for each constant."""
+    """Return the table with a column for each constant, such as theta_in, that lines between the rows give."""
     blocks = [held[number] for number in table.lines]
     names = dict.fromkeys(name for block in {id(block): block for block in blocks}.values() for name in block)
     columns = {name: np.array([block.get(name, np.nan) for block in blocks]) for name in names}
@@ -125,7 +128,7 @@ def _with_constants(table: TextTable, held: dict[int, Constants]) -> TextTable:
 
 
 def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tuple[str, ...]]:
-    """Return the index of the line that names the columns, and the names; -1 and none if no line does."""
+    """Return the index of the line that names the columns, and the names; -1 and no names if there is no such line."""
     if listed := _listed_names(lines):
         return listed
     best: tuple[int, int, int, tuple[str, ...]] = (0, 0, -1, ())
@@ -135,12 +138,12 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
         if length - len(line) > _MAX_HEAD_LENGTH:
             break
         words = _without_comment(line)
-        if _NUMBERS.fullmatch(words):  # A row of numbers has no names; to search it would be slow.
+        if _NUMBERS.fullmatch(words):  # A row of numbers has no names, and searching it for names would be slow.
             continue
         below = filter(_is_row, islice(lines, place + 1, place + 1 + _MAX_LINES_BEFORE_NAMES))
         row = next(below, "").strip(" ")
         at = place
-        if not row and _COMMENT.match(line):  # The names stand behind the rows.
+        if not row and _COMMENT.match(line):  # No row follows, so that this comment may name the columns of rows above.
             at, row = -1, next(filter(_is_row, lines), "").strip(" ")
         splits = [_cells(row, separator) for separator in SEPARATORS]
         for names in _candidates(words):
@@ -158,7 +161,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
 
 
 def _with_groups(names: tuple[str, ...], above: str) -> tuple[str, ...]:
-    """Return repeated names, such as theta, phi, theta, phi, each behind its group in the line above."""
+    """Return names such as theta, phi, theta, phi, each preceded by its group, such as incident, in the line above."""
     for groups in (_cells(above, separator) for separator in SEPARATORS):
         if 1 < len(groups) <= len(names) + 1:
             group, found = "", list[str]()
@@ -170,7 +173,7 @@ def _with_groups(names: tuple[str, ...], above: str) -> tuple[str, ...]:
 
 
 def _listed_names(lines: Sequence[str]) -> tuple[int, tuple[str, ...]] | None:
-    """Return names that stand in lines of their own, such as "Column 1: theta_in", with the index of the last line."""
+    """Return column names that have a line each, such as "Column 1: theta_in", and the index of the last such line."""
     names = list[str]()
     for place, line in enumerate(lines[:_MAX_LINES_BEFORE_NAMES]):
         found = _LISTED.fullmatch(line[:_MAX_HEAD_LENGTH])
@@ -184,18 +187,18 @@ def _listed_names(lines: Sequence[str]) -> tuple[int, tuple[str, ...]] | None:
 
 
 def _candidates(words: str) -> Iterator[tuple[str, ...]]:
-    """Yield the names in a line for each separator, also without a label such as "format:" before the names."""
+    """Yield the column names in a line, split by each separator, and again without a label such as "format:"."""
     label, _, rest = words.partition(":")
     for text in (words, rest.strip()) if rest and " " not in label else (words,):
         for separator in SEPARATORS:
             names = tuple(name.strip() for name in _cells(text, separator))
             n_named = max((at for at, name in enumerate(names, 1) if name), default=0)
-            yield names[: max(n_named, len(names) - 1)]  # The line may end with a separator.
+            yield names[: max(n_named, len(names) - 1)]  # The last name is empty if the line ends with a separator.
             yield names[:n_named]
 
 
 def _transposed(lines: Sequence[str], named: Collection[str]) -> TextTable | None:
-    """Return a transposed table, whose lines are columns that begin with their names; None for another table."""
+    """Return a table whose lines are columns, each beginning with the column's name; None for any other table."""
     kept = rows_of(lines)
     for separator in SEPARATORS if kept else ():
         cells = [(number, _cells(line, separator)) for number, line in kept[:_MAX_LINES_BEFORE_NAMES]]
@@ -211,7 +214,7 @@ def _transposed(lines: Sequence[str], named: Collection[str]) -> TextTable | Non
 
 
 def _without_comment(line: str) -> str:
-    """Return a line without the comment mark at its beginning."""
+    """Return a line without the comment mark, such as #, at the beginning."""
     return _COMMENT.sub("", line, count=1).strip()
 
 
@@ -220,7 +223,7 @@ def _is_row(line: str) -> bool:
 
 
 def _separator_of_row(number: int, line: str, n_names: int) -> str:
-    """Return the separator that splits the first row into one cell for each name."""
+    """Return the separator that splits a row into one cell for each column name."""
     splits = {separator: _cells(line, separator) for separator in SEPARATORS}
     for separator, cells in splits.items():
         if _fits(cells, n_names):
@@ -230,7 +233,7 @@ def _separator_of_row(number: int, line: str, n_names: int) -> str:
 
 
 def _fits(cells: Sequence[str], n_names: int) -> bool:
-    """Return whether a row has a cell for each name, and only empty cells behind them."""
+    """Return whether a row has a cell for each column name, and only empty cells after the last name."""
     return len(cells) >= n_names and not any(map(str.strip, cells[n_names:]))
 
 
@@ -239,10 +242,11 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def unnamed_table(numbered: NumberedLines) -> TextTable:
-    """Return the table in numbered lines without names; lines before the first number are a title.
+    """Return the table in numbered lines that do not name the columns; lines before the first number are a title.
 
-    Columns are named 1 to n, by their positions. A line of fewer numbers begins a block: its numbers apply to the rows
-    of the block, as columns n + 1 and so on. Raises MeasurementFormatError for words between lines of numbers.
+    Columns are named 1 to n, by their positions. A line with fewer numbers than the rows begins a block of rows: the
+    numbers of this line become the columns n + 1, n + 2 and so on of all rows in the block. Raises
+    MeasurementFormatError for words between lines of numbers.
     """
     count, separator, first = _layout(numbered)
     lines = numbered[first:]
@@ -279,7 +283,7 @@ def unnamed_table(numbered: NumberedLines) -> TextTable:
 
 
 def _layout(numbered: NumberedLines) -> tuple[int, str, int]:
-    """Return the largest number of cells of a line of numbers, their separator, and the index of the first line."""
+    """Return the largest number of cells in a line of numbers, the separator, and the index of the first such line."""
     best = (0, " ", 0)
     for separator in SEPARATORS:
         cells = list(split_cells((line for _, line in numbered[:_N_TRIED_LINES]), separator))
@@ -292,6 +296,6 @@ def _layout(numbered: NumberedLines) -> tuple[int, str, int]:
 
 
 def _numbers(cells: Sequence[str], separator: str) -> list[float]:
-    """Return the numbers in cells; an empty list if a cell has words."""
+    """Return the numbers in cells; an empty list if any of the cells has words."""
     numbers = [number for cell in cells if (number := as_number(cell, separator)) is not None]
     return numbers if len(numbers) == len(cells) else []
