@@ -317,8 +317,17 @@ def decompose(model: DSBRDF | FitResult) -> Decomposition:
     -------
     Decomposition
         Components that sum to the model; results of the last 32 models are cached.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If `model` is not a model.
     """
-    return _decompose(getattr(model, "model", model))
+    fitted = getattr(model, "model", model)
+    if not isinstance(fitted, ReflectanceModel):
+        kind = type(model).__name__
+        raise InvalidArgumentError(f"only a model can be decomposed, such as the result of dsbrdf.fit, not a {kind}")
+    return _decompose(fitted)
 
 
 @lru_cache(maxsize=32)

@@ -126,7 +126,8 @@ def stored_numbers(values: ArrayLike, valid: ArrayLike | None) -> Array:
     try:
         brdf = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise MeasurementFormatError(f"The values must be real numbers of the shape {SHAPE}.") from None
+        kind = type(values).__name__
+        raise MeasurementFormatError(f"The values must be an array {SHAPE} of real numbers, not a {kind}.") from None
     if brdf.shape != SHAPE:
         raise MeasurementFormatError(f"The values have the shape {brdf.shape}; a measurement has {SHAPE}.")
     stored = brdf / SCALE[:, np.newaxis, np.newaxis, np.newaxis]

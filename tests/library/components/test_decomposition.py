@@ -168,6 +168,8 @@ def test_absent_and_unknown_labels(paint_model: DSBRDF) -> None:
     ):
         with pytest.raises(InvalidArgumentError, match=words):
             found[label]
+    with pytest.raises(InvalidArgumentError, match="not a str"):
+        decompose("paint.json")  # type: ignore[arg-type]
 
 
 def test_split_that_is_open_is_said() -> None:
