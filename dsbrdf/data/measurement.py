@@ -127,7 +127,8 @@ def stored_numbers(values: ArrayLike, valid: ArrayLike | None) -> Array:
         brdf = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         kind = type(values).__name__
-        raise MeasurementFormatError(f"The values must be an array {SHAPE} of real numbers, not a {kind}.") from None
+        problem = f"The values must be real numbers of the shape {SHAPE}; an object of type {kind} has no such numbers."
+        raise MeasurementFormatError(problem) from None
     if brdf.shape != SHAPE:
         raise MeasurementFormatError(f"The values have the shape {brdf.shape}; a measurement has {SHAPE}.")
     stored = brdf / SCALE[:, np.newaxis, np.newaxis, np.newaxis]

@@ -161,6 +161,7 @@ def test_from_values_names_the_fault() -> None:
         (ones, np.ones((90, 180, 90), bool), r"valid nodes have the shape \(90, 180, 90\)"),
         (zeros, None, "have a value of at least"),
         (np.array([["a"]]), None, "must be real numbers"),
+        ({"values": ones}, None, "an object of type dict has no such numbers"),
         (np.where(np.arange(180) == 7, np.inf, ones), None, "^24300 of the values are NaN"),
     ]
     for values, valid, words in wrong:
