@@ -13,7 +13,7 @@ from dsbrdf.process_settings import core_count
 from . import DEFAULT_DATA_DIR
 
 PREFIX = "DSBRDF_"
-_MAX_LIMIT = 10**12  # A much larger limit can neither be stored nor be converted to a float.
+_MAX_LIMIT = 10**12  # A much larger setting could neither be stored nor be converted to a float.
 
 
 class Settings(BaseSettings):

@@ -169,7 +169,7 @@ def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
 def _raise_descriptor_limit() -> None:
     """Raise the limit of open files to the maximum, because the usual limit is below the number of connections."""
     _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with suppress(OSError, ValueError):  # Some systems report a higher maximum than they allow.
+    with suppress(OSError, ValueError):  # Some systems report more open files than they allow.
         resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
 
 

@@ -76,7 +76,7 @@ async def export_fit(
     headers = {"Content-Disposition": content_disposition(file), "Content-Type": FORMATS[wanted.format].media_type}
     model = loaded.decomposition.layers if wanted.component == LAYERS else loaded.part(wanted.component)
     key, place = ("export", row.key, row.name, *wanted.model_dump().values()), FORMATS[wanted.format].time
-    if wanted.example and wanted.format != "glsl":  # Examples of other formats only name the exported file.
+    if wanted.example and wanted.format != "glsl":  # Other examples only name the exported file, so no export is made.
         return _example(Path(file), wanted, b"")
     if place != "short":
         arguments = model, wanted.format, name

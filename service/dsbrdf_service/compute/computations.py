@@ -165,7 +165,7 @@ class Computations:
         if key in self._in_progress and self._in_progress[key].task is task:
             del self._in_progress[key]
         if task.done() and not task.cancelled():
-            task.exception()  # Otherwise asyncio would log that the exception was not read.
+            task.exception()  # Unless the exception is read here, asyncio logs that nobody read it.
 
 
 async def departure(request: Request) -> None:

@@ -55,7 +55,7 @@ class ModelCache:
         self._store = store
         self._size = size
         self._models: OrderedDict[tuple[FitKey, int | None], LoadedFit] = OrderedDict()  # By fit and result's checksum.
-        self._batches: dict[tuple[FitKey, str | None], _Batch] = {}  # By fit and component label.
+        self._batches: dict[tuple[FitKey, str | None], _Batch] = {}  # Batches by fit and component label.
 
     async def get(self, key: FitKey) -> LoadedFit:
         """Return the model of a fit; raise ProblemError if there is no such fit, or it has no result.

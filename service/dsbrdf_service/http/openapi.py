@@ -138,7 +138,7 @@ def _place(route: Any) -> int:
 
 def _complete(content: dict[str, Any]) -> None:
     """Add the example to a body or an answer, and remove a member that OpenAPI 3.1 does not know."""
-    content.get("text/event-stream", {}).pop("itemSchema", None)  # OpenAPI 3.1 has no member `itemSchema`.
+    content.get("text/event-stream", {}).pop("itemSchema", None)  # FastAPI adds this member, unknown to OpenAPI 3.1.
     described = content.get(JSON, {})
     model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
     if model in _EXAMPLES:
@@ -148,8 +148,8 @@ def _complete(content: dict[str, Any]) -> None:
 def option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     """Return an option as a query parameter of a raw upload: `none` stands for null, commas separate a list.
 
-    The description names the default. If the schema had a `default`, generated clients would always send it, which
-    would contradict the options in a JSON body.
+    The parameter's description names the default. If the schema had a `default`, generated clients would always send
+    it, which would contradict the options in a JSON body.
     """
     none = {"type": "string", "enum": ["none"]}
     described = {**schema}

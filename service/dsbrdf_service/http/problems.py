@@ -26,7 +26,7 @@ TYPE_PREFIX = "urn:dsbrdf:problem:"
 
 
 class Problem(BaseModel):
-    """RFC 9457 problem document."""
+    """A problem document of RFC 9457, the answer to a failed request."""
 
     type: Annotated[str, Field(description="Stable name of the problem, for scripts.")]
     title: str

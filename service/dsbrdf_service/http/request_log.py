@@ -161,7 +161,7 @@ class _Exchange:
                 self.given_up = True
                 logger.info("gave up a client that does not read its answer")
                 self._abort()
-                await asyncio.sleep(0)  # This lets the server process the aborted connection first.
+                await asyncio.sleep(0)  # In this pause, the server closes the aborted connection.
                 raise ClientDisconnect from None
             self._n_sent += len(piece)
             self._waited += perf_counter() - begin

@@ -64,7 +64,7 @@ STATIC_FILES["/docs"] = _read(_OURS / "docs.html")
 
 
 def file_at(path: str) -> StaticFile | None:
-    """Return the static file for a path; addresses in the page fit the depth of the path."""
+    """Return the static file for a path; relative addresses in the page fit the depth of the path."""
     if _PAGE_PATHS.fullmatch(path):
         return _PAGE_BELOW if path.count("/") > 1 else _PAGE
     return STATIC_FILES.get(path)

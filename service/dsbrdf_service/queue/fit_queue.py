@@ -34,7 +34,7 @@ T = TypeVar("T")
 _RETRY_DELAY = 5.0  # [s] Pause before a failed write, or the failed start of a process, is repeated.
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)
 _MIN_POLL_INTERVAL = 0.05  # [s] Pause between two readings of the row of a fit that has no task in this process.
-_LOST_DELAY = 0.5  # [s] Wait after the loss of a process, because a shutdown of the machine soon stops the service too.
+_LOST_DELAY = 0.5  # [s] Wait before a lost fit is repeated, because a shutdown may end its process before the service.
 
 
 @dataclass

@@ -174,7 +174,7 @@ class Store:
         try:
             if unwanted:
                 remove_files(self.database, self.blobs, unwanted)
-        except (OSError, sqlite3.Error) as error:  # The row is deleted, so the request succeeds.
+        except (OSError, sqlite3.Error) as error:  # The measurement is deleted even if its file stays.
             logger.warning("the file of the deleted measurement %s stays: %s", sha256, error)
         return bool(rows)
 
