@@ -1,8 +1,9 @@
 """Prepare scattered samples for the fit.
 
-The prediction from the samples (`dsbrdf.samples.prediction`) fills the rows, columns and bins of phi_diff of a table,
+A prediction from the samples (`dsbrdf.samples.prediction`) fills a table over theta_diff, theta_half and phi_diff,
 which is fitted like a measured table. The last fit adds each sample at its own angles, except that theta_diff is moved
-to the nearest whole degree. All samples together weigh as much as the whole table; nodes near samples weigh less.
+to the nearest whole degree. All samples together weigh as much as the whole table. A node of the table near a sample
+weighs less than other nodes, because the sample replaces it.
 """
 
 import numpy as np
@@ -18,16 +19,16 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.prediction import SamplePrediction
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# Relative error that lobes have at best. A node of the table whose uncertainty equals this error gets half weight.
+# A node of the table gets half weight if its uncertainty equals this relative error, the smallest that lobes reach.
 _MODEL_ERROR = 0.015
-# A node of the table near samples keeps at least this fraction of its weight.
+# A node of the table keeps at least this fraction of its weight, however near to samples or uncertain the node is.
 _MIN_NODE_WEIGHT = 1e-3
-# A value changes by at most this factor when its sample moves to the next whole degree of theta_diff.
+# The value of a sample changes by at most this factor when the sample moves to the nearest whole degree of theta_diff.
 _MAX_MOVE_RATIO = 16.0
 
 
 def predicted_profiles(samples: ScatteredSamples, prediction: SamplePrediction, options: FitOptions) -> Profiles:
-    """Return the table that is predicted from samples, at the rows and columns that a fit uses."""
+    """Return the table that is predicted from samples, at the theta_diff and theta_half that a fit uses."""
     cells = np.stack([axis.ravel() for axis in np.meshgrid(USED_ROWS, USED_COLUMNS, np.arange(N_BINS), indexing="ij")])
     count = _nodes_in_cells(cells)
     cells, count = cells[:, count.any(axis=1)], count[count.any(axis=1)]
@@ -52,10 +53,10 @@ def predicted_profiles(samples: ScatteredSamples, prediction: SamplePrediction, 
 def sample_rows(
     samples: ScatteredSamples, table: Profiles, options: FitOptions, prediction: SamplePrediction, model: DSBRDF
 ) -> FitData:
-    """Put samples, and the table predicted from the samples, into rows of whole degrees of theta_diff.
+    """Return the data of a fit: the samples, moved to whole degrees of theta_diff, and the table predicted from them.
 
-    When a sample moves to a row, its value is multiplied by the ratio of the model's values. Samples are weighted
-    relative to each other like nodes of the table.
+    When a sample moves, its value is multiplied by the ratio of the model's values at the new and the old theta_diff.
+    Samples are weighted relative to each other like nodes of the table.
     """
     weight, folded = fit_weights(table, options), table.folded
     cells = np.stack(np.nonzero(folded.weight[0])).astype(np.intp)
@@ -81,7 +82,7 @@ def sample_rows(
 
 
 def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:
-    """Return row, column and bin of phi_diff of each sample, shape (3, n)."""
+    """Return the indices of theta_diff, theta_half and bin of phi_diff in the table for each sample, shape (3, n)."""
     row = FIT_ROWS[_nearest(THETA_DIFF[FIT_ROWS], theta_diff)]
     column = FIT_COLUMNS[_nearest(np.sqrt(THETA_HALF[FIT_COLUMNS]), np.sqrt(theta_half))]
     turned = np.degrees(phi_diff) % 180.0
@@ -91,12 +92,12 @@ def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:
 
 
 def _nearest(axis: Array, angles: Array) -> Indices:
-    """Return the index of the nearest of ascending angles."""
+    """Return, for each of `angles`, the index of the nearest angle of the ascending `axis`."""
     return np.searchsorted(0.5 * (axis[1:] + axis[:-1]), angles)
 
 
 def _nodes_in_cells(cells: Indices) -> Array:
-    """Return the weights of the nodes of phi_diff, 0 to 90 degrees, in each cell; 0 below the horizon (cells, 91)."""
+    """Return the weight of each phi_diff from 0 to 90 degrees in each cell, (cells, 91); 0 below the horizon."""
     row, column, bin_of = cells
     above = above_horizon(THETA_HALF[column, np.newaxis], THETA_DIFF[row, np.newaxis], PHI_DIFF[:QUARTER])
     return np.asarray(SAMPLES_IN_BIN.T[bin_of] * above)

@@ -1,13 +1,16 @@
 """Estimate the error of a fit of scattered samples: at samples left out of the fit, and expected over all directions.
 
-At a sample left out, the value of the fit is multiplied by the ratio of two predictions, without and with the sample.
-The expected error over all directions has two parts: the median error of the model if the material, away from the
-samples, equalled one of several probable layers; and the uncertainty of values closer to the mirror direction than all
-samples, whose logarithm is uncertain by the logarithm of the ratio of both theta_half. Both parts are integrals over
-pairs of directions. Half of the weight is proportional to the reflected light, and half is uniform. Both parts are
-calibrated on materials whose values are known everywhere.
+A fit without one sample is too slow to repeat for each sample. Instead, the value of the fit at a sample is multiplied
+by the ratio of two predictions (`dsbrdf.samples.prediction`): one made without the sample, and one made with it.
 
-The directions to measure next are chosen one after another: each lowers the expected squared error most.
+The expected error over all directions has two parts. The first is the median error of the model if the material, away
+from the samples, equalled one of several probable stacks of layers. The second is the uncertainty of values closer to
+the mirror direction than all samples: the logarithm of a value at theta_half = a is uncertain by log(b / a), where b is
+the smallest theta_half of a sample. Both parts are integrals over pairs of directions, in which half of the weight is
+proportional to the reflected light, and half is uniform. Both parts are calibrated on materials whose values are known
+everywhere.
+
+The pairs of directions to measure next are chosen one after another; each lowers the expected squared error most.
 """
 
 import itertools
@@ -25,35 +28,37 @@ from dsbrdf.samples.prediction import SamplePrediction, left_out_predictions
 from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# Reports of errors have bands of theta_out with these edges, and samples near the mirror direction.
+# Errors are reported separately for samples in bands of theta_out with these edges.
 _THETA_OUT_EDGES_DEG = (0, 30, 60, 75, 90)
+# Errors are reported separately for samples near the mirror direction, whose theta_half is smaller.
 _NEAR_MIRROR_DEG = 10
 N_SUGGESTED = 20
 _N_CANDIDATES = 700
-# A larger variance of the logarithm of a value is clipped.
+# The variance of the logarithm of a value near the mirror direction counts as at most this.
 _MAX_LOG_VARIANCE = 1.0
-# With these factors of its two parts, the expected error is exceeded by one of ten tables. They were calibrated on 220
-# tables of 50 to 1,000 samples, in one plane or in all, of thirty-three materials, of which six are measured.
+# These factors of the two parts of the expected error make one table in ten exceed it. Both factors are calibrated on
+# 220 tables of 50 to 1,000 samples, in one plane or in all planes, of 33 materials, of which six are measured.
 _LAYER_FACTOR = 1.8
 _GAP_FACTOR = 1.4
 _LAST_COSINE = float(np.cos(np.radians(80.0)))
 # Two suggested pairs differ by at least this angle in theta_in, theta_out or phi.
 _MIN_PAIR_DISTANCE_DEG = 4.0
-# A sample is unconfirmed if a fit without it misses its logarithm by more, with this fraction of all squared errors.
+# A sample can be unconfirmed if a fit without the sample misses its logarithm by more than this.
 _UNCONFIRMED_LOG = np.log(3.0)
+# A sample is unconfirmed only if its squared error is more than this fraction of the sum over all samples.
 _UNCONFIRMED_FRACTION = 0.5
-# Closer than 8 degrees, the light and the detector of an instrument would cover each other.
+# Suggested directions are at least 8 degrees apart, because light and detector of an instrument would cover each other.
 _MAX_COSINE_BETWEEN = np.cos(np.radians(8.0))
 
 
 def relative_rms(values: Array, expected: Array, weight: Array) -> float | None:
-    """Return the root of the weighted squared error of values (n, 3) over the squared signal; None without a signal."""
+    """Return the relative RMS error of values (n, 3); None if all expected values have no weight or are 0."""
     signal = float(np.sum(weight[:, np.newaxis] * expected**2))
     return float(np.sqrt(np.sum(weight[:, np.newaxis] * (values - expected) ** 2) / signal)) if signal > 0.0 else None
 
 
 def left_out_values(samples: ScatteredSamples, prediction: SamplePrediction, model: DSBRDF) -> Array:
-    """Return the values (n, 3) that fits without each sample would have at this sample [1/sr]."""
+    """Return, for each sample, the value [1/sr] that a fit without this sample would have there, shape (n, 3)."""
     angles = half_difference(samples.omega_in, samples.omega_out)
     dark = prediction.layers.dark
     ratio = (left_out_predictions(samples, prediction) + dark) / (prediction.likely(*angles) + dark)
@@ -61,7 +66,7 @@ def left_out_values(samples: ScatteredSamples, prediction: SamplePrediction, mod
 
 
 def unconfirmed_sample(samples: ScatteredSamples, values: Array) -> Iterator[str]:
-    """Yield a sentence on one sample that the others do not confirm, if this sample has most of the squared error."""
+    """Yield a sentence on a single sample that contradicts all others, if it has most of the squared error."""
     dark = dark_level(samples)
     off = np.log((samples.values.mean(axis=1) + dark) / (values.mean(axis=1) + dark))
     at = int(np.argmax(np.abs(off)))
@@ -77,7 +82,7 @@ def unconfirmed_sample(samples: ScatteredSamples, values: Array) -> Iterator[str
 def left_out_errors(
     samples: ScatteredSamples, values: Array, cutoff: float | None
 ) -> tuple[float | None, tuple[LeftOutErrors, ...]]:
-    """Return errors of `left_out_values` within the cutoff, in bands of theta_out, and near the mirror direction."""
+    """Return the errors of the `left_out_values`: in total within the cutoff, and separately for groups of samples."""
     theta_half = np.degrees(half_difference(samples.omega_in, samples.omega_out)[0])
     theta_out = np.degrees(np.arccos(samples.omega_out[:, 2]))
     places = [
@@ -94,7 +99,7 @@ def left_out_errors(
 
 
 def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
-    """Return errors of a model at samples: relative_rms within the cutoff, and male at all samples."""
+    """Return errors of a model at samples: `relative_rms` within the cutoff, and `male` at all samples."""
     fitted, cosine = model.evaluate_directions(samples.omega_in, samples.omega_out), samples.omega_in[:, 2:]
     log_error = np.abs(np.log1p(samples.values * cosine) - np.log1p(fitted * cosine))
     return Metrics(
@@ -104,13 +109,13 @@ def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: 
 
 
 def _weight_within(samples: ScatteredSamples, cutoff: float | None) -> Array:
-    """Return the weights (n,) of the samples, 0 beyond the cutoff."""
+    """Return the weights of the samples, with 0 if a direction is further from the normal than the cutoff."""
     lowest = np.minimum(samples.omega_in[:, 2], samples.omega_out[:, 2])
     return samples.weight * (lowest >= np.cos(np.pi / 2 if cutoff is None else cutoff + 1e-9))
 
 
 def expected_error(prediction: SamplePrediction, model: DSBRDF, samples: ScatteredSamples) -> float:
-    """Return the relative_rms over all directions that the error of one table in ten exceeds."""
+    """Return a `relative_rms` over all directions that the true error exceeds for one table in ten."""
     angles, weight, cosine = _nodes()
     layers = prediction.layers
     values = model.evaluate_unmasked(*angles) + layers.dark

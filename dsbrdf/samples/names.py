@@ -23,7 +23,7 @@ _ANGLE_WORDS = {
 }
 _SIDES = {word: side for side, words in _SIDE_WORDS.items() for word in words.split()}
 _ANGLES = {word: angle for angle, words in _ANGLE_WORDS.items() for word in words.split()}
-# These abbreviations of angles follow only a longer word, because "in_z" would be a component of a vector.
+# These short names are angles only behind a long word, as in "sun_z", because "in_z" is a component of a vector.
 _SHORT_ANGLES = {"za", "z", "aa", "a"}
 _SHORT_SIDES = {"in", "out", "i", "o", "r", "s", "v", "e"}
 _RELATIVE = {"relative", "rel", "delta", "difference", "d"}
@@ -60,7 +60,7 @@ _OTHERS = {
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDE_WORDS for axis in "xyz")
 HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
 COSINE = "cosine"
-"""The unit of an angle whose cosine is given."""
+"""The unit of a column that has the cosines of angles instead of the angles."""
 ANGLE_UNITS = {"deg": pi / 180.0, "degree": pi / 180.0, "degrees": pi / 180.0, "°": pi / 180.0}
 ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 """Factors that convert units of angles to radians."""
@@ -68,10 +68,11 @@ WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 
 """Factors that convert units of wavelengths to nanometres."""
 VALUE_UNITS = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
 """Units of a BRDF."""
-_FIRST_OF_MATRIX = re.compile(r"(?:f_?r?|m|s|mueller|brdf)_?00")  # the elements of a Mueller matrix, counted from 0
-# Planetary science writes these letters for the angles of incidence, emission and phase.
+# The first element of a Mueller matrix, if its elements are counted from 0, is the BRDF for unpolarised light.
+_FIRST_OF_MATRIX = re.compile(r"(?:f_?r?|m|s|mueller|brdf)_?00")
+# Tables of planetary science have these letters as names of the angles of incidence, emission and phase.
 _PLANETARY = {"i": "theta_in", "e": "theta_out", "g": "phase", "alpha": "phase"}
-_SOLAR = {"theta_s": "theta_in", "phi_s": "phi_in"}  # "s" is the sun beside "v" for the viewer.
+_SOLAR = {"theta_s": "theta_in", "phi_s": "phi_in"}  # In a table that has "v" for the viewer, "s" means the sun.
 _GREEK = {"θ": "theta", "φ": "phi", "ϕ": "phi", "λ": "lambda", "ω": "omega", "δ": "delta", "ρ": "rho", "β": "beta"}
 _COSINE = re.compile(r"cos(?:ine)?(?:[_ ]?\((.+)\)|[_ ](.+))")
 # A unit may follow a name without brackets, as in "theta / deg", "BRDF, 1/sr" or "brdf_sr-1".
@@ -79,11 +80,12 @@ _UNIT_BEHIND = re.compile(
     rf"(.+?)(?:(?: / |, ?| in )({'|'.join(map(re.escape, (*ANGLE_UNITS, *WAVELENGTH_UNITS, *VALUE_UNITS, '%')))})|"
     rf"_({'|'.join(map(re.escape, VALUE_UNITS))}))"
 )
-_MARKUP = re.compile(r"[$\\{}'\"#]|\([^()=]*theta[^()=]*,[^()=]*\)")  # LaTeX, quotation, the arguments of f_r
+# LaTeX, quotation marks and arguments, as in f_r(theta_i, theta_r), are removed from a name.
+_MARKUP = re.compile(r"[$\\{}'\"#]|\([^()=]*theta[^()=]*,[^()=]*\)")
 _BAND_IN_BRACKETS = re.compile(r"(?:lambda ?= ?)?([0-9.]+ ?(?:nm|um|μm)?)")
 _MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"}, {"theta_out", "wavelength"})
-_N_MATRIX_NAMES = 3  # The first cell of a matrix counts as three names: rows, columns, values.
-_MAX_NAME_LENGTH = 200  # [characters] with the unit.
+_N_MATRIX_NAMES = 3  # The first cell of a matrix counts as three column names: of both angles and of the values.
+_MAX_NAME_LENGTH = 200  # A longer cell is not searched for a column name and its unit [characters].
 _BAND = re.compile(
     rf"(?:(?:{'|'.join((*_FACTORS, *_DENSITIES))}|beta|rrs|band|b|f|r|l|w|wl|lambda)_?)?"
     "([0-9]+(?:_[0-9]+)?)_?(nm|um|μm)?"
@@ -93,7 +95,7 @@ MIN_BAND_NM = 200.0
 MAX_BAND_NM = 3000.0
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _CONSTANT = re.compile(rf"(.*?[^\s:=,;])[\s:=,;]+({_NUMBER}(?:[\s,;]+{_NUMBER})?)[\s,;]*([A-Za-zμ°]*)")
-# A line can give these quantities to all rows below it.
+# A line of a file can state one of these quantities for all rows below the line.
 _HELD = ("theta_in", "phi_in", "elevation_in", "theta_out", "phi_out", "wavelength")
 
 
@@ -117,7 +119,7 @@ _EXACT = dict(_spellings())
 
 
 def meanings_of(cells: Sequence[str]) -> list[str | None]:
-    """Return the meaning of each name in a table, where the meaning of some names depends on others."""
+    """Return the meaning, such as theta_in, of each column name in a table, or None; some depend on other names."""
     names, units = zip(*map(name_and_unit, cells), strict=True) if cells else ((), ())
     special = _PLANETARY if {"i", "e"} <= {*names} else _SOLAR if {"theta_v", "phi_v"} & {*names} else {}
     vectors = {
@@ -132,7 +134,7 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
     ]
     ignored = {"scattering_angle"} if found.count("theta_out") > 1 else set()  # It lies between light and viewer.
     if found.count("phi_out") > 1:
-        # An azimuth relative to the light's replaces the viewer's own if the light has none.
+        # If there is no azimuth of the light, a relative azimuth is used instead of the azimuth of the viewer.
         relative = {name for name in names if name == "raa" or _RELATIVE & {*name.split("_")}}
         viewers = {name for name, known in zip(names, found, strict=True) if known == "phi_out"}
         ignored |= relative if "phi_in" in found or not relative else viewers - relative
@@ -155,7 +157,7 @@ def _angle_by_unit(name: str, unit: str) -> str | None:
 
 @lru_cache(1 << 14)
 def _meaning(name: str) -> str | None:
-    """Return the meaning of a name in lower case, which has a known spelling or words for an angle and a side."""
+    """Return the meaning of a name in lower case: a known spelling, or words for an angle and for light or viewer."""
     if name in _EXACT:
         return _EXACT[name]
     written = [part for word in name.split("_") for part in _parts(word)]
@@ -178,13 +180,16 @@ def _meaning(name: str) -> str | None:
 
 
 def _parts(word: str) -> tuple[str, ...]:
-    """Return the parts of a word such as "thetai" or "dphi"."""
+    """Return the two parts of a word such as "thetai" or "dphi", or else the word itself."""
     found = None if word in _ANGLES or word in _SIDES else _GLUED.fullmatch(word)
     return found.groups() if found else (word,)
 
 
 def factor_of(cell: str, light: str) -> str:
-    """Return what values are if their name, or the name of the light's angle, means reflectance factors; else ""."""
+    """Return a phrase on reflectance factors if the names of value and light suggest these; otherwise "".
+
+    Values beside an angle of the sun are often reflectance factors, as in remote sensing.
+    """
     name, is_solar = name_and_unit(cell)[0], re.match("s(?:un|ol|za)", name_and_unit(light)[0])
     if name in _RADIANCE_FACTORS:
         return "pi times the cosine of theta_in times the BRDF: if they are, set scale to 0.3183, and cosine to in"
@@ -203,9 +208,9 @@ def matrix_names(cell: str) -> tuple[str, ...]:
 
 
 def count_names(cells: Sequence[str], named: Collection[str] = ()) -> int:
-    """Count the cells that name a column; `named` has further names in lower case.
+    """Count the cells that are a known column name; `named` has additional names in lower case.
 
-    Wavelengths count if there are several, and if a cell is more than a number.
+    Wavelengths count as names if there are several, and if at least one cell of the line is more than a number.
     """
     known = sum(bool(meaning_of(cell)) or cell.strip("'\" ").lower() in named for cell in cells)
     matrices = _N_MATRIX_NAMES * sum(bool(matrix_names(cell)) for cell in cells)
@@ -222,7 +227,7 @@ def wavelength_of(cell: str) -> float | None:
 
 
 def constants_in(line: str) -> dict[str, float]:
-    """Return the numbers that a line such as "#intheta 30" or "AOI [deg]: 30" gives to all rows below it."""
+    """Return the numbers that a line such as "#intheta 30" or "AOI [deg]: 30" states for all rows below the line."""
     parts = re.split(r"[,;]\s*(?=[^\W\d])", line[:_MAX_NAME_LENGTH])
     if len(parts) > 1:
         each = [constants_in(part) for part in parts]

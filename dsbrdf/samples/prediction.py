@@ -1,15 +1,16 @@
 """Predict a material at any pair of directions from scattered samples, by layers that are corrected near the samples.
 
-The correction is a factor, the ratio of the samples to the layers (`dsbrdf.samples.sample_layers`). Its logarithm is a
-Gaussian process with the kernel
+The correction is a factor: the ratio of the samples to the layers (`dsbrdf.samples.sample_layers`). The logarithm of
+this factor is a Gaussian process with the kernel
 
     exp(-|x - x'|**2 / 2) (c + (1 - c) exp(-(y - y')**2 / 2)),
 
-where x is log(theta_half + 1.5 degrees) and theta_diff. y is the rotation out of the plane of incidence: phi_diff,
-folded to 0..90 degrees, times sin(theta_diff)**2 and a factor that is 0 at theta_half = 0. The fraction c of the
-variance is common to all phi_diff. The length scales of the kernel, its variance and the noise of the samples are the
-most probable values. Far from all samples, the prediction equals the layers; its uncertainty there has the variance of
-the factor and the differences between structures that explain the samples equally well.
+where x has the coordinates log(theta_half + 1.5 degrees) and theta_diff, and y is a rotation out of the plane of
+incidence: phi_diff, folded to 0..90 degrees, times sin(theta_diff)**2 and a factor that is 0 at theta_half = 0. The
+fraction c of the variance of the logarithm is common to all phi_diff. The length scales and the variance of the kernel
+and the noise of the samples have their most probable values. Far from all samples, the prediction equals the layers;
+the uncertainty of the prediction there is due to the variance of the factor, and to the differences between structures
+of layers that explain the samples equally well.
 """
 
 from collections.abc import Iterator
@@ -25,26 +26,28 @@ from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.samples.sample_layers import CANDIDATES, SampleLayers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# If there are more samples, a random subset of this size is used for the prediction, or for its kernel.
+# The prediction uses at most this number of samples, a random subset, because its time grows with the cube of it.
 _MAX_SAMPLES = 800
+# The kernel's length scales and noise are determined from at most this number of samples, for the same reason.
 _MAX_KERNEL_SAMPLES = 500
 _ENERGY_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0, 85.0])
 _OFFSET = np.radians(1.5)
-# Length scales of the kernel in x and y; one of the factors below multiplies them.
+# Usual length scales of the kernel in log(theta_half + 1.5 degrees), theta_diff and the rotation out of the plane.
 _KERNEL_REACH = np.array([0.4, np.radians(15.0), 0.4])
+# The most probable of these multiples of the usual length scales is used.
 _REACH_SCALES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 4.0)
-# Candidates for the variance of the noise over the variance of the factor.
+# Candidates for the ratio of the variance of the noise to the variance of the kernel.
 _NOISE_RATIOS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
 _COMMON_FRACTION = 0.75
-# The logarithm of a factor at a sample is clipped here.
+# The logarithm of the ratio of a sample to the layers is clipped at this, so that no single sample distorts the rest.
 _MAX_LOG_FACTOR = 2.5
-_MAX_POINTS_AT_ONCE = 256  # The kernel of so many points fits in the processor's cache.
+_MAX_POINTS_AT_ONCE = 256  # The kernel matrix of this number of points fits in the processor's cache.
 _N_FOLDS = 5
 _MIN_OUTLIER_LOG = 1e-2
 
 
 def thinned(samples: ScatteredSamples, most: int = _MAX_SAMPLES) -> ScatteredSamples:
-    """Return a random subset of at most `most` samples, always the same."""
+    """Return a random subset of at most `most` samples; equal samples give the same subset."""
     return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < most)
 
 
@@ -53,15 +56,18 @@ class SamplePrediction:
     """Predict values: layers times the factor by which samples differ from the layers."""
 
     layers: SampleLayers
-    places: Array  # x and y of the samples, divided by the length scales, (n, 3)
-    reach: Array  # length scales of the kernel, (3,)
-    root_weight: Array  # square roots of the weights, whose mean is 1, (n,)
-    logs: Array  # (n, 3), logarithms of samples over layers, times the root of their weight
-    noise: float  # variance of the noise over the variance of the factor
+    places: Array  # kernel coordinates of the samples, divided by the length scales, axes (sample, coordinate)
+    reach: Array  # length scale of the kernel in each of the three coordinates
+    root_weight: Array  # square root of the weight of each sample; the weights have the mean 1
+    logs: Array  # logarithm of sample over layers, times the root of the weight, axes (sample, channel)
+    noise: float  # ratio of the variance of the noise to the variance of the logarithm of the factor
 
     @classmethod
     def fit(cls, samples: ScatteredSamples, like: "SamplePrediction | None" = None) -> "SamplePrediction":
-        """Fit the layers and the factor; structures, length scales and noise can be taken from another prediction."""
+        """Fit the layers and the factor to samples.
+
+        If `like` is another prediction, its structures of layers, length scales and noise are used without a search.
+        """
         layers = SampleLayers.fit(samples, CANDIDATES if like is None else like.layers.candidates)
         angles = half_difference(samples.omega_in, samples.omega_out)
         ratio = (samples.values + layers.dark) / (layers.evaluate_unmasked(*angles) + layers.dark)
@@ -83,20 +89,20 @@ class SamplePrediction:
 
     @cached_property
     def variance(self) -> float:
-        """Return the variance of the logarithm of the factor."""
+        """Return the variance of the logarithm of the factor by which samples differ from the layers."""
         values, vectors = self._eigen
         return float(np.mean((vectors.T @ self.logs) ** 2 / (values + self.noise)[:, np.newaxis]))
 
     @cached_property
     def albedo(self) -> Array:
-        """Return the directional albedo (A, 3) of the unbounded values at `_ENERGY_ANGLES`."""
+        """Return the directional albedo (angles, 3) of the values without a bound of energy, at `_ENERGY_ANGLES`."""
         return directional_albedo(self.unbounded, _ENERGY_ANGLES)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return values (n, 3) at angles (n,) [1/sr].
 
-        A material must not reflect more light than it receives. Therefore values are divided by the albedos at the
-        angles of omega_in and omega_out to the normal, where these albedos are above 1.
+        A material must not reflect more light than it receives. Therefore a value is divided by the albedo at the
+        angle of omega_in to the normal, and by the albedo at the angle of omega_out, if the albedo is above 1.
         """
         values = self.unbounded(theta_half, theta_diff, phi_diff)
         if self.albedo.max() <= 1.0:
@@ -108,20 +114,20 @@ class SamplePrediction:
         return values
 
     def unbounded(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) at angles (n,), without the bound that energy conservation sets [1/sr]."""
+        """Return values (n, 3) [1/sr] at angles (n,), which may violate energy conservation."""
         angles = theta_half, theta_diff, phi_diff
         return self.likely(*angles) * np.exp(
             -self.unknown_fraction(*angles)[:, np.newaxis] * self.layers.caution(*angles)
         )
 
     def likely(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the most likely values (n, 3) at angles (n,), layers times the factor [1/sr]."""
+        """Return the most likely values (n, 3) [1/sr] at angles (n,): the values of the layers times the factor."""
         layers, dark = self.layers.evaluate_unmasked(theta_half, theta_diff, phi_diff), self.layers.dark
         logs = np.concatenate([near @ self._coefficients for near in self._near(theta_half, theta_diff, phi_diff)])
         return np.maximum((layers + dark) * np.exp(logs) - dark, 0.0)
 
     def spread(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the standard deviation of the logarithm of the values (n,)."""
+        """Return the standard deviation (n,) of the logarithm of the predicted values at angles (n,)."""
         angles = theta_half, theta_diff, phi_diff
         return np.asarray(np.sqrt(self.unknown_fraction(*angles) * (self.variance + self.layers.spread(*angles) ** 2)))
 
@@ -134,7 +140,7 @@ class SamplePrediction:
 
     def remoteness(self, theta_half: Array, theta_diff: Array, phi_diff: Array, samples: ScatteredSamples) -> Array:
         """Return the distance of angles (n,) from the nearest sample: 0 at a sample, 1 far beyond the length scales."""
-        from scipy.spatial import cKDTree  # The import is slow.
+        from scipy.spatial import cKDTree  # This slow import is here because only some fits need it.
 
         known = _places(*half_difference(samples.omega_in, samples.omega_out)) / self.reach
         distance, _ = cKDTree(known).query(_places(theta_half, theta_diff, phi_diff) / self.reach)
@@ -146,7 +152,7 @@ class SamplePrediction:
         return self.noise * self.variance
 
     def covariance(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the covariance of the logarithms of the values at angles (n,), shape (n, n)."""
+        """Return the covariance (n, n) of the logarithms of the predicted values at angles (n,)."""
         angles = theta_half, theta_diff, phi_diff
         values, vectors = self._eigen
         near = np.concatenate([*self._near(*angles)]) @ vectors / np.sqrt(values + self.noise)
@@ -161,7 +167,7 @@ class SamplePrediction:
 
 
 def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
-    """Leave out samples that are far from the prediction from all samples, then from the remaining samples."""
+    """Leave out samples far from the prediction, first from all samples, then from the remaining samples."""
     kept = samples
     for _ in range(2):
         prediction = SamplePrediction.fit(thinned(kept))
@@ -174,7 +180,7 @@ def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
 
 
 def left_out_predictions(samples: ScatteredSamples, prediction: SamplePrediction) -> Array:
-    """Return values (n, 3) predicted at the samples by five-fold cross-validation."""
+    """Return values (n, 3) at the samples, each predicted without its sample by five-fold cross-validation."""
     fold = np.random.default_rng(1).permutation(len(samples.values)) % _N_FOLDS
     values = np.empty(samples.values.shape)
     for number in range(_N_FOLDS):
@@ -192,7 +198,7 @@ def _places(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
 
 
 def smooth_covariance(theta_half: Array, theta_diff: Array, phi_diff: Array, scale: float) -> Array:
-    """Return the kernel (n, n) between angles (n,), for a multiple `scale` of the usual length scales."""
+    """Return the kernel (n, n) between angles (n,), with the usual length scales times `scale`."""
     places = _places(theta_half, theta_diff, phi_diff) / (scale * _KERNEL_REACH)
     return _kernel(places, places)
 
@@ -203,7 +209,7 @@ def _kernel(first: Array, second: Array) -> Array:
 
 
 def _gaussian(first: Array, second: Array) -> Array:
-    """Return exp(-d**2 / 2) of all distances d, whose squares are a product of matrices."""
+    """Return exp(-d**2 / 2) for the distance d of each first point from each second point."""
     here, there = (-0.5 * np.sum(points**2, axis=1, keepdims=True) for points in (first, second))
     left, right = np.hstack([first, here, np.ones_like(here)]), np.hstack([second, np.ones_like(there), there])
     return np.asarray(np.exp(np.minimum(left @ right.T, 0.0)))
@@ -215,7 +221,7 @@ def _eigen(places: Array, root: Array) -> tuple[Array, Array]:
 
 
 def _most_probable(x: Array, root: Array, logs: Array) -> tuple[Array, float]:
-    """Return the most probable length scales of the kernel (3,), and the most probable noise."""
+    """Return the most probable length scales of the kernel, and the most probable ratio of noise to variance."""
     best, reach, noise = -np.inf, _KERNEL_REACH, _NOISE_RATIOS[-1]
     for scale in _REACH_SCALES:
         values, vectors = _eigen(x / (scale * _KERNEL_REACH), root)

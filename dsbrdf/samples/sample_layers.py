@@ -1,13 +1,14 @@
 """Fit layers to scattered samples, and estimate the error of the layers between the samples.
 
-Structures of layers (`dsbrdf.components.layer_fit`) predict from one plane of incidence how a surface reflects in all
-others. Highlights of measured materials are longer across the plane of incidence than highlights of microfacets. With
-stretch 0, a highlight is round in half vectors; with stretch 1, it is round in angles about the mirror direction. A
-stretch replaces the squared tangent of theta_half by
+Layers of a surface (`dsbrdf.components.layer_fit`), fitted in one plane of incidence, predict how the surface reflects
+in all other planes. A structure says which layers there are. Highlights of measured materials are longer across the
+plane of incidence than highlights of microfacets, by a stretch: with stretch 0, a highlight is round in half vectors;
+with stretch 1, a highlight is round in angles about the mirror direction. A stretch replaces the squared tangent of
+theta_half by
 
     tan(theta_half)**2 (cos(phi_diff)**2 + cos(theta_diff)**(2 stretch) sin(phi_diff)**2).
 
-The samples determine the stretch; if they lie in one plane, the stretches keep their prior probabilities.
+The samples determine the stretch; if all samples lie in one plane, the stretches keep their prior probabilities.
 """
 
 from collections.abc import Sequence
@@ -25,22 +26,23 @@ from dsbrdf.components.structures import STRUCTURES, LayerStructure
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# Below this fraction of the median of the channels' mean, the weights of relative errors hardly rise any more.
+# This fraction of the median value is added to values before logarithms are taken, so that dark values weigh little.
 _DARK_FRACTION = 0.02
-# A highlight without samples has at least the half width that instruments resolve, and a quarter of theta_half of the
-# nearest sample, because its tails alone do not determine a narrower peak. The second is the minimum for any highlight.
+# If no sample is closer to the peak of a highlight, the highlight has at least this half width, which an instrument
+# resolves, because samples in the tails do not determine a narrower peak.
 _APERTURE = np.radians(0.3)
 _MIN_HALF_WIDTH = 1e-4
 _NEGLIGIBLE_WEIGHT = 1e-3
-# Prior probabilities of stretches.
+# Prior probability of each stretch of highlights across the plane of incidence.
 _STRETCHES = {0.0: 0.6, 0.5: 0.3, 1.0: 0.1}
-_LOWEST_COSINE_DIFF = 0.17  # For smaller cosines of theta_diff, the stretch stays constant.
+_LOWEST_COSINE_DIFF = 0.17  # The stretch of a highlight stays constant where the cosine of theta_diff is smaller.
 _N_DRAWS = 32
-# Structures are drawn with this power of their weights, because the evidence is overconfident.
+# Structures of layers are drawn with probabilities proportional to this power of their weights, because the weights
+# are overconfident.
 _DRAWN_POWER = 0.5
 
 Candidate = tuple[LayerStructure, float]
-"""A structure of layers and its stretch."""
+"""A structure of layers, and the stretch of its highlights across the plane of incidence."""
 CANDIDATES = tuple((structure, stretch) for stretch in _STRETCHES for structure in STRUCTURES)
 
 
@@ -51,16 +53,16 @@ def dark_level(samples: ScatteredSamples) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SampleLayers:
-    """Hold structures of layers fitted to samples; values are the weighted geometric mean over the structures."""
+    """Hold structures of layers fitted to samples; the value is the weighted geometric mean over all structures."""
 
     found: tuple[FittedStructure, ...]
     stretches: tuple[float, ...]
-    weights: Array  # (S,)
+    weights: Array  # probability of each structure, with the sum 1
     dark: float
 
     @classmethod
     def fit(cls, samples: ScatteredSamples, candidates: Sequence[Candidate] = CANDIDATES) -> "SampleLayers":
-        """Fit candidates, drop those with negligible weight, and sort the others, the most probable first."""
+        """Fit candidate structures, drop structures of negligible probability, and sort by falling probability."""
         nearest = float(half_difference(samples.omega_in, samples.omega_out)[0].min())
         narrowest = max(min(nearest, _APERTURE), nearest / 4.0, _MIN_HALF_WIDTH)
         found = list[tuple[FittedStructure, float]]()
@@ -76,7 +78,7 @@ class SampleLayers:
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
-        """Return the structures and their stretches."""
+        """Return the structures of layers, each with the stretch of its highlights."""
         return tuple((one.structure, stretch) for one, stretch in zip(self.found, self.stretches, strict=True))
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
@@ -86,9 +88,10 @@ class SampleLayers:
     def caution(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return the amount (n, 3) to subtract from the logarithm of values far from all samples.
 
-        If the logarithm of the true value is normal with mean m and standard deviation s, exp(m - 1.5 s**2) minimises
-        the expected relative error. So a highlight without samples becomes too faint rather than too bright. If s is
-        below 1, less is subtracted, because samples in the tails of the highlight then determine the mean.
+        If the logarithm of the true value is normally distributed with mean m and standard deviation s, the value
+        exp(m - 1.5 s**2) minimises the expected relative error. So a highlight without samples becomes too faint rather
+        than too bright. If s is below 1, less than 1.5 s**2 is subtracted, because samples in the tails of the
+        highlight then determine the mean.
         """
         angles = theta_half, theta_diff, phi_diff
         drawn = self.drawn_logs(*angles)
@@ -101,7 +104,7 @@ class SampleLayers:
         return np.asarray(np.sqrt(np.mean(np.var(self.drawn_logs(theta_half, theta_diff, phi_diff), axis=0), axis=1)))
 
     def drawn_logs(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the logarithms (draws, n, 3) of the values plus the dark level, for layers drawn by probability."""
+        """Return the logarithm of values plus the dark level, (draws, n, 3), for layers drawn by their probability."""
         return self._logs(self._drawn, (theta_half, theta_diff, phi_diff))
 
     @cached_property
@@ -123,7 +126,7 @@ class SampleLayers:
 
 
 def _points(theta_half: Array, theta_diff: Array, phi_diff: Array, stretch: float) -> Points:
-    """Return the points of angles, with theta_half changed so that highlights are longer across the plane."""
+    """Return the points at angles, with theta_half changed to stretch highlights across the plane of incidence."""
     points = Points.at(theta_half, theta_diff, phi_diff)
     if stretch == 0.0:
         return points
@@ -133,7 +136,11 @@ def _points(theta_half: Array, theta_diff: Array, phi_diff: Array, stretch: floa
 
 
 def _layer_data(samples: ScatteredSamples, stretch: float) -> LayerData:
-    """Weigh samples: squared errors are divided by f**1.4 of the values f; absolute errors have some weight too."""
+    """Return samples with weights for a fit of layers.
+
+    Squared errors are divided by f**1.4, where f is the value of the sample; a small part of the weight is for
+    absolute errors.
+    """
     level, square = samples.values.mean(axis=1), np.sum(samples.values**2, axis=1)
     relative = samples.weight / (level + dark_level(samples)) ** LAYER_POWER
     plain = PLAIN_ERROR_WEIGHT * samples.weight / np.sum(samples.weight * square)

@@ -1,8 +1,8 @@
-"""Hold scattered samples, values of a BRDF at any pairs of directions, and store them in files.
+"""Hold scattered samples, which are values of a BRDF at any pairs of directions, and store samples in files.
 
-A file of samples is an ASCII table: the line ``# dsbrdf samples 1``, a line ``# `` with each note, the names of eight
-columns, and a line for each sample: theta_in, phi_in, theta_out, phi_out in degrees, red, green and blue in 1/sr, and
-the weight. Each number has the fewest digits that restore it. Equal samples have equal files.
+A file of samples is an ASCII table. The file has the line ``# dsbrdf samples 1``, a line ``# `` with each note, the
+names of eight columns, and a line for each sample: theta_in, phi_in, theta_out, phi_out in degrees, red, green and blue
+in 1/sr, and the weight. Each number has as few digits as restore the exact number. Equal samples have equal files.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from dsbrdf.data.merl_validation import MAX_VALUE, MIN_NONZERO_VALUE
 from dsbrdf.errors import MeasurementFormatError
 
 MIN_SAMPLES = 50
-"""Fewer samples than this do not determine a material."""
+"""A measurement with fewer samples is refused, because so few samples do not determine a material."""
 MAX_WEIGHT = 1e12
 CANONICAL = b"# dsbrdf samples 1\n"
 """The first line of a file of samples."""
 CANONICAL_NAMES = ("theta_in", "phi_in", "theta_out", "phi_out", "red", "green", "blue", "weight")
 _NAMES = ",".join(CANONICAL_NAMES)
 _UNIT_TOLERANCE = 1e-3
-# Angles are rounded to this number of decimals, because conversions to a unit vector and back change later digits.
+# Angles are rounded to this number of decimals, because a conversion to a unit vector and back changes later decimals.
 _ANGLE_DECIMALS = 9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScatteredSamples:
-    """Hold values of a BRDF at n pairs of directions; `from_arrays` checks the arrays and describes them.
+    """Hold values of a BRDF at n pairs of directions; make instances by `from_arrays`, which checks the arrays.
 
     Attributes
     ----------
     omega_in, omega_out, values : ndarray, shape (n, 3)
         Unit vectors towards the light and the viewer, and RGB [1/sr].
     weight : ndarray, shape (n,)
-        How much each sample counts.
+        Weight of each sample in the errors that a fit minimises.
     name : str
         The material's name.
     notes : tuple of str
@@ -57,11 +57,11 @@ class ScatteredSamples:
 
     @cached_property
     def sha256(self) -> str:
-        """Hexadecimal digest of `encode`, which identifies the samples independently of their name."""
+        """Hexadecimal digest of the samples' file, which identifies the samples independently of their name."""
         return hashlib.sha256(self.encode()).hexdigest()
 
     def encode(self) -> bytes:
-        """Return the content of a file with the samples, which `dsbrdf.read_samples` reads."""
+        """Return the content of a file with the samples, which `dsbrdf.read_samples` can read back."""
         degrees = np.hstack([_degrees(self.omega_in), _degrees(self.omega_out)])
         table = np.column_stack([degrees, self.values, self.weight])
         notes = "".join(f"# {' '.join(note.split())}\n" for note in self.notes)
@@ -70,7 +70,7 @@ class ScatteredSamples:
 
     @classmethod
     def decode(cls, content: bytes, name: str = "samples") -> ScatteredSamples:
-        """Return the samples from the content that `encode` returns; raise MeasurementFormatError if it is wrong."""
+        """Return the samples in the content of a file that `encode` made; raise MeasurementFormatError for others."""
         head, names, body = content.partition(f"{_NAMES}\n".encode())
         if not head.startswith(CANONICAL) or not names:
             raise MeasurementFormatError(f"A file of samples begins with {CANONICAL.decode().strip()!r} and notes.")
@@ -83,7 +83,7 @@ class ScatteredSamples:
         return cls.from_arrays(omega_in, omega_out, table[:, 4:7], table[:, 7], name, notes)
 
     def take(self, chosen: Mask) -> ScatteredSamples:
-        """Return the samples that are `chosen`, shape (n,)."""
+        """Return the samples that the mask or the indices `chosen` select."""
         arrays = {name: getattr(self, name)[chosen] for name in ("omega_in", "omega_out", "values", "weight")}
         return replace(self, **arrays)
 
@@ -100,7 +100,7 @@ class ScatteredSamples:
         name: str = "samples",
         notes: tuple[str, ...] = (),
     ) -> ScatteredSamples:
-        """Return checked samples.
+        """Check arrays of directions and values, and return them as samples.
 
         Parameters
         ----------
@@ -155,7 +155,7 @@ class ScatteredSamples:
 
 
 def _degrees(omega: Array) -> Array:
-    """Return theta and phi of directions (n, 3), shape (n, 2) [degrees]; phi is 0 if theta is 0."""
+    """Return theta and phi [degrees], shape (n, 2), of directions (n, 3); phi is 0 where theta is 0."""
     theta = np.degrees(np.arctan2(np.hypot(omega[:, 0], omega[:, 1]), omega[:, 2])).round(_ANGLE_DECIMALS)
     phi = np.degrees(np.arctan2(omega[:, 1], omega[:, 0])).round(_ANGLE_DECIMALS) % 360.0
     return np.stack([theta, np.where(theta > 0.0, phi, 0.0)], axis=1)

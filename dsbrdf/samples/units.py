@@ -1,13 +1,14 @@
 """Check samples for wrong units, a cosine in the values, a turned plane, and highlights of a single sample.
 
-Nothing here changes a value. A wrong factor is detected by energy alone: if a lower bound of the albedo is above 1, the
+This module changes no value. A wrong factor is detected by energy alone: if a lower bound of the albedo is above 1, the
 samples reflect more light than they receive. The bound takes the minimum of neighbouring samples over theta_half, so
 that a highlight of a single sample does not count.
 
 A cosine and a turned plane are detected by symmetry. A BRDF stays equal if light and viewer are exchanged, but a BRDF
-times one cosine does not. Therefore a Gaussian process describes the logarithms of the values: a smooth function of the
-half and difference angles, with the kernel of `dsbrdf.samples.prediction`, and the terms of a diffuse layer. A cosine
-is reported if the values divided by it are far more probable, and a turned plane if the turned samples are.
+times one cosine does not. The probability of samples is computed by a Gaussian process for the logarithms of the
+values: a smooth function of the half and difference angles, with the kernel of `dsbrdf.samples.prediction`, plus the
+terms of a diffuse layer. A cosine is reported if the values divided by the cosine are far more probable than the values
+as they are, and a turned plane if the samples in the turned plane are far more probable.
 """
 
 from collections.abc import Iterator
@@ -24,8 +25,8 @@ from dsbrdf.samples.prediction import smooth_covariance, thinned
 from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-_MAX_ALBEDO_BOUND = 1.05  # noise may lift the bound of a white material above 1
-# Usual factors, the most frequent first, each with a phrase for a sentence.
+_MAX_ALBEDO_BOUND = 1.05  # limit of plausible albedos, above 1 because of the noise of samples of a white material
+# Factors by which values are usually wrong, the most frequent first, each with the phrase that names it in a sentence.
 _FACTORS = {
     1.0 / np.pi: "1/pi (scale 0.3183; are they reflectance factors?)",
     1.0 / (100.0 * np.pi): "1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)",
@@ -33,33 +34,36 @@ _FACTORS = {
 }
 _FACTOR_OF_INTEGERS = {1.0 / 1500.0: "1/1500 (scale 0.0006667; are they the integers of a MERL file?)"}
 _USUAL_ALBEDO = 0.3
-# A factor that leaves a smaller albedo is not named.
+# A factor is not suggested if values times the factor have a smaller albedo, because few materials are so dark.
 _MIN_ALBEDO = 0.03
-# Darker samples are scaled to the usual albedo before they are fitted.
+# Samples with a smaller albedo are scaled to the usual albedo before the fit.
 _MIN_LEVEL = 1e-5
 _INCIDENCE_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 _NEAR_INCIDENCE = np.radians(7.6)
 _MIN_IN_GROUP = 6  # An angle of incidence with fewer samples is ignored.
-# The bound of the albedo takes the minimum of this number of neighbours over theta_half.
+# The lower bound of the albedo takes the minimum of this number of samples that are neighbours in theta_half.
 _N_NEIGHBOURS = 4
-# Symmetry is examined at no more than this number of samples, without those below this fraction of the mean weight.
+# Symmetry is examined at no more than this number of samples, because the time grows with the cube of the number.
 _MAX_ASKED_SAMPLES = 150
+# Symmetry is examined without samples whose weight is below this fraction of the mean weight.
 _MIN_WEIGHT = 0.1
-# Length scales of the Gaussian process, as a multiple of those in `dsbrdf.samples.prediction`.
+# The length scales of the Gaussian process are this multiple of the usual length scales in `dsbrdf.samples.prediction`.
 _KERNEL_SCALE = 2.0
-# Variances of the common level and of the noise, as fractions of the kernel's variance, and the minimum of the latter.
-# Noise is independent for each sample; a drift of equal variance is common to samples at nearly equal theta_in.
+# Prior variance of the mean logarithm of all values, as a multiple of the variance of the Gaussian process.
 _LEVEL_VARIANCE = 10.0
+# Variance of the noise of each sample, as a fraction of the variance of the Gaussian process. A drift of the instrument
+# has equal variance, and is common to samples at nearly equal theta_in.
 _NOISE_VARIANCE = 0.01
+# This is added to the most likely variance of the Gaussian process, so that nearly constant values give no extremes.
 _MIN_VARIANCE = 0.03
 _SAME_INCIDENCE = np.radians(2.0)
-# Standard deviations of the exponents of a diffuse layer, as fractions of the kernel's.
+# Prior standard deviations of the exponents of a diffuse layer, as fractions of that of the Gaussian process.
 _GROUND_DEVIATIONS = np.array([0.5, 0.4, 0.4, 0.3, 0.25, 0.4])
-# A cosine or a turned plane is reported if it raises twice the log likelihood by more; for correct values, a cosine
-# raises it by up to 10, and a turned plane by up to 35.
+# A cosine is reported if dividing by it raises twice the log likelihood by more; correct values give up to 10.
 _MIN_COSINE_LEAD = 25.0
+# A turned plane is reported if turning it raises twice the log likelihood by more; correct values give up to 35.
 _MIN_TURNED_LEAD = 50.0
-# A single sample is a spike if it is near the mirror direction and brighter than its neighbours by this factor.
+# A sample near the mirror direction is reported as a spike if it exceeds its neighbours by more than this factor.
 _SPIKE_FACTOR = 8.0
 _SPIKE_THETA_HALF = np.radians(3.0)
 
@@ -124,7 +128,7 @@ def _side_of_cosine(leads: dict[str, float]) -> str | None:
 
 
 def _leads(samples: ScatteredSamples) -> dict[str, float]:
-    """Return how much more probable samples divided by a cosine, or turned, are than as they are, by `_likelihood`."""
+    """Return by how much twice the log likelihood rises if samples are divided by a cosine, or turned."""
     dark = dark_level(samples)
     counted = (samples.values.mean(axis=1) > dark) & (samples.weight > _MIN_WEIGHT * samples.weight.mean())
     if np.count_nonzero(counted) < _MIN_IN_GROUP:
@@ -139,7 +143,7 @@ def _leads(samples: ScatteredSamples) -> dict[str, float]:
 
 
 def _likelihood(samples: ScatteredSamples, logs: Array) -> Array:
-    """Return twice the log likelihood (k,) of logarithms of values (n, k), with the most likely variance."""
+    """Return twice the log likelihood of each of k versions of the samples, given as logarithms of values (n, k)."""
     angles = half_difference(samples.omega_in, samples.omega_out)
     ground = Points.at(*angles).ground
     shapes = (ground - ground.mean(axis=1, keepdims=True)) * _GROUND_DEVIATIONS[:, np.newaxis]
@@ -153,7 +157,7 @@ def _likelihood(samples: ScatteredSamples, logs: Array) -> Array:
 
 
 def _likely_factors(values: Array, level: float) -> list[tuple[float, str]]:
-    """Return the factors that turn an albedo of about `level` into an albedo below 1, the most probable first."""
+    """Return the usual factors that turn an albedo of about `level` into an albedo below 1, most frequent first."""
     known = (_FACTOR_OF_INTEGERS if np.all(values == np.rint(values)) else {}) | _FACTORS
     likely = [item for item in known.items() if _MIN_ALBEDO < item[0] * level < _MAX_ALBEDO_BOUND]
     return likely or [(_USUAL_ALBEDO / level, "what makes them 1/sr")]
@@ -162,8 +166,8 @@ def _likely_factors(values: Array, level: float) -> list[tuple[float, str]]:
 def albedo_bound(samples: ScatteredSamples) -> float:
     """Return a lower bound of the directional albedo of samples, the largest over angles of incidence and channels.
 
-    At each angle of incidence, values are a function of theta_half: the minimum of the samples next to each direction,
-    and 0 beyond the last sample.
+    At each angle of incidence, the bound integrates a function of theta_half: the minimum of the samples next to this
+    theta_half, and 0 beyond the last sample.
     """
     theta_half = half_difference(samples.omega_in, samples.omega_out)[0]
     cosines = np.stack([samples.omega_in[:, 2], samples.omega_out[:, 2]])
@@ -174,7 +178,7 @@ def albedo_bound(samples: ScatteredSamples) -> float:
             continue
         order = np.argsort(theta_half[near])
         half, values = theta_half[near][order], samples.values[near][order]
-        # Directions whose theta_half is between two samples have one neighbour below and the next ones above.
+        # Between two samples in theta_half, the minimum is over one sample below and three samples above.
         beside = np.arange(half.size)[:, np.newaxis] + np.arange(-1, _N_NEIGHBOURS - 1)
         least = values[np.clip(beside, 0, half.size - 1)].min(axis=1)
         nodes, light = _outgoing(incidence)
@@ -185,7 +189,7 @@ def albedo_bound(samples: ScatteredSamples) -> float:
 
 @cache
 def _outgoing(incidence_deg: float) -> tuple[Array, Array]:
-    """Return theta_half of directions omega_out (n,), ascending, and the light (n + 1,) of those below each."""
+    """Return ascending theta_half of outgoing directions, and the projected solid angle below each theta_half."""
     theta, phi = np.meshgrid(np.radians(np.arange(0.5, 90.0)), np.radians(np.arange(1.5, 180.0, 3.0)), indexing="ij")
     omega_out = spherical(theta.ravel(), phi.ravel())
     omega_in = np.broadcast_to(spherical(np.radians(incidence_deg), np.pi), omega_out.shape)
@@ -206,7 +210,7 @@ def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
             continue
         covered += group.size
         order = group[np.argsort(theta_half[group])]
-        # Several samples at one pair of directions count as one.
+        # Repeated samples at one pair of directions are no neighbours of each other.
         first = np.flatnonzero(theta_half[order] > theta_half[order[0]] + 1e-3)
         if theta_half[order[0]] > _SPIKE_THETA_HALF or first.size < _MIN_IN_GROUP - 1:
             continue
@@ -215,7 +219,7 @@ def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
         if level[order[0]] > _SPIKE_FACTOR * beside > 0.0:
             ratios.append(float(level[order[0]] / beside))
             gaps.append(float(np.degrees(theta_half[order[first[0]]])))
-    # Random directions seldom have equal angles of incidence, so most samples must be in such groups.
+    # Nothing is said of random directions: most samples must be in groups with equal angles of incidence.
     if ratios and 2 * len(ratios) >= seen and 2 * covered > len(level):
         yield (
             f"At {len(ratios)} angles of incidence one sample alone lies in the highlight: it is up to "
