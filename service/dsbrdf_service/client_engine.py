@@ -25,7 +25,7 @@ class ClientEngine:
         """Request a fit.
 
         The future raises ConnectionError if the service cannot be reached, or fails for another reason than the
-        measurement or the options. It raises InvalidArgumentError if the service needs another API key.
+        measurement or the options. The future raises InvalidArgumentError if the service needs another API key.
         """
         return self._threads.submit(self._fit, task, on_progress)
 

@@ -282,14 +282,14 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
 
 
 def _summary(context: Context, row: FitRow) -> bytes:
-    """Return the `FitSummary` of a row as JSON."""
+    """Return the `FitSummary` of a fit's row as JSON."""
     psnr = (row.metrics or {}).get("psnr")
     more = {"progress": context.queue.progress(row), "likeness": None if psnr is None else likeness(psnr)}
     return to_json(members(FitSummary, row) | more)
 
 
 async def _document(context: Context, row: FitRow) -> bytes:
-    """Return the `FitDocument` of a row: its state, and the stored bytes of its result, which are not parsed."""
+    """Return the `FitDocument` of a fit's row: its state, and the stored bytes of its result, which are not parsed."""
     result = _NO_RESULT
     if row.status == "succeeded":
         result = await run_in_threadpool(context.store.result, row.key)

@@ -142,7 +142,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),
 )
 async def delete_measurement(context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
-    """Delete a measurement; its finished fits stay. If it has unfinished fits, it stays too, and the answer is 409."""
+    """Delete a measurement; its finished fits stay. A measurement with unfinished fits stays, and the answer is 409."""
     if not await in_write_thread(context.store.remove_measurement, caller.owner, sha256):
         raise MeasurementNotFoundError(sha256)
     return Response(status_code=204)

@@ -201,6 +201,6 @@ async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
 async def get_samples(
     draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, most: _Most = 5000
 ) -> Response:
-    """Return omega_in, omega_out and RGB values of a table's samples, float32 (n, 9), at most `most` at random."""
+    """Return omega_in, omega_out and RGB values of at most `most` random samples of a table, float32 (n, 9)."""
     stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
     return await draw(samples_step, stored, most)

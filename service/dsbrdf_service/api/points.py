@@ -120,7 +120,7 @@ def from_json(body: bytes) -> Points:
 
 
 def batch_step(body: bytes, _: OnProgress) -> Points:
-    """Call `from_json` in a separate process."""
+    """Parse a JSON document of points in a separate process."""
     return from_json(body)
 
 

@@ -138,7 +138,7 @@ async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming,
 
 
 def place_of_table(start: bytes, size: int) -> Place:
-    """Return the duration class of reading a table, by its first bytes and its size; a short text is `medium`."""
+    """Return how long the reading of a table takes, as a `Place`: `medium` for a short text, otherwise `long`."""
     is_short_text = size <= _MAX_SHORT_TEXT_BYTES and measurement_kind(start) == "samples" and start[:2] != _ZIP
     return "medium" if is_short_text else "long"
 

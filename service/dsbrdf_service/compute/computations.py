@@ -49,9 +49,9 @@ class _Computation:
 class Computations:
     """Run at most one computation of each `Place` at a time; callers take turns.
 
-    A computation is cancelled when the last client that waits for it has closed its connection. Then its process is
-    killed, but a call in a thread keeps its turn until it returns. Every process has the `limits`, except that their
-    niceness applies only to long computations.
+    A computation is cancelled when the last client that waits for it has closed its connection. The process of a
+    cancelled computation is killed, but a call in a thread keeps its turn until the call returns. Every process has the
+    `limits`, except that their niceness applies only to long computations.
     """
 
     def __init__(self, limits: FitLimits) -> None:
@@ -80,7 +80,7 @@ class Computations:
         """Call ``step(*arguments, on_progress)`` in a separate process and return its result.
 
         `step` must be importable without the service, and `arguments` must be picklable; `key` is as for `run`. Raises
-        the errors of `run`, InvalidArgumentError if the step refuses its arguments, and ProblemError if it fails.
+        the errors of `run`, InvalidArgumentError if the step refuses its arguments, and ProblemError if the step fails.
         """
         return await self._wait(request, key, partial(self._called, place, step, *arguments), place)
 

@@ -1,6 +1,6 @@
 """Define the functions that `Computations.run_in_process` calls in separate processes.
 
-Every such process imports this module, so the module imports nothing of the service. The files of
+Every process of a computation imports this module, so the module imports nothing of the service. The files of
 measurements are checked before their paths are passed to these functions.
 """
 
@@ -102,14 +102,14 @@ def sphere_step(
 def measured_step(
     stored: StoredMeasurement, theta_half: Array, theta_diff: Array, phi_diff: Array, _: OnProgress
 ) -> Array:
-    """Return a measurement's values at points (n,), shape (n, 3), as `dsbrdf.Measurement.evaluate`."""
+    """Return a measurement's values at points (n,), shape (n, 3), computed by `Measurement.evaluate`."""
     return stored.mapped().evaluate(theta_half, theta_diff, phi_diff)
 
 
 def table_step(stored: StoredMeasurement, path: Path, _: OnProgress) -> None:
     """Write a .npy of ln(value + 1e-6) of a measurement at all nodes, float16 (theta_half, theta_diff, phi_diff, RGB).
 
-    Linear interpolation of this table between its nodes equals `interpolate`.
+    Linear interpolation of this table equals the library's interpolation of the measurement.
     """
     known = stored.mapped().interpolated
     channels = zip(known.measurement.stored, known.measurement.scale, cycle(known.source), strict=False)
@@ -184,7 +184,7 @@ def export_step(
 def conversion_step(path: Path, options: TableOptions, _: OnProgress) -> tuple[str, int, int]:
     """Convert the uploaded file at `path` in place: an RGL file to a MERL table, a table to a file of samples.
 
-    Return the sha256 and the length of the content, and the number of grid nodes with a value, 0 for samples.
+    Return the sha256 and the length of the converted file, and the number of grid nodes with a value, 0 for samples.
 
     Raises MeasurementFormatError if the file is wrong, and InvalidArgumentError for options of a table if it is none.
     """

@@ -86,7 +86,7 @@ class BodyTimeout:
         self._ended = False
 
     async def __call__(self) -> Message:
-        """Return the next message; raise ProblemError if it takes too long."""
+        """Return the next message of the body; raise ProblemError if the message takes too long."""
         if self._ended:  # The next message is the end of the connection, for which there is no time limit.
             return await self._receive()
         loop = asyncio.get_running_loop()

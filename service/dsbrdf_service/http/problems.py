@@ -1,6 +1,7 @@
 """Convert exceptions to RFC 9457 problem documents, by one table of all kinds of problems.
 
-The ``type`` of a problem is stable, so that scripts may depend on it. Its ``detail`` is one sentence for a person.
+The ``type`` of a problem is stable, so that scripts may depend on it. The ``detail`` of a problem is
+one sentence for a person.
 """
 
 import errno

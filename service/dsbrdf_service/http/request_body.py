@@ -40,7 +40,7 @@ class Bodies:
     async def received(self, request: Request, limit: int) -> AsyncIterator[bytes]:
         """Yield the decoded body of a request, of at most `limit` bytes.
 
-        Raises ProblemError as `decoded`, or if the caller's bodies together take too much memory.
+        Raises the errors of `decoded`, and ProblemError if the caller's bodies together take too much memory.
         """
         caller, content = request.scope[CALLER_NAME], bytearray()
         try:

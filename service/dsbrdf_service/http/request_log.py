@@ -1,6 +1,6 @@
 """Define the only middleware: it gives every request an id, admits or refuses it, logs it and counts it.
 
-Every response has this id, and headers that restrict browsers and caches.
+Every response has the id of its request, and headers that restrict browsers and caches.
 """
 
 import asyncio
@@ -146,7 +146,7 @@ class _Exchange:
         await self._send(message)
 
     async def _send_in_pieces(self, message: Message) -> None:
-        """Send a part of a long answer; close the connection if the client reads more slowly than it may upload."""
+        """Send a part of a long answer; close the connection if the client reads more slowly than uploads may be."""
         body, begin = message.get("body", b""), perf_counter()
         for start in range(0, max(len(body), 1), PIECE_BYTES):
             piece = body[start : start + PIECE_BYTES]

@@ -39,7 +39,7 @@ def prefix_of(request: Request) -> str:
 def tagged_reply(
     request: Request, content: bytes, media_type: str = JSON, headers: Mapping[str, str] | None = None
 ) -> Response:
-    """Return bytes with their hash as a strong ETag, or 304 if the client has them."""
+    """Return a response of bytes with their hash as a strong ETag, or 304 if the client has these bytes."""
     tagged = {**(headers or {}), "ETag": tag_of(content)}
     return not_modified(request, tagged) or Response(content, 200, tagged, media_type)
 

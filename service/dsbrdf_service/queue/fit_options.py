@@ -44,7 +44,7 @@ def from_wire(values: Mapping[str, Any]) -> FitOptions:
 def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
     """Return the options among the parameters of a query: commas separate a list, ``none`` means null.
 
-    Raises InvalidArgumentError as `from_wire`.
+    Raises InvalidArgumentError if a name is unknown, or a value is of a wrong type or out of range.
     """
     chosen = _chosen(items, DEFAULTS)
     return from_wire(chosen) if chosen else _DEFAULT_OPTIONS
@@ -57,7 +57,7 @@ def table_from_query(items: Iterable[tuple[str, str]]) -> TableOptions:
 
 
 def _chosen(items: Iterable[tuple[str, str]], names: Container[str]) -> dict[str, Any]:
-    """Return the values of the parameters that have one of the names."""
+    """Return the parsed values of the parameters of a query that have one of the `names`."""
     chosen = {}
     for name, text in items:
         if name in names:

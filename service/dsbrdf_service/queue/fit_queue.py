@@ -47,7 +47,7 @@ class _RunningFit:
     progress: float = 0.0
 
     def notify(self) -> None:
-        """Wake all tasks that wait for a change."""
+        """Wake all tasks that wait for a change of this fit."""
         self.changed.set_result(None)
         self.changed = asyncio.get_running_loop().create_future()
 
@@ -102,7 +102,7 @@ class FitQueue:
         return row, new
 
     async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow:
-        """Wait until a fit ends, `seconds` are over or one of `ends` is done; return its row. Raises as `Store.fit`."""
+        """Wait until a fit ends, `seconds` are over or a future in `ends` is done; return the fit's row."""
         with move_on_after(seconds):
             async for _ in self.watch(key, *ends, each_step=False):
                 pass
@@ -118,7 +118,7 @@ class FitQueue:
     async def watch(self, key: FitKey, *ends: "asyncio.Future[None]", each_step: bool = True) -> AsyncIterator[FitRow]:
         """Yield the row of a fit at once, after each step if `each_step`, and at the end of the fit.
 
-        The iteration ends early when the fit is deleted, or one of `ends` is done.
+        The iteration ends early when the fit is deleted, or a future in `ends` is done.
         """
         ends = (self._stopping, *ends)
         while True:

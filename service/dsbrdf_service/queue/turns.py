@@ -15,8 +15,8 @@ T = TypeVar("T")
 class FairTurns:
     """Limit the work in progress to `count` slots, at which owners alternate.
 
-    Each owner has a queue. Only the first of each queue waits for a slot, so an owner with many tasks delays another
-    owner by only one turn.
+    Each owner has a queue. Only the first task of each queue waits for a slot, so an owner with many tasks delays
+    another owner by only one turn.
     """
 
     def __init__(self, count: int = 1) -> None:

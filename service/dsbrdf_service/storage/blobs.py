@@ -1,7 +1,7 @@
 """Store measurement files on disk: write a temporary file, then rename it to its final name in one step.
 
 A file gets its final name before its row is committed and is deleted after its row (see `removal`), so that every row
-has a file. The name is the sha256 of the content. Before a file is read, its sha256 is checked, but the sha256 is
+has a file. The final name is the sha256 of the content. Before a file is read, its sha256 is checked, but the sha256 is
 computed again only if the file has changed.
 """
 
@@ -85,7 +85,7 @@ class Blobs:
         self._sound: dict[str, tuple[int, ...]] = {}
 
     def make_folders(self) -> None:
-        """Make both folders if they do not exist; raise DataFolderError if the path of one is not a folder."""
+        """Make the folders of complete and of incoming files; raise DataFolderError if a path is no folder."""
         own_folder(self._blobs)
         own_folder(self.temporary)
 

@@ -41,8 +41,8 @@ in_write_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
 class Database:
     """Hold the connections of this process: one connection writes; the others read and never wait for the writer.
 
-    The folder is made if it does not exist, with access for its user only. A server is `exclusive` and holds the lock
-    on the folder as long as it runs; a command takes no lock, so that a server may run or start.
+    The folder is made if it does not exist, for the user of the service only. A server is `exclusive` and holds the
+    lock on the folder as long as it runs; a command takes no lock, so that a server may run or start.
 
     Raises DataFolderError if the folder contains other data than a service's, another process holds a needed lock,
     another release has written the database, or the database is damaged; then nothing in the folder has changed.

@@ -1,4 +1,4 @@
-"""Examine a data folder without changing it, even while a server runs; each check returns whether all is right."""
+"""Examine a data folder without changing it, even while a server runs; each check returns whether it is passed."""
 
 from pathlib import Path
 

@@ -28,8 +28,8 @@ _OLD_MEASUREMENTS = (
 def remove_rows(db: sqlite3.Connection, blobs: Blobs, rows: Sequence[tuple[int, str]]) -> list[str]:
     """Delete rows of measurements, each given by rowid and sha256, in a write transaction.
 
-    Return the measurements without remaining rows. On a full disk, the files of these measurements are deleted at once,
-    because the commit needs their space.
+    Return the sha256 of measurements that have no row any more. On a full disk, the files without rows are deleted at
+    once, because the commit needs their space.
     """
     db.executemany("DELETE FROM measurements WHERE rowid = ?", [(rowid,) for rowid, _ in rows])
     unwanted = [sha256 for _, sha256 in rows if not _has_row(db, sha256)]

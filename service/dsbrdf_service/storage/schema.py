@@ -175,5 +175,5 @@ class FitRow:
 
     @property
     def repeatable(self) -> bool:
-        """Whether an equal request computes the fit again: it was cancelled, or failed although its input was right."""
+        """Whether an equal request computes the fit again: the fit was cancelled, or failed with the right input."""
         return self.status == "cancelled" or (self.error is not None and self.error["origin"] != "input")

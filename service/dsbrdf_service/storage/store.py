@@ -90,7 +90,7 @@ class Store:
         self.database.close()
 
     def keep_temporary_files(self) -> None:
-        """Keep temporary files of this process, such as the fork server's socket, in a folder that a start empties."""
+        """Keep temporary files of this process, such as the fork server's socket, where the next start deletes them."""
         # A socket's path has at most 107 characters, so the folder is named by its descriptor, which is always short.
         descriptor = Path(f"/proc/self/fd/{os.open(self.running, os.O_RDONLY)}")
         if descriptor.is_dir():
@@ -160,7 +160,7 @@ class Store:
     def remove_measurement(self, owner: str, sha256: str) -> bool:
         """Remove an owner's measurement, and its file if no owner has it any more; return whether it existed.
 
-        Finished fits of the measurement stay; raises ProblemError if fits of it are unfinished.
+        Finished fits of the measurement stay. Raises ProblemError if the measurement has unfinished fits.
         """
         with self.database.transaction() as db:
             query = f"SELECT count(*) FROM fits WHERE measurement = ? AND owner = ? AND {IS_UNFINISHED}"  # noqa: S608
@@ -185,8 +185,8 @@ class Store:
 
         `options` are in JSON types; without a `name`, the fit gets the name of its measurement.
 
-        Raises MeasurementNotFoundError, or ProblemError if `queue_limit` fits are waiting, a quota is reached or the
-        caller's key has been revoked.
+        Raises MeasurementNotFoundError if the caller has no such measurement, and ProblemError if `queue_limit` fits
+        are waiting, a quota is reached or the caller's key has been revoked.
         """
         key = FitKey(caller.owner, fit_identity(sha256, options))
         select = f"{_SELECT_FIT} {_WHERE_FIT}"
@@ -223,7 +223,7 @@ class Store:
         raise FitNotFoundError(key.id)
 
     def rename_fit(self, key: FitKey, name: str | None) -> FitRow:
-        """Give a fit another name, or none; raises FitNotFoundError."""
+        """Give a fit another name, or none; raise FitNotFoundError if there is no such fit."""
         with self.database.transaction() as db:
             for row in db.execute(_NAME_FIT, (name, *key)).fetchall():
                 return FitRow.from_values(row)
@@ -238,7 +238,7 @@ class Store:
         status: Status | None = None,
         measurement: str | None = None,
     ) -> list[FitRow]:
-        """Return at most `limit` fits, newest first; `before` bounds their `seq`, and other arguments select some."""
+        """Return up to `limit` fits with `seq` below `before`, newest first, of a name, status or measurement."""
         wanted = {"name": name, "status": status, "measurement": measurement}
         return [FitRow.from_values(row) for row in self._page(_SELECT_FIT, owner, limit, before, wanted)]
 
@@ -250,7 +250,7 @@ class Store:
     def result(self, key: FitKey) -> bytes:
         """Return the JSON document of a fit that succeeded, byte for byte as the fit's process wrote it.
 
-        Raises FitNotFoundError, or ProblemError if the fit has no document, or the document is damaged.
+        Raises FitNotFoundError if there is no such fit, and ProblemError if the document is missing or damaged.
         """
         return self._result(key)[0]
 
@@ -317,8 +317,8 @@ class Store:
     def resume(self) -> list[FitKey]:
         """Reset fits that an earlier process left running to accepted; return all accepted fits, oldest first.
 
-        Their earlier starts do not count as attempts. Unfinished fits of another version of the algorithm fail, because
-        their ids include a version that this release does not compute.
+        Starts by an earlier process do not count as attempts. Unfinished fits of another version of the algorithm fail,
+        because their ids include a version that this release does not compute.
         """
         other = f"The service has another fit algorithm since this fit was accepted, {dsbrdf.ALGORITHM_VERSION}; send "
         fault = {"origin": "system", "type": "OtherRelease", "message": f"{other}the request again for a new fit."}

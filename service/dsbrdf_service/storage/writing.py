@@ -76,7 +76,8 @@ class Writing:
     async def answer(self, caller: Caller, n_bytes: int) -> AsyncIterator[tuple[OpenFile, Path]]:
         """Yield an open file and its path, to which the block writes at most `n_bytes`.
 
-        The content is deleted when the last reference to the open file ends. Raises the errors of `hold`.
+        The content is deleted when the last reference to the open file ends. Raises ProblemError if the files in
+        progress exceed the caller's quota.
         """
         held = await self.hold(caller, n_bytes, "too-many-at-once")
         try:
