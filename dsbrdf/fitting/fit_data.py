@@ -12,31 +12,31 @@ from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
 
 MAX_SAMPLES_IN_BLOCK = 2400
-"""Intermediate arrays of a block with more samples would leave a processor's cache."""
+"""Maximum samples of a block of rows; intermediate arrays of larger blocks would not fit in a processor's cache."""
 MAX_SINGLE_VALUE = 1e9
-"""Data beyond this value [1/sr], or below its inverse, stay in double precision."""
+"""Data whose maximum exceeds this value [1/sr], or is below its inverse, stay in double precision."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitData:
     """Hold values and weights in R rows of theta_diff, N columns of theta_half and P bins of phi_diff."""
 
-    mean: Array  # (3, R, N, P)
-    weight: Array  # (3, R, N, P)
-    cos2_phi: Array  # (R, N, P)
-    theta_diff: Array  # (R,) [rad]
-    theta_half: Array  # common to all rows (N,) or separate for each row (R, N) [rad]
+    mean: Array  # mean value of each bin [1/sr], (channels, rows, columns, bins)
+    weight: Array  # weight of each bin in the fit, (channels, rows, columns, bins)
+    cos2_phi: Array  # mean cos(phi_diff)**2 of each bin, (rows, columns, bins)
+    theta_diff: Array  # angle of each row [rad]
+    theta_half: Array  # angle of each column [rad], (columns,), or separate for each row, (rows, columns)
 
     @classmethod
     def select(cls, folded: FoldedProfiles, weight: Array, rows: Indices, columns: Indices) -> "FitData":
-        """Take rows of theta_diff and columns of theta_half of folded profiles, with all of their bins."""
+        """Take some rows of theta_diff and columns of theta_half of folded profiles, with all bins of phi_diff."""
         chosen = np.ix_(np.arange(3), rows, columns)
         cos2_phi = np.ascontiguousarray(folded.cos2_phi[np.ix_(rows, columns)])
         return cls(folded.mean[chosen], weight[chosen], cos2_phi, THETA_DIFF[rows], THETA_HALF[columns])
 
     @classmethod
     def from_samples(cls, values: Array, weight: Array, row: Indices, theta_half: Array, phi_diff: Array) -> "FitData":
-        """Put samples (n, 3) into rows of whole degrees of theta_diff, padded with samples of weight 0."""
+        """Put samples (n, 3) into rows of equal theta_diff; samples of weight 0 fill up the shorter rows."""
         rows, index, counts = np.unique(row, return_inverse=True, return_counts=True)
         order = np.argsort(index, kind="stable")
         place = index[order], np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -48,7 +48,7 @@ class FitData:
         return data
 
     def take_bins(self, bins: Sequence[int]) -> "FitData":
-        """Keep only some bins of phi_diff."""
+        """Return the data of some bins of phi_diff only."""
         chosen = list(bins)
         return replace(
             self, mean=self.mean[..., chosen], weight=self.weight[..., chosen], cos2_phi=self.cos2_phi[..., chosen]
@@ -68,12 +68,12 @@ class FitData:
 
     @cached_property
     def signal(self) -> float:
-        """Weighted sum of squares."""
+        """Weighted sum of the squared values."""
         return float(np.sum(self.weight * self.mean**2))
 
     @cached_property
     def rows(self) -> tuple[Array, Array]:
-        """Values and their weights, row by row, shape (R, 3, N * P)."""
+        """Values and weights as arrays of the shape (rows, 3, columns * bins)."""
         mean, weight = (
             part.transpose(1, 0, 2, 3).reshape(len(self.theta_diff), 3, -1) for part in (self.mean, self.weight)
         )
@@ -81,21 +81,21 @@ class FitData:
 
     @cached_property
     def squared_tangents(self) -> tuple[Array, Array]:
-        """Arrays (R, 1, N * P) of tan(theta_half)**2 times cos(phi_diff)**2, and times sin(phi_diff)**2."""
+        """tan(theta_half)**2 times cos(phi_diff)**2, and times sin(phi_diff)**2, both (rows, 1, columns * bins)."""
         squared = np.tan(self.theta_half).astype(self.mean.dtype)[..., None] ** 2
         shape = len(self.theta_diff), 1, -1
         return (squared * self.cos2_phi).reshape(shape), (squared * (1.0 - self.cos2_phi)).reshape(shape)
 
     @cached_property
     def slices(self) -> list[slice]:
-        """Slices of the rows, so short that intermediate arrays stay in a processor's cache."""
+        """Slices that divide the rows into blocks whose intermediate arrays fit in a processor's cache."""
         count = len(self.theta_diff)
         size = -(-count // max(1, round(self.cos2_phi.size / MAX_SAMPLES_IN_BLOCK)))
         return [slice(start, start + size) for start in range(0, count, size)]
 
     @cached_property
     def blocks(self) -> list["Block"]:
-        """Rows of each slice, without samples that have no weight in any row."""
+        """Blocks of the rows in each of `slices`, without most of the samples that have the weight 0."""
         counts = self.rows[1].any(axis=1)
         order, most, blocks = np.argsort(~counts, axis=1, kind="stable"), counts.sum(axis=1), []
         for rows in self.slices:
@@ -107,10 +107,10 @@ class FitData:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Hold neighbouring rows with all of their weighted samples."""
+    """Hold neighbouring rows of theta_diff with all samples of these rows that have a weight."""
 
-    rows: slice  # indices of these rows among all rows
-    mean: Array  # (r, 3, n)
-    weight: Array  # (r, 3, n)
-    along: Array  # tan(theta_half)**2 cos(phi_diff)**2, (r, 1, n)
-    across: Array  # tan(theta_half)**2 sin(phi_diff)**2, (r, 1, n)
+    rows: slice  # indices of the rows of this block among all rows
+    mean: Array  # values [1/sr], (rows, 3, samples)
+    weight: Array  # weights of the values, (rows, 3, samples)
+    along: Array  # tan(theta_half)**2 cos(phi_diff)**2, (rows, 1, samples)
+    across: Array  # tan(theta_half)**2 sin(phi_diff)**2, (rows, 1, samples)

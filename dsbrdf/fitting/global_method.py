@@ -2,7 +2,7 @@
 
 The paper fits slices one by one and interpolates. This method fits all rows of theta_diff at once, up to the horizon.
 The unknowns are the control values of the parameters, so a lobe keeps its identity over all theta_diff and channels.
-Lobes are searched on thinned rows and columns, then refined on most rows and columns.
+Lobes are searched on few rows of theta_diff and columns of theta_half, and refined on most rows and columns.
 """
 
 import itertools
@@ -30,7 +30,7 @@ from dsbrdf.model.lobes import half_width, width_of_reach
 AMPLITUDE_KNOTS = np.radians([0.0, 30.0, 55.0, 68.0, 75.0, 81.0, 89.0])
 SHAPE_KNOTS = np.radians([0.0, 40.0, 65.0, 79.0, 89.0])
 ELONGATION_KNOTS = np.radians([0.0, 60.0, 89.0])
-"""Knots [rad], dense towards grazing angles, where reflectance changes fastest."""
+"""Knots in theta_diff [rad]; knots are dense towards grazing angles, where reflectance changes fastest."""
 CONSTANT_KNOT = np.zeros(1)
 KNOTS = {
     "full": (AMPLITUDE_KNOTS, SHAPE_KNOTS, ELONGATION_KNOTS),
@@ -43,14 +43,14 @@ FINE_KNOTS = (
     np.radians([0.0, 30.0, 55.0, 70.0, 79.0, 89.0]),
     ELONGATION_KNOTS,
 )
-"""Knots [rad] for a small fixed number of lobes, which need more flexible parameters."""
+"""Knots [rad] where a small number of lobes is fixed, because few lobes need more flexible parameters."""
 MAX_ITERATIONS = 300
 COARSE_ITERATIONS = 10
-"""Maximum iterations with a few bins of phi_diff; the fit of all bins would undo further ones."""
+"""Maximum iterations of the fit to a few bins of phi_diff; the fit to all bins would undo further iterations."""
 REFINE_TOLERANCE = 3e-3
 """Refinement ends after two iterations in a row that lower the cost by a smaller fraction.
 
-Ten times as many iterations change no error by more than 1 %.
+Ten times as many iterations change the error of no fit by more than 1 %.
 """
 REFINE_ROUNDS = 2
 ROBUST_REFINE_ROUNDS = 3
@@ -65,24 +65,25 @@ USED_ROWS = np.unique(np.concatenate([FIT_ROWS, SEARCH_ROWS, HELD_OUT_ROWS]))
 USED_COLUMNS = np.unique(np.concatenate([FIT_COLUMNS, SEARCH_COLUMNS, HELD_OUT_COLUMNS]))
 """Rows and columns of a table that the fit uses.
 
-They include every row from 70 to 80 degrees, within the usual horizon cutoff, where reflectance is largest.
+The rows include every degree of theta_diff from 70 to 80, because reflectance is largest there and the usual horizon
+cutoff is 80 degrees.
 """
 SEARCH_BINS = (0, 3, 5, 8, 9)
-"""Bins of phi_diff that the search uses; joined bins would be too wide for elongated lobes."""
+"""Indices of the bins of phi_diff that the search uses; fewer, wider bins would be too wide for elongated lobes."""
 NEIGHBOUR_COLUMNS = 5
 MIN_OUTLIER_RESIDUAL = 1e-2
 """A sample with a smaller relative residual is never an outlier."""
 MIN_LINES = 8
-"""If there are fewer rows, or columns, all of them are used."""
+"""If fewer rows or columns with data would be selected, all rows or columns with data are used."""
 MIN_SAMPLES = 3
 SAMPLE_SMOOTHING = (1e-7, 3e-6, 1e-6)
-"""Smoothing of parameters of scattered samples, stronger than for a table, because samples leave gaps."""
+"""Weights like `SMOOTHING` in fits of scattered samples; they are larger, because samples leave gaps."""
 MIN_TABLE_LIKE_SAMPLES = 20_000
-"""With fewer scattered samples, the smoothing is stronger in proportion."""
+"""With fewer scattered samples, the smoothing of parameters is stronger in inverse proportion to their number."""
 MIN_BINS_IN_COLUMN = 5
-"""A column of theta_half with fewer filled bins per knot is ignored when the data limit how narrow lobes may be."""
+"""A column of theta_half with fewer filled bins per knot is no reason to allow lobes as narrow as its spacing."""
 MIN_BINS_BETWEEN_KNOTS = 120
-"""A knot with fewer filled bins before it is left out, because parameters between knots would be undetermined."""
+"""A knot is left out if fewer bins with data precede it: parameters between the knots would be undetermined."""
 
 
 def fit_global(
@@ -91,7 +92,7 @@ def fit_global(
     progress: Callable[[float], None],
     on_stage: Callable[[str], None],
 ) -> tuple[FoundModel, Mixture]:
-    """Fit all rows at once, and return the model and its mixture.
+    """Fit all rows of theta_diff at once; return the model and the mixture of lobes from which it is made.
 
     `on_stage` is called with the name of each stage that has ended. Raises FitError if the options leave no data to
     fit.
@@ -126,7 +127,7 @@ def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixt
     The data have a row for each whole degree of theta_diff that has samples.
     """
     structure = mixture.structure
-    # Fewer samples need smoother parameters.
+    # Fewer samples determine less, so parameters must be smoother over theta_diff.
     pull = max(1.0, MIN_TABLE_LIKE_SAMPLES / np.count_nonzero(data.weight[0]))
     amplitude, shape, elongation = (pull * smoothing for smoothing in SAMPLE_SMOOTHING)
     problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
@@ -136,7 +137,7 @@ def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixt
 
 
 def _found(structure: Structure, solution: Solution, has_data: Mask) -> tuple[FoundModel, Mixture]:
-    """Combine a solution with its report; `has_data` marks the rows with data in each channel.
+    """Return the model of a solution and its report; `has_data` marks the rows with data in each channel.
 
     The lobes of the model are ordered from narrow to wide, with ring lobes last.
     """
@@ -152,7 +153,7 @@ def _found(structure: Structure, solution: Solution, has_data: Mask) -> tuple[Fo
 
 
 def fit_weights(data: Profiles, options: FitOptions) -> Array:
-    """Return the weights of the folded bins, 0 for masked bins."""
+    """Return the weights of all bins of the profiles in a fit; masked bins have the weight 0."""
     weight = bin_weights(data.folded, options.resolved_weighting, options.horizon_cutoff)
     kept = THETA_HALF <= np.pi / 2 - options.resolved_mask * THETA_DIFF[:, None] + 1e-9
     weight = np.where(kept[..., None], weight, 0.0)
@@ -162,7 +163,7 @@ def fit_weights(data: Profiles, options: FitOptions) -> Array:
 
 
 def _search_data(fitted: FitData, held_out: FitData) -> SearchData:
-    """Thin out the bins of the data that lobes are fitted to in the search, and of the validation data."""
+    """Take the few bins of phi_diff that the search uses, in the fitted data and in the validation data."""
     thinned = fitted.take_bins(SEARCH_BINS), held_out.take_bins(SEARCH_BINS)
     fitted, held_out = thinned if thinned[0].signal > 0.0 else (fitted, held_out)
     return SearchData(fitted.single(), (held_out if held_out.signal > 0.0 else fitted).single())
@@ -180,9 +181,9 @@ def _apart(angles: Array, axis: Array, filled: Indices, fewest: int) -> list[flo
 def _structure(
     weight: Array, groups: tuple[Array, ...], options: FitOptions, amplitude_knots: tuple[float, ...] | None = None
 ) -> Structure:
-    """Return a structure without lobes on the knots [rad] that have enough rows with data.
+    """Return a structure without lobes on those knots [rad] between which there are enough data.
 
-    Knots chosen by the user are always kept.
+    Knots that the user has chosen are always kept.
     """
     filled = np.count_nonzero((weight > 0).any(axis=0), axis=2)
     rows, columns = filled.sum(axis=1), filled.sum(axis=0)
@@ -209,8 +210,8 @@ def _structure(
 def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:
     """Take the rows and columns with data nearest to the wanted rows and columns, or all if there are few.
 
-    A column's weight is multiplied by the number of columns with data that it stands for. Otherwise columns close to
-    the mirror direction, which are not thinned out, would count for more than the area that people see.
+    The weight of a column is multiplied by the number of columns with data that the column represents. Otherwise
+    columns close to the mirror direction, all of which are taken, would weigh more than their visible area.
     """
     measured = np.any(weight, axis=(0, 3))
     chosen = []
@@ -228,7 +229,7 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:
     """Fit a few bins of phi_diff, then all bins exactly, with outliers weighted down on request."""
     is_few = Wanted(options.n_lobes, options.ring_lobes).is_few
-    tolerance = COST_TOLERANCE if is_few else REFINE_TOLERANCE  # More iterations for few lobes are cheap.
+    tolerance = COST_TOLERANCE if is_few else REFINE_TOLERANCE  # More iterations are cheap for few lobes.
     rounds = ROBUST_REFINE_ROUNDS if options.robust else REFINE_ROUNDS
     unknowns, weight, iterations = mixture.unknowns, data.weight, 0
     for number in range(rounds):
@@ -251,10 +252,11 @@ def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Call
 
 
 def _trust(values: Array, data: FitData) -> Array:
-    """Return weights (3, R, N, 10) of the data, from 0 for outliers to 1.
+    """Return factors for the weights of the data, from 0 for outliers to 1.
 
-    A mixture that misses a peak misses it in neighbouring columns, but an outlier is alone. Therefore a sample is
-    judged by the difference between its relative residual and the median of its neighbours over theta_half.
+    A mixture that misses a peak has large residuals in neighbouring columns, but an outlier is alone. Therefore a
+    sample is judged by the difference between its relative residual and the median residual of its neighbours over
+    theta_half.
     """
     filled = data.weight > 0.0
     level = np.sum(data.weight * values, axis=(2, 3), keepdims=True)
@@ -268,13 +270,13 @@ def _trust(values: Array, data: FitData) -> Array:
 
 
 def _exact(data: FitData, mixture: Mixture) -> FitData:
-    """Subtract the binning error of a mixture from the data, which then correspond to values at the bins' means."""
+    """Subtract from the data the errors that averaging a mixture over the bins of phi_diff causes."""
     problem = MixtureProblem(data.single(), mixture.structure)
     return replace(data, mean=data.mean - _lost_in_bins(problem, mixture.unknowns))
 
 
 def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
-    """Return the mixture's mean over the samples of each bin, minus its value at their mean cos(phi_diff)**2.
+    """Return the mean of a mixture over each bin's samples, minus its value at the mean cos(phi_diff)**2.
 
     The difference matters for elongated lobes, which change fast within a bin.
     """
@@ -289,7 +291,7 @@ def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
 
 
 def _bounds_hit(model: DSBRDF) -> bool:
-    """Tell whether a lobe is as narrow or as steep as the bounds allow."""
+    """Tell whether a lobe is as narrow, or its kappa as large, as the bounds allow."""
     narrowest = width_of_reach(np.array(REACH_BOUNDS[0]), model.lobe) * (1 + 1e-9)
     width = half_width(model.kappa, model.gamma, model.lobe)
     return bool(np.any(model.kappa >= KAPPA_BOUNDS[1] * (1 - 1e-9)) or np.any(width <= narrowest))

@@ -1,18 +1,19 @@
 """Fit a mixture of lobes to all rows of theta_diff at once, by weighted least squares.
 
-Unknowns are the control values of every lobe's log amplitude in each channel, of its log kappa, log gamma and, for ring
-lobes, center, and of its elongation; between knots they follow the B-splines of `dsbrdf.model.splines`, which are
-linear in the unknowns: ``parameters(row) = sum_d B[row, d] x[d]``. With the analytic derivatives J of a row's values
-with respect to the row's parameters,
+The unknowns are the control values of every lobe's log amplitude in each channel, log kappa, log gamma and elongation,
+and of the center of ring lobes. Between knots, the parameters are the B-splines of `dsbrdf.model.splines`, which are
+linear in the unknowns x: ``parameters(row) = sum_d B[row, d] x[d]``. With the analytic derivatives J of a row's values
+in the row's parameters, the weights W and the residual r of the row,
 
     normal equations  A = sum_row (B B^T) x (J^T W J) + smoothing,     gradient  g = sum_row B x (J^T W r).
 
-An amplitude affects only its own channel, and a shape all three. Therefore J^T W J of a row is computed from one small
-product of lobes and derivatives for each channel. The method is Levenberg-Marquardt with the damping update of Nielsen
-(1999, IMM-REP-1999-05) and bounds: an unknown at a bound with an outward step is fixed.
+An amplitude affects only one channel, and a shape affects all three channels. Therefore J^T W J of a row is computed
+from one small product of lobes and derivatives for each channel. The method is Levenberg-Marquardt with the damping
+update of Nielsen (1999, IMM-REP-1999-05) and bounds: an unknown at a bound is fixed if its step would cross the bound.
 
-A weak prior determines unknowns without data: `SMOOTHING` times the squared signal for each squared second difference
-of control values. Shapes have the strongest prior, because shapes of a faint lobe would oscillate between knots.
+A weak prior determines unknowns that no data determine: the cost of each squared second difference of control values is
+`SMOOTHING` times the weighted sum of the squared data. Shapes have the strongest prior, because shapes of a faint lobe
+would oscillate between knots.
 """
 
 import math
@@ -33,22 +34,22 @@ from dsbrdf.model.lobes import LobeSlopes, lobe_curves, log_cosine
 from dsbrdf.model.splines import roughness
 
 SMOOTHING = (1e-8, 2e-7, 1e-7)
-"""Weights of squared second differences of log amplitudes, shapes and elongations, per squared signal."""
+"""Weights of squared second differences of log amplitudes, shapes and elongations, relative to the squared data."""
 COST_TOLERANCE = 1e-3
-"""An iteration that lowers the cost by a smaller fraction counts as stalled."""
+"""An iteration that lowers the cost by a smaller fraction counts as stalled; the fit ends after several of them."""
 MAX_UNKNOWN_STEP = 1.5
 """Maximum change of an unknown in one iteration: a logarithm, an angle [rad] or an elongation."""
 START_DAMPING = 1e-2
 MAX_DAMPING = 1e8
-"""Iterations end at a larger damping, because no step lowers the cost."""
+"""Iterations end if the damping is larger, because then no step lowers the cost."""
 LIMIT_PASSES = 5
 MIN_UNKNOWN_CHANGE = 1e-9
 MAX_STALLED_ITERATIONS = 2
-"""The fit ends after so many stalled iterations in a row."""
+"""The fit ends after this number of stalled iterations in a row."""
 
 
 class MixtureProblem:
-    """Compute the cost of a mixture on data with the prior `SMOOTHING`, and its derivatives."""
+    """Compute the cost of a mixture on data with the prior `SMOOTHING`, and the derivatives of the cost."""
 
     def __init__(
         self,
@@ -69,12 +70,13 @@ class MixtureProblem:
             for basis, weight in zip(self.bases, smoothing, strict=True)
         ]
         k = structure.n_lobes
-        # `linearize` overwrites the lower triangle, except for products of different channels, which stay 0.
+        # `linearize` overwrites the lower triangle of this matrix, except for products of amplitudes of different
+        # channels, which stay 0.
         self._matrix = np.zeros((structure.n_unknowns, structure.n_unknowns))
         self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
 
     def values(self, unknowns: Array) -> Array:
-        """Return values (3, R, N, P) of the mixture [1/sr]."""
+        """Return the values of the mixture at the data [1/sr], (channels, rows, columns, bins)."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
         along, across = self.data.squared_tangents
         values = np.empty((len(parameters[0]), 3, along.shape[2]), along.dtype)
@@ -84,12 +86,12 @@ class MixtureProblem:
         return values.transpose(1, 0, 2).reshape(3, *self.data.cos2_phi.shape)
 
     def curves(self, unknowns: Array) -> Array:
-        """Return values (R, K, N * P) of the lobes with height 1."""
+        """Return values of the lobes, all with height 1, at the data, (rows, lobes, columns * bins)."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
         return self._lobes(parameters, slice(None), *self.data.squared_tangents)[0]
 
     def evaluate(self, unknowns: Array) -> "Evaluation":
-        """Return the cost, and the intermediate arrays for its derivatives."""
+        """Return the cost, and the intermediate arrays from which `linearize` computes the cost's derivatives."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
         pull, parts = self._pull(unknowns), []
         cost = float(unknowns @ pull)
@@ -102,14 +104,14 @@ class MixtureProblem:
         return Evaluation(unknowns, cost, parameters[0], parts, pull)
 
     def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
-        """Return the lower triangle of the Gauss-Newton matrix (U, U), and half the gradient (U,) of the cost.
+        """Return the lower triangle of the Gauss-Newton matrix, and half the gradient of the cost.
 
-        The next call overwrites the matrix.
+        The next call overwrites the matrix, whose memory is reused.
         """
         k, count = self.structure.n_lobes, self._lobe_of.size
         products, columns_of_blocks, weighted_of_blocks = self._buffers
         for block, curves, kinds, residual in at.parts:
-            # The columns are the derivatives, then the residual.
+            # The columns are the derivatives of the values, then the residual.
             shape = len(curves), count + 1, curves.shape[2]
             columns = columns_of_blocks[: math.prod(shape)].reshape(shape)
             weighted = weighted_of_blocks[: columns[:, :count].size].reshape(columns[:, :count].shape)
@@ -131,7 +133,8 @@ class MixtureProblem:
     def _buffers(self) -> tuple[Array, Array, Array]:
         """Arrays that `linearize` reuses, so that they stay in a processor's cache.
 
-        They are the products of derivatives (R, 3, M, M + 1), and the flat columns and weighted columns of a block.
+        The arrays are the products of M derivatives and the residual (rows, 3, M, M + 1), and the flat columns and
+        weighted columns of a block.
         """
         count, dtype = self._lobe_of.size, self.data.mean.dtype
         size = max(block.along.size for block in self.data.blocks)
@@ -139,9 +142,10 @@ class MixtureProblem:
         return products, np.empty(size * (count + 1), dtype), np.empty(size * count, dtype)
 
     def _assemble(self, products: Array, scale: Array) -> tuple[Array, Array]:
-        """Sum the products of derivatives, and with the residual, (R, 3, M, M + 1), to those of the control values.
+        """Return the matrix and the gradient in the control values, from products in the parameters of each row.
 
-        The products are of lobes with height 1; `scale` (R, 3, M) are their amplitudes.
+        The products (rows, 3, M, M + 1) are the products of M derivatives with each other and with the residual. The
+        derivatives are of lobes with height 1, and `scale` (rows, 3, M) has the amplitudes of these lobes.
         """
         k, (first, *_), bases = self.structure.n_lobes, self.structure.parts, self.bases
         q, matrix = 2 * k + self.structure.n_rings, self._matrix
@@ -170,19 +174,22 @@ class MixtureProblem:
         return matrix, np.concatenate([(basis.T @ part).ravel() for basis, part in zip(bases, rows, strict=True)])
 
     def _spread(self, i: int, j: int, blocks: Array) -> Array:
-        """Sum first basis x second basis x block over rows, to shape (D, E, ...) for blocks (R, ...)."""
+        """Sum the product of two spline bases and a block (rows, ...) over the rows.
+
+        The result has one axis for the control values of each basis, then the other axes of the block.
+        """
         spread = self._pairs[i, j] @ blocks.reshape(len(blocks), -1)
         return spread.reshape(self.bases[i].shape[1], self.bases[j].shape[1], *blocks.shape[1:])
 
     def _pull(self, unknowns: Array) -> Array:
-        """Return half the gradient of the cost of the smoothing."""
+        """Return half the gradient of the smoothing's part of the cost."""
         parts = zip(self._pulls, self.structure.split(unknowns), strict=True)
         return np.concatenate([(matrix @ part).ravel() for matrix, part in parts])
 
     def _lobes(
         self, parameters: tuple[Array, Array, Array], rows: slice, along: Array, across: Array
     ) -> tuple[Array, list["_Kind"]]:
-        """Return lobes of height 1 (r, K, n) in some rows, and the intermediate arrays of each kind of lobes."""
+        """Return lobes of height 1 in some rows, (rows, lobes, samples), and intermediate arrays for derivatives."""
         shape, elongation = parameters[1][rows], parameters[2][rows]
         k, centered = self.structure.n_lobes, self.structure.n_lobes - self.structure.n_rings
         logs = elongation[..., None] * self._log_cos[rows], shape[:, :k, None], shape[:, k : 2 * k, None]
@@ -197,7 +204,7 @@ class MixtureProblem:
         return curves[0] if len(curves) == 1 else np.concatenate(curves, axis=1), kinds
 
     def _slopes(self, block: Block, kind: "_Kind") -> list[tuple[slice, Array]]:
-        """Return derivatives of lobes in the parameters common to all channels, with the slices of their columns."""
+        """Return derivatives of lobes in the parameters common to all channels, each with a slice of columns."""
         k, slopes = self.structure.n_lobes, kind.slopes()
         start, stop, end = kind.part.start, kind.part.stop, 3 * k + self.structure.n_rings
         by_elongation = kind.far - kind.near
@@ -213,32 +220,33 @@ class MixtureProblem:
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Hold the lobes about the normal, or the ring lobes."""
+    """Hold intermediate arrays of either the lobes about the normal, or the ring lobes."""
 
-    part: slice  # indices of these lobes among all lobes
+    part: slice  # indices of the lobes of this kind among all lobes of the mixture
     slopes: Callable[[], LobeSlopes]
-    near: Array  # squared tangent of elongated theta_half along, and across the plane of incidence
-    far: Array
+    near: Array  # part of tan(theta')**2 along the plane of incidence, see `dsbrdf.model.lobes`
+    far: Array  # part of tan(theta')**2 across the plane of incidence
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Hold the cost of a mixture on its data, with intermediate arrays."""
+    """Hold the cost of a mixture on its data, with intermediate arrays for the derivatives of the cost."""
 
-    unknowns: Array  # (U,)
+    unknowns: Array
     cost: float  # weighted squared error plus the cost of the smoothing
-    amplitude: Array  # (R, 3, K)
-    parts: list[tuple[Block, Array, list[_Kind], Array]]  # for each block: lobes (r, K, n), residual (r, 3, n)
-    pull: Array  # half the gradient of the cost of the smoothing (U,)
+    amplitude: Array  # amplitudes of the lobes, (rows, 3, lobes)
+    # Lobes of height 1 (rows, lobes, samples), their kinds, and the residual (rows, 3, samples) of each block.
+    parts: list[tuple[Block, Array, list[_Kind], Array]]
+    pull: Array  # half the gradient of the smoothing's part of the cost
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Hold the outcome of `minimize`."""
+    """Hold the unknowns that `minimize` found, and the course of the iterations."""
 
     unknowns: Array
     cost: float
-    converged: bool  # whether the cost stopped falling within the iterations allowed
+    converged: bool  # whether the cost stopped falling before the maximum number of iterations
     iterations: int
 
 
@@ -289,12 +297,12 @@ def _step(
     fixed: Mask | None,
     precision: np.dtype[np.floating[Any]],
 ) -> Array:
-    """Return the damped Gauss-Newton step within the limits of the structure, in the precision of the data.
+    """Return the damped Gauss-Newton step within the bounds of the structure, in the precision of the data.
 
-    Unknowns that reach a limit get the step up to the limit. The other unknowns are solved again under this constraint,
-    with the same factor; otherwise they would compensate steps that are not made.
+    An unknown that would cross its bound gets the step up to the bound. The other unknowns are then solved again with
+    the same Cholesky factor; otherwise the other unknowns would compensate a step that is not made.
     """
-    # First fix the unknowns at a limit with an outward gradient.
+    # An unknown at a bound is fixed if the cost falls beyond the bound.
     pushed = structure.limit(unknowns - MIN_UNKNOWN_CHANGE * np.sign(gradient))
     held = np.abs(pushed - unknowns) <= 0.5 * MIN_UNKNOWN_CHANGE
     if fixed is not None:
@@ -308,9 +316,9 @@ def _step(
     damped[places], damped[:, places] = 0.0, 0.0
     damped[places, places] = 1.0
     factor, failed = potrf(damped.T, overwrite_a=True, clean=False)
-    if failed:  # A singular matrix gives no step, so that the damping grows.
+    if failed:  # With a singular matrix, no step is made, so that the damping grows.
         return np.zeros_like(gradient)
-    half = trtrs(factor, np.where(held, 0.0, -gradient), trans=1)[0]  # Solve with the first of the two triangles.
+    half = trtrs(factor, np.where(held, 0.0, -gradient), trans=1)[0]
     solved, places, columns = trtrs(factor, half)[0], np.zeros(0, np.intp), np.zeros((held.size, 0), order="F")
     stopped = np.zeros(held.size, bool)
     for _ in range(LIMIT_PASSES):
@@ -327,5 +335,5 @@ def _step(
         columns = np.concatenate([columns, trtrs(factor, unit, trans=1, overwrite_b=True)[0]], axis=1)
         force = gesv(columns.T @ columns, step[places] - columns.T @ half)[2]
         solved = trtrs(factor, half + columns @ force)[0]
-        solved[places] = step[places]  # An unknown at its bound stays there exactly.
+        solved[places] = step[places]  # An unknown at its bound must not leave the bound by rounding.
     return step

@@ -1,8 +1,9 @@
 """Choose the lobes that a fit starts from among many candidates, by normal equations alone.
 
-Orthogonal matching pursuit (Pati, Rezaiifar, Krishnaprasad 1993) over candidates of many widths, centers and
-elongations: the candidate that explains most of the residual joins the chosen ones, and the amplitudes of all are
-solved for anew, row by row and channel by channel, none negative (Bruckstein, Elad, Zibulevsky 2008).
+The method is orthogonal matching pursuit (Pati, Rezaiifar, Krishnaprasad 1993). The candidates are lobes of many
+widths, centers and elongations. In each step, the candidate that explains most of the residual is added to the chosen
+lobes. Then the amplitudes of all chosen lobes are solved anew for each row of theta_diff and each channel, under the
+condition that no amplitude is negative (Bruckstein, Elad, Zibulevsky 2008).
 """
 
 from dataclasses import dataclass, replace
@@ -25,35 +26,35 @@ CUSP_CENTER_HALF_WIDTHS = -1.5
 ELONGATIONS = (0.0, 1.0, 3.0)
 START_KAPPA = 1.0
 START_ELONGATION = 0.5
-"""A fit starts at this fraction of a candidate's elongation, because it corrects too round lobes more easily."""
+"""A fit starts at this fraction of a candidate's elongation, because fits correct too round lobes more easily."""
 MIN_START_HEIGHT = 0.02
 """A lobe starts with at least this fraction of a typical amplitude, because fainter lobes have tiny derivatives."""
 CHOICE_RIDGE = 1e-3
-"""Fraction of the candidates' squares that is added to the normal equations of nearly equal candidates."""
+"""Fraction of the diagonal that is added to normal equations, which nearly equal lobes would make singular."""
 EQUAL_GAIN = 1e-4
-"""Candidates whose gains differ by a smaller fraction explain the data equally well."""
+"""Candidates count as equally good if the squared errors that they explain differ by a smaller fraction."""
 MIN_VISIBLE_VALUE = 0.02
-"""A candidate of height 1 with smaller values at all data is chosen only if there is no other."""
+"""A candidate of height 1 whose values are smaller at all data is chosen only if there is no other candidate."""
 AMPLITUDE_SWEEPS = 30
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Hold C lobes of height 1, and their products with the data."""
+    """Hold candidates for lobes, all of height 1, and the weighted products of these lobes with the data."""
 
-    width: Array  # half widths (C,) [rad]
-    center: Array  # (C,) [rad]
-    elongation: Array  # (C,)
-    curves: Array  # values at the data, (R, C, n)
-    right: Array  # weighted products with the data, (R, 3, C)
-    size: Array  # weighted squares, (R, 3, C)
+    width: Array  # half width of each candidate [rad]
+    center: Array  # center of each candidate [rad]
+    elongation: Array  # elongation of each candidate
+    curves: Array  # values of the candidates at the data, (rows, candidates, samples)
+    right: Array  # weighted products of the candidates with the data, (rows, 3, candidates)
+    size: Array  # weighted sums of the candidates' squares, (rows, 3, candidates)
 
     @classmethod
     def at(cls, data: FitData, family: str) -> "Candidates":
         """Evaluate all candidates of a family of lobes at the data."""
         shapes = [(width, 0.0) for width in WIDTHS_DEG]
         shapes += [(width, CUSP_CENTER_HALF_WIDTHS * width) for width in CUSP_WIDTHS_DEG]
-        # A ring is not narrower than the steps of the grid at its center.
+        # A ring narrower than the steps of the grid at its center would fall between the data, so none is a candidate.
         shapes += [(w, c) for c in RING_CENTERS_DEG for w in RING_WIDTHS_DEG if w >= max(0.12 * c, 0.3 * min(c, 5.0))]
         width, center = np.radians(shapes).T
         along, across = data.squared_tangents
@@ -76,7 +77,7 @@ class Candidates:
 
     @property
     def is_ring(self) -> Mask:
-        """Mask of the candidates with a center."""
+        """Mask of the candidates with a center other than 0."""
         return self.center != 0.0
 
     @cached_property
@@ -85,15 +86,16 @@ class Candidates:
         return np.asarray(self.curves[0].max(axis=1) >= MIN_VISIBLE_VALUE)
 
     def mixed(self, data: FitData, curves: Array) -> Array:
-        """Return the weighted products (R, 3, K, C) of lobes (R, K, n) with the candidates."""
+        """Return the weighted products (rows, 3, lobes, candidates) of lobes (rows, lobes, samples) with candidates."""
         weighted = curves[:, None] * data.rows[1][:, :, None]
         return np.asarray((weighted @ self.curves.transpose(0, 2, 1)[:, None]).astype(float))
 
     def best(self, gram: Array, mixed: Array, amplitudes: Array, allowed: Mask) -> int:
-        """Return the index of the allowed candidate that explains most beside K lobes of amplitudes (R, 3, K).
+        """Return the index of the allowed candidate that explains most of the residual of some lobes.
 
-        The lobes are given by their products with each other (R, 3, K, K) and with the candidates (R, 3, K, C). The
-        amplitudes are adjusted to each candidate. The widest of equally good candidates is chosen.
+        `amplitudes` (rows, 3, lobes) are the amplitudes of the lobes. `gram` (rows, 3, lobes, lobes) are the products
+        of the lobes with each other, and `mixed` (rows, 3, lobes, candidates) with the candidates. The amplitudes are
+        adjusted to each candidate. The widest of equally good candidates is chosen.
         """
         count = gram.shape[-1]
         residual = self.right - np.einsum("rhkc,rhk->rhc", mixed, amplitudes)
@@ -107,7 +109,10 @@ class Candidates:
         return int(equal[self.width[equal].argmax()])
 
     def start(self, data: FitData, empty: Structure, chosen: list[int], amplitudes: Array) -> Mixture:
-        """Return a mixture of chosen candidates with amplitudes near (R, 3, K)."""
+        """Return a mixture of the chosen candidates, from which a fit can start.
+
+        The amplitudes of the mixture are smooth in theta_diff and near `amplitudes` (rows, 3, lobes).
+        """
         amplitude = _log_amplitudes(data, empty, amplitudes)
         logs = np.full(len(chosen), np.log(START_KAPPA)), np.log(reach_of_width(self.width[chosen], empty.family))
         shape = np.stack([*logs, np.where(self.is_ring[chosen], self.center[chosen], 0.0)])
@@ -119,7 +124,10 @@ class Candidates:
 
 
 def normal_equations(data: FitData, curves: Array) -> tuple[Array, Array]:
-    """Return the weighted products of lobes (R, K, n) with each other (R, 3, K, K), and with the data (R, 3, K)."""
+    """Return the weighted products of lobes with each other (rows, 3, lobes, lobes), and with the data.
+
+    `curves` (rows, lobes, samples) are the values of the lobes. The products with the data are (rows, 3, lobes).
+    """
     mean, weight = data.rows
     weighted = curves[:, None] * weight[:, :, None]
     gram, right = weighted @ curves.transpose(0, 2, 1)[:, None], weighted @ mean[..., None]
@@ -127,9 +135,10 @@ def normal_equations(data: FitData, curves: Array) -> tuple[Array, Array]:
 
 
 def solved_amplitudes(gram: Array, right: Array, start: Array) -> Array:
-    """Solve `normal_equations` for amplitudes (R, 3, K), none negative, from a start for the first of them.
+    """Solve `normal_equations` for amplitudes (rows, 3, lobes), none of which is negative.
 
-    Coordinate descent takes an exact step in one amplitude after the other.
+    Coordinate descent takes an exact step in one amplitude after the other. `start` has start values for the first
+    lobes; the other lobes start from 0.
     """
     k, count = right.shape[-1], right[..., 0].size
     amplitudes = np.pad(start, ((0, 0), (0, 0), (0, k - start.shape[2]))).reshape(count, k)

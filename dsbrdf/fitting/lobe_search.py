@@ -1,13 +1,13 @@
 """Search the lobes of a mixture: choose all lobes, fit them, exchange two, and drop useless lobes.
 
-1. **Choice.** `dsbrdf.fitting.lobe_candidates` chooses lobes by normal equations, without a fit in between.
+1. **Choice.** `dsbrdf.fitting.lobe_candidates` chooses all lobes by normal equations, without nonlinear fits.
 2. **Fit.** One nonlinear least-squares fit changes all lobes together, at first with kappa fixed.
 3. **Exchange.** Twice, the least useful lobe is replaced by the candidate that explains most of the residual.
-4. **Elimination**, if the number of lobes is free. The least useful lobe is dropped and the others are fitted again, as
-   long as the validation error, on rows of theta_diff that no mixture was fitted to, hardly rises.
+4. **Elimination**, if the number of lobes is free. The least useful lobe is dropped and the other lobes are fitted
+   again, as long as the validation error hardly rises: the error on rows of theta_diff that no mixture was fitted to.
 
-With few lobes, the result depends on the start. If their number is fixed and small, the first three steps are repeated
-from several starts, and the best result is kept.
+A mixture of few lobes depends on the start of its fit. If the number of lobes is fixed and small, the first three steps
+are repeated from several starts, and the best mixture is kept.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,74 +24,75 @@ from dsbrdf.fitting.lobe_candidates import Candidates, normal_equations, solved_
 from dsbrdf.fitting.structure import Mixture, Structure, join_lobes
 
 MAX_SEARCHED_LOBES = 9
-"""Elimination starts from this number of lobes."""
+"""If the number of lobes is free, the search chooses this number of lobes and then drops useless lobes."""
 TOLERATED_RISE = 0.005
-"""A lobe is dropped if the validation error rises by a smaller fraction."""
+"""A lobe is dropped if the validation error without the lobe is larger by a smaller fraction than this."""
 NEGLIGIBLE_ERROR = 4e-6
 """A validation error below this fraction of the squared signal is negligible: differences of 0.2 % are invisible."""
 NOISE_CORRELATION = 0.16
-"""Neighbouring residuals with a smaller correlation count as noise.
+"""If the residuals of neighbouring samples have a smaller correlation, the residuals count as noise.
 
-Noise of single samples has 0; a mixture that misses the shape of a material leaves more than 0.3 as a rule.
+Independent noise has no correlation; residuals of a mixture that misses the shape of a material have a correlation
+above 0.3 as a rule.
 """
 MAX_NOISE_RESIDUAL = 0.3
 """Residuals larger than this multiple of their root mean square are clipped, so that few samples do not dominate."""
 MAX_SIMPLE_LOBES = 3
-"""If the residual is noise, mixtures with at most this number of lobes about the normal are tried."""
+"""If the residuals are noise, mixtures with at most this number of lobes about the normal are tried."""
 MIN_COLUMNS_FOR_RINGS = 8
-"""With fewer angles theta_half, a free search uses no rings, because any ring would explain the data."""
+"""With data at fewer angles theta_half, optional ring lobes are not used, because any ring would explain the data."""
 FIXED_KAPPA_ITERATIONS = 8
 FIT_ITERATIONS = 20
 SEARCH_TOLERANCE = 3e-3
-"""An iteration that lowers the cost by a smaller fraction counts as stalled, because a refinement follows."""
+"""An iteration of the search counts as stalled if it lowers the cost by a smaller fraction; a refinement follows."""
 EXCHANGES = 2
 EXCHANGE_ITERATIONS = 8
 MAX_RESTARTED_LOBES = 5
-"""A search for a larger fixed number of lobes has a single start."""
+"""If a larger number of lobes is fixed, the search has a single start."""
 SPARE_LOBES = 3
-"""One start has this number of additional lobes, and drops them again."""
+"""One start of a search has this number of additional lobes, which are dropped again."""
 MIN_WIDE_START_WIDTH = float(np.radians(40.0))
-"""A start for a single lobe has at least this half width [rad]; from narrower ones, it would fit only the highlight."""
+"""A single lobe also starts from at least this half width [rad]; from a narrow start, it may fit only a highlight."""
 HEAVY_TAIL_FACTOR = 0.3
-"""Last starts multiply kappa of the best result by this factor, because fits seldom lower kappa far enough.
+"""The last start is the best mixture with kappa times this factor, because fits seldom lower kappa far enough.
 
-For a single lobe, the other results are such starts too.
+A single lobe is started again from the mixtures of all starts, not only from the best mixture.
 """
 
 
 @dataclass(frozen=True)
 class SearchStep:
-    """Report a mixture of the search and its validation error."""
+    """Report a mixture that the search tried, and the validation error of the mixture."""
 
     n_lobes: int
-    ring_lobes: int  # number of lobes with a center
-    error: float  # weighted squared error on the rows held out, as a fraction of the squared signal there
-    kept: bool  # whether the search went on with it
+    ring_lobes: int  # number of lobes with a center other than 0
+    error: float  # weighted squared error on the rows held out, as a fraction of the squared values there
+    kept: bool  # whether the search continued with this mixture
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Hold the numbers of lobes, and of rings among them, as in `FitOptions`."""
+    """Hold the number of all lobes and the number of ring lobes that a user wants, as in `FitOptions`."""
 
     n_lobes: int | Literal["auto"]
     ring_lobes: int | Literal["auto"]
 
     def limited_to(self, data: FitData) -> "Wanted":
-        """Forbid optional rings if data have so few angles theta_half that any ring would explain them."""
+        """Forbid optional ring lobes if there are so few angles theta_half that any ring would explain the data."""
         few = data.theta_half.shape[-1] < MIN_COLUMNS_FOR_RINGS
         return replace(self, ring_lobes=0) if few and self.ring_lobes == "auto" else self
 
     @property
     def is_few(self) -> bool:
-        """Whether the number of lobes is fixed and so small that one start does not find the best."""
+        """Whether the number of lobes is fixed and so small that one start does not find the best mixture."""
         return self.n_lobes != "auto" and self.n_lobes <= MAX_RESTARTED_LOBES
 
     def max_lobes(self, data: FitData) -> int:
-        """Return the number of lobes to choose first; few angles theta_half cannot separate many lobes."""
+        """Return the number of lobes to choose first, which the number of angles theta_half bounds."""
         return min(MAX_SEARCHED_LOBES, data.theta_half.shape[-1] + 1) if self.n_lobes == "auto" else self.n_lobes
 
     def kinds_to_add(self, rings: tuple[bool, ...]) -> tuple[bool, ...]:
-        """Return the kinds that one more lobe may have: False is about the normal, True a ring."""
+        """Return whether one more lobe may be a lobe about the normal (False in the tuple) or a ring (True)."""
         if self.ring_lobes == "auto":
             return (False, True) if False in rings else (False,)
         return (True,) if False in rings and sum(rings) < self.ring_lobes else (False,)
@@ -104,7 +105,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class SearchData:
-    """Hold the data that lobes are fitted to, and the validation data that determine their number."""
+    """Hold the data that lobes are fitted to, and the validation data that determine the number of lobes."""
 
     fitted: FitData
     held_out: FitData
@@ -112,7 +113,7 @@ class SearchData:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """Hold the data that lobes are fitted to, the knots of their parameters, the candidates, and the numbers wanted."""
+    """Hold the input of a search: data, the knots of parameters, candidates for lobes, and the wanted numbers."""
 
     data: FitData
     empty: Structure
@@ -120,11 +121,14 @@ class _Task:
     wanted: Wanted
 
     def fit(self, min_width: float = 0.0, **changes: int) -> Mixture:
-        """Choose lobes with at least a half width [rad], with some numbers changed, and fit all unknowns."""
+        """Choose lobes and fit all unknowns; `min_width` is a minimum half width [rad].
+
+        `changes` replace the wanted numbers of lobes.
+        """
         return _fit(self.data, self._choose(replace(self.wanted, **changes), min_width))
 
     def _choose(self, wanted: Wanted, min_width: float) -> Mixture:
-        """Choose candidates one after the other."""
+        """Choose one candidate after the other until there are enough lobes."""
         candidates, chosen, shape = self.candidates, list[int](), self.candidates.size.shape
         amplitudes, gram = np.zeros((*shape[:2], 0)), np.zeros((*shape[:2], 0, 0))
         mixed = np.zeros((*shape[:2], 0, shape[2]))
@@ -139,7 +143,7 @@ class _Task:
         return candidates.start(self.data, self.empty, chosen, amplitudes)
 
     def exchange(self, mixture: Mixture) -> Mixture:
-        """Put the candidate that explains most in the place of the least useful lobe, if that is better."""
+        """Replace the least useful lobe by the candidate that explains most of the residual, if the error falls."""
         if not self.may_drop(mixture):
             return mixture
         fewer, candidates = self.drop_one(mixture), self.candidates
@@ -158,11 +162,11 @@ class _Task:
         return min((mixture, other), key=lambda one: _error(self.data, one))
 
     def may_drop(self, mixture: Mixture) -> bool:
-        """Tell whether the wanted numbers allow to drop any lobe."""
+        """Tell whether the wanted numbers of lobes allow to drop any lobe of a mixture."""
         return any(self.wanted.may_drop(mixture.structure.rings))
 
     def drop_one(self, mixture: Mixture) -> Mixture:
-        """Drop the lobe without which the error is smallest after the amplitudes of the others are solved again."""
+        """Drop the lobe whose loss raises the error least, if the amplitudes of the other lobes are solved again."""
         k = mixture.structure.n_lobes
         curves = MixtureProblem(self.data, mixture.structure).curves(mixture.unknowns)
         gram, right = normal_equations(self.data, curves)
@@ -175,7 +179,7 @@ class _Task:
         return join_lobes(self.empty, is_ring, (part[..., kept] for part in mixture.lobes()))
 
     def shrink(self, mixture: Mixture) -> Mixture:
-        """Drop one lobe and fit the others again."""
+        """Drop the least useful lobe and fit the other lobes again."""
         return _minimize(self.data, self.drop_one(mixture), EXCHANGE_ITERATIONS)
 
 
@@ -186,10 +190,10 @@ def search(
     exact: Callable[[Mixture], SearchData],
     on_stage: Callable[[], None],
 ) -> tuple[Mixture, list[SearchStep]]:
-    """Find the lobes of a mixture on the knots of an `empty` structure, and return it with the steps of the search.
+    """Search lobes with the knots of an `empty` structure; return the mixture and the steps of the search.
 
-    If only noise is left, the binning errors of a mixture over phi_diff matter; `exact` returns data without these
-    errors. `on_stage` is called after each fit.
+    If the residuals are only noise, errors from the bins of phi_diff matter; `exact` returns data without these errors.
+    `on_stage` is called after each fit.
     """
     task = _Task(data.fitted, empty, Candidates.at(data.fitted, empty.family), wanted.limited_to(data.fitted))
     trials = _Trials(data.held_out, on_stage)
@@ -218,14 +222,17 @@ def search(
 
 
 class _Trials:
-    """Compare mixtures by their validation errors; none may be much worse than the best before it."""
+    """Compare mixtures by validation errors: a good mixture is hardly worse than the best mixture tried before."""
 
     def __init__(self, held_out: FitData, on_trial: Callable[[], None]) -> None:
         self.steps: list[SearchStep] = []
         self._held_out, self._on_trial, self._limit = held_out, on_trial, np.inf
 
     def add(self, mixture: Mixture, held_out: FitData | None = None) -> bool:
-        """Add a mixture, and tell whether it is good enough, on the usual or its own validation data."""
+        """Add a mixture, and tell whether the mixture is good enough on the validation data.
+
+        `held_out` replaces the usual validation data.
+        """
         self._on_trial()
         held_out = held_out or self._held_out
         error = _error(held_out, mixture) / held_out.signal
@@ -236,9 +243,9 @@ class _Trials:
 
 
 def _simplest(task: _Task, exact: Callable[[Mixture], SearchData], trials: _Trials) -> Mixture | None:
-    """Return the smallest mixture that is as good as the first trial, without rings if these are optional.
+    """Return the smallest mixture that is as good as the first trial, or None; optional ring lobes are not used.
 
-    The data of each trial are without the binning errors of the tried mixture.
+    Every mixture is fitted to data from which errors of the bins of phi_diff are removed.
     """
     n_rings, (first,) = 0 if task.wanted.ring_lobes == "auto" else task.wanted.ring_lobes, trials.steps
     for n_lobes in range(n_rings + 1, min(n_rings + MAX_SIMPLE_LOBES + 1, first.n_lobes)):
@@ -251,7 +258,7 @@ def _simplest(task: _Task, exact: Callable[[Mixture], SearchData], trials: _Tria
 
 
 def _best_of_starts(task: _Task, held_out: FitData, on_stage: Callable[[], None]) -> Mixture:
-    """Fit a fixed number of lobes from several starts, and return the best on all rows, held out or not."""
+    """Fit a fixed number of lobes from several starts; return the mixture with the smallest error on all rows."""
     ends = []
     for start in _starts(task):
         on_stage()
@@ -267,9 +274,10 @@ def _best_of_starts(task: _Task, held_out: FitData, on_stage: Callable[[], None]
 
 
 def _starts(task: _Task) -> Iterator[Mixture]:
-    """Yield mixtures to compare: of the best candidates, with no or one ring lobe, and of more lobes than wanted.
+    """Yield mixtures from different starts, which are compared afterwards.
 
-    The last mixture begins with `SPARE_LOBES` more lobes, and its least useful lobes are dropped.
+    The first mixture has the lobes that explain most; others have no ring lobe or one. The last mixture begins with
+    `SPARE_LOBES` additional lobes, and the least useful lobes are dropped.
     """
     n_lobes = task.wanted.max_lobes(task.data)
     yield (first := task.fit())
@@ -291,7 +299,7 @@ def _fit(data: FitData, start: Mixture) -> Mixture:
 
 
 def _correlation(data: FitData, mixture: Mixture) -> float:
-    """Return the correlation of the weighted residuals of neighbouring bins of phi_diff, large ones clipped."""
+    """Return the correlation of the weighted, clipped residuals of neighbouring bins of phi_diff."""
     residual = MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
     residual *= np.sqrt(data.weight)
     limit = MAX_NOISE_RESIDUAL * float(np.sqrt(np.mean(residual**2))) or 1.0

@@ -1,7 +1,7 @@
-"""Measure the error of a model's fit to a measurement.
+"""Measure how far a model is from the measurement to which it was fitted.
 
-For a measurement on a grid, all channels and nodes weigh the same. Nodes count if they are valid, both directions are
-within the horizon cutoff of the normal, and theta_half is at least 1 degree:
+For a measurement f on a grid, all channels and nodes have equal weights. Nodes count if they are valid, both directions
+are within the horizon cutoff of the normal, and theta_half is at least 1 degree:
 
     relative_rms    = sqrt( sum (f - fit)**2 / sum f**2 )
     floor           = relative_rms of the mean of f over phi_diff, the minimum for models that ignore phi_diff
@@ -14,7 +14,7 @@ For scattered samples, whose directions were chosen freely:
     relative_rms_left_out = relative_rms at samples that were left out of the fit
     relative_rms_expected = relative_rms over all directions that the error of one table in ten exceeds
 
-By visibility, over all directions:
+For light and visible differences, over all directions:
 
     albedo_error = mean over theta_out = 0, 30, 60, 75 degrees and channels of |albedo of fit - of data| / of data
     psnr, ssim   = of a lit sphere, see `dsbrdf.rendering.sphere`
@@ -41,34 +41,34 @@ OUTSIDE_CENTER = THETA_HALF >= CENTER_CUTOFF
 ALBEDO_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
 """Angles to the normal at which albedos are compared [rad]."""
 MIN_FLOOR = 1e-12
-"""With a smaller floor, data do not depend on phi_diff, and excess would divide by rounding errors."""
+"""With a smaller `floor`, data do not depend on phi_diff, and `excess` is None instead of a ratio to rounding errors."""
 MIN_ALBEDO = 1e-9
-"""A channel with a smaller albedo is black up to rounding."""
+"""A channel with a smaller albedo is black up to rounding, so its relative albedo error counts as 0."""
 SPHERE_PIXELS = 64
 COLUMN_GROUPS = 9
 
 
 @dataclass(frozen=True)
 class RelativeErrors:
-    """Hold errors over some samples, without unit, by the formulas at the top of this file."""
+    """Hold errors of a fit over some samples, without unit, by the formulas at the top of this file."""
 
     relative_rms: float
     floor: float
     symmetric_floor: float
-    excess: float | None  # None where the floor is zero
+    excess: float | None  # None if `floor` is zero
     male: float
 
 
 @dataclass(frozen=True)
 class ChannelErrors(RelativeErrors):
-    """Errors of one channel: "red", "green" or "blue"."""
+    """Hold errors of one channel: "red", "green" or "blue"."""
 
     channel: str
 
 
 @dataclass(frozen=True)
 class BandErrors(RelativeErrors):
-    """Errors of one band of theta_diff: its first and last angle [rad], the last one excluded."""
+    """Hold errors in one band of theta_diff, from a first angle to a last angle [rad], which is excluded."""
 
     theta_diff: tuple[float, float]
 
@@ -116,17 +116,18 @@ METRICS = tuple(field.name for field in fields(Metrics))
 
 
 def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> Array:
-    """Compare a model with all samples within the cutoff of the normal [rad]; None means the horizon.
+    """Compare a model with all samples whose directions are within the cutoff of the normal [rad].
 
     Returns sums of shape (6, 3 channels, 90 theta_diff): of f**2, of (f - fit)**2, of the squared deviations from the
     means of `floor` and `symmetric_floor`, of |log(1 + f cos_in) - log(1 + fit cos_in)|, and the number of samples.
+    Without a cutoff (None), all samples above the horizon count.
 
     Raises InvalidArgumentError if there is nothing but zeros to compare with.
     """
     sums = np.zeros((6, 3, THETA_DIFF.size))
     for columns in np.array_split(np.flatnonzero(OUTSIDE_CENTER), COLUMN_GROUPS):
         masks = [used_samples(measurement, i, horizon_cutoff) for i in columns.tolist()]
-        # Rows beyond the last used sample are skipped.
+        # Rows of theta_diff beyond the last used sample are skipped, which saves evaluations of the model.
         rows = slice(0, 1 + int(np.flatnonzero(np.any(masks, axis=(0, 1, 3))).max(initial=-1)))
         grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF[rows], PHI_DIFF[:QUARTER])
         for i, used, values in zip(columns.tolist(), masks, grid, strict=True):
@@ -145,22 +146,23 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
 
 
 def _column_sums(samples: Array, fit: Array, counted: Array, cosine: Array) -> Array:
-    """Return six sums over phi_diff (6, R) of one theta_half and channel, in the order of `relative_errors`.
+    """Return the six sums over phi_diff of `sample_errors` for one theta_half and channel, (6, rows).
 
-    A sample has `counted` 1 if it is used, otherwise 0.
+    `counted` is 1 for samples that are used, and otherwise 0.
     """
     count, samples = counted.sum(axis=1), samples * counted
     mean = np.sum(samples, axis=1) / np.maximum(count, 1.0)
     deviation = samples - mean[:, None]
     deviation *= counted
-    # A symmetric material has equal values at phi_diff and 180 - phi_diff; each deviates by half their difference.
+    # A reciprocal material has equal values at phi_diff and at 180 degrees - phi_diff, so both samples deviate from
+    # their mean by half of their difference.
     one, partner = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
     step = samples[:, one] - samples[:, partner]
     step *= np.sqrt(0.5) * counted[:, one] * counted[:, partner]
     error = samples - fit
     error *= counted
     squares = [np.einsum("rp,rp->r", part, part) for part in (samples, error, deviation, step)]
-    # (1 + f cos_in) / (1 + fit cos_in) = 1 + (f - fit) cos_in / (1 + fit cos_in)
+    # The difference of logarithms is log(1 + (f - fit) cos_in / (1 + fit cos_in)), which is accurate for small errors.
     error *= cosine
     error /= 1.0 + fit * cosine
     log_error = np.sum(np.abs(np.log1p(error, out=error), out=error), axis=1)
@@ -201,10 +203,10 @@ def error_tables(sums: Array) -> tuple[tuple[ChannelErrors, ...], tuple[BandErro
 def sample_metrics(model: DSBRDF, measurement: Measurement, sums: Array, albedo: Array) -> Metrics:
     """Return all metrics of a model, from `sample_errors` and its albedo (4, 3) at `ALBEDO_ANGLES`.
 
-    Likeness is that of a sphere under three lights, PSNR at most 200 [dB].
+    PSNR and SSIM compare spheres under three lights; PSNR is at most 200 dB.
     """
     errors, data = relative_errors(sums), measurement.interpolated
-    # A table has no lobes narrower than its rows, so the quadrature needs no knots.
+    # A table has no lobes narrower than the distance of its rows, so the quadrature need not be divided at knots.
     measured = directional_albedo(data.evaluate, ALBEDO_ANGLES)
     albedo_error = float(np.mean(np.abs(albedo - measured) / np.where(measured > MIN_ALBEDO, measured, np.inf)))
     lit = render_sphere(data.evaluate, size=SPHERE_PIXELS)

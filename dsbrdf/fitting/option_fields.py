@@ -17,11 +17,11 @@ Options = TypeVar("Options")
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bound the numbers of an option, or of each element of a list; used in its annotation."""
+    """Bound the number of an option, or every number of a list; the annotation of the option contains the bounds."""
 
     least: float
     most: float
-    above: bool = False  # Whether the lower bound itself is excluded.
+    above: bool = False  # whether the lower bound itself is excluded
 
     def allow(self, number: float) -> bool:
         """Tell whether a number is within the bounds."""
@@ -55,7 +55,7 @@ def sentences_of(options: type) -> dict[str, str]:
 
 
 def documented(options: type[Options]) -> type[Options]:
-    """Add the sentences of a class's own options to its docstring."""
+    """Add the sentence of each option of a class to the docstring of the class, without inherited options."""
     lines = [*inspect.cleandoc(options.__doc__ or "").splitlines(), "", "Attributes", "----------"]
     sentences = sentences_of(options)
     for name in options.__annotations__:
@@ -65,7 +65,7 @@ def documented(options: type[Options]) -> type[Options]:
 
 
 def suggesting(options: type[Options]) -> type[Options]:
-    """Make a dataclass suggest the option that is meant by a wrong name."""
+    """Make a dataclass of options refuse a wrong name of an option, and suggest the right name."""
     init: Callable[..., None] = options.__init__
     names = [declared.name for declared in fields(options)]  # type: ignore[arg-type]  # The class is a dataclass.
 
@@ -79,7 +79,7 @@ def suggesting(options: type[Options]) -> type[Options]:
 
 
 def check_names(choices: Iterable[str], known: Sequence[str]) -> None:
-    """Raise InvalidArgumentError for the first unknown choice, and suggest a name."""
+    """Raise InvalidArgumentError for the first unknown name of an option, and suggest a known name."""
     for name in choices:
         if name not in known:
             near = get_close_matches(name, known, n=1)

@@ -17,7 +17,7 @@ MAX_LOBES = 10
 MAX_RING_LOBES = MAX_LOBES - 1
 OPTION_DECIMALS = 9
 """Options are rounded to this number of decimals: conversions to radians and back change later digits."""
-# Choices of some options for the method "paper", with the end of the sentence that refuses another choice.
+# Choices that the method "paper" allows for some options, with the end of the sentence that refuses another choice.
 _PAPER_CHOICES: dict[str, tuple[tuple[object, ...], str]] = {
     "ring_lobes": (("auto", 0), 'has no ring lobes: use ring_lobes 0 or "auto"'),
     "knots_deg": (("auto",), "has its slices every 5 degrees: leave the knots out"),
@@ -35,7 +35,7 @@ Weighting = Literal["auto", "balanced", "plain", "cosine", "log"]
 class FitOptions:
     """Choose how a measurement is fitted; every choice is checked.
 
-    "auto" leaves a choice to the library, and None goes without, as in ``horizon_cutoff_deg=None``.
+    "auto" leaves a choice to the library; None switches something off, as in ``horizon_cutoff_deg=None``.
 
     Raises
     ------
@@ -121,12 +121,12 @@ class FitOptions:
 
     @property
     def resolved_weighting(self) -> str:
-        """The chosen weighting, or else the method's own."""
+        """The chosen weighting, or the method's own weighting if the choice is "auto"."""
         return ("plain" if self.method == "paper" else "balanced") if self.weighting == "auto" else self.weighting
 
     @property
     def resolved_mask(self) -> float:
-        """The chosen mask, or else the method's own."""
+        """The chosen mask, or the method's own mask if the choice is "auto"."""
         return (1.0 if self.method == "paper" else 0.0) if self.mask == "auto" else self.mask
 
 
@@ -164,7 +164,7 @@ def _checked(name: str, value: Any, kind: type | None, bounds: Bounds | None, wo
 
 @cache
 def _declared() -> dict[str, tuple[type | None, Bounds | None, tuple[str | None, ...]]]:
-    """Return for each option the type of its numbers, their bounds, and its words."""
+    """Return for each option the type and the bounds of its numbers, and the words that it allows."""
     found: dict[str, tuple[type | None, Bounds | None, tuple[str | None, ...]]] = {}
     for name, hint in get_type_hints(FitOptions, include_extras=True).items():
         kind: type | None = bool if hint is bool else None

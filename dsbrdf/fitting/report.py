@@ -24,9 +24,9 @@ class SelectionStep:
     """Compare a number of lobes by Williams' test of E_p, see `WilliamsRow`, and by its squared error."""
 
     n_lobes: int
-    e_p: float  # mean over the slices
-    squared_error: float  # over all samples used [1/sr^2]
-    bic: float | None  # for Gaussian errors of unknown variance; None for an exact fit
+    e_p: float  # mean of the error E_p over the slices, see `dsbrdf.paper.lobe_selection`
+    squared_error: float  # sum of squared errors over all samples used [1/sr^2]
+    bic: float | None  # Bayesian information criterion for Gaussian errors of unknown variance; None for an exact fit
     t: float | None
     critical_value: float | None
     significant: bool
@@ -36,14 +36,14 @@ class SelectionStep:
 class KnotReport:
     """Report a fit at each of D knots of theta_diff [rad] in each channel, as tables (3, D).
 
-    The knots of the method "paper" are its slices.
+    For the method "paper", the slices are the knots.
     """
 
     theta_diff: tuple[float, ...]
-    fitted: tuple[tuple[bool, ...], ...]  # whether there were data
-    converged: tuple[tuple[bool, ...], ...]  # whether the fit converged within its iterations
+    fitted: tuple[tuple[bool, ...], ...]  # whether there were data at the knot
+    converged: tuple[tuple[bool, ...], ...]  # whether the fit converged before its maximum number of iterations
     iterations: tuple[tuple[int, ...], ...]
-    bounds_hit: tuple[tuple[bool, ...], ...]  # whether a parameter ended at a bound
+    bounds_hit: tuple[tuple[bool, ...], ...]  # whether a parameter of a lobe ended at a bound
 
     @classmethod
     def from_arrays(cls, theta_diff: ArrayLike, *tables: ArrayLike) -> Self:
@@ -55,7 +55,7 @@ class KnotReport:
 
 @dataclass(frozen=True, eq=False)
 class FoundModel:
-    """Hold the model of a method of fitting, and its part of the `FitReport`."""
+    """Hold the model that a method of fitting found, and what the method adds to the `FitReport`."""
 
     model: DSBRDF
     knots: KnotReport
@@ -68,7 +68,7 @@ class DirectionalAlbedo:
     """Hold the fraction of light from some directions that a model reflects."""
 
     theta_out: tuple[float, ...]  # angles to the normal [rad]
-    rgb: tuple[tuple[float, ...], ...]  # fraction of the light at each angle
+    rgb: tuple[tuple[float, ...], ...]  # fraction of the light from each angle that is reflected, by channel
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class LeftOutErrors:
 
 @dataclass(frozen=True)
 class SuggestedPair:
-    """Suggest directions for a useful next sample [degrees]; phi is the azimuth from one to the other."""
+    """Suggest two directions for a useful next sample [degrees]; phi is the azimuth between these directions."""
 
     theta_in_deg: float
     theta_out_deg: float
@@ -168,7 +168,7 @@ class FitResult:
 
 
 def _plain(value: Any) -> Any:
-    """Return dicts and tuples in the types of JSON."""
+    """Return dicts and tuples converted to the types of JSON."""
     if isinstance(value, dict):
         return {name: _plain(item) for name, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -1,13 +1,14 @@
-"""Describe the lobes of a mixture, the layout of its unknowns in one array, and their bounds.
+"""Describe the lobes of a mixture, and the layout and the bounds of the mixture's unknowns in one array.
 
-Instead of gamma and center, the unknowns are log reach and offset:
+Instead of gamma and center, the unknowns of a lobe are its log reach and its offset:
 
     log reach = log fall_to_half(kappa) - log gamma,
     center = offset where positive, else limit * expm1(offset / limit).
 
-The reach determines the half width, and the offset is the distance of the peak from the normal. Therefore kappa can
-change without a change of the half width, and each bound concerns one unknown. A negative center makes a cusp. Its
-limit is the half width, at most `MAX_CUSP_OFFSET`, so that a cusp is about as steep as the lobe.
+The reach determines the half width of a lobe, and a positive offset is the angle from the normal to the peak of a ring.
+Therefore kappa can change without a change of the half width, and each bound concerns one unknown. A negative offset
+makes a cusp, whose center cannot fall below -limit. The limit is the half width of the lobe, but at most
+`MAX_CUSP_OFFSET`, so that a cusp is about as steep as the lobe.
 """
 
 from collections.abc import Iterable
@@ -24,29 +25,28 @@ from dsbrdf.model.lobes import fall_to_half, reach_of_width, width_of_reach
 from dsbrdf.model.splines import n_control_values, spline_basis
 
 LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
-"""Logarithms of amplitudes from practically 0 to the maximum value of a measurement [log 1/sr]."""
+"""Bounds of log amplitudes, from practically 0 to the maximum value of a measurement [log 1/sr]."""
 KAPPA_BOUNDS = (1e-2, 10.0)
 REACH_BOUNDS = (4e-6, 70.0)
-"""Reach from 1/6 degree, about the narrowest peak that the grid resolves, to a flat lobe."""
+"""Bounds of `reach_of_width`, from a half width of 1/6 degree, about the narrowest on a grid, to a flat lobe."""
 OFFSET_BOUNDS = (-1.0, MAX_CENTER)
-"""Offsets from a cusp to a ring at the horizon [rad]."""
+"""Bounds of the offset that determines a lobe's center, from a cusp to a ring at the horizon [rad]."""
 ELONGATION_BOUNDS = (-2.0, 10.0)
 MAX_CUSP_OFFSET = 0.25
-"""Maximum distance of a center below 0 [rad]."""
+"""Centers of cusps cannot be below the negative of this angle [rad]."""
 MAX_OFFSET_LIMITS = 2.5
-"""Beyond this multiple of a cusp's limit, the offset changes the center by less than 1/12 of the limit."""
+"""Offsets of cusps beyond this multiple of the center's limit are clipped: the center would hardly change there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Define the lobes of a mixture, the knots [rad] of their parameters, and the layout of the unknowns."""
 
-    rings: tuple[bool, ...]  # whether a lobe has a center; ring lobes come last
+    rings: tuple[bool, ...]  # whether each lobe has a center other than 0; these lobes come last
     knots: tuple[Array, Array, Array]  # knots of amplitudes, shapes and elongations
     family: str  # one of `dsbrdf.model.lobe_families.FAMILIES`
-    theta_half: Array = field(
-        default_factory=lambda: THETA_HALF
-    )  # angles with data; lobes narrower than their spacing would fit gaps
+    # Angles that have data [rad]; their spacing bounds the widths, because narrower lobes would fit gaps in the data.
+    theta_half: Array = field(default_factory=lambda: THETA_HALF)
 
     @property
     def n_lobes(self) -> int:
@@ -55,7 +55,7 @@ class Structure:
 
     @property
     def n_rings(self) -> int:
-        """Number of lobes that have a center."""
+        """Number of lobes that have a center other than 0."""
         return sum(self.rings)
 
     @property
@@ -71,14 +71,15 @@ class Structure:
 
     @cached_property
     def parts(self) -> tuple[slice, slice, slice]:
-        """Slices of the amplitudes, shapes and elongations in the unknowns."""
+        """Slices of the unknowns that are amplitudes, shapes and elongations."""
         first, second, third = (rows * columns for rows, columns in self.blocks)
         return slice(0, first), slice(first, first + second), slice(first + second, first + second + third)
 
     def split(self, unknowns: Array) -> tuple[Array, Array, Array]:
-        """Return views on the unknowns: amplitude (D, 3 K), shape (S, 2 K + rings) and elongation (E, K).
+        """Return views on the unknowns: amplitudes, shapes and elongations, one row for each control value.
 
-        Amplitudes are logarithms, channel by channel; shapes are log kappa, log reach, and offsets of ring lobes.
+        The columns of the amplitudes are log amplitudes (3 K), channel by channel. The columns of the shapes are log
+        kappa (K), log reach (K) and the offsets of ring lobes. Elongations have K columns.
         """
         blocks = zip(self.parts, self.blocks, strict=True)
         amplitude, shape, elongation = (unknowns[part].reshape(block) for part, block in blocks)
@@ -92,7 +93,7 @@ class Structure:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Bounds of the unknowns, shape (n_unknowns,) each; ring lobes may have narrower ones, see `limit`."""
+        """Lower and upper bounds of the unknowns; `limit` narrows these bounds for some ring lobes."""
         sides, k = [], self.n_lobes
         for side in (0, 1):
             bound = np.empty(self.n_unknowns)
@@ -107,9 +108,9 @@ class Structure:
         return sides[0], sides[1]
 
     def limit(self, unknowns: Array) -> Array:
-        """Clip unknowns to the bounds, and widen lobes narrower than the data's spacing.
+        """Clip unknowns to the bounds, and widen lobes that are narrower than the spacing of the data.
 
-        A negative offset is clipped where a lower offset would hardly change the cusp.
+        The offset of a cusp is clipped where a lower offset would hardly change the cusp.
         """
         low, high = self.bounds
         limited = np.maximum(np.minimum(unknowns, high), low)
@@ -121,7 +122,7 @@ class Structure:
         return limited
 
     def lobe_shapes(self, unknowns: Array) -> Array:
-        """Return control values (S, 2 K + rings) of log kappa, log gamma and, for ring lobes, center."""
+        """Return control values of log kappa (K), log gamma (K) and the centers of ring lobes, in columns."""
         shape, k = self.split(unknowns)[1].copy(), self.n_lobes
         offset = shape[:, 2 * k :]
         if offset.min(initial=0.0) < 0.0:
@@ -131,18 +132,18 @@ class Structure:
         return shape
 
     def bases(self, theta_diff: Array) -> tuple[Array, Array, Array]:
-        """Return weights of the control values of amplitudes, shapes and elongations at angles (R,)."""
+        """Return the weights of the control values of amplitudes, shapes and elongations at angles theta_diff."""
         amplitude, shape, elongation = (_basis(knots.tobytes(), theta_diff.tobytes()) for knots in self.knots)
         return amplitude, shape, elongation
 
     def row_parameters(self, bases: tuple[Array, Array, Array], unknowns: Array) -> tuple[Array, Array, Array]:
-        """Return amplitude (R, 3, K), shape (R, 2 K + rings) and elongation (R, K) at the angles of `bases`."""
+        """Return amplitudes (rows, 3, K), `lobe_shapes` and elongations (rows, K) at the angles of `bases`."""
         amplitude, _, elongation = self.split(unknowns)
         logs = (bases[0] @ amplitude).reshape(-1, 3, self.n_lobes)
         return np.exp(logs), bases[1] @ self.lobe_shapes(unknowns), bases[2] @ elongation
 
     def join(self, amplitude: Array, lobe_shapes: Array, elongation: Array) -> Array:
-        """Return the unknowns of control values, the inverse of `split` and `lobe_shapes`."""
+        """Return the unknowns that have some control values; this is the inverse of `split` and `lobe_shapes`."""
         shape, k = lobe_shapes.copy(), self.n_lobes
         shape[:, k : 2 * k] = np.log(fall_to_half(np.exp(shape[:, :k]), self.family)) - shape[:, k : 2 * k]
         limit = self._cusp_limit(shape[:, 2 * k - self.n_rings : 2 * k])
@@ -152,12 +153,12 @@ class Structure:
         return np.concatenate([amplitude.ravel(), shape.ravel(), elongation.ravel()])
 
     def chain(self, unknowns: Array, matrix: Array, gradient: Array) -> None:
-        """Turn derivatives in control values of `lobe_shapes` into derivatives in the unknowns, in place.
+        """Convert derivatives in the control values of `lobe_shapes` into derivatives in the unknowns, in place.
 
-        Only the lower triangle of the matrix is used.
+        Only the lower triangle of the Gauss-Newton matrix is used.
         """
         shape, k, part = self.split(unknowns)[1], self.n_lobes, self.parts[1]
-        by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))[..., None]  # log gamma in log kappa
+        by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))[..., None]  # derivative of log gamma
         rows = matrix[part, : part.stop].reshape(*shape.shape, -1)
         columns = matrix[part.start :, part].reshape(-1, *shape.shape).transpose(1, 2, 0)
         reach, offset = self._of_rings(unknowns)
@@ -166,7 +167,7 @@ class Structure:
             limit = self._cusp_limit(reach)
             slope = FAMILIES[self.family].slope_of_width(np.exp(reach), np.tan(limit)) * (limit < MAX_CUSP_OFFSET)
             saturation = np.minimum(offset, 0.0) / limit
-            by_offset = np.exp(saturation)[..., None]  # center in offset, then in log reach
+            by_offset = np.exp(saturation)[..., None]  # derivative of the center
             by_reach = (slope * (np.expm1(saturation) - saturation * np.exp(saturation)))[..., None]
         for derivatives in (gradient[part].reshape(*shape.shape, 1), rows, columns):
             by_gamma = derivatives[:, k : 2 * k]
@@ -178,16 +179,16 @@ class Structure:
                 by_center *= by_offset
 
     def _of_rings(self, unknowns: Array) -> tuple[Array, Array]:
-        """Return views (S, rings) on log reach and offset of the ring lobes."""
+        """Return views on log reach and offset of the ring lobes, (control values, ring lobes)."""
         shape, k = self.split(unknowns)[1], self.n_lobes
         return shape[:, 2 * k - self.n_rings : 2 * k], shape[:, 2 * k :]
 
     def _cusp_limit(self, log_reach: Array) -> Array:
-        """Return the maximum distance of a center below 0 [rad]."""
+        """Return the limit of a cusp's center, which cannot be below the negative of this angle [rad]."""
         return np.minimum(width_of_reach(np.exp(log_reach), self.family), MAX_CUSP_OFFSET)
 
     def _narrowest(self, offset: Array) -> Array:
-        """Return the log reach of a lobe as narrow as the data's spacing at its center."""
+        """Return the log reach of a lobe whose half width is the spacing of the data at the center of the lobe."""
         if self.theta_half.size < 2:
             return np.full(offset.shape, -np.inf)
         spacing = np.interp(np.maximum(offset, 0.0), *self._spacing)
@@ -195,13 +196,13 @@ class Structure:
 
     @cached_property
     def _spacing(self) -> tuple[Array, Array]:
-        """Angles midway between neighbouring angles with data, and their spacing [rad]."""
+        """Angles midway between neighbouring angles theta_half with data, and the spacings there [rad]."""
         return 0.5 * (self.theta_half[1:] + self.theta_half[:-1]), np.diff(self.theta_half)
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Hold a structure and its unknowns."""
+    """Hold the structure of a mixture of lobes, and the values of its unknowns."""
 
     structure: Structure
     unknowns: Array
@@ -209,8 +210,9 @@ class Mixture:
     def lobes(self) -> tuple[Array, Array, Array]:
         """Return the control values of K lobes, the last axis of each array.
 
-        The arrays are the log amplitude (D, 3, K), the shape (S, 3, K) and the elongation (E, K). A shape holds log
-        kappa, log reach and the offset of the module's equations; lobes about the normal have offset 0.
+        The first axis of each array is the control value. The arrays are the log amplitude (D, 3, K), the shape
+        (S, 3, K) and the elongation (E, K). A shape holds log kappa, log reach and offset of the module's equations;
+        lobes about the normal have the offset 0.
         """
         k = self.structure.n_lobes
         amplitude, shape, elongation = self.structure.split(self.unknowns)
@@ -221,7 +223,7 @@ class Mixture:
 
 
 def join_lobes(knots: Structure, is_ring: Mask, lobes: Iterable[Array]) -> Mixture:
-    """Make a mixture of lobes as from `Mixture.lobes`, rings last, on the knots of a structure."""
+    """Make a mixture of lobes in the form of `Mixture.lobes`, on the knots of a structure, with ring lobes last."""
     order = np.argsort(is_ring, kind="stable")
     amplitude, shapes, elongation = (part[..., order] for part in lobes)
     shape = np.concatenate([shapes[:, 0], shapes[:, 1], shapes[:, 2, is_ring[order]]], axis=1)
@@ -230,7 +232,7 @@ def join_lobes(knots: Structure, is_ring: Mask, lobes: Iterable[Array]) -> Mixtu
 
 
 def mixture_model(mixture: Mixture) -> DSBRDF:
-    """Return the model of a mixture, with its lobes in the same order."""
+    """Return the model of a mixture, with the lobes in the order of the mixture."""
     structure = mixture.structure
     amplitude, _, elongation = structure.split(mixture.unknowns)
     shape, k = structure.lobe_shapes(mixture.unknowns), structure.n_lobes
@@ -259,7 +261,7 @@ def _basis(knots: bytes, theta_diff: bytes) -> Array:
 
 
 def change_knots(mixture: Mixture, new: Structure) -> Mixture:
-    """Move a mixture to new knots, exactly if they include the old knots."""
+    """Move a mixture to new knots; the mixture does not change if the new knots include the old knots."""
     old = mixture.structure
     amplitude, _, elongation = old.split(mixture.unknowns)
     parts = (amplitude, old.lobe_shapes(mixture.unknowns), elongation)
