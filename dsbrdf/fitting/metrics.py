@@ -41,7 +41,7 @@ OUTSIDE_CENTER = THETA_HALF >= CENTER_CUTOFF
 ALBEDO_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
 """Angles to the normal at which albedos are compared [rad]."""
 MIN_FLOOR = 1e-12
-"""With a smaller `floor`, data do not depend on phi_diff, and `excess` is None instead of a ratio to rounding errors."""
+"""With a smaller `floor`, data do not depend on phi_diff; `excess` is None, as it would divide by rounding errors."""
 MIN_ALBEDO = 1e-9
 """A channel with a smaller albedo is black up to rounding, so its relative albedo error counts as 0."""
 SPHERE_PIXELS = 64
