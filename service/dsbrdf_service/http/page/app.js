@@ -16,7 +16,7 @@ export class Problem extends Error {
   }
 }
 
-let pending = 0; // The bar at the top of the page shows these requests.
+let pending = 0; // While this number of requests is not 0, the page shows a bar at its top.
 
 /** Sends a request with the key, if any; asks the user for a missing key, and retries when the service says so.
  * @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @param {typeof fetch} [send] @returns {Promise<Response>} */
@@ -156,7 +156,7 @@ export function whenOpened(part, show) {
 export async function showPicture(image, path) {
   image.dataset.path = path;
   const picture = await (await request(path)).blob();
-  if (image.dataset.path !== path) return; // A picture that was asked for later is shown instead.
+  if (image.dataset.path !== path) return; // If another picture was requested meanwhile, this one is not shown.
   image.src = URL.createObjectURL(picture);
   await image.decode().catch(() => undefined);
 }

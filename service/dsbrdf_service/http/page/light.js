@@ -3,7 +3,7 @@
 import { find, showPicture } from "./app.js";
 import { controls, lightAt, look, panorama, running, Sphere, USUAL } from "./sphere.js";
 
-const MAX_GRIP_DISTANCE_PX = 14; // A pointer closer to the line drags the line, otherwise the light.
+const MAX_GRIP_DISTANCE_PX = 14; // A pointer closer to the line between measurement and fit drags the line, otherwise the light.
 const STEPS = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] });
 
 /** Starts spheres under one light; without WebGL 2, the service draws them. @param {Sphere[]} spheres */

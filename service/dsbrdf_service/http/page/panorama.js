@@ -1,8 +1,8 @@
 // Replaces the environment by the user's panorama: a picture of 360 by 180 degrees that the browser can show.
 import { say } from "./app.js";
 
-const [WIDTH, HEIGHT] = [256, 128]; // size of the sent picture in pixels
-const HEAD = `{'descr': '<f4', 'fortran_order': False, 'shape': (${HEIGHT}, ${WIDTH}, 3)}\n`; // header of a .npy file
+const [WIDTH, HEIGHT] = [256, 128]; // Size of the sent picture in pixels.
+const HEAD = `{'descr': '<f4', 'fortran_order': False, 'shape': (${HEIGHT}, ${WIDTH}, 3)}\n`; // This is the header of a .npy file.
 
 /** Converts a picture to linear RGB in a .npy file for the service; throws if it is not a panorama. @param {File} file */
 export async function readPanorama(file) {

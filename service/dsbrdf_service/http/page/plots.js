@@ -1,5 +1,5 @@
 // Plots as SVG of measured points, the fit and its components: profiles over theta_half at one theta_diff, and values in
-// the plane of incidence for one direction of the light. The legend says the values at an angle, by pointer or arrow keys.
+// the plane of incidence for one direction of the light. The legend shows values at the angle that pointer or keys choose.
 import { fill, find, make, words } from "./app.js";
 import { PLOTS } from "./said.js";
 import { LABELS } from "./sphere.js";
@@ -169,7 +169,7 @@ function followSlider(panel, subjects, read) {
     find(panel, "output").textContent = `${slider.value}°`;
     const turn = turns += 1;
     await shown.catch(() => undefined);
-    if (turn === turns) await (shown = show()); // Only one drawing runs at a time; it is followed by the last change.
+    if (turn === turns) await (shown = show()); // Only one drawing runs at a time; then the last change is drawn.
   };
   if (samples && !location.hash.includes(`${slider.name}=`)) slider.value = slider.defaultValue = String(mostAt(samples, kind.along));
   new ResizeObserver(() => panel.dispatchEvent(new Event("input"))).observe(find(panel, ".plot"));

@@ -69,7 +69,7 @@ export function showPlots(main, subjects) {
 /** Shows spheres under a common light, and their plots. @param {HTMLElement} main @param {HTMLElement[]} figures @param {Subject[]} subjects @param {Promise<string | undefined>} [source] GLSL of the fit, already requested */
 export async function showSpheres(main, figures, subjects, source) {
   find(main, "#seen").append(template("sphere-controls"));
-  const spheres = figures.map((figure, i) => new Sphere(figure, subjects[i], source)); // The address also holds the boxes of the spheres.
+  const spheres = figures.map((figure, i) => new Sphere(figure, subjects[i], source)); // The address also has the state of the checkboxes of the spheres.
   showPlots(main, subjects);
   await startSpheres(spheres);
 }

@@ -72,7 +72,7 @@ void main() {
 }`;
 
 const TABLE = /const (vec4 (\w+)\[(\d+)\]) = vec4\[\d+\]\(([^;]*)\);/;
-const RESERVED_UNIFORM_VECTORS = 32; // All other uniforms need at most this number of vectors.
+const RESERVED_UNIFORM_VECTORS = 32; // Uniforms other than the material's need at most this number of vectors.
 
 /** @param {WebGL2RenderingContext} gl @param {number} kind @param {string} source */
 function compile(gl, kind, source) {
@@ -95,7 +95,7 @@ export async function programOf(gl, given, call) {
   const fragment = compile(gl, gl.FRAGMENT_SHADER, HEAD + material + MAIN);
   gl.attachShader(program, fragment);
   gl.linkProgram(program);
-  const parallel = gl.getExtension("KHR_parallel_shader_compile"); // Without it, compilation blocks the page.
+  const parallel = gl.getExtension("KHR_parallel_shader_compile"); // Without this extension, compilation blocks the page.
   while (parallel && !gl.getProgramParameter(program, parallel.COMPLETION_STATUS_KHR)) await pause(5);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
     throw new Error(`The shader does not compile here: ${gl.getShaderInfoLog(fragment) || gl.getProgramInfoLog(program)}`);

@@ -5,15 +5,15 @@ import { exposureOf, finished, programOf, setTexture } from "./shader.js";
 
 const SHOWN = ["fit", "measured", "half", "difference"];
 export const LABELS = ["specular_spike", "specular_lobe", "diffuse"]; // The order is that of the weights in GLSL.
-const ENVIRONMENT_PICTURE_PX = 256; // size of pictures under environment light
-const EXPOSURE_PICTURE_PX = 64; // size of the pictures that determine the exposure
-const FIRST_PICTURE_PX = 128; // size of the first picture, and minimum size of later pictures
+const ENVIRONMENT_PICTURE_PX = 256; // Size of pictures under environment light.
+const EXPOSURE_PICTURE_PX = 64; // Size of the pictures that determine the exposure.
+const FIRST_PICTURE_PX = 128; // Size of the first picture, and minimum size of later pictures.
 const MAX_MOVING_PICTURE_MS = 50; // During a movement, a slower picture gets fewer pixels.
 const MAX_SILENT_PICTURE_MS = 200; // A slower picture is announced as "Drawing…".
 const KEYS = "Keys: arrows move the light, + and − change the exposure, [ and ] move the line between halves, R resets.";
 export const USUAL = `Drag to move the light.${matchMedia("(hover: hover)").matches ? " Point at the sphere to read values." : ""}`;
 // Key light from the upper left, fill light from the right, rim light from behind: as `lighting=three_lights`. The form's
-// `highlight` is the place of the first light's reflection.
+// `highlight` is the point of the sphere that reflects the first light to the viewer.
 const LIGHTS = [[40, 125, 1], [80, -20, 0.5], [140, 70, 0.5]].map(([polar, azimuth, share]) => {
   const [away, round] = [polar, azimuth].map((degrees) => (degrees * Math.PI) / 180);
   return { towards: [Math.sin(away) * Math.cos(round), Math.sin(away) * Math.sin(round), Math.cos(away)], irradiance: share * Math.PI };
@@ -59,7 +59,7 @@ export class Sphere {
     this.stage = find(figure, ".stage");
     /** Programs and data of pictures, by name. @type {Map<string, Promise<any>>} */
     this.loaded = new Map();
-    this.cost = 0; // measured time of a picture of all pixels [ms]
+    this.cost = 0; // Measured time of a picture of all pixels [ms].
     /** The content of the textures, and its exposure. */
     this.seen = { key: "", exposure: Infinity, pictures: /** @type {Float32Array[]} */ ([]) };
     this.turns = this.rest = 0;
@@ -141,7 +141,7 @@ export class Sphere {
       const [program, seen] = await Promise.all([this.load(isWhole || isAround ? "glsl" : "parts"), this.lookAround(now, isWhole ? null : shown)]);
       if (!isAround && now.show !== "fit") await this.load("measured");
       await Promise.all([this.painted, new Promise(requestAnimationFrame)]);
-      if (turn !== this.turns) return; // A later change draws the sphere.
+      if (turn !== this.turns) return; // A later change has begun to draw the sphere.
       this.painted = this.paint(program, now, isWhole ? LABELS : shown, seen, moving);
       await this.painted;
     } finally {
@@ -153,8 +153,8 @@ export class Sphere {
   }
 
   /** Loads pictures under an environment into textures: the components that are shown, or all, and the measurement; the
-   * exposure is that of the whole. Components add up: those that are hidden are taken away where their pictures
-   * are sooner there.
+   * exposure is that of the whole. Hidden components are subtracted from the whole fit if this needs fewer pictures to be
+   * loaded.
    * @param {Look} now @param {string[] | null} parts */
   async lookAround({ lighting, show }, parts) {
     const isAround = lighting === "environment";

@@ -1,12 +1,12 @@
 // Fetches values of a fit, its components and its measurement along the curves of plots, and at a point of a sphere.
 import { askArray, json } from "./app.js";
 
-/** Samples farther from the place of a slider are hidden. */
+/** Samples farther from the angle of a slider are hidden. */
 export const MAX_SAMPLE_DISTANCE_DEG = 3;
 const MOST_SAMPLES = 4000;
-const NODES = Array.from({ length: 90 }, (_, i) => (i * i) / 90); // angles theta_half of the MERL grid [degrees], dense at the peak
+const NODES = Array.from({ length: 90 }, (_, i) => (i * i) / 90); // Angles theta_half of the MERL grid, dense at the peak [degrees].
 const MEAN_PHI_DIFF_DEG = [15, 45, 75, 105, 135, 165]; // Means are taken over these angles phi_diff.
-const IN_PLANE = Array.from({ length: 179 }, (_, i) => i - 89); // angles of the viewer, negative on the light's side [degrees]
+const IN_PLANE = Array.from({ length: 179 }, (_, i) => i - 89); // Angles of the viewer, negative on the light's side [degrees].
 const rad = Math.PI / 180;
 
 /** @param {number} sine @param {number} cosine */
@@ -19,7 +19,7 @@ export function cosines([half, diff, phi]) {
   return [along - across, along + across];
 }
 
-/** Returns mean values at places, over each place's points above the horizon. @param {string} path @param {number[][][]} places theta_half, theta_diff, phi_diff of points [degrees] @returns {Promise<Channels>} */
+/** Returns the mean value of each list of points, over its points above the horizon. @param {string} path @param {number[][][]} places theta_half, theta_diff, phi_diff of points [degrees] @returns {Promise<Channels>} */
 async function meansAt(path, places) {
   const points = places.flat();
   const [theta_half_deg, theta_diff_deg, phi_diff_deg] = [0, 1, 2].map((i) => points.map((point) => point[i]));
