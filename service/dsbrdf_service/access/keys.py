@@ -41,7 +41,7 @@ class Keys:
 
     def __init__(self, settings: "Settings") -> None:
         self._usual = settings.key_requests_per_second, settings.key_stored_mb, settings.key_queued_fits
-        self._next_due: dict[str, float] = {}  # By key: when its next request is due if requests come at an even rate.
+        self._next_due: dict[str, float] = {}  # For each key, the time when its next evenly spaced request is due.
 
     def open(self, database: Database) -> None:
         """Set the database in which keys are found; this is called before the first request."""

@@ -152,7 +152,7 @@ async def post_measured_values(request: Request, context: TheContext, stored: Th
 
 
 async def _values(request: Request, context: Context, fit: FitKey, label: str | None) -> Response:
-    """Return values of a fit or a component; a few are computed at once, more when it is the caller's turn."""
+    """Return values of a fit or a component; values at many points wait for the caller's turn."""
     try:
         points, media_type = await _points(request, context)
     except (InvalidArgumentError, ProblemError):

@@ -140,7 +140,7 @@ def figure_step(
     import matplotlib.style
 
     mpl.style.use("dark_background" if dark else "default")
-    mpl.rcParams["savefig.transparent"] = dark  # Dark pages are seldom black, so their colour shows through.
+    mpl.rcParams["savefig.transparent"] = dark  # The page shows through, because few dark pages are black.
     mpl.rcParams["svg.hashsalt"] = (
         "dsbrdf"  # A fixed salt gives equal figures equal bytes, as their equal ETags promise.
     )

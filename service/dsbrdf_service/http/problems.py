@@ -112,7 +112,7 @@ def problem_of(request: Request, error: Exception) -> ProblemError:
     if isinstance(error, ClientDisconnect):  # Nobody receives this answer, but the log and the metrics record it.
         return ProblemError("bad-request", "The client disconnected before the end of the body.")
     if isinstance(error, RequestValidationError):
-        if any(fault["loc"][0] == "path" for fault in error.errors()):  # No resource can have an ill-formed id.
+        if any(fault["loc"][0] == "path" for fault in error.errors()):  # An ill-formed id is answered as not found.
             return _nothing_at(path)
         return ProblemError("invalid-argument", validation_sentence(error.errors()))
     if isinstance(error, HTTPException) and error.status_code == 404:

@@ -179,7 +179,7 @@ class FitQueue:
             return True
         self._set_progress(key, 0.0)
         if row.started is not None and row.attempts == 1:
-            seconds = max(0.0, row.started - row.created)  # A clock that was set back gives a negative time.
+            seconds = max(0.0, row.started - row.created)  # A clock that was set back would give a negative time.
             self._meters.waiting.observe(seconds)
         with self._meters.fitting.time():
             outcome = await self._compute(row)

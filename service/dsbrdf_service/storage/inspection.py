@@ -1,4 +1,4 @@
-"""Examine a data folder without changing it, even while a server runs; each check returns whether it is passed."""
+"""Examine a data folder without changing it, even while a server runs; each check returns whether there is no fault."""
 
 from pathlib import Path
 
