@@ -1,11 +1,12 @@
-"""Divide a model into specular spike, specular lobe and diffuse part, and describe each by parameters.
+"""Divide a model into specular spike, specular lobe and diffuse part, and describe each component by parameters.
 
 The lobes of an accurate model overlap, so no lobe is a component by itself. Instead, several structures of physical
 layers are fitted to the model's values and weighted by their evidence (`dsbrdf.components.layer_fit`). Each structure
 divides the model's values among the components (`dsbrdf.components.shares`). A component is the weighted mean over the
 structures: components sum to the model, and no component is negative. A component that reflects too little is left out.
 
-Afterwards, layers are fitted to each component's values (`dsbrdf.components.description`): they are its parameters.
+Afterwards, layers are fitted to the values of each component (`dsbrdf.components.description`), and the parameters of
+these layers describe the component.
 """
 
 from __future__ import annotations
@@ -39,15 +40,15 @@ from dsbrdf.process_settings import one_blas_thread
 if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitResult
 
-_MIN_WEIGHT = 0.01  # A structure with less weight is dropped.
+_MIN_WEIGHT = 0.01  # A structure of layers with a smaller weight is dropped.
 _MIN_COMPONENT_LIGHT = 2e-3
-"""A component with a smaller fraction of the light at every angle is left out."""
+"""A component is left out if it reflects a smaller fraction of all reflected light at every angle."""
 _MIN_LIGHT_OF_UNLIKELY_COMPONENT = 0.02
-"""An unlikely component with a smaller fraction of the light at every angle is left out."""
+"""An unlikely component is left out if it reflects a smaller fraction of all reflected light at every angle."""
 _LIKELY_WEIGHT = 0.5
-"""A component is likely if the structures that have it weigh more together."""
+"""A component is likely if the weights of the structures with this component have a larger sum."""
 _MIN_REMARKED_LIGHT = 0.02
-"""Sheen or retro-reflection with a larger fraction of the light gets a remark."""
+"""A remark tells of sheen or retro-reflection that has a larger fraction of all reflected light."""
 _MAX_CERTAIN_WIDTH = 0.2
 """If the range of the diffuse fraction is wider, a remark says that this fraction is not determined."""
 _RECEIVERS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
@@ -56,14 +57,14 @@ _RECEIVERS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Component(ReflectanceModel):
-    """Evaluate one component of a model, and hold the surfaces that describe it.
+    """Evaluate one component of a model, and hold the rough surfaces that describe this component.
 
     Attributes
     ----------
     label : str
         One of `LABELS`.
     ranges : ComponentRanges
-        Ranges of its fraction of the light, albedo and colour, each with 90 % probability.
+        Ranges of the component's fraction of the light, albedo and colour, each with 90 % probability.
     description : Description
         Layers fitted to the values of the component, and the misfit of these layers.
     whole : Decomposition
@@ -80,11 +81,11 @@ class Component(ReflectanceModel):
         return f"<Component: {self.label}, {self.light_share:.0%} of the light{width}>"
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
+        """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""
         return self.whole.split_unmasked(theta_half, theta_diff, phi_diff)[self._index]
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
+        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
         for parts in self.whole.split_grid(theta_half, theta_diff, phi_diff):
             yield parts[self._index]
 
@@ -109,7 +110,7 @@ class Component(ReflectanceModel):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences about parameters that are withheld, because no surface describes the component."""
+        """Sentences about parameters that are None, because no surface describes the component or F70 is uncertain."""
         return self.description.remarks(self.label)
 
     def height(self, theta_diff: ArrayLike) -> Array:
@@ -141,7 +142,7 @@ class Component(ReflectanceModel):
 
     @property
     def half_width(self) -> float | None:
-        """Angle theta_half at which slopes of the surfaces are half as frequent as at 0 [rad], or None."""
+        """Angle theta_half at which slopes of the surfaces are half as frequent as the slope 0 [rad], or None."""
         return self.description.half_width
 
     @property
@@ -197,17 +198,17 @@ class Decomposition:
 
     @property
     def specular_spike(self) -> Component | None:
-        """The highlight narrower than 3 degrees, or None."""
+        """The highlight whose half width is below 3 degrees, or None if there is none."""
         return self._find("specular_spike")
 
     @property
     def specular_lobe(self) -> Component | None:
-        """The highlight of 3 degrees or more, or None."""
+        """The highlight whose half width is 3 degrees or more, or None if there is none."""
         return self._find("specular_lobe")
 
     @property
     def diffuse(self) -> Component | None:
-        """The light reflected into all directions, or None."""
+        """The component that is reflected into all directions, or None if there is none."""
         return self._find("diffuse")
 
     @property
@@ -222,7 +223,7 @@ class Decomposition:
 
     @cached_property
     def albedos(self) -> Array:
-        """Directional albedo of each component at normal incidence, shape (K, 3)."""
+        """Directional albedo of each component at normal incidence, shape (components, 3)."""
         return np.sum(self.split_at(NORMAL) * NORMAL.weight, axis=2)
 
     @property
@@ -232,40 +233,43 @@ class Decomposition:
         return (*self._open_split(), *own, *self._other_light())
 
     def receiver(self, label: str) -> str:
-        """Return the label of the component that receives the values of the layers with a label."""
+        """Return the label of the component to which layers with some label belong, also if theirs is left out."""
         return next(one for one in (label, *(LABELS[heir] for heir in _RECEIVERS[label])) if one in self.labels)
 
     def split_at(self, rule: LightRule) -> Array:
-        """Return values (K, 3, n) of all components at the nodes of a rule [1/sr]."""
+        """Return the values of all components at the n nodes of a quadrature [1/sr], (components, 3, n)."""
         return self._split(self.model.evaluate_unmasked(*rule.angles).T, rule.points)
 
     def own_values(self, reflected: Sequence[Array]) -> tuple[OwnValues, ...]:
-        """Return the values to which layers are fitted, from the albedos of `LABELS` by angles of `light_rules`."""
+        """Return for each component the values to which layers are fitted.
+
+        `reflected` has the albedos of `LABELS` at each angle of `light_rules`.
+        """
         grids = self._split(grid_values(self.model), layer_points())
         profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
         albedos = np.stack([self._received(light) for light in reflected], axis=1)
         return tuple(OwnValues(*own) for own in zip(grids, profiles, albedos, strict=True))
 
     def split_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (K, n, 3) of all components at unchecked angles (n,) [1/sr]."""
+        """Return values (components, n, 3) [1/sr] of all components at angles (n,) that are not checked."""
         values = self.model.evaluate_unmasked(theta_half, theta_diff, phi_diff)
         return self._split(values.T, Points.at(theta_half, theta_diff, phi_diff)).transpose(0, 2, 1)
 
     def split_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield values (K, 3, D, P) of all components at each theta_half (H,), as `DSBRDF.evaluate_grid`."""
+        """Yield for each theta_half the values (components, 3, D, P) at all theta_diff (D,) and phi_diff (P,)."""
         axes = theta_half, theta_diff, phi_diff
         for points, values in zip(grid_points(*axes), self.model.evaluate_grid(*axes), strict=True):
             yield self._split(values.reshape(3, -1), points).reshape(-1, *values.shape)
 
     def _split(self, values: Array, points: Points) -> Array:
-        """Divide values (3, N) at points among the components, shape (K, 3, N)."""
+        """Divide values (3, N) of the model at points among the components, (components, 3, N)."""
         if len(self.labels) < 2:
             return values[np.newaxis][: len(self.labels)]
         parts = np.sum([one.weight * one.split(values, points) for one in self.structures], axis=0)
         return self._received(parts)
 
     def _received(self, parts: Array) -> Array:
-        """Return the values of K components (K, ...): values of labels without a component go to another component."""
+        """Return the values of all components; a component receives the values of labels that are left out."""
         received = parts.copy()
         for place, label in enumerate(LABELS):
             if label not in self.labels:
@@ -346,7 +350,8 @@ def _decompose(model: DSBRDF) -> Decomposition:
     light = np.max([one.sum(axis=1) / max(float(one.sum()), 1e-300) for one in reflected], axis=0)
     shares = dict(zip(LABELS, light.tolist(), strict=True))
     labels = tuple(label for label in LABELS if _is_there(label, shares[label], structures))
-    # If no component reflects enough, as with a delta term alone, the last layer of the best structure gives the label.
+    # If no component reflects enough, as in a model of `delta` alone, the last layer of the best structure gives the
+    # label of the only component.
     labels = labels or (structures[0].labels[-1],)
     drawn = DrawnLayers.of(model, kept)
     split = Decomposition(model, structures, labels, tuple(map(drawn.ranges, labels)), (), drawn.light_range(LABELS[2]))
@@ -364,14 +369,14 @@ def _decompose(model: DSBRDF) -> Decomposition:
 
 
 def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) -> bool:
-    """Tell whether a component reflects enough light to be kept; an unlikely component must reflect more."""
+    """Tell whether a component reflects enough light to be kept; an unlikely component must reflect more light."""
     probability = sum(structure.weight for structure in structures if label in structure.labels)
     least = _MIN_COMPONENT_LIGHT if probability > _LIKELY_WEIGHT else _MIN_LIGHT_OF_UNLIKELY_COMPONENT
     return probability > 0.0 and share > least
 
 
 def _reflected(model: DSBRDF, structures: tuple[WeightedLayers, ...], rule: LightRule) -> Array:
-    """Return the directional albedo (3, 3), by label in `LABELS` and channel, at the angle of a rule."""
+    """Return the directional albedo of each label at the angle of a quadrature, (labels, channels)."""
     values = model.evaluate_unmasked(*rule.angles).T
     parts = np.sum([one.weight * one.split(values, rule.points) for one in structures], axis=0)
     return np.asarray(parts @ rule.weight)

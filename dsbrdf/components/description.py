@@ -1,9 +1,9 @@
 """Describe a component by the parameters of layers fitted to its own values.
 
-The decomposition uses strong priors on usual materials to assign light to components. Parameters are then estimated
-from a component's own values: layers of any colour, with weak priors, are fitted to these values. A highlight has up
-to two surfaces, and a diffuse part has a diffuse layer with or without sheen. The misfit is the distance of these
-layers from the component; a parameter with too large a misfit is None.
+The decomposition uses strong priors on usual materials to assign light to components. The parameters of a component are
+then estimated from its values alone: layers of any colour, with weak priors, are fitted to the values. The layers of a
+highlight are up to two rough surfaces, and the layers of a diffuse part are a diffuse layer with or without sheen. The
+misfit is the distance of the fitted layers from the values; a parameter with too large a misfit is None.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,14 +20,14 @@ from dsbrdf.components.ranges import SurfaceSpread
 from dsbrdf.components.structures import OWN_PRIORS, LayerStructure
 from dsbrdf.components.surfaces import MAX_RANGE_FACTOR, Surface, half_width_of, surfaces_of
 
-_SECOND_SURFACE_COST = 40.0  # A second surface is kept only if it lowers the cost by more.
+_SECOND_SURFACE_COST = 40.0  # A second surface is kept only if it lowers the cost of the fit by more than this.
 _MIN_ALPHA_RATIO = 1.3  # Two surfaces with a smaller ratio of roughness count as one surface.
 _MAX_START_HALF_WIDTH = np.radians(35.0)
 
 
 @dataclass(frozen=True)
 class Description:
-    """Hold a component's own layers, its surfaces (the brightest first), and the misfit of the layers."""
+    """Hold the layers fitted to a component, the surfaces among these layers, and the misfit of the layers."""
 
     layers: LayeredModel
     surfaces: tuple[Surface, ...]
@@ -35,13 +35,13 @@ class Description:
 
     @property
     def half_width(self) -> float | None:
-        """Angle theta_half at which the slopes of all surfaces are half as frequent as at 0; None if withheld [rad]."""
+        """Half width [rad] of the distribution of slopes of all surfaces; None if the misfit is too large."""
         if self.misfit.half_width is None or self.misfit.withholds_roughness:
             return None
         return half_width_of([layer for layer in self.layers.layers if isinstance(layer, (SpecularLayer, RetroLayer))])
 
     def remarks(self, label: str) -> tuple[str, ...]:
-        """Return sentences about withheld parameters."""
+        """Return a sentence about each parameter that the misfit or the uncertainty withholds."""
         return (*self.misfit_remarks(label), *self._grazing_remarks(label))
 
     def misfit_remarks(self, label: str) -> Iterator[str]:
@@ -66,7 +66,10 @@ class Description:
 def describe(
     own: OwnValues, spread: SurfaceSpread, *, is_diffuse: bool, has_retro: bool = False, has_ground: bool = False
 ) -> Description:
-    """Fit layers to the values of a component; a highlight may contain retro-reflection or a diffuse layer."""
+    """Fit layers to the values of a component.
+
+    The layers of a highlight may include a retro layer (`has_retro`) or a diffuse layer (`has_ground`).
+    """
     data = component_data(own.grid, has_peak=not is_diffuse)
     if data is None:
         return Description(LayeredModel(()), (), Misfit(None, 0.0, None, 0.0))
@@ -89,7 +92,7 @@ def describe(
 
 
 def renderer_layers(values: Array, descriptions: Sequence[Description]) -> LayeredModel:
-    """Fit the layers of all components once more, together, to the values (3, N) of the whole material."""
+    """Fit the layers of all components together to the values (3, N) of the whole material, for renderers."""
     layers = tuple(layer for one in descriptions for layer in one.layers.layers)
     data = renderer_data(values)
     if data is None or not layers:
@@ -107,7 +110,10 @@ _DIFFUSE_STRUCTURES = (
 
 
 def _highlights(half_width: float, *, has_retro: bool, has_ground: bool) -> tuple[LayerStructure, ...]:
-    """Return structures of one or two surfaces that start near a half width [rad], with other layers if requested."""
+    """Return structures of one or two surfaces whose fits start near a half width [rad].
+
+    `has_retro` adds structures with a retro layer, and `has_ground` a structure with a diffuse layer.
+    """
     width = float(np.degrees(half_width))
     widest = float(np.degrees(_MAX_START_HALF_WIDTH))
     pairs = ((0.7 * width, min(3.0 * width, widest)), (width, min(6.0 * width, widest)))
@@ -128,6 +134,6 @@ def _highlights(half_width: float, *, has_retro: bool, has_ground: bool) -> tupl
 
 
 def _are_distinct(model: LayeredModel) -> bool:
-    """Tell whether all surfaces differ in roughness."""
+    """Tell whether the surfaces of a model differ so much in roughness that they count as two surfaces."""
     alphas = [layer.alpha for layer in model.layers if isinstance(layer, SpecularLayer)]
     return len(alphas) < 2 or max(alphas) > _MIN_ALPHA_RATIO * min(alphas)

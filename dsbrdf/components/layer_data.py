@@ -1,11 +1,12 @@
 """Weigh a model's values at 668 pairs of directions, to separate its layers or to describe a component.
 
-To separate layers, the weight of a pair is its visibility on a lit sphere, and squared errors are divided by f**1.4 of
-the values f, because the wide range of small values determines the diffuse part. Absolute errors have some weight too,
-which preserves the peaks of highlights.
+To separate layers, the weight of a pair is its visibility on a lit sphere. Squared errors of values f are divided by
+f**1.4, because the many small values determine the diffuse part. Absolute errors have some weight too, which preserves
+the peaks of highlights.
 
-To describe one component, squared errors are divided by f. In addition, relative errors count where a highlight is
-above a tenth of its peak, and relative errors of the light in four bands of theta_diff, whose sum is the albedo.
+To describe one component, squared errors of values f are divided by f. Additional weight is on relative errors where a
+highlight is above a tenth of its peak, and on relative errors of the light in four bands of theta_diff, because the sum
+of this light is the albedo.
 """
 
 import itertools
@@ -22,47 +23,47 @@ from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.weighting import center_share, interval_ends, seen_weight, trust
 from dsbrdf.model.reflectance import ReflectanceModel
 
-# Axes of the grid of pairs [rad].
+# Angles of the grid of pairs of directions [rad].
 _THETA_DIFF = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _THETA_HALF = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
 _PHI_DIFF = np.radians([20.0, 70.0])
 LAYER_POWER = 1.4
-"""Squared errors of layers are divided by this power of the values f."""
+"""Where layers are separated, squared errors are divided by this power of the values."""
 PLAIN_ERROR_WEIGHT = 0.3
 """Weight of absolute errors, as a fraction of the weight of relative errors."""
-_OWN_POWER = 1.0  # Squared errors of one component are divided by this power of f.
-_N_OWN_SAMPLES = 500.0  # With so many independent samples, a component's values outweigh the prior.
-_OWN_MODEL_ERROR = 0.08  # A second surface must explain a larger relative error.
+_OWN_POWER = 1.0  # Where one component is described, squared errors are divided by this power of the values.
+_N_OWN_SAMPLES = 500.0  # Values of a component count as so many independent samples, to outweigh the prior.
+_OWN_MODEL_ERROR = 0.08  # Smaller relative errors hardly lower the cost, so they cause no second surface.
 _PEAK_ERROR_WEIGHT = 1.5  # Weight of errors at a highlight's peak, as a fraction of all other weight.
 _RENDERED_PEAK_ERROR_WEIGHT = 0.5  # Weight of peak errors where layers of all components are fitted for a renderer.
-_FULL_WEIGHT_THETA_DIFF = np.radians(50.0)  # At a larger theta_diff, the weight of a peak falls.
-_AROUND_PEAK = int(np.searchsorted(_THETA_HALF, np.radians(60.0)))  # index of theta_half = 60 degrees
-_MIN_PEAK_HEIGHT = 0.05  # The height of a peak above its surroundings counts as at least this fraction.
-_RENDERED_TRUST_POWER = 0.09  # If a sphere's rim counts, the trust near the horizon is raised to this power.
-_MIN_LOG_SCALE_THETA_HALF = np.radians(0.05)  # Below this angle, the scale of theta_half is linear.
+_FULL_WEIGHT_THETA_DIFF = np.radians(50.0)  # At a larger theta_diff, the weight of errors at a highlight's peak falls.
+_AROUND_PEAK = int(np.searchsorted(_THETA_HALF, np.radians(60.0)))  # index of 60 degrees, outside of any peak
+_MIN_PEAK_HEIGHT = 0.05  # The height of a peak above its surroundings counts as at least this fraction of its top.
+_RENDERED_TRUST_POWER = 0.09  # The weight near the horizon is raised to this power in fits for renderers.
+_MIN_LOG_SCALE_THETA_HALF = np.radians(0.05)  # At smaller angles, the logarithmic scale of theta_half becomes linear.
 _BAND_WEIGHT = 6.0  # Weight of the errors of the light in bands, as a fraction of all other weight.
 _RENDERED_BAND_WEIGHT = 2.0  # Weight of band errors where layers of all components are fitted for a renderer.
 _BAND_EDGES = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # edges of the bands of theta_diff [rad]
-_MIN_BAND_LIGHT = 0.05  # Errors of a darker band are relative to this fraction of the mean band's light.
-_MAX_VALUE = 1e100  # Its square still fits in double precision.
+_MIN_BAND_LIGHT = 0.05  # Errors of a darker band are relative to this fraction of the mean light of all bands.
+_MAX_VALUE = 1e100  # Larger values of a model are clipped, because their squares would overflow.
 _MIN_COSINE = 1e-3  # Pairs of directions with a smaller cosine to the normal are left out.
 
 
 class _Grid(NamedTuple):
-    """Hold R x C x P pairs of directions, and the N pairs above the horizon.
+    """Hold a grid of pairs of directions, R x C x P angles, of which N pairs are above the horizon.
 
     Attributes
     ----------
     angles : tuple of Array
         theta_half, theta_diff and phi_diff (N,) [rad].
     points : Points
-        The N pairs.
+        The N pairs above the horizon.
     above : Mask
         Whether a pair is above the horizon (R, C, P).
     lit, plain : Array
         Weights of relative and of absolute errors, (R, C, P); both are small near the horizon.
     rendered : Array
-        Weight of relative errors if the rim of a sphere counts, (R, C, P).
+        Weight of relative errors in fits for renderers, where the rim of a sphere counts, (R, C, P).
     """
 
     angles: tuple[Array, Array, Array]
@@ -79,7 +80,7 @@ def grid_values(model: ReflectanceModel) -> Array:
 
 
 def grid_points() -> Points:
-    """Return the N pairs of directions."""
+    """Return the N pairs of directions of the grid that are above the horizon."""
     return _grid().points
 
 
@@ -94,7 +95,7 @@ def material_data(values: Array) -> LayerData | None:
 
 
 def component_data(values: Array, *, has_peak: bool) -> LayerData | None:
-    """Weigh the values (3, N) of a component, with or without a highlight's peak; return None if all are 0."""
+    """Weigh the values (3, N) of a component, with or without errors at a peak; return None if all values are 0."""
     if not values.any():
         return None
     seen = _seen(_on_grid(values), _grid().lit, _OWN_POWER)
@@ -103,7 +104,7 @@ def component_data(values: Array, *, has_peak: bool) -> LayerData | None:
 
 
 def renderer_data(values: Array) -> LayerData | None:
-    """Weigh the values (3, N) of a whole material as lit spheres and highlights show them; return None if all are 0."""
+    """Weigh the values (3, N) of a whole material by visibility on a lit sphere; return None if all values are 0."""
     if not values.any():
         return None
     seen = _seen(_on_grid(values), _grid().rendered, LAYER_POWER)
@@ -111,7 +112,7 @@ def renderer_data(values: Array) -> LayerData | None:
 
 
 def _described_data(values: Array, seen: Array, peak_weight: float, band_weight: float) -> LayerData:
-    """Weigh values by `seen` (3, R, C, P), and add errors of the peak and of the light in bands of theta_diff."""
+    """Weigh values by the weights `seen`, and add errors of the peak and of the light in bands of theta_diff."""
     grid, mean = _grid(), _on_grid(values)
     weight = seen / np.sum(seen * mean**2)
     if peak_weight:
@@ -139,16 +140,16 @@ def _on_grid(values: Array) -> Array:
 
 
 def _seen(mean: Array, lit: Array, power: float) -> Array:
-    """Return weights (3, R, C, P) by visibility on a lit sphere."""
+    """Return weights by the visibility of each pair on a lit sphere, divided by a power of the values."""
     over_phi = np.sum(lit * mean, axis=3) / np.maximum(lit.sum(axis=2), 1e-300)
     typical = float(np.sum(lit * mean) / (3.0 * lit.sum()))
     return seen_weight(lit, over_phi[..., np.newaxis], typical, power)
 
 
 def _peak_weight(mean: Array) -> Array:
-    """Return weights (R, C, P) of errors in a highlight's peak, uniform on a logarithmic scale of theta_half.
+    """Return the weights of errors in a highlight's peak, which are uniform on a logarithmic scale of theta_half.
 
-    Errors are relative to the difference between the values and their surroundings, outside of the peak.
+    Errors are relative to the difference between the values and their surroundings, at theta_half = 60 degrees.
     """
     top, around = mean.max(axis=1, keepdims=True), mean[:, _AROUND_PEAK : _AROUND_PEAK + 1]
     height = np.maximum(top - around, np.maximum(_MIN_PEAK_HEIGHT * top, 1e-100))
@@ -161,7 +162,7 @@ def _peak_weight(mean: Array) -> Array:
 
 
 def _band_sums(values: Array, root_weight: Array, band_weight: float) -> Array:
-    """Return the weights (3, B, N) that turn weighted residuals into relative errors of the light in B bands."""
+    """Return the weights (3, bands, N) that turn weighted residuals into relative errors of the light in each band."""
     grid = _grid()
     theta_diff = grid.angles[1]
     bands = [(low <= theta_diff) & (theta_diff < high) for low, high in itertools.pairwise(_BAND_EDGES)]

@@ -1,17 +1,19 @@
 """Fit every structure of layers to values, and weigh the structures by their evidence.
 
-The cost of a structure with unknowns x, whose prior whitens deviations to d, is
+The cost of a structure with the unknowns x is
 
     E(x) = n log(C(x) + c**2) + sum_i nu_i log(1 + d_i**2 / nu_i),
 
-with C the weighted squared error as a fraction of the squared signal, n the number of independent samples, and c the
-model error, the lowest error of any layers. Levenberg-Marquardt minimises the cost, first with a fixed noise of 20 %:
-with a free noise the prior dominates while C is large, and the fit loses narrow highlights. The evidence is Laplace's
-approximation,
+where C is the weighted squared error as a fraction of the weighted squared values, n the number of independent samples,
+and c the model error, the lowest error of any layers. The d_i are independent deviations of x from its prior mean, with
+Student's t priors of nu_i degrees of freedom. Levenberg-Marquardt minimises the cost, first with a fixed noise of 20 %
+in place of the logarithm: otherwise the prior dominates while C is large, and the fit loses narrow highlights. The
+evidence of a structure is Laplace's approximation,
 
     E + log det A - log det A_prior + price,
 
-with A the normal equations at the minimum, and its weight is proportional to ``exp(-evidence / 4)``.
+where A is the matrix of the normal equations at the minimum. The weight of a structure is proportional to
+``exp(-evidence / 4)``.
 """
 
 from collections.abc import Sequence
@@ -32,24 +34,24 @@ EVIDENCE_SCALE = 4.0
 N_SAMPLES = 50.0
 """The values of a whole material count as this many independent samples."""
 MODEL_ERROR = 0.02
-"""Relative error that even the best layers of a material have, c of the module's equation."""
+"""Relative error that even the best layers of a material have; it is c in the cost of a structure."""
 _FIXED_NOISE = 0.2
 _MAX_FIXED_NOISE_STEPS = 20
-_MIN_FIXED_NOISE_GAIN = 0.5  # A step with a fixed noise that lowers the cost by less ends the first stage.
+_MIN_FIXED_NOISE_GAIN = 0.5  # If a step with a fixed noise lowers the cost by less, the first stage ends.
 _TRIAL_STEPS = (5,)
-_QUICK_TRIAL_STEPS = (2, 3)  # The better half of a structure's starts gets the second number of steps.
-_QUICK_TRIAL_STRIDE = 2  # Every second pair of directions is enough for the trials of a complete material.
+_QUICK_TRIAL_STEPS = (2, 3)  # All starts get two steps, and the better half of the starts three more.
+_QUICK_TRIAL_STRIDE = 2  # Trials of a complete material use every second pair of directions.
 _MAX_FIRST_STEPS = 10
 _MAX_STEPS = 60
 _MAX_REFINING_STEPS = 20
 _MAX_STALLED_STEPS = 2
-_COST_TOLERANCE = 0.02  # A step that lowers the cost by less counts as stalled.
-_MAX_TRIAL_COST_LEAD = 40.0  # A structure whose cost exceeds the best by more after its trial is dropped.
-_MAX_COST_LEAD = 30.0  # A structure whose cost exceeds the best by more after the first steps is dropped.
+_COST_TOLERANCE = 0.02  # A step that lowers the cost by less counts as stalled; two such steps end the fit.
+_MAX_TRIAL_COST_LEAD = 40.0  # After the trials, structures whose cost is higher than the best by more are dropped.
+_MAX_COST_LEAD = 30.0  # After the first steps, a structure whose cost is higher than the best by more is dropped.
 _MAX_UNKNOWN_CHANGE = 1.2  # A larger change of an unknown in one step is clipped.
 _FIRST_DAMPING = 1e-2
 _MAX_DAMPING_TRIES = 8
-_MIN_CHANNEL_START = 0.05  # A channel starts with at least this fraction of the brightest channel.
+_MIN_CHANNEL_START = 0.05  # The colour of a layer starts with at least this fraction of its brightest channel.
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ class LayerData:
     points : Points
         N pairs of directions.
     root_weight, weighted : Array
-        Square root of the weights, and the values times this root, (3, N).
+        Square roots of the weights, and the values times these roots, (3, N).
     n_samples : float
         Number of independent samples that the values count as.
     model_error : float
@@ -84,7 +86,7 @@ class LayerData:
         return cls(points, root, values * root)
 
     def thinned(self, step: int) -> "LayerData":
-        """Return every step-th pair of directions, for a rough fit."""
+        """Return the data at every pair of directions with an index divisible by `step`, for a rough fit."""
         root, weighted = self.root_weight[:, ::step], self.weighted[:, ::step]
         scale = 1.0 / max(float(np.linalg.norm(weighted)), 1e-300)
         return replace(
@@ -96,7 +98,7 @@ class LayerData:
         )
 
     def squared_error(self, values: Array) -> float:
-        """Return the weighted squared error C of values (3, N)."""
+        """Return the weighted squared error of layers with the values (3, N), relative to the data."""
         residual = values * self.root_weight - self.weighted
         error = float(np.sum(residual**2))
         return error if self.sums is None else error + float(np.sum((self.sums @ residual[..., np.newaxis]) ** 2))
@@ -104,26 +106,26 @@ class LayerData:
 
 @dataclass(frozen=True, eq=False)
 class FittedStructure:
-    """Hold a structure with its most probable unknowns and their uncertainty."""
+    """Hold a structure with the most probable values of its unknowns, and their uncertainty."""
 
     structure: LayerStructure
-    unknowns: Array  # (U,)
-    error: float  # square root of the weighted squared error C
+    unknowns: Array
+    error: float  # relative error of the layers: square root of `LayerData.squared_error`
     evidence: float
-    normal_equations: Array  # matrix A of the normal equations, (U, U)
+    normal_equations: Array  # matrix of the normal equations, whose inverse gives the uncertainty of the unknowns
 
     @property
     def model(self) -> LayeredModel:
-        """The layers."""
+        """The layers with the most probable unknowns."""
         return self.structure.model(self.unknowns)
 
     def draw(self, generator: np.random.Generator, count: int) -> list[LayeredModel]:
-        """Draw layers from the Gaussian of the normal equations, within the bounds.
+        """Draw layers from the Gaussian that the normal equations define, within the bounds of the unknowns.
 
-        Every draw has a mirror image about the fit, so that few draws give an unbiased mean.
+        Every draw has a mirror image about the fitted unknowns, so that few draws give an unbiased mean.
         """
         values, vectors = np.linalg.eigh(self.normal_equations)
-        # The symmetric root is equal on every machine; the signs of eigenvectors depend on the library.
+        # The symmetric root of the matrix is used, because the signs of eigenvectors depend on the library.
         root = (vectors * np.sqrt(0.5 * EVIDENCE_SCALE / np.maximum(values, 1e-9))) @ vectors.T
         half = generator.standard_normal((-(-count // 2), values.size)) @ root
         drawn = self.unknowns + np.concatenate([half, -half])[:count]
@@ -133,10 +135,10 @@ class FittedStructure:
 def fit_structures(
     data: LayerData, structures: Sequence[LayerStructure] = STRUCTURES, *, quick: bool = False
 ) -> list[FittedStructure]:
-    """Fit structures to data and sort them, the best first; structures far behind are dropped after a trial.
+    """Fit structures to data and sort the fits, the best first; structures far behind are dropped after a trial.
 
-    If quick, trials use half of the data, and the worse half of the starts is dropped after two steps. Scattered
-    samples need the full trials: two steps do not yet identify the best start.
+    If `quick`, trials use half of the data, and the worse half of the starts is dropped after two steps. Fits of
+    scattered samples need the full trials, because two steps do not yet identify the best start.
     """
     unit = data.n_samples / N_SAMPLES
     found: list[FittedStructure] = []
@@ -155,21 +157,21 @@ def fit_structures(
 
 
 def refined(data: LayerData, structure: LayerStructure, unknowns: Array) -> FittedStructure:
-    """Fit one structure from unknowns (U,) near the optimum."""
+    """Fit one structure, starting from unknowns (U,) near the optimum."""
     descent = _Descent(data, structure, unknowns, is_first=False)
     descent.run(_MAX_REFINING_STEPS)
     return descent.fitted()
 
 
 def structure_weights(found: Sequence[FittedStructure]) -> Array:
-    """Return the weights of fitted structures; they sum to 1."""
+    """Return the weights of fitted structures, which sum to 1 and follow from the evidence."""
     evidence = np.array([fitted.evidence for fitted in found])
     weights = np.exp((evidence.min() - evidence) / EVIDENCE_SCALE)
     return np.asarray(weights / weights.sum())
 
 
 def _trials(data: LayerData, structures: Sequence[LayerStructure], *, quick: bool) -> "list[_Descent]":
-    """Take a few steps with every structure; sort the descents, the most promising first."""
+    """Take a few steps of the fit of every structure; return the fits so far, the most promising first."""
     if quick:
         data = data.thinned(_QUICK_TRIAL_STRIDE)
     trials: dict[str, _Descent] = {}
@@ -181,7 +183,10 @@ def _trials(data: LayerData, structures: Sequence[LayerStructure], *, quick: boo
 
 
 def _best_trial(data: LayerData, structure: LayerStructure, stages: Sequence[int]) -> "_Descent":
-    """Take the steps of each stage from each start; the better half of the starts enters the next stage."""
+    """Return the best of the fits from all starts of a structure.
+
+    `stages` are numbers of steps; only the better half of the starts enters the next stage.
+    """
     trials = [_Descent(data, structure, _start(data, structure, widths)) for widths in structure.starts]
     for steps in stages:
         for trial in trials:
@@ -197,14 +202,14 @@ class _Descent:
     data: LayerData
     structure: LayerStructure
     unknowns: Array
-    is_first: bool = True  # The first stage uses `_FIXED_NOISE`.
+    is_first: bool = True  # whether the fit is in the first stage, which uses `_FIXED_NOISE`
     done: bool = False
     damping: float = _FIRST_DAMPING
     _steps: int = 0
     _stalled: int = 0
-    _error: float = field(init=False)  # weighted squared error C
-    _matrix: Array = field(init=False)  # half the Gauss-Newton matrix of C
-    _gradient: Array = field(init=False)  # half the gradient of C
+    _error: float = field(init=False)  # relative weighted squared error, see `LayerData.squared_error`
+    _matrix: Array = field(init=False)  # half the Gauss-Newton matrix of `_error`
+    _gradient: Array = field(init=False)  # half the gradient of `_error`
 
     def __post_init__(self) -> None:
         self.unknowns = np.clip(self.unknowns, *self.structure.bounds)
@@ -212,7 +217,7 @@ class _Descent:
 
     @property
     def prospect(self) -> float:
-        """Estimate of the evidence: the cost and a penalty for each unknown."""
+        """Estimate of the evidence from the cost so far and a penalty for each unknown, to compare structures."""
         cost = self._cost(self._error, is_first=False) + self._penalty(self.unknowns)
         return cost + self.structure.price + self.structure.mean.size
 
@@ -222,7 +227,7 @@ class _Descent:
         return self.structure.model(self.unknowns)
 
     def run(self, steps: int) -> None:
-        """Take at most a number of steps."""
+        """Take a number of steps, or fewer if the fit converges before."""
         for _ in range(steps):
             if self.is_first and (self._steps >= _MAX_FIXED_NOISE_STEPS or self._error < _FIXED_NOISE**2):
                 self._free_noise()
@@ -232,18 +237,18 @@ class _Descent:
             self._step()
 
     def _free_noise(self) -> None:
-        """End the first stage."""
+        """End the first stage of the fit, in which the noise is fixed."""
         self.is_first, self.damping = False, max(self.damping, 1e-3)
 
     def fitted(self) -> FittedStructure:
-        """Return the structure with the current unknowns."""
+        """Return the fitted structure with the current unknowns."""
         matrix, _ = self._system(is_first=False)
         cost = self._cost(self._error, is_first=False) + self._penalty(self.unknowns) + self.structure.price
         evidence = cost + float(np.linalg.slogdet(matrix)[1]) - self.structure.log_determinant
         return FittedStructure(self.structure, self.unknowns, float(np.sqrt(self._error)), evidence, matrix)
 
     def _step(self) -> None:
-        """Take one step that lowers the cost, or end the first stage or the descent."""
+        """Take one step that lowers the cost; if there is none, end the first stage or the fit."""
         here = self._cost(self._error, is_first=self.is_first) + self._penalty(self.unknowns)
         matrix, gradient = self._system(is_first=self.is_first)
         lower, upper = self.structure.bounds
@@ -288,11 +293,11 @@ class _Descent:
         return self.data.n_samples * scaled
 
     def _linearize(self, layers: list[Linearized]) -> None:
-        """Compute C and its normal equations, channel by channel."""
+        """Compute the squared error of the layers, and its normal equations, channel by channel."""
         size = self.unknowns.size
         self._error, self._matrix, self._gradient = 0.0, np.zeros((size, size)), np.zeros(size)
         total, derivatives = _sum_of(layers), [layer.relative() for layer in layers]
-        # The rows are the derivatives, then the residual.
+        # The rows are the derivatives of the values in the unknowns, then the residual.
         columns = np.empty((self.structure.of_channel[0].size + 1, total.shape[1]))
         for channel, places in enumerate(self.structure.of_channel):
             root = self.data.root_weight[channel]
@@ -338,9 +343,9 @@ def _sum_of(layers: Sequence[Linearized]) -> Array:
 
 
 def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]) -> Array:
-    """Return start unknowns: given half widths [degrees], colours that fit the data best, otherwise the prior's mean.
+    """Return start unknowns: the half widths [degrees], the best colours for them, and the prior's mean for the rest.
 
-    The F0 and F90 of a specular layer are fitted as the coefficients of two separate shapes.
+    Colours are found by linear least squares. The F0 and F90 of a specular layer are coefficients of two shapes.
     """
     unknowns = structure.mean.copy()
     shapes, remaining = [], list(widths)

@@ -1,8 +1,8 @@
 """Model physical layers with few parameters: surfaces that reflect light, and diffuse layers that scatter light.
 
 Let u = 1 - cos(theta_diff), and let cos_in and cos_out be the cosines of both directions to the normal. Let s(cos) be
-the Fresnel reflectance of glass, scaled from 0 at normal to 1 at grazing incidence. A **specular layer** is a rough
-surface of microfacets (Cook and Torrance 1982), with s at theta_diff,
+the Fresnel reflectance of glass, scaled to 0 at normal and to 1 at grazing incidence. A **specular layer** is a rough
+surface of microfacets (Cook and Torrance 1982), with s = s(cos(theta_diff)),
 
     f = (F0 (1 - s) + F90 s) D V exp(q1 u + q2 u**2) T**t,
     D = 1 / (pi alpha**2) (1 + tan(theta_half)**2 / (g alpha**2))**-tau / cos(theta_half)**4.
@@ -14,13 +14,14 @@ passes a clear coat both ways; t is 1 for a layer below a coat, and otherwise 0.
 
     f = rho / pi exp(p . X),
 
-where X has six terms: the logarithm of (1 - s(cos_in)) (1 - s(cos_out)), the fraction that passes glass both ways;
-Burley's retro-reflection (2012); s; log(2 / (cos_in + cos_out)); sin(theta_half)**2; and the angular term of Oren and
-Nayar (1994). **Sheen**, light that fibres reflect at grazing angles, is ``f = c u**a sin(theta_half)**b``. A **retro
-layer** is GGX about the direction back to the light.
+where rho is the colour and p are six exponents. The six terms X are the logarithm of (1 - s(cos_in)) (1 - s(cos_out)),
+the fraction of light that passes glass both ways; Burley's retro-reflection (2012); s; log(2 / (cos_in + cos_out));
+sin(theta_half)**2; and the angular term of Oren and Nayar (1994). **Sheen**, light that fibres reflect at grazing
+angles, is ``f = c u**a sin(theta_half)**b``. A **retro layer** reflects like a GGX surface about the direction back to
+the light.
 
-The unknowns of a layer in a fit are the logarithms of the three channels of its colour, then its other parameters:
-those that can be negative themselves, the others as logarithms.
+In a fit, the unknowns of a layer are the logarithms of the three channels of its colour, then its other parameters.
+Positive parameters are replaced by their logarithms.
 """
 
 from __future__ import annotations
@@ -37,28 +38,28 @@ from dsbrdf.model.reflectance import RenderableModel
 
 Color: TypeAlias = tuple[float, float, float]
 GRAZING_ANGLE = float(np.radians(70.0))
-"""Reflectance beyond normal incidence is stated at this theta_diff, because many measurements are wrong beyond it."""
+"""Grazing reflectance is stated at this theta_diff [rad], because many measurements are wrong at larger angles."""
 
 
 class Linearized(NamedTuple):
-    """Hold the values of a layer and their derivatives in its unknowns."""
+    """Hold the values of a layer at N points, and the derivatives of the values in the layer's unknowns."""
 
-    values: Array  # (3, N) [1/sr]
-    own: Array  # derivative of each channel in the logarithm of its colour, (3, N) [1/sr]
-    relative: Callable[[], Array]  # returns derivatives of every channel's logarithm in the last P unknowns, (P, N)
-    grazing: Array | None = None  # derivative of every channel in log F90, the unknown after the colour, (N,) [1/sr]
+    values: Array  # values at the points, (3, N) [1/sr]
+    own: Array  # derivative of the values of a channel in the logarithm of its colour, (3, N) [1/sr]
+    relative: Callable[[], Array]  # returns derivatives of log values in the last P unknowns, in all channels, (P, N)
+    grazing: Array | None = None  # derivative of the values in log F90, equal in all channels, (N,) [1/sr]
 
 
 @dataclass(frozen=True)
 class SpecularLayer:
-    """Reflect light from a rough surface, by the module's equation.
+    """Reflect light from a rough surface, by the equation of a specular layer in the module's docstring.
 
     Attributes
     ----------
     f0 : tuple of float
-        Reflectance of its facets at normal incidence, RGB.
+        Reflectance of the facets at normal incidence, RGB.
     f90 : float
-        Reflectance of its facets at grazing incidence, before the factor of `rise`.
+        Reflectance of the facets at grazing incidence, before it is multiplied by the factor of `rise`.
     alpha, tail_exponent : float
         Roughness, and tau: 2 is GGX, less is a longer tail.
     rise : tuple of float
@@ -84,17 +85,17 @@ class SpecularLayer:
 
     @property
     def reflectance(self) -> Array:
-        """F0 as seen through the coat, if any, RGB, shape (3,)."""
+        """F0 reduced by the light that a coat above the layer does not let pass, RGB, shape (3,)."""
         return np.array(self.f0) * (1.0 - COAT_F0) ** (2.0 * self.under_coat)
 
     def reflectance_at(self, theta_diff: float) -> Color:
-        """Return the reflectance of its facets at an angle of incidence [rad], RGB."""
+        """Return the reflectance of the facets at an angle of incidence [rad], RGB."""
         low, high = self._reflectance_parts(theta_diff)
         red, green, blue = (low + high).tolist()
         return red, green, blue
 
     def reflectance_slopes(self, theta_diff: float) -> Array:
-        """Return the derivatives (3, 10) of the logarithm of `reflectance_at` in the unknowns."""
+        """Return the derivatives of the logarithm of `reflectance_at` in the layer's unknowns, (channels, 10)."""
         low, high = self._reflectance_parts(theta_diff)
         rise, slopes = 1.0 - np.cos(theta_diff), np.zeros((3, 10))
         slopes[:, :3] = np.diag(low / (low + high))
@@ -103,14 +104,14 @@ class SpecularLayer:
         return slopes
 
     def _reflectance_parts(self, theta_diff: float) -> tuple[Array, float]:
-        """Return the terms of the reflectance in F0 (3,) and in F90."""
+        """Return the two terms of the facets' reflectance: the term with F0 (3,), and the term with F90."""
         rise, fresnel = 1.0 - np.cos(theta_diff), fresnel_rise(np.cos(theta_diff))
         bend = np.exp(self.rise[0] * rise + self.rise[1] * rise**2)
         return np.array(self.f0) * (1.0 - fresnel) * bend, float(self.f90 * fresnel * bend)
 
     @property
     def half_width(self) -> float:
-        """Angle theta_half at which the slopes of facets are half as frequent as at 0 [rad]."""
+        """Angle theta_half at which slopes of the facets are half as frequent as the slope 0 [rad]."""
         falling = 2.0 ** (1.0 / self.tail_exponent) - 1.0
         return float(np.arctan(self.alpha * np.sqrt(tail_norm(self.tail_exponent)[0] * falling)))
 
@@ -143,7 +144,7 @@ class SpecularLayer:
 
 
 class _Surface:
-    """Evaluate the logarithm of D V at points, and its derivatives."""
+    """Evaluate the logarithm of D V, the distribution times the masking of a specular layer, and its derivatives."""
 
     def __init__(self, points: Points, alpha: float, tail_exponent: float) -> None:
         self._points, self._alpha, self._exponent = points, alpha, tail_exponent
@@ -164,7 +165,7 @@ class _Surface:
         return np.asarray(tails + np.log(norm / self._together) + masking * self._by_masking)
 
     def derivatives(self, masking: float) -> tuple[Array, Array, Array]:
-        """Return the derivatives in log alpha, log tau and the masking."""
+        """Return the derivatives of `log_shape` in log alpha, in log tau and in the exponent of the masking."""
         points, pulled = self._points, self._exponent * self._slope / (1.0 + self._slope)
         by_in = self._square * (1.0 - points.cos_in**2) / self._seen_in
         by_out = self._square * (1.0 - points.cos_out**2) / self._seen_out
@@ -175,14 +176,14 @@ class _Surface:
 
 
 def tail_norm(tail_exponent: float) -> tuple[float, float]:
-    """Return g = tau - 1, which normalises D, and its derivative; g stays positive for tau below 1."""
+    """Return the norm g of the distribution of slopes and its derivative; g is a smooth, positive form of tau - 1."""
     x = 8.0 * (tail_exponent - 1.125)
     return float(0.125 + np.logaddexp(0.0, x) / 8.0), float(1.0 / (1.0 + np.exp(-x)))
 
 
 @dataclass(frozen=True)
 class DiffuseLayer:
-    """Scatter light diffusely, with albedo rho and exponents p of the module's equation."""
+    """Scatter light diffusely, with the colour rho and the exponents p in the module's equation of a diffuse layer."""
 
     albedo: Color
     exponents: tuple[float, float, float, float, float, float]
@@ -211,7 +212,7 @@ class DiffuseLayer:
 
 @dataclass(frozen=True)
 class SheenLayer:
-    """Scatter light of fibres at grazing angles, with colour c and powers a and b of the module's equation."""
+    """Scatter light of fibres at grazing angles, with colour c and powers a and b in the module's equation of sheen."""
 
     color: Color
     powers: tuple[float, float]
@@ -263,7 +264,7 @@ class RetroLayer:
 
     @property
     def half_width(self) -> float:
-        """Half width about the direction back to the light, as `SpecularLayer.half_width` [rad]."""
+        """Half width of the reflection about the direction back to the light [rad], see `SpecularLayer.half_width`."""
         return float(np.arctan(self.alpha * np.sqrt(np.sqrt(2.0) - 1.0)))
 
     @property
@@ -308,10 +309,10 @@ class LayeredModel(RenderableModel):
         return np.array([layer.values(points) for layer in self.layers]).reshape(-1, 3, points.fresnel.size)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) at unchecked angles (n,), also below the horizon [1/sr]."""
+        """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""
         return self.layer_values(Points.at(theta_half, theta_diff, phi_diff)).sum(axis=0).T
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield values (3, D, P) at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) [1/sr]."""
+        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
         for points in grid_points(theta_half, theta_diff, phi_diff):
             yield self.layer_values(points).sum(axis=0).reshape(3, theta_diff.size, phi_diff.size)

@@ -1,4 +1,4 @@
-"""Measure how far the layers that describe a component are from its values, and say which parameters this withholds."""
+"""Measure how far the layers that describe a component are from its values, and withhold misleading parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from dsbrdf.components.layers import LayeredModel
 from dsbrdf.components.points import Points
 from dsbrdf.components.shares import light_rules
 
-MAX_PEAK_MISFIT = 0.25  # Beyond this misfit, reflectance is withheld.
-MAX_COLOR_MISFIT = 0.15  # Beyond this misfit, reflectance is withheld.
-MAX_WIDTH_MISFIT = 0.3  # Beyond this misfit, roughness is withheld.
-MAX_ALBEDO_MISFIT = 0.12  # Beyond this misfit, reflectance is withheld.
-_N_COMPARED_ALBEDOS = 2  # The albedo at the third angle of `light_rules` widens ranges only.
+MAX_PEAK_MISFIT = 0.25  # If layers miss the peak of a highlight by a larger fraction, no reflectance is stated.
+MAX_COLOR_MISFIT = 0.15  # If layers miss the colour of a component by a larger fraction, no reflectance is stated.
+MAX_WIDTH_MISFIT = 0.3  # If layers miss the half width of a highlight by a larger fraction, no roughness is stated.
+MAX_ALBEDO_MISFIT = 0.12  # If layers miss the albedo of a component by a larger fraction, no reflectance is stated.
+_N_COMPARED_ALBEDOS = 2  # The error of the albedo at the third angle of `light_rules` widens ranges only.
 _PEAK_THETA_DIFF = np.radians([0.0, 15.0, 30.0, 45.0])
 _WIDTH_THETA_DIFF = np.radians(15.0)
 _WIDTH_THETA_HALF = np.radians(np.geomspace(0.05, 70.0, 90))
@@ -23,7 +23,7 @@ PROFILE: tuple[Array, Array, Array] = (
     np.concatenate([_PEAK_THETA_DIFF, np.full(_WIDTH_THETA_HALF.size, _WIDTH_THETA_DIFF)]),
     np.full(_PEAK_THETA_DIFF.size + _WIDTH_THETA_HALF.size, np.pi / 2),
 )
-"""theta_half, theta_diff and phi_diff at which a highlight's peak and half width are compared [rad]."""
+"""Angles theta_half, theta_diff and phi_diff [rad] at which layers are compared with a component's peak and width."""
 _PROFILE_POINTS = Points.at(*PROFILE)
 
 
@@ -34,9 +34,9 @@ class OwnValues:
     Attributes
     ----------
     grid : Array
-        At the pairs of directions of `dsbrdf.components.layer_data`, (3, N) [1/sr].
+        Values at the pairs of directions of `dsbrdf.components.layer_data`, (3, N) [1/sr].
     profile : Array
-        At `PROFILE`, (3, n) [1/sr].
+        Values at the angles of `PROFILE`, (3, n) [1/sr].
     albedo : Array
         Directional albedo at the angles of `light_rules`, (3, 3).
     """
@@ -48,16 +48,19 @@ class OwnValues:
 
 @dataclass(frozen=True)
 class Misfit:
-    """Measure the distance of a component's own layers from its values.
+    """Measure how far the layers fitted to a component are from the values of the component.
 
     Attributes
     ----------
     peak : float or None
-        Ratio minus 1 of the mean values at theta_half = 0, theta_diff 0 to 45 degrees; None for a diffuse part.
+        Ratio (larger to smaller, minus 1) of the mean values of component and layers at theta_half = 0 and theta_diff
+        from 0 to 45 degrees; None for a diffuse part.
     color : float
-        Largest difference of a channel of the peak (of the albedo if diffuse), relative to the largest channel.
+        Largest difference between component and layers in a channel of the peak, relative to the largest channel; for a
+        diffuse part, in a channel of the albedo.
     half_width : float or None
-        Ratio minus 1 of the angles theta_half at half of the peak; None for a diffuse part.
+        Ratio (larger to smaller, minus 1) of the angles theta_half at which component and layers fall to half of the
+        peak; None for a diffuse part.
     albedo : float
         Largest error of the layers' albedo in any channel at 0 or 45 degrees, relative to the largest albedo.
     """
@@ -81,18 +84,18 @@ class Misfit:
 
     @property
     def withholds_roughness(self) -> bool:
-        """Whether no roughness describes the component."""
+        """Whether the misfit is so large that no roughness describes the component."""
         return self.half_width is not None and self.half_width > MAX_WIDTH_MISFIT
 
     @property
     def withholds_reflectance(self) -> bool:
-        """Whether no reflectance describes the component."""
+        """Whether the misfit is so large that no reflectance describes the component."""
         is_high = self.peak is not None and self.peak > MAX_PEAK_MISFIT
         return is_high or self.color > MAX_COLOR_MISFIT or self.albedo > MAX_ALBEDO_MISFIT
 
     @property
     def in_words(self) -> Sequence[str]:
-        """The misfits beyond their thresholds in words."""
+        """Words about each misfit that is beyond its threshold, such as "its albedo by 20%"."""
         factors = (("peak", self.peak, MAX_PEAK_MISFIT), ("half width", self.half_width, MAX_WIDTH_MISFIT))
         words = [
             f"its {name} by a factor of {1.0 + off:.2f}"

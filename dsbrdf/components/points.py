@@ -1,4 +1,4 @@
-"""Compute once the quantities at pairs of directions that all layers of `dsbrdf.components.layers` share."""
+"""Compute the quantities at pairs of directions from which all layers of `dsbrdf.components.layers` are evaluated."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COAT_F0 = 0.04
 MIN_COSINE = 0.02
 """Smaller cosines to the normal are clipped, because masking is steep near the horizon, where nothing is measured."""
 MAX_TAN2 = 1e4
-"""Larger values of tan(theta_half)**2 are clipped."""
+"""Larger values of tan(theta_half)**2 are clipped, because the tangent of 90 degrees is infinite."""
 MIN_RISE = 1e-3
 """Smaller values of 1 - cos(theta_diff) are clipped for sheen, which uses their logarithm."""
 MIN_SINE = 3e-2
@@ -22,7 +22,7 @@ MIN_SINE = 3e-2
 
 
 class Points(NamedTuple):
-    """Hold the quantities that layers use at N pairs of directions: arrays (N,) or stacks (..., N)."""
+    """Hold the quantities that layers need at N pairs of directions, as arrays (N,) or stacks of such arrays."""
 
     squared_tangent: Array  # tan(theta_half)**2
     log_squared_secant: Array
@@ -30,21 +30,21 @@ class Points(NamedTuple):
     cos_out: Array
     fresnel: Array  # reflectance of glass at theta_diff, from 0 (normal) to 1 (grazing)
     passed: Array  # logarithm of the fraction of light that passes a clear coat both ways
-    rise: Array  # u = 1 - cos(theta_diff) and u**2, (2, N)
-    ground: Array  # six terms of the diffuse layer, (6, N)
-    fibres: Array  # logarithms of u and of sin(theta_half), (2, N)
+    rise: Array  # u = 1 - cos(theta_diff), and u**2
+    ground: Array  # six terms X of the diffuse layer, see `dsbrdf.components.layers`
+    fibres: Array  # logarithms of 1 - cos(theta_diff) and of sin(theta_half), for sheen
     squared_retro: Array  # tan(theta_half)**2 after omega_in is turned by 180 degrees about the normal
 
     @classmethod
     def at(cls, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Points:
-        """Compute the points of angles (N,) [rad]."""
+        """Compute the quantities at the pairs of directions with some angles (N,) [rad]."""
         cos_half, sin_half, cos_diff = np.cos(theta_half), np.sin(theta_half), np.cos(theta_diff)
         level, swing = cos_diff * cos_half, np.sin(theta_diff) * sin_half * np.cos(phi_diff)
         cos_in, cos_out = np.maximum(level - swing, MIN_COSINE), np.maximum(level + swing, MIN_COSINE)
         squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, MAX_TAN2)
         rise = 1.0 - np.maximum(cos_diff, 0.0)
         to_in, to_out, fresnel = map(fresnel_rise, (cos_in, cos_out, 1.0 - rise))
-        # This is sin(theta_in) sin(theta_out) cos(phi_in - phi_out), the term of Oren and Nayar before its division.
+        # This equals sin(theta_in) sin(theta_out) cos(phi_in - phi_out), from which the term of Oren and Nayar is made.
         along = 2.0 * cos_diff**2 - 1.0 - cos_in * cos_out
         passed = np.log((1.0 - to_in) * (1.0 - to_out))
         ground = (
@@ -71,15 +71,15 @@ class Points(NamedTuple):
 
 
 def grid_points(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Points]:
-    """Yield the points at each theta_half (H,), for all theta_diff (D,) and phi_diff (P,) in this order."""
+    """Yield for each theta_half the points at all pairs of theta_diff (D,) and phi_diff (P,), phi_diff fastest."""
     diff, phi = (angle.ravel() for angle in np.meshgrid(theta_diff, phi_diff, indexing="ij"))
     for angle in theta_half:
         yield Points.at(np.full(diff.size, angle), diff, phi)
 
 
 def fresnel_rise(cosine: Array) -> Array:
-    """Return the rise (...) of the reflectance of glass (index 1.5) from normal (0) to grazing incidence (1)."""
-    refracted = np.sqrt(1.25 + cosine**2)  # This is the cosine of the refracted direction times the index.
+    """Return the reflectance of glass (index 1.5), scaled to 0 at normal incidence and to 1 at grazing incidence."""
+    refracted = np.sqrt(1.25 + cosine**2)  # This is the refracted direction's cosine times the index.
     across = (refracted - cosine) / (refracted + cosine)
     ratio = (cosine * (refracted + cosine) - 1.0) / (cosine * (refracted - cosine) + 1.0)
     return np.asarray(np.maximum(0.5 * across**2 * (1.0 + ratio**2) - COAT_F0, 0.0) / (1.0 - COAT_F0))

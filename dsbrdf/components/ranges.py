@@ -1,11 +1,12 @@
 """Estimate the uncertainty of the components by the spread of their parameters over probable layers.
 
-Layers are drawn from every structure that explains the values, in proportion to its weight. Within a structure, they
-are drawn from the Gaussian that the normal equations of its fit define.
+Layers are drawn from every structure that explains the model's values, in proportion to the weight of the structure.
+Within a structure, layers are drawn from the Gaussian that the normal equations of the structure's fit define.
 
-The draws do not cover light that the layers miss, although this light may belong to any component. At a pair of
-directions where a component has the fraction p of the layers, 4 p (1 - p) of the missed light counts as doubtful: all
-of it if p is one half, and none if p is 0 or 1. The doubtful light widens the ranges, as an independent error.
+The draws do not cover the difference between the model and the layers, although this light may belong to any component.
+At a pair of directions where a component reflects the fraction p of the light of all layers, 4 p (1 - p) of the
+difference counts as doubtful: the whole difference if p is one half, and nothing if p is 0 or 1. The doubtful light
+widens the ranges of the component, as an independent error.
 """
 
 from collections.abc import Sequence
@@ -21,11 +22,11 @@ from dsbrdf.components.shares import LABELS, NORMAL, WeightedLayers
 from dsbrdf.model.reflectance import ReflectanceModel
 
 PROBABILITY = 0.9
-"""A parameter lies in its range with this probability."""
+"""Probability with which a parameter lies in its range."""
 _POSTERIOR_FACTOR = float(np.sqrt(2.0 / EVIDENCE_SCALE))
-"""Standard deviation of the posterior, as a fraction of that of the draws, which `EVIDENCE_SCALE` widens."""
-_MIN_DRAWS = 4  # Every structure is drawn at least this number of times.
-_N_SHARED_DRAWS = 40  # These further draws are divided among the structures by their weights.
+"""Ratio of the posterior's standard deviation to the standard deviation of draws, which `EVIDENCE_SCALE` widens."""
+_MIN_DRAWS = 4  # From every structure, at least this number of layers is drawn.
+_N_SHARED_DRAWS = 40  # This number of further draws is divided among structures by weight.
 
 Range: TypeAlias = tuple[float, float]
 RgbRange: TypeAlias = tuple[Range, Range, Range]
@@ -49,7 +50,7 @@ class ComponentRanges:
 
 
 class SurfaceSpread(NamedTuple):
-    """Hold the standard deviations of the logarithms of a component's roughness, F0 (3,) and F70 (3,)."""
+    """Hold standard deviations of the logarithms of a component's roughness, and of F0 and F70 in each channel."""
 
     alpha: float
     f0: Array
@@ -57,14 +58,14 @@ class SurfaceSpread(NamedTuple):
 
 
 class DrawnLayers(NamedTuple):
-    """Hold D draws of a model's layers, and the light at normal incidence that they give the components of `LABELS`.
+    """Hold D draws of a model's layers, and the light of each component in `LABELS` at normal incidence.
 
     Attributes
     ----------
     layers : sequence of WeightedLayers
         The draws.
     weight : Array
-        Their weights (D,).
+        Weights of the draws (D,).
     albedos : Array
         Albedo of each component by channel, (D, 3, 3).
     doubtful : Array
@@ -78,7 +79,7 @@ class DrawnLayers(NamedTuple):
 
     @classmethod
     def of(cls, model: ReflectanceModel, found: Sequence[FittedStructure]) -> "DrawnLayers":
-        """Draw layers from structures fitted to a model, the best first."""
+        """Draw layers from structures fitted to a model; the best structure is the first."""
         generator = np.random.default_rng(7)
         values = model.evaluate_unmasked(*NORMAL.angles).T
         drawn, doubtful = [], np.zeros((len(LABELS), 3))
@@ -109,7 +110,7 @@ class DrawnLayers(NamedTuple):
         return low, min(high, 1.0)
 
     def surface_spread(self, label: str) -> SurfaceSpread:
-        """Return the spread of the brightest surface's roughness, and of the summed F0 and F70 of all surfaces."""
+        """Return standard deviations over draws: of the brightest surface's roughness, and of total F0 and F70."""
         own = [
             [layer for layer, found in zip(one.model.layers, one.labels, strict=True) if found == label]
             for one in self.layers
@@ -139,9 +140,9 @@ def _channels(values: Array, weight: Array, doubtful: Array) -> RgbRange:
 
 
 def _range(values: Array, weight: Array, doubt: float) -> Range:
-    """Return the central range of weighted positive values (n,) that holds `PROBABILITY` of the weight.
+    """Return the central range of positive values (n,) that contains the fraction `PROBABILITY` of their weight.
 
-    `doubt` is an independent error of the values, which widens the range to both sides of their mean.
+    `doubt` is an independent error of the values, which widens the range to both sides of the mean.
     """
     order = np.argsort(values)
     cumulative = np.cumsum(weight[order])

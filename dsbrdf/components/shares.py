@@ -16,16 +16,18 @@ LABELS = ("specular_spike", "specular_lobe", "diffuse")
 SPIKE_HALF_WIDTH = float(np.radians(3.0))
 """A highlight with a smaller half width is a spike, otherwise a lobe [rad of theta_half]."""
 HALO = float(np.tan(np.radians(30.0))) ** 2
-"""Within this tan(theta_half)**2, values above the sum of the layers are mostly assigned to the highlight."""
+"""At smaller tan(theta_half)**2, values above the sum of all layers are mostly assigned to the highlight."""
 EXCESS_HALO = HALO / 4.0
-"""Within this tan(theta_half)**2, values below the sum of the layers are mostly subtracted from the highlight."""
+"""At smaller tan(theta_half)**2, values below the sum of all layers are mostly subtracted from the highlight."""
 SPIKE_HALO = HALO / 25.0
-"""Within this tan(theta_half)**2, differences between a highlight and its layers are assigned to the spike."""
+"""At smaller tan(theta_half)**2, differences between a highlight and its layers are mostly assigned to the spike."""
 _DIFFERENCE_POWER = 3
-"""The correction of a part's layers towards the values is scaled by this power of their fraction of all layers."""
-_N_PANEL_NODES = 4  # Gauss-Legendre nodes of each panel of a rule; the error is mostly below 1e-3.
-_MIN_LAYER_LIGHT = 1e-300  # This is added to the layers, to avoid a division by zero [1/sr].
-_MAX_VALUE_RATIO = 1e100  # Larger ratios of model to layers are clipped; the square still fits in double precision.
+"""Power p in the part f**p of the missed light that layers with the fraction f of all light of the layers receive."""
+_N_PANEL_NODES = 4  # With this number of nodes in each panel of a quadrature, its relative error is mostly below 1e-3.
+_MIN_LAYER_LIGHT = 1e-300  # This value is added to the sum of the layers, to avoid a division by zero [1/sr].
+_MAX_VALUE_RATIO = (
+    1e100  # Larger ratios of the model to its layers are clipped, so that squared ratios do not overflow.
+)
 
 
 class LightRule(NamedTuple):
@@ -47,7 +49,7 @@ class LightRule(NamedTuple):
 
 
 def _normal_rule() -> LightRule:
-    """Return the rule at normal incidence, where theta_half equals theta_diff and no value depends on the azimuth."""
+    """Return the quadrature at normal incidence, where theta_half = theta_diff and values do not depend on azimuth."""
     rule = half_vector_rule(0.0)
     angle, place = np.unique(rule.theta_half, return_inverse=True)
     weight = np.asarray(np.bincount(place, rule.weight), dtype=np.float64)
@@ -66,7 +68,7 @@ NORMAL = _normal_rule()
 
 @cache
 def light_rules() -> tuple[LightRule, LightRule, LightRule]:
-    """Return the rules of the directional albedo at 0, 45 and 70 degrees."""
+    """Return the quadratures of the directional albedo at 0, 45 and 70 degrees to the normal."""
     return NORMAL, _light_rule(float(np.radians(45.0))), _light_rule(float(np.radians(70.0)))
 
 
@@ -97,7 +99,7 @@ class WeightedLayers:
         return tuple(map(_label, self.model.layers, self.is_diffuse))
 
     def split(self, values: Array, points: Points) -> Array:
-        """Divide values (3, N) of a model at points among `LABELS`, shape (3, 3, N)."""
+        """Divide values (3, N) of a model at points among the components, (labels, channels, N)."""
         layers = self.model.layer_values(points)
         place = np.array([LABELS.index(label) for label in self.labels])
         narrow, wide, diffuse = (layers[place == label].sum(axis=0) for label in range(3))
@@ -105,7 +107,8 @@ class WeightedLayers:
         total = specular + diffuse
         missed = _ratio(values, total) - 1.0
         outside = _outside(points, np.where(missed > 0.0, HALO, EXCESS_HALO))
-        # Diffuse layers alone would get all values; near the mirror direction, values far above them are a highlight.
+        # A structure of diffuse layers alone would assign all values to the diffuse part, but values far above these
+        # layers near the mirror direction are a highlight.
         most = (
             1.0 + missed * outside * (diffuse / total) ** _DIFFERENCE_POWER
             if (place < 2).any()
@@ -120,7 +123,7 @@ class WeightedLayers:
         return np.stack([rest - lobe, lobe, ground])
 
     def doubtful(self, values: Array, points: Points) -> Array:
-        """Return the part of the missed values that may or may not belong to each of `LABELS`, (3, 3, N)."""
+        """Return the part of the values that the layers miss and that may belong to each component, (labels, 3, N)."""
         layers = self.model.layer_values(points)
         place = np.array([LABELS.index(label) for label in self.labels])
         total = layers.sum(axis=0) + _MIN_LAYER_LIGHT
@@ -133,23 +136,23 @@ class WeightedLayers:
         return {type(layer) for layer, found in layers if found == label}
 
     def light_of(self, kind: type[Layer]) -> float:
-        """Return the fraction of the light at normal incidence that layers of a kind reflect."""
+        """Return the fraction of all reflected light at normal incidence that layers of one kind reflect."""
         own = [isinstance(layer, kind) for layer in self.model.layers]
         return float(self._light[own].sum() / self._light.sum())
 
     @cached_property
     def _light(self) -> Array:
-        """Light that each layer reflects at normal incidence, channels added, shape (layers,)."""
+        """Albedo of each layer at normal incidence, summed over the channels, shape (layers,)."""
         return np.asarray(np.sum(self.model.layer_values(NORMAL.points) @ NORMAL.weight, axis=1))
 
 
 def _outside(points: Points, halo: Array | float) -> Array:
-    """Return how far points are outside a halo, from 0 at the mirror direction to 1."""
+    """Return a smooth step over the halo of a highlight: 0 at the mirror direction, 1 far outside of the halo."""
     return np.asarray(1.0 - 1.0 / (1.0 + (points.squared_tangent / halo) ** 2))
 
 
 def _ratio(values: Array, total: Array) -> Array:
-    """Divide values by the sum of layers; clip the ratio where the sum is 0."""
+    """Return the ratio of values to the sum of layers, clipped where the sum is almost 0."""
     with np.errstate(over="ignore"):
         return np.minimum(values / total, _MAX_VALUE_RATIO)
 

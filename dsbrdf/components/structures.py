@@ -1,10 +1,11 @@
 """List the structures of layers that materials have, with a prior on the parameters of each layer.
 
-A prior is about the layer's unknowns (see `layers`). The mean of a colour's log channels has a Student's t prior with
-4 degrees of freedom, whose heavy tails admit unusual materials. Differences between the channels have a Gaussian prior:
-a dielectric highlight is neutral. All other unknowns are independent, with the same t prior.
+The prior of a layer is a distribution of its unknowns (see `layers`). The mean of the logarithms of a colour's channels
+has a Student's t prior with 4 degrees of freedom, whose heavy tails admit unusual materials. The differences between
+the channels have a Gaussian prior, because a dielectric highlight is neutral. All other unknowns are independent, with
+a Student's t prior of 4 degrees of freedom.
 
-A structure with more freedom has a price, in the units of the cost (see `layer_fit`): the simplest structure wins
+A price is added to the cost (see `layer_fit`) of a structure with more freedom, so that the simplest structure wins
 unless the values of the material contradict it.
 """
 
@@ -21,15 +22,15 @@ from dsbrdf.arrays import Array, Indices
 from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 
 _STUDENT_T_FREEDOM = 4.0
-_GAUSSIAN_FREEDOM = 1e9  # With so many degrees of freedom, Student's t is a Gaussian.
+_GAUSSIAN_FREEDOM = 1e9  # With so many degrees of freedom, Student's t distribution is a Gaussian.
 _FIXED_DEVIATION = 1e-3  # An unknown with this standard deviation is practically fixed.
 _CHANNEL_CONTRASTS = np.array([[1.0, 1.0, 1.0], [3.0, -3.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[9.0], [18.0], [6.0]])
-"""Mean of three channels, and two differences of unit length."""
+"""Matrix from three log channels of a colour to their mean and two normalised differences."""
 _RISE_AXES = np.array([[-0.6, 0.8], [0.8, 0.6]])
-"""Axes of the exponents q1 and q2: glass is at 0, Schlick's law at about 1.5 on the first axis."""
+"""Axes of the plane of the exponents q1 and q2, in which glass is at 0, and Schlick's law at 1.5 on the first axis."""
 
 Range: TypeAlias = tuple[float, float]
-"""Mean and standard deviation, or lower and upper bound."""
+"""Mean and standard deviation of an unknown, or its lower and upper bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +39,11 @@ class LayerPrior:
 
     kind: type[Layer]
     is_diffuse: bool
-    mean: Array  # (U,)
-    root: Array  # matrix that whitens deviations from the mean, (U, U)
-    freedom: Array  # degrees of freedom of each whitened deviation, (U,)
-    lower: Array  # (U,)
-    upper: Array  # (U,)
+    mean: Array
+    root: Array  # matrix (U, U) that turns deviations from the mean into independent numbers of variance 1
+    freedom: Array  # degrees of freedom of Student's t distribution for each of these numbers
+    lower: Array
+    upper: Array
 
 
 def _prior(
@@ -54,7 +55,11 @@ def _prior(
     *,
     is_diffuse: bool = True,
 ) -> LayerPrior:
-    """Make the prior of a log colour, its differences between channels, and the other unknowns."""
+    """Make the prior of a layer.
+
+    `color` is the prior of the mean log colour, `tint` the standard deviation of differences between channels, and
+    `others` the priors of the other unknowns. `bounds` are the bounds of the log colour and of the other unknowns.
+    """
     means, deviations = np.array(others).T
     lower, upper = np.array([bounds[0]] * 3 + list(bounds[1:])).T
     colors = _CHANNEL_CONTRASTS / np.array([[color[1]], [tint], [tint]])
@@ -76,8 +81,8 @@ def _prior(
 
 _DIELECTRIC_LOG_F0_BOUNDS = (-12.0, np.log(0.2))  # Diamond, the brightest dielectric, has F0 = 0.17.
 _LOG_F0_BOUNDS = (-12.0, np.log(3.0))
-_RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # Priors of q1 and q2 along `_RISE_AXES`.
-# Bounds of F90, q1, q2, alpha, tau, masking and under_coat.
+_RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # priors of a surface's exponents q1 and q2 along `_RISE_AXES`
+# Bounds of log F90, q1, q2, log alpha, log tau, masking and under_coat, the unknowns of a surface after its colour.
 _SPECULAR_BOUNDS = (
     (-5.0, 0.0), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
     (-0.5, 1.5), (-0.5, 2.0),
@@ -88,11 +93,11 @@ def _specular(color: Range, tint: float, *, strength: Range = _LOG_F0_BOUNDS, un
     """Make the prior of a surface up to roughness 0.7; a rougher surface looks like a matte ground."""
     bounds = (strength, *_SPECULAR_BOUNDS)
     others = (
-        (-0.1, 0.4),  # F90
+        (-0.1, 0.4),  # log F90
         *_RISE_PRIOR,
-        (np.log(0.12), 1.5),  # alpha
-        (np.log(2.0), 0.5),  # tau; 2 is GGX.
-        (0.5, 0.3),
+        (np.log(0.12), 1.5),  # log alpha
+        (np.log(2.0), 0.5),  # log tau; a tail exponent of 2 makes GGX
+        (0.5, 0.3),  # masking
         (1.0, 0.3) if under_coat else (0.0, _FIXED_DEVIATION),
     )
     return _prior(SpecularLayer, color, tint, others, bounds, is_diffuse=False)
@@ -104,9 +109,9 @@ def _diffuse(exponents: Sequence[Range]) -> LayerPrior:
 
 
 _DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, strength=_DIELECTRIC_LOG_F0_BOUNDS)
-_COAT = _specular((np.log(0.045), 0.35), 0.03)  # The bounds include the peak of a metal with haze.
+_COAT = _specular((np.log(0.045), 0.35), 0.03)  # The bounds of F0 include the peak of a metal with haze.
 _CLEAR_COAT = replace(_COAT, upper=np.where(np.arange(_COAT.upper.size) == 6, np.log(0.08), _COAT.upper))
-"""A coat whose alpha is at most 0.08, smoother than the layer below."""
+"""Prior of a clear coat whose alpha is at most 0.08, so that the coat is smoother than the layer below it."""
 _METAL = _specular((np.log(0.6), 0.6), 1.0)
 _METAL_UNDER_COAT = _specular((np.log(0.6), 0.6), 1.0, under_coat=True)
 _HIGHLIGHT = _specular((np.log(0.5), 0.8), 0.7)
@@ -118,7 +123,7 @@ _RETRO = _prior(
     RetroLayer, (np.log(0.05), 1.5), 0.5, ((np.log(0.12), 0.5),), ((-12.0, 1.0), (np.log(0.02), np.log(0.4))),
     is_diffuse=False,
 )  # fmt: skip
-# Fibres of cloth point in all directions, so their surfaces make a rough highlight that counts as diffuse.
+# The fibres of cloth point in all directions, so their surfaces make a rough highlight, which counts as diffuse.
 _FIBRES = _prior(
     SpecularLayer, (np.log(0.045), 0.35), 0.05,
     ((-0.1, 0.4), *_RISE_PRIOR, (np.log(0.65), 0.2), (np.log(2.0), 0.2), (1.0, 0.3), (0.0, _FIXED_DEVIATION)),
@@ -130,7 +135,7 @@ _FIBRES = _prior(
 
 
 _MAX_START_HALF_WIDTH_DEG = 35.0
-_INTERREFLECTION_POWER = 2.4  # The light between facets grows with this power of alpha.
+_INTERREFLECTION_POWER = 2.4  # Light reflected several times between facets grows with this power of alpha.
 _INTERREFLECTION_LOG_SCALE = float(np.log(0.106) - _INTERREFLECTION_POWER * np.log(0.3))
 _INTERREFLECTION = replace(
     _prior(
@@ -143,7 +148,7 @@ _INTERREFLECTION = replace(
     is_diffuse=False,
     freedom=np.array([_GAUSSIAN_FREEDOM] * 3 + [_STUDENT_T_FREEDOM] * 6),
 )
-"""Light that leaves a metal after several reflections (Kulla and Conty 2017); its colour is F0 squared."""
+"""Prior of light that leaves a metal after several reflections (Kulla and Conty 2017), whose colour is F0 squared."""
 
 
 _OWN_SURFACE = _prior(
@@ -164,7 +169,7 @@ OWN_PRIORS: dict[type[Layer], LayerPrior] = {
     SheenLayer: _SHEEN,
     RetroLayer: _RETRO,
 }
-"""Weak priors of the layers of one component."""
+"""Weak priors of layers, for fits to the values of a single component."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +181,7 @@ class LayerStructure:
     name : str
         The structure in words.
     layers : tuple of LayerPrior
-        Priors of its layers.
+        Priors of the layers of the structure.
     price : float
         Addition to the cost for the structure's freedom.
     starts : tuple of tuple of float
@@ -184,7 +189,7 @@ class LayerStructure:
     interreflects : bool
         Whether the last layer is light reflected several times between the facets of the first layer.
     parent : str or None
-        Name of a structure that is fitted before; its half widths are the start.
+        Name of a structure that is fitted before; a fit starts from the half widths of its layers.
     start_factors : tuple of tuple
         For each specular layer, the index of the parent's specular layer and the factor of its half width.
     """
@@ -205,13 +210,13 @@ class LayerStructure:
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Slice of the unknowns for each layer."""
+        """Slices that divide the unknowns of the structure among its layers."""
         ends = np.cumsum([0, *(layer.mean.size for layer in self.layers)]).tolist()
         return tuple(slice(start, stop) for start, stop in itertools.pairwise(ends))
 
     @cached_property
     def mean(self) -> Array:
-        """Mean of the prior (U,)."""
+        """Means of the priors of all unknowns (U,)."""
         mean = np.concatenate([layer.mean for layer in self.layers])
         if self.interreflects:
             mean[self.slices[-1]][:3] = 2.0 * mean[:3] + _INTERREFLECTION_POWER * mean[6] + _INTERREFLECTION_LOG_SCALE
@@ -219,7 +224,7 @@ class LayerStructure:
 
     @cached_property
     def root(self) -> Array:
-        """Matrix (U, U) that whitens deviations from the mean."""
+        """Matrix (U, U) that turns deviations of the unknowns from `mean` into independent numbers of variance 1."""
         root = np.asarray(block_diag(*(layer.root for layer in self.layers)))
         if self.interreflects:
             rows = self.slices[-1].start + np.arange(3)
@@ -230,29 +235,29 @@ class LayerStructure:
 
     @cached_property
     def freedom(self) -> Array:
-        """Degrees of freedom of whitened deviations (U,)."""
+        """Degrees of freedom of Student's t prior for each of the independent numbers that `root` makes (U,)."""
         return np.concatenate([layer.freedom for layer in self.layers])
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (U,)."""
+        """Lower bounds (U,) and upper bounds (U,) of all unknowns."""
         lower, upper = zip(*((layer.lower, layer.upper) for layer in self.layers), strict=True)
         return np.concatenate(lower), np.concatenate(upper)
 
     @cached_property
     def of_channel(self) -> tuple[Indices, Indices, Indices]:
-        """Indices of the unknowns of each channel: for each layer the channel's colour, then all other parameters."""
+        """Indices of the unknowns that affect each channel: in each layer, one channel of the colour and all others."""
         places = [np.arange(part.start, part.stop) for part in self.slices]
         red, green, blue = (np.concatenate([np.r_[p[channel], p[3:]] for p in places]) for channel in range(3))
         return red, green, blue
 
     @cached_property
     def log_determinant(self) -> float:
-        """Log determinant of the prior's normal equations at its mean."""
+        """Log determinant of the normal equations of the prior alone, at the mean of the prior."""
         return 2.0 * float(np.linalg.slogdet(self.root)[1])
 
     def model(self, unknowns: Array) -> LayeredModel:
-        """Make the layers from unknowns (U,)."""
+        """Make the layers of the structure from values of the unknowns (U,)."""
         return LayeredModel(
             tuple(
                 layer.kind.from_unknowns(unknowns[part]) for layer, part in zip(self.layers, self.slices, strict=True)
@@ -260,7 +265,7 @@ class LayerStructure:
         )
 
     def no_narrower(self, half_width: float) -> "LayerStructure":
-        """Return the structure with a lower bound on the half widths of its GGX highlights [rad]."""
+        """Return the structure with a lower bound of the half widths of its specular layers, as GGX [rad]."""
         least = np.log(np.tan(half_width) / np.sqrt(np.sqrt(2.0) - 1.0))
         layers = tuple(
             replace(
@@ -274,7 +279,7 @@ class LayerStructure:
 
     @property
     def is_diffuse(self) -> tuple[bool, ...]:
-        """Whether each layer's light counts as diffuse."""
+        """Whether the light of each layer counts as diffuse."""
         return tuple(layer.is_diffuse for layer in self.layers)
 
 

@@ -1,7 +1,7 @@
 """State the rough surfaces that describe a highlight: roughness and reflectance, with their 90 % ranges.
 
-A range combines the spread over probable structures, the uncertainty of the fit and the misfit, as independent errors
-of logarithms; the misfit counts as an error that is not exceeded with 90 % probability.
+The range of a parameter combines three errors of its logarithm as independent: the spread over probable structures of
+layers, the uncertainty of the fit, and the misfit, which counts as an error with 90 % probability.
 """
 
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ from dsbrdf.components.layers import GRAZING_ANGLE, Color, RetroLayer, SpecularL
 from dsbrdf.components.misfit import Misfit
 from dsbrdf.components.ranges import Range, RgbRange, SurfaceSpread
 
-_RANGE_HALF_WIDTH_SIGMAS = 1.645  # This half width in standard deviations holds 90 % of a Gaussian.
-_MIN_SLOPE_FREEDOM = 1.5  # With 1 or less, the mean slope and its masking would be infinite.
+_RANGE_HALF_WIDTH_SIGMAS = 1.645  # Within this number of standard deviations are 90 % of a Gaussian.
+_MIN_SLOPE_FREEDOM = 1.5  # With 1 degree of freedom or fewer, the mean slope would be infinite.
 MAX_RANGE_FACTOR = 2.0
-"""If the range of F70 is more than this factor wide to either side, F70 is withheld."""
+"""If an end of the range of F70 differs from F70 by more than this factor, F70 is None."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Surface:
 def surfaces_of(
     best: FittedStructure, misfit: Misfit, light_at_70: Array, spread: SurfaceSpread
 ) -> tuple[Surface, ...]:
-    """Return the surfaces of fitted layers, the brightest first; the misfit may withhold parameters.
+    """Return the surfaces of fitted layers, the brightest first; parameters with too large a misfit are None.
 
     `light_at_70` (3,) is the ratio of the layers' albedo at 70 degrees to the component's albedo.
     """
@@ -83,7 +83,7 @@ def surfaces_of(
 
 
 def _masking_ratio(layer: SpecularLayer) -> float:
-    """Return the masking of GGX, which the layer has, over Smith's masking by its own distribution, at `GRAZING_ANGLE`.
+    """Return the ratio of GGX's masking, which the layer uses, to Smith's masking of its own distribution of slopes.
 
     Slopes along one axis have Student's t distribution with 2 tau - 2 degrees of freedom and the scale alpha / sqrt(2).
     """
@@ -95,7 +95,7 @@ def _masking_ratio(layer: SpecularLayer) -> float:
 
 
 def _smith_lambda(alpha: float, freedom: float) -> float:
-    """Return Smith's integral over slopes beyond the direction at `GRAZING_ANGLE`, for Student's t distribution."""
+    """Return Smith's integral over slopes steeper than a direction at `GRAZING_ANGLE`, for Student's t distribution."""
     least = np.sqrt(2.0) / (alpha * np.tan(GRAZING_ANGLE))
     log_norm = gammaln(0.5 * freedom + 0.5) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
     density = np.exp(log_norm - 0.5 * (freedom + 1.0) * np.log1p(least**2 / freedom))
@@ -115,7 +115,7 @@ def _around_rgb(color: Color, variance: Array) -> RgbRange:
 
 
 def half_width_of(layers: Sequence[SpecularLayer | RetroLayer]) -> float | None:
-    """Return theta_half at which the slopes of some layers together are half as frequent as at 0 [rad]."""
+    """Return theta_half at which slopes of some layers together are half as frequent as the slope 0 [rad]."""
     if not layers:
         return None
     if len(layers) == 1 or not all(isinstance(layer, SpecularLayer) for layer in layers):
@@ -128,7 +128,7 @@ def half_width_of(layers: Sequence[SpecularLayer | RetroLayer]) -> float | None:
 
 
 def _slope_density(layer: SpecularLayer | RetroLayer, tangent: Array) -> Array:
-    """Return the frequency of slopes with a tangent (n,) times the mean reflectance."""
+    """Return the frequency of slopes with some tangents (n,), multiplied by the mean reflectance of the layer."""
     exponent = layer.tail_exponent if isinstance(layer, SpecularLayer) else 2.0
     norm = tail_norm(exponent)[0]
     return np.asarray(
