@@ -1,6 +1,6 @@
 """Define functions that all commands use: for output, errors, flags with lists, and the commands of the service.
 
-This module imports no slow module, so that commands without computations answer at once.
+This module imports no slow module, so that commands that compute nothing answer at once.
 """
 
 import json
@@ -23,7 +23,7 @@ LIST_FLAGS = (
     *("--theta-in", "--theta-out", "--phi-out"),
     *("--omega-in", "--omega-out", "--knots-deg", "--missing"),
 )
-"""Flags that take one or more values, separated by blanks; commas also separate values except directions."""
+"""Flags that take several values, separated by blanks or commas; a direction contains commas, so only blanks count."""
 
 _NUMBERS = re.compile(r"[-+]?[0-9.][-+0-9.e, ]*")
 
@@ -53,7 +53,7 @@ def print_written(path: Path, what: str, file_format: str = "", *, json: bool = 
 def join_points(words: Sequence[str]) -> list[str]:
     """Join each flag of a list with its numbers: ``--theta-half 0 10 m.json`` becomes ``"--theta-half=0 10" m.json``.
 
-    Otherwise, cyclopts would read ``m.json`` as one more angle, and ``-0.5,0,0.9`` as a flag.
+    Without joining, cyclopts would read ``m.json`` as one more angle, and ``-0.5,0,0.9`` as a flag.
     """
     joined: list[str] = []
     flag = ""
@@ -72,7 +72,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
-# A command's value is the modules that the command needs, and its purpose.
+# Each command of the service has the modules that must be installed, and its purpose for the help.
 SERVICE_COMMANDS = {
     "serve": (("cyclopts", "fastapi", "pydantic_settings", "uvicorn"), "Run the HTTP service."),
     "keys": (("cyclopts", "pydantic_settings"), "Add, list and revoke API keys of the service."),
@@ -82,13 +82,13 @@ SERVICE_COMMANDS = {
 
 
 def entry_point(group: str, name: str) -> EntryPoint:
-    """Return the entry point of a command or an engine of the service; ``pyproject.toml`` lists these."""
+    """Return the entry point of a command or an engine of the service, which ``pyproject.toml`` declares."""
     (found,) = entry_points(group=f"dsbrdf.{group}", name=name)
     return found
 
 
 def open_closed_output() -> None:
-    """Replace a closed stdout or stderr by the null device; otherwise, an opened file could get its descriptor."""
+    """Replace a closed stdout or stderr by the null device, because a file opened later could get its descriptor."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 (until the end)
@@ -102,7 +102,7 @@ def run_service_command(command: str, words: Sequence[str]) -> int:
     needed, _ = SERVICE_COMMANDS[command]
     require("service", *needed, purpose="the HTTP service" if command == "serve" else f"dsbrdf {command}")
     found = entry_point("commands", command)
-    if command == "serve":  # The service replaces this process, so that signals reach the service.
+    if command == "serve":  # The service replaces this process, so that signals to this process reach the service.
         sys.stdout.flush()
         os.execv(sys.executable, [sys.executable, "-m", found.module.removesuffix(".__main__"), *words])  # noqa: S606 (no shell)
     code: int = found.load()(words)

@@ -1,6 +1,6 @@
 """Define the commands of ``dsbrdf`` for cyclopts, which reads the command line and writes the help.
 
-cyclopts belongs to the extra ``cli``. A command's module is imported when the command is called.
+The extra ``cli`` installs cyclopts. The module of a command is imported when the command is called.
 """
 
 import shutil
@@ -33,7 +33,7 @@ from dsbrdf.version import __version__
 
 
 def _whole_number(kind: Any, tokens: Sequence[Token]) -> Any:
-    """Convert a whole number; refuse 2.5, which cyclopts would round."""
+    """Convert a whole number; refuse a number such as 2.5, which cyclopts would round."""
     (token,) = tokens
     if "." in token.value:
         raise CoercionError(token=token, target_type=kind)
@@ -166,7 +166,7 @@ def _allowed(kind: Any) -> str:
         return " or ".join(_allowed(member) for member in get_args(kind))
     if get_origin(kind) is Literal:
         return " or ".join(get_args(kind))
-    if get_origin(kind) is tuple:  # All members of the tuple have one type.
+    if get_origin(kind) is tuple:  # The first type stands for all, because every tuple here has members of one type.
         return _allowed(get_args(kind)[0])
     words = {int: "a whole number", float: "a number", bool: "yes or no", timedelta: "a time such as 30d"}
     return {**words, NoneType: "none"}.get(kind, "a text")

@@ -128,7 +128,7 @@ def _spheres(paths: Sequence[Path], sources: Sequence[Any], look: Look, *, with_
 
 
 def _source(path: Path, table: TableOptions, component: str | None) -> tuple[Any, dict[str, Any]]:
-    """Read a model, one of its components, or a measurement; return it with its metrics by name."""
+    """Read a model, a component of a model, or a measurement; return the object and its metrics by name."""
     if is_measurement(path):
         if component is not None:
             raise InvalidArgumentError(f"{path}: a measurement has no components; fit it first")

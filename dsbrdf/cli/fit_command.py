@@ -149,7 +149,7 @@ def fit(
 
 
 def _exit_code(done: Sequence[FileFit]) -> int:
-    """Return 1 if the fit of a good measurement was lost, 2 if another fit failed, or else 0."""
+    """Return 1 if a fit failed for a reason other than its measurement, 2 if only measurements were faulty, else 0."""
     if any(item.lost for item in done):
         return 1
     return BAD_INPUT if any(item.error is not None for item in done) else 0
@@ -183,7 +183,7 @@ def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work
 
 
 def _plot(items: list[FileFit], table: TableOptions) -> Iterator[str]:
-    """Write a figure of each fit beside its model, and yield what to print."""
+    """Write a figure of each fit beside the file of its model, and yield a message on each figure."""
     from dsbrdf.output.figure_parts import encode_figure
     from dsbrdf.output.plots import plot
 
@@ -196,7 +196,7 @@ def _plot(items: list[FileFit], table: TableOptions) -> Iterator[str]:
 
 
 def _messages(item: FileFit, *, printed: bool) -> tuple[str, ...]:
-    """Return the messages of a file for stderr: its error, or a new fit's warnings unless they are `printed` anyway."""
+    """Return the messages on a fit for stderr: its error, or its warnings unless the report with them is `printed`."""
     if item.result is None:
         return () if item.error is None else (item.error,)
     return () if printed or item.resumed else item.result.report.warnings
@@ -223,18 +223,16 @@ def _document(item: FileFit) -> dict[str, Any]:
 
 
 SHOWN = {"relative_rms": 12, "excess": 8, "psnr": 7}
-"""Metrics in the terminal's table, each with the width of its column; the CSV has all metrics."""
+"""Metrics in the table for the terminal, each with the width of its column; the CSV table has all metrics."""
 
 _OF_FILE = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
-_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # COLUMNS ends with psnr, which METRICS has too.
+_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # The last of COLUMNS is psnr, which is left out because METRICS has it too.
 
 
 def summary_table(items: Sequence[FileFit]) -> list[str]:
     """Return a table with a line for each fit, the largest error first, and the number of failures."""
     fits = [(item.file, item.result) for item in items if item.result is not None]
-    fits.sort(
-        key=lambda pair: pair[1].report.metrics.relative_rms or 0.0, reverse=True
-    )  # Fits without metrics come last.
+    fits.sort(key=lambda pair: pair[1].report.metrics.relative_rms or 0.0, reverse=True)
     heads = "".join(f"{name:>{width}}" for name, width in SHOWN.items())
     lines = [f"{heads}{'lobes':>7}{'warnings':>10}  worst first"]
     for file, result in fits:
@@ -255,7 +253,7 @@ def plan_csv(pairs: Sequence[SuggestedPair]) -> bytes:
 
 
 def summary_csv(items: Sequence[FileFit]) -> bytes:
-    """Return the rows of all files as CSV; a failed file has one row with its error."""
+    """Return the results of all files as CSV; a file whose fit failed has one row with the error."""
     return table_csv((row for item in items for row in _rows(item)), _COLUMNS)
 
 
@@ -274,12 +272,14 @@ def _rows(item: FileFit) -> Iterator[dict[str, Any]]:
         "warnings": " ".join(report.warnings),
     }
     rows = [*component_rows(item.file.stem, component_documents(model), report.metrics.psnr)]
-    for row in rows or [{"material": item.file.stem}]:  # A model that reflects nothing has no components.
+    for row in rows or [
+        {"material": item.file.stem}
+    ]:  # A model without components, which reflects nothing, gets a row.
         yield row | about
 
 
 def _progress_bar() -> Progress:
-    """Return a progress bar of finished files, which is visible if stderr is a terminal."""
+    """Return a progress bar for the number of finished files, which is visible only if stderr is a terminal."""
     return Progress(
         *(BarColumn(), "{task.fields[done]} of {task.total} files", TimeElapsedColumn(), "left", TimeRemainingColumn()),
         console=Console(file=sys.stderr),
@@ -291,6 +291,6 @@ def _progress_bar() -> Progress:
 
 
 def _print_above(bar: Progress, line: str, *, error: bool = False) -> None:
-    """Hide the bar, and print a line to stdout or stderr."""
-    bar.stop()  # The bar and the line may go to different streams.
+    """Hide the progress bar, and print a line to stdout or stderr."""
+    bar.stop()  # Bar and line may be on different streams of one terminal, where they would overwrite each other.
     print(line, file=sys.stderr if error else sys.stdout, flush=True)

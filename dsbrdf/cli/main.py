@@ -3,7 +3,7 @@
 Angles are in degrees on the command line, BRDF values in 1/sr, colours in the order red, green, blue. Exit codes:
 0 success; 2 bad usage or bad input, with one sentence on stderr; 130 interrupted; 1 any other failure.
 
-`dsbrdf.cli.commands` defines the commands. It is imported late, because it needs the extra ``cli``.
+The module `dsbrdf.cli.commands` defines the commands. This module is imported late, because it needs the extra ``cli``.
 """
 
 import os
@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print_error(error)
         return BAD_INPUT
     except BrokenPipeError:
-        # The reader of our output, such as `head`, has ended. The interpreter must not flush this output at its end.
+        # The reader of our output, such as `head`, has ended, so that flushing stdout at the end would fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (MissingExtraError, OSError) as error:
@@ -50,7 +50,7 @@ def _run(words: list[str]) -> int:
         return BAD_INPUT
     if words[0] in SERVICE_COMMANDS:
         return run_service_command(words[0], words[1:])
-    if words[0] == "fit" and "numpy" not in sys.modules:  # NumPy reads these variables when it is imported.
+    if words[0] == "fit" and "numpy" not in sys.modules:  # The variables have no effect once NumPy is imported.
         os.environ.update(ONE_BLAS_THREAD)
     require("cli", "cyclopts", "rich", purpose="the command line")
     from dsbrdf.cli.commands import run_command

@@ -83,7 +83,7 @@ def evaluate(
     heads = [name.removesuffix("_deg") for name in columns]
     widths = [max(map(len, column)) + 2 for column in zip(heads, *rows, strict=True)]
     widths[0] -= 2
-    # Narrow columns have fewer digits; JSON has all digits.
+    # A table too wide for the terminal gets narrower columns with fewer digits; JSON has all digits.
     number = 12 if sum(widths) + 36 <= shutil.get_terminal_size().columns else 9
     print(_aligned(heads, widths) + "".join(f"{channel:>{number}}" for channel in CHANNELS))
     for row, value in zip(rows, values, strict=True):
@@ -189,7 +189,8 @@ def export(
 
 
 _WRITTEN = {".binary": "a MERL table", ".bsdf": "an RGL file", ".csv": "a file of samples"}
-_MAX_RECIPROCITY_ERROR = 0.1  # A larger error causes a warning, because a MERL table stores means.
+# A warning is printed if the values of both orders of directions differ more, because a MERL table stores their mean.
+_MAX_RECIPROCITY_ERROR = 0.1
 
 
 def convert(
@@ -229,7 +230,7 @@ def convert(
 def _converted(
     sources: Sequence[Path], suffix: str, options: TableOptions, *, spectral: bool
 ) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
-    """Return the content of the written file, warnings, and measures of error by name."""
+    """Return the content of the converted file, warnings for the user, and measures of error by name."""
     found: Measurement | RglMaterial | DSBRDF
     sentences: tuple[str, ...] = ()
     about: dict[str, Any] = {}
@@ -250,7 +251,7 @@ def _converted(
         return source.read_bytes(), (), {}
     if suffix == ".bsdf":
         return rgl_bsdf(found, source.stem, spectral=spectral), sentences, about
-    if isinstance(found, RglMaterial):  # A MERL table stores the mean over both orders of the two directions.
+    if isinstance(found, RglMaterial):  # A MERL table loses the difference between both orders of the two directions.
         difference = found.non_reciprocity()
         about = {"non_reciprocity": difference}
         if difference > _MAX_RECIPROCITY_ERROR:

@@ -41,7 +41,7 @@ _WORDS = {"none": None, "auto": "auto"}
 
 
 def _angles_or_word(kind: Any, tokens: Sequence[Token]) -> float | tuple[int, ...] | str | None:
-    """Convert an angle, several whole angles, or a word; the options check the word."""
+    """Convert one angle, several whole angles, or a word such as "auto"; the class of options checks the word."""
     (token,) = tokens
     if token.value in _WORDS:
         return _WORDS[token.value]
@@ -57,12 +57,12 @@ _ANGLES = Parameter(converter=_angles_or_word, n_tokens=1, metavar="DEGREES,...|
 
 
 def _in_words(documented: type) -> str:
-    """Return the docstring of a class of options, changed from the notation of Python to that of flags."""
+    """Return the docstring of a class of options as help for flags: None becomes "none", without backticks."""
     return (documented.__doc__ or "").replace("None", '"none"').replace("`", "")
 
 
 def _several(kind: Any, tokens: Sequence[Token]) -> tuple[float, ...] | str:
-    """Convert numbers, separated by commas or blanks; return a text unchanged."""
+    """Convert numbers that are separated by commas or blanks; return a text without numbers unchanged."""
     (token,) = tokens
     if kind == tuple[float, ...] | float:
         return tuple(convert(float, [token.evolve(value=part)]) for part in re.split(r"[,\s]+", token.value.strip()))
@@ -74,7 +74,7 @@ _SEVERAL = Parameter(converter=_several, n_tokens=1)
 
 @dataclass(frozen=True)
 class TableFlags(TableOptions):
-    """Offer `TableOptions` as flags."""
+    """Offer the fields of `TableOptions` as flags of a command."""
 
     __doc__ = _in_words(TableOptions)
 
@@ -90,13 +90,13 @@ class TableFlags(TableOptions):
 
 _OF_TABLES = Group("Options of a table of samples", sort_key=3)
 AboutTable = Annotated[TableFlags, Parameter(name="*", group=_OF_TABLES)]
-"""The options of a table as a parameter of a command."""
+"""Type of a command's parameter that takes the options for reading a table."""
 NO_TABLE_FLAGS = TableFlags()
 
 
 @dataclass(frozen=True)
 class FitFlags(FitOptions):
-    """Offer `FitOptions` as flags; inherited fields need no change."""
+    """Offer the fields of `FitOptions` as flags of a command; only the fields here need another type."""
 
     __doc__ = _in_words(FitOptions)
 
@@ -114,14 +114,14 @@ class FitFlags(FitOptions):
 
 
 Flags = Annotated[FitFlags, Parameter(name="*", group=Group("Options of the fit", sort_key=2))]
-"""The options of a fit as a parameter of a command."""
+"""Type of a command's parameter that takes the options of a fit."""
 
 DEFAULT = FitFlags()
 
 
 def _each(kind: Any, tokens: Sequence[Token]) -> Any:
     """Convert the values of an option that `dsbrdf.cli.arguments.join_points` has joined."""
-    between = r"[,\s]+" if kind == tuple[float, ...] else r"\s+"  # A direction contains commas.
+    between = r"[,\s]+" if kind == tuple[float, ...] else r"\s+"  # Commas separate angles, but are parts of directions.
     values = (value for token in tokens for value in re.split(between, token.value.strip()))
     return convert(kind, [tokens[0].evolve(value=value) for value in values])
 
@@ -199,7 +199,7 @@ def _direction(text: str) -> list[float]:
 
 
 def is_measurement(path: Path) -> bool:
-    """Return whether a path names a measurement; a model is a ``.json`` file."""
+    """Return whether a path names a measurement and not a model, which is a ``.json`` file."""
     return path.suffix.lower() != ".json"
 
 
@@ -213,7 +213,7 @@ def named_in_errors(path: Path) -> Iterator[None]:
 
 
 def read_measured(path: Path, options: TableOptions = AS_WRITTEN) -> Measurement | ScatteredSamples:
-    """Read a measurement; the options are for a table. An error names the file."""
+    """Read a measurement, with `options` if it is a table of samples; an error names the file."""
     with named_in_errors(path):
         return read_measurement(path, options)
 
@@ -243,7 +243,7 @@ def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
 
 
 def named_part(path: Path, model: DSBRDF, part: str | None) -> DSBRDF | LayeredModel | Component:
-    """Return a part of the model in a file, see `part_of`; an error names the file."""
+    """Return a component or the layers of the model in a file, or the model itself; an error names the file."""
     with named_in_errors(path):
         return part_of(model, part)
 

@@ -109,7 +109,7 @@ def render(source: Path, /, *, output: OutputFile, look: Look = USUAL_LOOK, json
 
 
 def titles(paths: Sequence[Path]) -> list[str]:
-    """Return the names of files without folder and suffix; equal names get numbers."""
+    """Return titles for files: the names without folder and suffix, with numbers added to equal names."""
     stems = [path.stem for path in paths]
     return stems if len({*stems}) == len(stems) else [f"{stem} ({n})" for n, stem in enumerate(stems, 1)]
 

@@ -41,7 +41,7 @@ def _read(file: Path, options: TableOptions) -> ReadTable:
 
 
 def _list(files: Sequence[Path], options: TableOptions, *, json: bool) -> int:
-    """Print a line for each file, with a summary or the reason why it is not read; return the exit code."""
+    """Print a line for each file, with a summary or the reason why the file cannot be read; return the exit code."""
     documents, width = [], max(len(str(file)) for file in files) + 2
     for file in files:
         document: dict[str, Any] = {"file": str(file), "error": None}

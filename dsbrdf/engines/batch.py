@@ -32,7 +32,7 @@ class FileFit:
     output: Path | None = None  # file of the model; None if the fit failed
     result: FitResult | None = None  # None if the fit failed
     error: str | None = None  # one sentence with the reason why the fit failed
-    lost: bool = False  # whether the process died or the disk failed, so that the measurement may be good
+    lost: bool = False  # whether the fit failed for a reason other than the measurement, so that it may succeed later
     resumed: bool = False  # whether the fit is from an earlier run
 
 

@@ -1,6 +1,6 @@
 """Convert components to JSON documents and back, for the command line, stored fits and the HTTP service.
 
-Angles are in degrees.
+Angles in the documents are in degrees.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.typed_json import typed
 
 LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
-"""Angles theta_diff at which a document has the component's values at theta_half = 0 [degrees]."""
+"""Angles theta_diff [degrees] for which a document lists the component's values at theta_half = 0."""
 
 
 def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
@@ -49,14 +49,15 @@ def component_document(component: Component) -> dict[str, Any]:
 def ranges_in(document: Mapping[str, Any]) -> ComponentRanges:
     """Read the 90 % ranges from a component's document.
 
-    Raises ModelFormatError if the ranges are damaged, KeyError if the document has none, TypeError if it is no mapping.
+    Raises ModelFormatError if the ranges are damaged, KeyError if the document has no ranges, and TypeError if the
+    document is no mapping.
     """
     ranges: ComponentRanges = typed(ComponentRanges, document["ranges"], "ranges")
     return ranges
 
 
 def description_in(document: Mapping[str, Any]) -> Description:
-    """Read layers, surfaces and misfit from a component's document; raise the errors of `ranges_in`."""
+    """Read layers, surfaces and misfit from a component's document; raise the same errors as `ranges_in`."""
     parts = {name: document[name] for name in ("surfaces", "misfit")} | {"layers": {"layers": document["layers"]}}
     description: Description = typed(Description, parts, "description")
     return description

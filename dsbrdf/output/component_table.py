@@ -17,7 +17,7 @@ COLUMNS = (
     *(f"{name}_{channel}{end}" for name in ("f0", "f70", "albedo") for channel in CHANNELS for end in _RANGES),
     *("half_width_deg", "psnr"),
 )
-"""Columns of the table; ``_low`` and ``_high`` are the ends of the 90 % range of a value."""
+"""Columns of the table; the columns ``_low`` and ``_high`` have the ends of the 90 % range of a parameter."""
 
 
 def component_rows(
@@ -73,7 +73,7 @@ _LATEX = {
 
 
 def table_latex(rows: Iterable[Mapping[str, Any]]) -> bytes:
-    """Return rows as a LaTeX table for the package booktabs; ranges are subscripts and superscripts of their values."""
+    """Return rows as a LaTeX table for the package booktabs; subscript and superscript of a value give its range."""
     lines = [f"\\begin{{tabular}}{{ll{'r' * (len(_LATEX) - 2)}}}", "\\toprule"]
     lines += [" & ".join(_LATEX.values()) + r" \\", "\\midrule"]
     for row in rows:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase, SubFigure
 
 IMAGE_FORMATS = ("png", "svg", "pdf")
-"""Image formats that `encode_figure` writes."""
+"""Image formats in which figures can be written."""
 
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
 LINE_STYLES = ("-", "--", "-.", ":")
@@ -28,7 +28,7 @@ PAIR_WIDTH_IN = 5.5
 ROW_HEIGHT_IN = 3.4
 """Height of a row of panels [inches]."""
 _TITLE_HEIGHT_IN = 0.4
-_MAX_LOG_TICKS = 6  # If a logarithmic axis would have more ticks, some are left out.
+_MAX_LOG_TICKS = 6  # A logarithmic axis has at most this number of ticks, so that the labels do not overlap.
 _TENTHS, _HALVES, _DIGITS = (np.arange(1.0, 10.0, step) for step in (0.1, 0.5, 1.0))
 _TICK_MANTISSAS = (_TENTHS, _HALVES, _DIGITS, (1.0, 2.0, 5.0), (1.0, 3.0), (1.0,))
 
@@ -46,7 +46,7 @@ def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150
 
 
 def empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) -> Figure:
-    """Return a titled figure for a number of pairs of panels; Matplotlib computes the margins unless they are fixed."""
+    """Return a figure with a title and room for pairs of panels; Matplotlib sets the margins unless `fixed`."""
     require("plot", "matplotlib", purpose="figures")
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -54,29 +54,30 @@ def empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) 
     layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
     figure = Figure(figsize=(PAIR_WIDTH_IN * pairs, height), layout=layout)
     figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # Notebooks call this to show a figure.
-    figure.suptitle(title, parse_math=False)  # Dollars in a name are not a formula.
+    figure.suptitle(title, parse_math=False)  # A dollar sign in a material's name does not begin a formula.
     return figure
 
 
 def figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
-    """Return a titled figure and its rows, which have the given heights [inches] and panels with fixed margins."""
+    """Return a figure with a title, and its rows of the given heights [inches], for panels with fixed margins."""
     figure = empty_figure("", pairs, height=_TITLE_HEIGHT_IN + sum(heights), fixed=True)
     parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE_HEIGHT_IN, *heights])
     head, *rows = parts[:, 0]
-    head.suptitle(title, y=0.5, va="center", parse_math=False)  # Dollars in a name are not a formula.
+    # A dollar sign in a material's name does not begin a formula.
+    head.suptitle(title, y=0.5, va="center", parse_math=False)
     return figure, rows
 
 
 def draw_legend(
     figure: FigureBase, axes: Sequence[Axes], columns: int, place: Literal["outside lower center", "lower center"]
 ) -> None:
-    """Draw one legend under the panels, with the labelled lines of ``axes``, each label once."""
+    """Draw one legend under the panels, which names each label of the lines in ``axes`` once."""
     lines = {str(line.get_label()): line for ax in axes for line in ax.get_legend_handles_labels()[0]}
     figure.legend(list(lines.values()), list(lines), loc=place, ncols=columns, fontsize=8, frameon=False)
 
 
 def set_ticks(ax: Axes) -> None:
-    """Set few, round ticks within the final axis limits, every 15 or 30 degrees on axes that end at 90 degrees."""
+    """Set a few round ticks within the final limits of both axes; angles up to 90 degrees get multiples of 15 or 30."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = ax.get_xlim()
@@ -95,7 +96,7 @@ def set_ticks(ax: Axes) -> None:
 
 
 def log_ticks(low: float, high: float) -> Array:
-    """Return as many round tick values of a logarithmic axis as possible, but at most `_MAX_LOG_TICKS`."""
+    """Return round tick values for a logarithmic axis, as many as `_MAX_LOG_TICKS` allows."""
     decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
     for mantissas in _TICK_MANTISSAS:
         ticks = np.round([mantissa * 10.0**decade for decade in decades for mantissa in mantissas], 12)

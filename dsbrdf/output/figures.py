@@ -1,11 +1,11 @@
 """Draw figures of a fit in the style of Nishino 2009, Figure 1.
 
-Every function returns a new `matplotlib.figure.Figure`. Neither pyplot nor other global state is used, so figures may
-be made in any thread. The extra ``plot`` installs Matplotlib.
+Every function returns a new `matplotlib.figure.Figure`. Neither pyplot nor other global state is used, so that figures
+can be made in any thread. The extra ``plot`` installs Matplotlib.
 
-A profile is the mean of the measurement or the model over phi_diff. It is drawn over theta_half and mirrored to -90..90
-degrees, as in the paper. Values span orders of magnitude, so every slice of theta_diff has two panels: all angles on a
-logarithmic axis, which shows the diffuse part, and the peak on a linear axis, as in the paper.
+A profile is the mean of the measurement or the model over phi_diff. A profile is drawn over theta_half and mirrored to
+-90..90 degrees, as in the paper. Because values span orders of magnitude, every slice of theta_diff has two panels: all
+angles on a logarithmic axis, which shows the diffuse part, and the peak on a linear axis, as in the paper.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ if TYPE_CHECKING:
     from dsbrdf.model.dsbrdf import DSBRDF
     from dsbrdf.model.reflectance import ReflectanceModel
 
-    _Part = tuple[ReflectanceModel, str, str, str]  # model, colour, line style and label; unlabelled curves are thin
+    _Part = tuple[ReflectanceModel, str, str, str]  # model, colour, line style and label of a curve
 
 SLICE_ROWS = (0, 45)
-"""Rows of the grid whose slices are drawn: theta_diff is 0 and 45 degrees."""
+"""Indices of the theta_diff whose slices are drawn, which are 0 and 45 degrees."""
 COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
 _SPHERES_HEIGHT_IN = 2.5
 _SPHERE_SIZE_PX = 256
-_MAX_COLOURED_RESIDUAL_PERCENT = 100.0  # Larger residuals get the colour of this residual.
-_RESIDUAL_TICKS_DEG = (0, 5, 20, 45, 90)  # ticks on the axis of theta_half
+_MAX_COLOURED_RESIDUAL_PERCENT = 100.0  # All larger residuals have one colour, the last of the colour scale.
+_RESIDUAL_TICKS_DEG = (0, 5, 20, 45, 90)  # ticks on the axis of theta_half in the figure of residuals
 
 
 def profiles_figure(profiles: Profiles, model: Reflectance, *, curves: str = "fit") -> Figure:
@@ -102,9 +102,10 @@ def overview_figure(
 
 
 def materials_figure(materials: Mapping[str, Reflectance]) -> Figure:
-    """Compare materials by name: their mean values of the channels in two slices, and their spheres in one exposure.
+    """Draw several materials, given by name: the mean of their channels in two slices, and their lit spheres.
 
-    Raises InvalidArgumentError if there is no material, or there are more than colours.
+    All spheres have one exposure. Raises InvalidArgumentError if there is no material, or if there are more materials
+    than colours.
     """
     if not 1 <= len(materials) <= len(LOBE_COLOURS):
         raise InvalidArgumentError(
@@ -131,8 +132,8 @@ def materials_figure(materials: Mapping[str, Reflectance]) -> Figure:
 def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     """Draw the relative difference between the profiles of fit and measurement for each channel.
 
-    The axes are theta_half and theta_diff. All grid nodes are equally wide, which enlarges the peak, where theta_half
-    has more nodes. Nodes without data are grey.
+    The axes are theta_half and theta_diff. All nodes of the grid are drawn equally wide, which enlarges the peak,
+    because more nodes are there. Nodes without data are grey.
     """
     figure = empty_figure(profiles.name, 2, height=ROW_HEIGHT_IN)
     fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
@@ -188,17 +189,18 @@ def _parts_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, model_lobe
         curves = [slice_means(source, row, profiles.horizon_cutoff)[:, 0] for source, *_ in parts]
         seen = [curve.max() > pair[0].get_ylim()[0] for curve in curves]
         for ax in pair:
-            draw_curve(ax, fitted, "0.75", label="fit", width=3.5)  # The wide line stays visible below a component.
-            draw_points(
-                ax, *points, str(ax.xaxis.label.get_color()), "o", "measured"
-            )  # This colour is visible on light and dark backgrounds.
+            draw_curve(
+                ax, fitted, "0.75", label="fit", width=3.5
+            )  # A wide line stays visible behind an equal component.
+            # The colour of the axis labels is visible on light and dark backgrounds.
+            draw_points(ax, *points, str(ax.xaxis.label.get_color()), "o", "measured")
             for (_, colour, style, label), curve in compress(zip(parts, curves, strict=True), seen):
                 draw_curve(ax, curve, colour, style=style, label=label)
     finish_row(figure, [pair[0] for pair in pairs], slices=len(SLICE_ROWS), columns=2 * len(SLICE_ROWS))
 
 
 def _component_parts(model: DSBRDF) -> list[_Part]:
-    """Return the components of a model, each after a dashed curve of the component's own layers."""
+    """Return the curves of a model's components, each preceded by a dashed curve of the component's layers."""
     parts: list[_Part] = []
     for component in decompose(model):
         colour, name = COMPONENT_COLOURS[component.label], component.label.replace("_", " ")
@@ -209,7 +211,10 @@ def _component_parts(model: DSBRDF) -> list[_Part]:
 
 
 def _lobe_parts(model: DSBRDF) -> list[_Part]:
-    """Return the lobes of a model, rings and cusps dashed, and the delta term; labels have widths at theta_diff = 0."""
+    """Return the curves of a model's lobes and of the paper's delta term; rings and cusps are dashed.
+
+    The label of a lobe has the half width of the lobe at theta_diff = 0.
+    """
     at = lobes_in_channel(model, 0.0, 0)
     widths, centers = np.degrees(at["half_width"]), np.degrees(at["center"])
     parts: list[_Part] = []
@@ -226,7 +231,7 @@ def _lobe_parts(model: DSBRDF) -> list[_Part]:
 
 
 def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
-    """Draw pictures of spheres in one row, each with its title and transparent outside the sphere."""
+    """Draw pictures of spheres in one row, each with a title and a transparent background."""
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     figure.subplots_adjust(left=0.02, right=0.98, bottom=0.02, top=0.82, wspace=0.1)
     for ax, (title, picture) in zip(axes, panels.items(), strict=True):

@@ -31,7 +31,7 @@ def html(shown: Measurement | DSBRDF | Component | LayeredModel | FitResult | Fi
 
 
 def _rows(source: Measurement | DSBRDF | Component | LayeredModel) -> dict[str, str]:
-    """Return the rows of an object's table: texts by name."""
+    """Return the table that describes an object: a text for each name of a property."""
     if isinstance(source, DSBRDF):
         rows = {"model": f"{lobes_phrase(source)}, {source.n_numbers} numbers"}
         return rows | {part.label.replace("_", " "): _component_phrase(part) for part in decompose(source)}
@@ -58,7 +58,7 @@ def _component_phrase(component: Component) -> str:
 
 
 def _report_html(report: FitReport) -> str:
-    """Return the metrics that have a value, and the warnings, as HTML."""
+    """Return a report as HTML: the metrics that are not None, and the warnings."""
     metrics = {name: f"{value:.4g}" for name, value in asdict(report.metrics).items() if value is not None}
     sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in report.warnings)
     return _table(metrics) + (f"<ul>{sentences}</ul>" if sentences else "")

@@ -33,8 +33,8 @@ _CURVE_THETA_DIFF = np.radians(np.linspace(0.0, 85.0, 200))
 def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = False) -> Figure:
     """Draw the RGB values of a model's components at theta_half = 0, and their directional albedo.
 
-    With `model_lobes`, draw the amplitude (mean of the channels), half width, kappa and elongation of the model's
-    lobes instead. Half width and kappa are those of the green channel.
+    With `model_lobes`, draw the amplitude, half width, kappa and elongation of the model's lobes instead. The amplitude
+    is the mean of the channels; half width and kappa are from the green channel.
     """
     return _lobes_figure(model, title) if model_lobes else components_figure(decompose(model), title)
 
@@ -51,7 +51,7 @@ def components_figure(components: Iterable[Component], title: str) -> Figure:
             for channel_colour, curve in zip(CHANNEL_COLOURS, values.T, strict=True):
                 ax.plot(angles, curve, style, color=channel_colour, linewidth=1.2)
         low, high = np.transpose(part.ranges.albedo)
-        places = 1.0 + 3.0 * number + np.arange(3)  # The ranges of the channels are drawn side by side.
+        places = 1.0 + 3.0 * number + np.arange(3)  # The albedo ranges of the three channels are drawn side by side.
         albedos.vlines(places, low, high, colors=CHANNEL_COLOURS, linestyles=style, linewidth=2.5, alpha=0.5)
         heights.plot([], [], style, color="0.3", linewidth=1.2, label=part.label.replace("_", " "))
     heights.set(

@@ -1,7 +1,7 @@
 """Write the result of a fit as text, JSON and CSV: metrics, components with their layers, and the model's lobes.
 
-The JSON has the same form as in the HTTP service. Angles are in degrees, for readers and HTTP clients; the rest of the
-library uses radians.
+The JSON is the same as from the HTTP service. Angles in text, JSON and CSV are in degrees; the rest of the library uses
+radians.
 """
 
 import json
@@ -25,8 +25,8 @@ from dsbrdf.model.lobes import half_width
 from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.serialize import to_json
 
-_TEXT_WIDTH = 60  # characters
-# The verdict on a fit is the first whose PSNR [dB] its lit sphere reaches.
+_TEXT_WIDTH = 60  # maximum length of the lines of a report [characters]
+# The verdict on a fit is the first one here whose PSNR [dB] is not above the PSNR of the fit's lit sphere.
 _VERDICTS_BY_PSNR = (
     (45.0, "hard to tell apart"),
     (38.0, "very close"),
@@ -36,16 +36,16 @@ _VERDICTS_BY_PSNR = (
 
 
 def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
-    """Return the metrics that have a value, in equal columns on lines of at most `width` characters."""
+    """Return the metrics that are not None, in equal columns on lines of at most `width` characters."""
     known = {name: value for name, value in asdict(metrics).items() if value is not None}
     wide = max(map(len, known), default=0)
-    cells = [f"{name:<{wide}} {value:<11.4g}" for name, value in known.items()]  # Two spaces separate columns.
+    cells = [f"{name:<{wide}} {value:<11.4g}" for name, value in known.items()]
     each = max((width + 2) // (wide + 12), 1)
     return ["".join(cells[start : start + each]).rstrip() for start in range(0, len(cells), each)]
 
 
 def components_table(components: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a table with a line for each component: fraction of the light, its range, half width and albedo."""
+    """Return a table with a line for each component: fraction of the light with range, half width and albedo."""
     if not components:
         return ["The model reflects no light, so it has no components."]
     lines = [f"{'component':<14}{'light':>5}{'90 % range':>11}{'width':>8}{'albedo r, g, b':>21}"]
@@ -104,9 +104,9 @@ def lobes_phrase(model: DSBRDF) -> str:
 
 
 def search_table(report: FitReport) -> list[str]:
-    """Return a table of the numbers of lobes that the fit tried, in this order; empty without a search.
+    """Return a table of the numbers of lobes that the fit tried, in the order of the trials; empty without a search.
 
-    The error is the weighted squared error on validation samples, as a fraction of their squared signal.
+    The error in the table is the weighted squared error at validation samples, divided by their squared values.
     """
     lines = [f"{'lobes tried':<14}{'rings':>10}{'error held out':>18}"] if report.search else []
     for step in report.search:
@@ -116,7 +116,7 @@ def search_table(report: FitReport) -> list[str]:
 
 
 def selection_table(report: FitReport) -> list[str]:
-    """Return a table of the numbers of lobes that Williams' test compared; empty without the test."""
+    """Return a table of the numbers of lobes that Williams' test compared; empty if there was no test."""
     lines = [f"{'lobes':<6}{'E_p':>9}{'squared error':>15}{'t':>9}{'critical':>10}"] if report.selection else []
     for step in report.selection:
         t, critical = ("" if value is None else f"{value:.3f}" for value in (step.t, step.critical_value))
@@ -140,7 +140,7 @@ def bands_table(report: FitReport) -> list[str]:
 
 
 def samples_tables(report: FitReport) -> list[str]:
-    """Return tables of validation errors and of directions to measure next; empty unless samples were fitted."""
+    """Return tables of validation errors and of directions to measure next, for a fit of scattered samples only."""
     lines = [f"{'samples left out':<32}{'samples':>9}{'relative_rms':>14}"] if report.left_out else []
     lines += [f"{row.where:<32}{row.n_samples:>9}{row.relative_rms:>14.4f}" for row in report.left_out]
     if report.measure_next:
@@ -161,7 +161,7 @@ def result_text(file: Path, result: FitResult) -> list[str]:
     sentences = dict.fromkeys((*result.report.warnings, *decompose(result.model).remarks))
     warnings = [f"warning: {sentence}" for sentence in sentences]
     lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
-    lines += model_text(result.model, remarks=False)  # The warnings include the remarks.
+    lines += model_text(result.model, remarks=False)  # The warnings above include the remarks on components.
     for table in (
         samples_tables(result.report),
         search_table(result.report),
@@ -188,7 +188,7 @@ def _percent(error: float) -> str:
 
 
 def likeness(psnr: float) -> str:
-    """Return a verdict in words on the PSNR [dB] of lit spheres of a measurement and its fit."""
+    """Return a verdict in words on a fit, from the PSNR [dB] between lit spheres of measurement and fit."""
     words = next((words for least, words in _VERDICTS_BY_PSNR if psnr >= least), "strongly different")
     return f"{words} ({psnr:.1f} dB)"
 
@@ -225,7 +225,7 @@ def parameters_csv(model: DSBRDF) -> str:
 
 
 def layers_csv(layers: LayeredModel) -> str:
-    """Return the parameters of layers as CSV, with a row for each number; see `dsbrdf.components.layers`.
+    """Return the parameters of layers as CSV, with a row for each number; `dsbrdf.components.layers` explains them.
 
     A colour has a row for each channel, such as ``f0_red``; other lists have a row for each index, such as ``rise_1``.
     """

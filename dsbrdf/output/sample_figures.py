@@ -1,4 +1,4 @@
-"""Draw scattered samples against a fit: near slices of theta_diff, in planes of incidence, and the residual."""
+"""Draw scattered samples beside a fit: near slices of theta_diff, in planes of incidence, and the residual."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 MAX_DRAWN_DISTANCE_DEG = 3.0
-"""The panel of a slice of theta_diff, or of a plane of incidence, leaves out samples farther from it."""
+"""A panel shows only samples at most this far from its slice of theta_diff, or from its plane of incidence."""
 _MAX_DRAWN_SAMPLES = 3000  # If there are more samples, a random subset is drawn.
-# Slices are chosen among these theta_diff, planes among these theta_in.
+# The drawn slices have two of these theta_diff, and the drawn planes of incidence two of these theta_in.
 _SLICE_CANDIDATES_DEG = np.arange(0.0, 86.0, 5.0)
-_MIN_SLICE_DISTANCE_DEG = 15.0  # The two drawn slices or planes are never closer.
+_MIN_SLICE_DISTANCE_DEG = 15.0  # The two drawn slices, or planes, are at least this far apart.
 _CURVE_ANGLES_DEG = np.linspace(0.0, 89.0, 357)
 _CURVE_PHI_DIFF = np.radians(np.arange(0.0, 181.0, 15.0))
 _MAX_RESIDUAL_AXIS_PERCENT = 100.0  # Larger residuals are drawn at the edge of the axis.
@@ -34,9 +34,9 @@ _MAX_RESIDUAL_AXIS_PERCENT = 100.0  # Larger residuals are drawn at the edge of 
 def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
     """Draw samples and fit near two slices of theta_diff and at two angles of incidence, and all residuals.
 
-    The slices and the angles theta_in with the most samples are drawn. Samples are squares. In a slice, the line is the
-    fit's mean over phi_diff, and the band is the fit's range over phi_diff. In a plane of incidence, the line is the
-    fit for light at the mean theta_in of the samples.
+    The theta_diff and the theta_in with the most samples are drawn. Samples are squares. In a slice, the line is the
+    mean of the fit over phi_diff, and the band is the range of the fit over phi_diff. In a plane of incidence, the line
+    is the fit for light at the mean theta_in of the samples.
     """
     figure, (slices, planes, below) = figure_of_rows(samples.name, 2, [ROW_HEIGHT_IN] * 3)
     near = f"samples (squares) within {MAX_DRAWN_DISTANCE_DEG:g}°"
@@ -69,7 +69,7 @@ def _angles(samples: ScatteredSamples) -> Array:
 
 
 def _densest(values: Array) -> list[float]:
-    """Return at most two candidate angles with the most values nearby, in ascending order."""
+    """Return at most two of the candidate angles, those with the most values nearby, in ascending order."""
     places = _SLICE_CANDIDATES_DEG
     counts = np.count_nonzero(np.abs(values - places[:, np.newaxis]) <= MAX_DRAWN_DISTANCE_DEG, axis=1)
     first = int(np.argmax(counts))
@@ -83,7 +83,7 @@ def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles
 
     def draw(ax: Axes, place: float) -> None:
         values = model.evaluate(np.radians(_CURVE_ANGLES_DEG)[:, np.newaxis], np.radians(place), _CURVE_PHI_DIFF)
-        around = np.ma.masked_equal(values, 0.0)  # Zeros below the horizon are left out of the mean.
+        around = np.ma.masked_equal(values, 0.0)  # The mean leaves out zeros, which are below the horizon.
         near = np.abs(theta_diff - place) <= MAX_DRAWN_DISTANCE_DEG
         _draw(ax, theta_half[near], samples.values[near], _CURVE_ANGLES_DEG, around.mean(axis=1))
         for colour, low, high in zip(CHANNEL_COLOURS, around.min(axis=1).T, around.max(axis=1).T, strict=True):
@@ -97,10 +97,10 @@ def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles
 def _plane_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF) -> None:
     first, second = samples.omega_in, samples.omega_out
     theta_in = np.degrees(np.arccos(np.clip(first[:, 2], -1.0, 1.0)))
-    normal = np.cross(first, (0.0, 0.0, 1.0))  # The normal of the plane of incidence is 0 if omega_in is z.
+    normal = np.cross(first, (0.0, 0.0, 1.0))  # normal of the plane of incidence; 0 if omega_in is the surface normal
     aside = np.sum(normal * second, axis=1) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
     in_plane = np.abs(np.degrees(np.arcsin(np.clip(aside, -1.0, 1.0)))) <= MAX_DRAWN_DISTANCE_DEG
-    # theta_out is negative on the side of omega_in.
+    # The drawn theta_out is negative if omega_out is on the same side of the surface normal as omega_in.
     sign = np.where(np.sum(first[:, :2] * second[:, :2], axis=1) > 0.0, -1.0, 1.0)
     theta_out = sign * np.degrees(np.arccos(np.clip(second[:, 2], -1.0, 1.0)))
 

@@ -1,8 +1,8 @@
 """Convert models and reports to versioned JSON and back, without loss.
 
-A file contains the format ``dsbrdf``, a version, the arrays of a `DSBRDF` and, if there is one, the report of its fit.
-Every number has enough digits to restore the same bits. Everything that is read is checked:
-damaged content raises a `ModelFormatError`.
+A file contains the format ``dsbrdf``, a version, the arrays of a `DSBRDF` and, if there is one, the report of the fit.
+Every number has enough digits to restore the same bits. All content is checked when a file is read, and damaged content
+raises a `ModelFormatError`.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ VERSION = 2
 ARRAYS = tuple(field.name for field in fields(DSBRDF) if field.name not in TEXTS)
 """Names of the attributes of a `DSBRDF` that are arrays."""
 
-_MAX_FILE_BYTES = 64 << 20  # A larger file is refused; a model with its report takes less than 1 MB.
+_MAX_FILE_BYTES = 64 << 20  # A larger file is refused, because a model with its report has less than 1 MB.
 
 
 def save(model: DSBRDF | FitResult, path: str | os.PathLike[str]) -> None:
     """Write a model, or a fit's model with its report, to a ``.json`` file.
 
-    The file is written completely or not at all.
+    After an error, an existing file is unchanged and no partial file is left.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def load(path: str | os.PathLike[str]) -> DSBRDF | FitResult:
 
 
 def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | None]:
-    """Read the model and the report, if any, from a ``.json`` file; raise the errors of `load`."""
+    """Read the model and the report, if any, from a ``.json`` file; raise the same errors as `load`."""
     _check_suffix(path)
     with Path(path).open("rb") as file:
         content = file.read(_MAX_FILE_BYTES + 1)
@@ -110,10 +110,10 @@ def read_model_file(path: str | os.PathLike[str]) -> tuple[DSBRDF, FitReport | N
 def to_json(model: DSBRDF, report: FitReport | None = None, components: Decomposition | None = None) -> str:
     """Return a model and its report as JSON text.
 
-    The text is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. With components, the
-    text begins with ``warnings`` and ``measure_next`` of the report, the `component_document` of each component, and
-    the ``structures`` of layers from which `fit_from_json` restores the components. Raises InvalidArgumentError if the
-    report has a value that JSON cannot store, such as NaN.
+    The text is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. If `components` are
+    given, the text begins with ``warnings`` and ``measure_next`` of the report, the `component_document` of each
+    component, and the ``structures`` of layers from which `fit_from_json` restores the components. Raises
+    InvalidArgumentError if the report has a value that JSON cannot store, such as NaN.
     """
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -137,7 +137,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
 def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
     """Return the model and the report, if any, of a JSON text; the inverse of `to_json`.
 
-    Raises ModelFormatError if the text is damaged, of another kind, or of another version.
+    Raises ModelFormatError if the text is damaged, not of the format ``dsbrdf``, or of another version.
     """
     return _model_and_report(_document(text))
 
@@ -145,7 +145,7 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
 def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
     """Return the model with its components, and the report, if any, of a JSON text from `to_json`.
 
-    Raises ModelFormatError like `from_json`, and also if the components are missing or inconsistent.
+    Raises ModelFormatError if the text is damaged, or if its components are missing or inconsistent.
     """
     document = _document(text)
     model, report = _model_and_report(document)
@@ -172,7 +172,7 @@ def layers_to_json(layers: LayeredModel) -> str:
 
 
 def result_from_json(text: str) -> FitResult:
-    """Return the result of a fit from a JSON text; raise ModelFormatError also if the text has no report."""
+    """Return the result of a fit from a JSON text; raise ModelFormatError if the text is damaged or has no report."""
     model, report = from_json(text)
     if report is None:
         raise ModelFormatError("The stored model has no report of a fit.")

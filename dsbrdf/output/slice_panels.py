@@ -1,4 +1,4 @@
-"""Draw one slice of theta_diff of a fit: panels for all angles and for the peak, with points and curves in them."""
+"""Draw one slice of theta_diff of a fit: a panel with all angles and a panel with the peak, each with its curves."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from dsbrdf.data.synthetic import Reflectance
 
 CURVE_THETA_HALF = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])
-"""Angles theta_half of curves, dense at the peak [rad]."""
+"""Angles theta_half [rad] at which curves are computed, dense at the peak."""
 PHI_DIFF_FRACTIONS = (np.arange(24) + 0.5) / 24
-"""Nodes of means over phi_diff, as fractions of the way from 90 degrees to the smallest phi_diff within the cutoff."""
+"""Angles phi_diff of a mean, as fractions of the way from 90 degrees to the smallest phi_diff within the cutoff."""
 _TOP_MARGIN_IN = 0.6
 _BOTTOM_MARGIN_IN = 0.6
 _LEFT_MARGIN_IN = 0.7
 _RIGHT_MARGIN_IN = 0.15
 _LEGEND_LINE_HEIGHT_IN = 0.18
-_MIN_PEAK_RATIO = 1.3  # A curve with a smaller ratio of its highest to its lowest value has no peak.
-_MAX_PEAK_THETA_HALF = np.radians(60.0)  # A peak ends at the lowest value up to this angle [rad].
+_MIN_PEAK_RATIO = 1.3  # A curve has no peak if the ratio of its highest to its lowest value is smaller.
+_MAX_PEAK_THETA_HALF = np.radians(60.0)  # The end of a peak, where its curve is lowest, is searched up to this angle.
 
 
 def panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
-    """Return two panels for each slice, side by side."""
+    """Return two panels side by side for each slice: one for all angles, and one for the peak."""
     axes = figure.subplots(1, 2 * slices, squeeze=False, width_ratios=[1.7, 1.0] * slices)[0]
     return list(zip(axes[::2], axes[1::2], strict=True))
 
@@ -57,9 +57,10 @@ def slice_means(
 ) -> Array:
     """Return a model's means (n, 3) [1/sr] over phi_diff, at angles theta_half (n,) [rad].
 
-    `row` is the index of theta_diff on the measurement's grid. As in profiles, directions farther than `horizon_cutoff`
-    [rad] from the normal are left out; if none is left, the value at phi_diff = 90 degrees is returned. Both cosines
-    to the normal are ``level -/+ swing cos(phi_diff)``, so a mean needs only phi_diff from a minimum to 90 degrees.
+    The argument `row` is the index of theta_diff on the measurement's grid. As in profiles, pairs with a direction
+    farther than `horizon_cutoff` [rad] from the normal are left out; if no pair is left, the value at phi_diff = 90
+    degrees is returned. The mean is over phi_diff up to 90 degrees only, because the values at phi_diff and at 180
+    degrees - phi_diff are equal.
     """
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     level, swing = np.cos(theta_half) * np.cos(THETA_DIFF[row]), np.sin(theta_half) * np.sin(THETA_DIFF[row])
@@ -69,14 +70,14 @@ def slice_means(
 
 
 def measured_means(profiles: Profiles, row: int, channel: int) -> tuple[Array, Array]:
-    """Return theta_half [rad] and the mean over phi_diff [1/sr] at nodes with positive data."""
+    """Return theta_half [rad] and the measured mean over phi_diff [1/sr] at the nodes where the mean is positive."""
     mean = profiles.mean[channel, row]
     used = (profiles.weight[channel, row] > 0) & (mean > 0)
     return THETA_HALF[used], mean[used]
 
 
 def set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array) -> None:
-    """Set the axes of both panels: all angles on a logarithmic scale, the peak's four half widths on a linear scale."""
+    """Set the axes of two panels: all angles on a logarithmic scale, and four half widths of the peak on a linear."""
     top = float(max(fitted.max(), measured.max(initial=0.0), 1e-6))
     bottom = float(measured.min(initial=top))
     all_angles, peak = pair
@@ -108,13 +109,13 @@ def _peak_half_width(values: Array) -> float | None:
 def draw_curve(
     ax: Axes, values: Array, colour: str, *, label: str, style: str = "-", width: float | None = None
 ) -> None:
-    """Draw a curve over `CURVE_THETA_HALF` and its mirror image; by default, a curve without a label is thin."""
+    """Draw a curve over `CURVE_THETA_HALF` and its mirror image; without `width`, a curve without a label is thin."""
     width = width or (1.2 if label else 0.8)
     ax.plot(*_mirrored(CURVE_THETA_HALF, values), style, color=colour, linewidth=width, label=label)
 
 
 def draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker: str, label: str) -> None:
-    """Draw hollow markers and their mirror images; leave out markers that would overlap."""
+    """Draw measured points as hollow markers, mirrored about theta_half = 0; leave out markers that would overlap."""
     spacing = np.radians(ax.get_xlim()[1] / 36.0)
     kept: list[int] = []
     for node, angle in enumerate(theta_half):

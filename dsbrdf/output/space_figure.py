@@ -22,14 +22,14 @@ _SPHERE_ZOOM = 0.38
 
 
 def space_figure(found: MaterialSpace, models: Mapping[str, Source]) -> Figure:
-    """Draw each material's sphere under three lights, with its own exposure, at the material's coordinates."""
+    """Draw a map: at the coordinates of each material, its sphere under three lights, with an exposure of its own."""
     from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 
     figure = empty_figure(
         "materials by likeness of their lit spheres, glossy ones to the right", 2, height=_FIGURE_HEIGHT_IN
     )
     ax = figure.subplots()
-    ax.plot(*found.places.T, ".", color="0.8", markersize=1.0)  # The points set the limits of the axes.
+    ax.plot(*found.places.T, ".", color="0.8", markersize=1.0)  # Matplotlib sets the axis limits by these points.
     ax.margins(0.06)
     ax.set(aspect="equal", adjustable="datalim", xticks=[], yticks=[])
     mask = sphere_normals(_SPHERE_SIZE_PX)[1]

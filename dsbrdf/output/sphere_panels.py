@@ -23,14 +23,14 @@ from dsbrdf.rendering.sphere import render_sphere, sphere_likeness, sphere_norma
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 DIFFERENCE_GAIN = 4.0
-"""The panel of the difference shows differences multiplied by this gain."""
+"""The panel of the difference shows the difference between two spheres multiplied by this gain."""
 
-_MIN_VISIBLE_VALUE = 0.1  # The panel of a component with only smaller displayed values is left out.
+_MIN_VISIBLE_VALUE = 0.1  # The panel of a component is left out if all its displayed values, 0 to 1, are smaller.
 _LIGHTING_PHRASES = {"three_lights": "under three lights", "environment": "in the environment"}
 _NAME_HEIGHT_PX = 20
-_MIN_NAMED_PANEL_PX = 128  # Smaller panels have no names.
+_MIN_NAMED_PANEL_PX = 128  # Smaller panels have no names, because the text would not fit.
 _THUMBNAIL_SIZE_PX = 112
-_EDGE_WIDTH_PX = 1.5  # Closer to a sphere's edge, inner colours are used, because outer pixels may be black.
+_EDGE_WIDTH_PX = 1.5  # Pixels this close to a sphere's edge may be black, and take the colour of inner pixels.
 
 
 Panels: TypeAlias = dict[str, Array]
@@ -40,19 +40,19 @@ Panels: TypeAlias = dict[str, Array]
 class SphereComparison:
     """Hold lit spheres of a measurement and its fit, or of any two materials.
 
-    `panels` has pictures by title: measured, fit, difference, and optionally each component of the fit. PSNR
-    and SSIM are those of `dsbrdf.rendering.sphere.sphere_likeness`; `light` describes the lighting in words.
+    The dict `panels` has pictures by title: measured, fit, difference, and optionally each component of the fit. PSNR
+    and SSIM are computed by `dsbrdf.rendering.sphere.sphere_likeness`; `light` describes the lighting in words.
     """
 
-    panels: dict[str, Array]  # (size, size, 3) each
-    exposure: float  # Radiance is multiplied by this factor.
+    panels: dict[str, Array]  # picture of each sphere by title, axes (row, column, channel)
+    exposure: float  # factor by which radiance is multiplied before it is displayed
     psnr: float
     ssim: float
     light: str
 
     @property
     def seen(self) -> dict[str, Array]:
-        """The panels without components that are too dark to be visible."""
+        """The dict `panels` without the components that are too dark to be visible."""
         whole = list(self.panels)[:3]
         return {
             title: panel for title, panel in self.panels.items() if title in whole or panel.max() > _MIN_VISIBLE_VALUE
@@ -71,8 +71,9 @@ def compare_spheres(
 ) -> SphereComparison:
     """Draw a measurement, or a model, beside a fit or another measurement.
 
-    The first two panels are titled with `names`. If the fit is a model, `with_components` adds its components.
-    Lighting and size are as for `dsbrdf.render_sphere`; the exposure `factor` "auto" is that of the measured sphere.
+    The first two panels are titled with `names`. If the fit is a model, `with_components` adds a panel for each of its
+    components. Lighting and size are as for `dsbrdf.render_sphere`. With the exposure `factor` "auto", all spheres have
+    the exposure of the measured sphere.
     """
     reference, fitted = (render_sphere(source, lighting=lighting, size=size) for source in (measured, fit))
     factor = exposure(reference, sphere_normals(size)[1]) if factor == "auto" else factor
@@ -87,21 +88,21 @@ def compare_spheres(
 
 
 def side_by_side(panels: Mapping[str, Array]) -> Array:
-    """Join panels of equal size side by side, with names if Matplotlib is installed and the panels are large."""
+    """Join panels of equal size side by side; name them if Matplotlib is installed and the panels are large."""
     picture = np.concatenate(list(panels.values()), axis=1)
     is_named = len(picture) >= _MIN_NAMED_PANEL_PX and find_spec("matplotlib") is not None
     return np.concatenate([_names(panels, picture.shape[1]), picture]) if is_named else picture
 
 
 def one_below_another(rows: Sequence[Mapping[str, Array]]) -> Array:
-    """Join rows of panels into one picture, and fill short rows with black."""
+    """Join rows of panels into one picture; rows with fewer panels are filled with black."""
     pictures = [side_by_side(row) for row in rows if row]
     width = max(picture.shape[1] for picture in pictures)
     return np.concatenate([np.pad(one, ((0, 0), (0, width - one.shape[1]), (0, 0))) for one in pictures])
 
 
 def component_panels(model: DSBRDF, name: str, lighting: str | EnvironmentMap, size: int, factor: float) -> Panels:
-    """Draw a model's components with one exposure, each titled with the names of the model and the component."""
+    """Draw a model's components with one exposure; a title has the names of the model and of the component."""
     spheres = {part.label: render_sphere(part, lighting=lighting, size=size) for part in decompose(model)}
     return {f"{name}: {label.replace('_', ' ')}": displayed(one, factor) for label, one in spheres.items()}
 
@@ -122,8 +123,8 @@ def _names(panels: Mapping[str, Array], width: int) -> Array:
 def cut_out(picture: Array) -> Array:
     """Return a picture (size, size, 3) of a sphere as (size, size, 4), transparent outside, with a smooth edge.
 
-    The last channel is the fraction of each pixel that the sphere covers; pixels at the edge have the colour of the
-    nearest inner pixel.
+    The last channel is the fraction of each pixel that the sphere covers. Pixels at the edge of the sphere have the
+    colour of the nearest inner pixel.
     """
     size = len(picture)
     rows, columns = np.indices((size, size)) + 0.5 - size / 2.0
@@ -135,7 +136,7 @@ def cut_out(picture: Array) -> Array:
 
 
 def thumbnail(model: DSBRDF, measured: Measurement | ScatteredSamples) -> bytes:
-    """Return a PNG of the fit's sphere under three lights; its left half shows the measurement if that has a grid."""
+    """Return a PNG of the fit's sphere under three lights; a measurement on a grid replaces the left half."""
     image = render_sphere(model, size=_THUMBNAIL_SIZE_PX)
     factor = exposure(image, sphere_normals(_THUMBNAIL_SIZE_PX)[1])
     if isinstance(measured, Measurement):

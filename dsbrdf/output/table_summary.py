@@ -11,17 +11,17 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.units import sample_doubts
 
 ANGLE_NAMES = ("theta_in_deg", "theta_out_deg", "phi_deg")
-"""Angles of a sample; phi is the azimuth from omega_in to omega_out, 0 to 360 degrees."""
+"""Names of the angles of a sample in a summary; phi is the azimuth from omega_in to omega_out, 0 to 360 degrees."""
 _N_SHOWN_SAMPLES = 5
-_MAX_LISTED_ANGLES = 12  # If there are more angles of incidence, none is listed.
-_MAX_IN_PLANE_DISTANCE_DEG = 0.5  # Samples closer to the plane of incidence count as in it.
+_MAX_LISTED_ANGLES = 12  # A summary lists the angles of incidence only if there are at most this many.
+_MAX_IN_PLANE_DISTANCE_DEG = 0.5  # A sample at most this far from the plane of incidence counts as in the plane.
 
 
 def summary_of_table(found: ReadTable) -> dict[str, Any]:
     """Return columns, ranges, warnings and the first samples of a table as JSON content.
 
-    A row of `first` has the angles `ANGLE_NAMES`, then red, green and blue [1/sr]; `ranges` has the minimum and maximum
-    of each of these columns over all samples.
+    A row of ``first`` has the angles `ANGLE_NAMES`, then red, green and blue [1/sr] of one sample. The object
+    ``ranges`` has the minimum and maximum over all samples of each of these columns.
     """
     samples = found.samples
     angles = _angles(samples)
@@ -44,7 +44,7 @@ def summary_of_table(found: ReadTable) -> dict[str, Any]:
 
 
 def _angles(samples: ScatteredSamples) -> Array:
-    """Return the angles of `ANGLE_NAMES`, shape (n, 3) [degrees]."""
+    """Return the angles of samples [degrees], shape (n, 3), in the order of `ANGLE_NAMES`."""
     first, second = samples.omega_in, samples.omega_out
     phi_in, phi_out = (np.arctan2(side[:, 1], side[:, 0]) for side in (first, second))
     theta_in, theta_out = (np.arccos(np.clip(side[:, 2], -1.0, 1.0)) for side in (first, second))

@@ -32,7 +32,7 @@ def typed(kind: Any, value: Any, place: str) -> Any:
 
 
 def _fits(kind: Any, value: Any) -> bool:
-    """Tell whether a JSON value can be converted to a type, without a check of its elements."""
+    """Return whether a JSON value can be converted to a type; the elements of a list or mapping are not checked."""
     origin = get_origin(kind)
     if is_dataclass(kind) and isinstance(kind, type):
         return isinstance(value, Mapping) and set(value) == set(_hints(kind))
@@ -42,7 +42,7 @@ def _fits(kind: Any, value: Any) -> bool:
         return isinstance(value, list)
     if origin is dict:
         return isinstance(value, dict)
-    if kind is float:  # JSON does not distinguish 1 from 1.0, and too large an exponent is read as infinity.
+    if kind is float:  # JSON may write 1 for 1.0, and a number with too large an exponent is read as infinity.
         return type(value) in (int, float) and abs(value) <= sys.float_info.max
     return type(value) is kind
 

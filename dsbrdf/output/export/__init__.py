@@ -1,4 +1,4 @@
-"""Export models and components to other programs: a table of formats, and one module for each foreign format."""
+"""Export models and components to other programs: a table of formats, and a module for each format."""
 
 import os
 from collections.abc import Callable
@@ -47,8 +47,8 @@ class ExportFormat:
     suffix: str  # suffix of the file's name, without the dot
     media_type: str  # MIME type for HTTP
     encode: Callable[[Any, Extras], bytes | str]  # returns the content of a file for a model, layers or a component
-    holds_parameters: bool = False  # A single component has no parameters, so it is refused.
-    time: Literal["short", "medium", "long"] = "short"  # Encoding takes about 50 ms, 1 s or several seconds.
+    holds_parameters: bool = False  # whether the format stores parameters, which a single component does not have
+    time: Literal["short", "medium", "long"] = "short"  # duration of the encoding: about 50 ms, 1 s or several seconds
 
 
 def _json(model: DSBRDF | LayeredModel, extras: Extras) -> str:
@@ -125,7 +125,7 @@ FORMATS = {
         time="long",
     ),
 }
-"""Formats by name; a new format needs a row in this table and its own module."""
+"""Export formats by name; a new format needs a row in this table and a module of its own."""
 
 
 def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component | LayeredModel:
@@ -150,9 +150,9 @@ def export_model(
     """Return the content of a file with a model, layers or a component; `file_format` is one of `FORMATS`.
 
     Only ``json`` stores the report; only ``glsl`` takes `name` and `sampling`, see `glsl_function`. The title names the
-    material in ``materialx`` and ``components``.
-    Raises InvalidArgumentError if the format is unknown, cannot hold a component, does not take an option or cannot
-    store so large values, or if GLSL does not allow the name, and MeasurementFormatError if MERL cannot store a value.
+    material in ``materialx`` and ``components``. Raises InvalidArgumentError if the format is unknown, cannot hold a
+    component, does not take an option or cannot store so large values, or if GLSL does not allow the name. Raises
+    MeasurementFormatError if MERL cannot store a value.
     """
     if file_format not in FORMATS:
         raise InvalidArgumentError(f"the format must be one of {', '.join(FORMATS)}, not {file_format!r}")
@@ -187,7 +187,7 @@ def export(
     name: str | None = None,
     sampling: bool = False,
 ) -> None:
-    """Write a model, layers or a component to a file for another program, completely or not at all.
+    """Write a model, layers or a component to a file for another program; after an error, no partial file is left.
 
     Parameters
     ----------

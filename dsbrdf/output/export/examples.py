@@ -1,7 +1,7 @@
 """Write an example beside an exported file: a scene, a page or a script that shows the material on a sphere.
 
-In a template, ``FILE`` stands for the name of the exported file, and ``SELF`` for the name of the example. All examples
-have a similar sphere and similar lights.
+In the template of an example, ``FILE`` stands for the name of the exported file, and ``SELF`` for the name of the
+example. All examples have a similar sphere and similar lights.
 """
 
 from html import escape
@@ -17,7 +17,7 @@ EXAMPLES = {
     "bsdf-spectral": (".pbrt", "scene.pbrt"),
     "materialx": ("_blender.py", "blender.txt"),
 }
-"""End of the example's name and its template, by the name of the exported format."""
+"""For each exported format that has an example: the end of the example's file name, and the example's template."""
 
 
 def example(path: Path, file_format: str, content: bytes, name: str) -> tuple[Path, bytes]:

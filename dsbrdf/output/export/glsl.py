@@ -3,14 +3,14 @@
 In the templates ``model.glsl`` and ``layers.glsl``, ``dsbrdf`` stands for the name of the function.
 
 Each parameter is a piecewise cubic polynomial in theta_diff; the coefficients of a piece are a ``vec4`` in a constant
-array. One loop looks up all parameters, and a second loop sums the lobes, because some compilers copy a constant array
-wherever it is indexed, and a function wherever it is called. The formulas avoid cancellation in single precision:
-tangents come from the sum and the difference of the directions, and the polynomials are in Bernstein's form. The source
-defines ``log1p``, ``expm1``, ``tan`` and ``atan`` itself, because the functions of GLSL are missing or too inaccurate;
-``tan`` and ``atan`` are those of the library Cephes.
+array. One loop looks up all parameters, and a second loop sums the lobes, because some compilers make a copy of a
+constant array for each place that indexes the array, and a copy of a function for each call. The formulas avoid
+cancellation in single precision: tangents come from the sum and the difference of the directions, and the polynomials
+are in Bernstein's form. The source defines ``log1p`` and ``expm1``, which GLSL lacks, and ``tan`` and ``atan`` with the
+formulas of the library Cephes, because the functions of GLSL are too inaccurate.
 
-The sampling functions have the formulas and names of `dsbrdf.model.sampling`. Layers, and the division of a model among
-its components, are in `dsbrdf.output.export.glsl_layers`.
+The sampling functions have the formulas and names of `dsbrdf.model.sampling`. The module
+`dsbrdf.output.export.glsl_layers` writes layers, and the division of a model among its components.
 """
 
 import re
@@ -31,7 +31,7 @@ from dsbrdf.output.export.templates import filled, sections
 from dsbrdf.version import __version__
 
 NAME = "dsbrdf"
-"""Default name of the function."""
+"""Default name of the exported GLSL function."""
 _TEMPLATES = sections("model.glsl")
 _NAME_PATTERN = r"(?!gl_)[A-Za-z](_?[A-Za-z0-9]){0,63}"
 _RESERVED_WORDS = (
@@ -80,7 +80,7 @@ def glsl_function(source: DSBRDF | LayeredModel | Component, name: str = NAME, *
 
 
 def _model_parts(model: DSBRDF) -> list[str]:
-    """Return the source of ``vec3 dsbrdf_model(dsbrdf_Angles angles)``, after the functions that it calls."""
+    """Return the source of ``vec3 dsbrdf_model(dsbrdf_Angles angles)`` and of the functions that it calls."""
     constants = constant("GRAZING_FOURTH", GRAZING_COSINE**4)
     constants += constant("DELTA_TANGENT", float(np.tan(CENTER_CUTOFF)))
     common = _TEMPLATES["precision"], constants, *(_TEMPLATES[name] for name in ("math", "angle", "angles"))
@@ -108,8 +108,9 @@ def _model_parts(model: DSBRDF) -> list[str]:
 def _parameter_rows(model: DSBRDF) -> tuple[str, int]:
     """Return the source of ``void dsbrdf_rows(float theta_diff, out float rows[n])`` with its constants, and n.
 
-    The rows are amplitude (channel, lobe), kappa and gamma (1 or 3 channels, lobe) and elongation (lobe). Center (like
-    kappa) and the delta term follow if they are not 0. All are on the scale on which they are interpolated.
+    The array ``rows`` has the parameters at theta_diff: amplitude (channel, lobe), kappa and gamma (1 or 3 channels,
+    lobe) and elongation (lobe). If they are not 0, the centers of ring lobes and the delta term of the paper's model
+    follow. Parameters are on the scale on which they are interpolated, such as the logarithm.
     """
     (breaks, coefficients), k = bernstein_pieces(model, "GLSL"), model.n_lobes
     sk = model.kappa.shape[0] * k

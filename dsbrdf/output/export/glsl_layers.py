@@ -1,16 +1,18 @@
 """Write physical layers in GLSL: a layered model as a readable function, and the division of a model into components.
 
-The functions of the layers return logarithms: far from the highlight, values are too small for single precision, but
-their ratios are not. A component's function evaluates the model and the layers of each structure once. It divides the
-model as `dsbrdf.components.shares` does, with the formula rearranged against cancellation. Let f be the model, g the
-sum of the layers, s the diffuse fraction of g, and let a rise from 0 at the mirror direction to 1 outside a halo:
+The functions of the layers return logarithms, because far from the highlight values are too small for single precision,
+although the ratios of the values are not. A component's function evaluates the model and each layer once, and divides
+the model as `dsbrdf.components.shares` does, with the formula rearranged against cancellation. Let f be the value of
+the model, g the sum of the layers, s the diffuse fraction of g, and let a rise from 0 at the mirror direction to 1
+outside a halo around it. Then the components are
 
     diffuse = min(f, g s (1 - a s**3) + f a s**4),
     specular = max(0, (1 - s) (f + (f - g) a (s + s**2 + s**3)) + (f - g) (1 - a) s),
     spike = n (specular (1 + v) (1 + v**2) - l (1 + v + v**2)),
 
-where l is the sum of the lobe's layers, v the fraction of l in the sum of the specular layers, and n = 1 - v. Inside
-the halo of the spike, spike tends to specular - l; it is clipped to the interval from 0 to specular.
+where l is the sum of the layers of the lobe, v the fraction of l in the sum of the specular layers, and n = 1 - v.
+Inside the halo of the spike, the value of the spike tends to specular - l. The spike is clipped to the interval from 0
+to specular, and the lobe is the rest of specular.
 """
 
 from collections.abc import Sequence
@@ -24,12 +26,12 @@ from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS, SPIKE_HALO, Weig
 from dsbrdf.output.export.single_precision import literal
 from dsbrdf.output.export.templates import filled, sections
 
-_NO_LIGHT = "vec3(-1e30)"  # logarithm of the value of an absent layer
+_NO_LIGHT = "vec3(-1e30)"  # logarithm of the value 0, for a layer that the model does not have
 _TEMPLATES = sections("layers.glsl")
 
 
 def layered_function(model: LayeredModel) -> str:
-    """Return the source of ``vec3 dsbrdf(vec3 omega_in, vec3 omega_out)``, after the functions that it calls."""
+    """Return the source of ``vec3 dsbrdf(vec3 omega_in, vec3 omega_out)`` and of the functions that it calls."""
     terms = "\n    + ".join(f"exp({_call(layer)})" for layer in model.layers) or "vec3(0.0)"
     return _TEMPLATES["header"] + layer_functions(model.layers) + _TEMPLATES["layered"].replace("TERMS", terms)
 

@@ -28,29 +28,32 @@ from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, s
 from dsbrdf.version import __version__
 
 _FITTED_SPHERE_SIZES_PX = {"three_lights": 32, "environment": 10}  # diameters of the fitted spheres
-_STATED_SPHERE_SIZE_PX = 128  # The stated PSNR compares spheres of this size.
-_MAX_RADIANCE = 1e100  # A model whose lit sphere is brighter is refused.
-_DERIVATIVE_STEPS = [1e-4]  # relative steps of finite differences
+_STATED_SPHERE_SIZE_PX = 128  # The PSNR in the exported document compares lit spheres of this diameter.
+_MAX_RADIANCE = 1e100  # A model whose lit sphere has larger values is refused, because a picture would overflow.
+_DERIVATIVE_STEPS = [1e-4]  # relative steps of the finite differences that give the derivatives of a fit
 _COST_TOLERANCE = 1e-3  # The fit ends if a step lowers the squared error by a smaller fraction (0.004 dB).
 _MAX_FIT_STEPS = 16
-# The unknowns of a fit are base colour, specular colour and these inputs; F0 represents an index of refraction (ior).
+# The unknowns of a fit are base colour, specular colour and these inputs; the unknown for an index (ior) is its F0.
 _FITTED_INPUTS = ("base_metalness", "specular_ior", "specular_roughness", "coat_weight", "coat_roughness", "coat_ior")
 _MIN_ROUGHNESS = 0.03
 _INPUT_BOUNDS = (
     np.array([0.0] * 7 + [0.002, _MIN_ROUGHNESS, 0.0, _MIN_ROUGHNESS, 0.01]),
     np.array([1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]),  # 0.18 and 0.1 are F0 of the indices 2.5 and 1.9.
 )
-_ABSENT_COAT_START = (0.05, 0.1, 0.053)  # start of weight, roughness and F0 without a coat in the layers
-# Indices of the unknowns of simple surfaces; their other inputs keep the values of a dielectric or a metal.
+# If the layers have no coat, the fit of a coat starts with this weight, roughness and F0.
+_ABSENT_COAT_START = (0.05, 0.1, 0.053)
+# Indices of the unknowns that are fitted for a simple dielectric; its other inputs are constant.
 _DIELECTRIC = (0, 1, 2, 7, 8)
+# Indices of the unknowns that are fitted for a simple metal; its other inputs are constant.
 _METAL = (0, 1, 2, 3, 4, 5, 8)
+# Indices of the unknowns that are fitted for a coat, in addition to the unknowns of the base.
 _COAT = (9, 10, 11)
-_MAX_COST_RATIO = 2.0  # A simple surface with a larger squared error than this times the smallest (3 dB) is refused.
-_MIN_BOUND_DISTANCE = 0.02  # A start is moved away from both bounds by this fraction of their distance.
-_START_WEIGHT = 0.003  # This weak pull to the start determines inputs without effect on the spheres.
+_MAX_COST_RATIO = 2.0  # A simple surface is preferred if its squared error is at most this times the smallest (3 dB).
+_MIN_BOUND_DISTANCE = 0.02  # The start of an input keeps this fraction of the input's range away from both bounds.
+_START_WEIGHT = 0.003  # This small weight of the distance from the start determines inputs without visible effect.
 _DIFFUSE_ANGLES = np.radians([[40.0, 50.0, 60.0], [10.0, 20.0, 5.0], [90.0, 90.0, 90.0]])
 _HIGHLIGHT_QUANTILE = 0.9  # Pixels brighter than this quantile are highlights.
-_MAX_GRAZING_COSINE = np.cos(np.radians(60.0))  # Pixels with a smaller cosine to the view are grazing.
+_MAX_GRAZING_COSINE = np.cos(np.radians(60.0))  # A pixel is grazing if its normal has a smaller cosine to the view.
 
 
 class FoundSurface(NamedTuple):
@@ -62,10 +65,10 @@ class FoundSurface(NamedTuple):
 
 
 def materialx_document(model: DSBRDF | LayeredModel, title: str) -> str:
-    """Return a MaterialX 1.39 document, which is XML, with one material; see `fit_openpbr` for the surface in it.
+    """Return a MaterialX 1.39 document, which is XML, with the OpenPBR surface that looks most like a model.
 
-    The material is named after `title`, so that a program can load several documents. Raises InvalidArgumentError if
-    the values are too large for a picture.
+    The material in the document is named after `title`, so that a program can load several documents. Raises
+    InvalidArgumentError if the values of the model are too large for a picture.
     """
     for lighting, size in _FITTED_SPHERE_SIZES_PX.items():
         if not render_sphere(model.evaluate, lighting=lighting, size=size).max() < _MAX_RADIANCE:
@@ -88,7 +91,7 @@ def materialx_document(model: DSBRDF | LayeredModel, title: str) -> str:
 
 def _input(name: str, value: float | Color) -> str:
     numbers, kind = (value, "color3") if isinstance(value, tuple) else ((value,), "float")
-    # Not every reader accepts exponents; numbers too small to be visible become 0.
+    # Numbers have no exponents, because some readers of MaterialX refuse them; invisibly small numbers become 0.
     text = ", ".join(np.format_float_positional(round(number, 9), 7, fractional=False, trim="-") for number in numbers)
     return f'    <input name="{name}" type="{kind}" value="{text}" />'
 
@@ -124,9 +127,9 @@ def fit_openpbr(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
 
 
 def _starts(layers: LayeredModel) -> list[tuple[Array, list[int]]]:
-    """Return starts with the indices of their unknowns: simple surfaces first, then mixtures of all inputs.
+    """Return the starts of fits, each with the indices of its unknowns: simple surfaces first, then all inputs.
 
-    The narrower of two highlights is a coat.
+    If the layers have two highlights, the narrower highlight becomes the coat.
     """
     specular = sorted((one for one in layers.layers if isinstance(one, SpecularLayer)), key=lambda one: one.alpha)
     ground = LayeredModel(tuple(one for one in layers.layers if not isinstance(one, SpecularLayer)))
@@ -157,14 +160,14 @@ def _starts(layers: LayeredModel) -> list[tuple[Array, list[int]]]:
 
 
 def _roughness(layer: SpecularLayer) -> float:
-    """Return the roughness of a GGX highlight with the half width of a layer."""
+    """Return the roughness of the GGX highlight that has the half width of a layer's highlight."""
     return float(np.sqrt(np.tan(layer.half_width) / np.sqrt(np.sqrt(2.0) - 1.0)))
 
 
 def _target(evaluate: Evaluate, lighting: str, size: int) -> Callable[[Evaluate], Array]:
-    """Return a function that compares a surface with a material by the pixels of a lit sphere.
+    """Return a function that computes the differences between pixels of lit spheres of a surface and a material.
 
-    All pictures have the same weight, regardless of their size.
+    The differences are scaled so that all pictures have equal weights, regardless of their size.
     """
     picture, mask = render_sphere(evaluate, lighting=lighting, size=size), sphere_normals(size)[1]
     factor = exposure(picture, mask)
@@ -187,7 +190,7 @@ def _surface(numbers: Array) -> OpenPBR:
 
 
 def _likeness(evaluate: Evaluate, surface: OpenPBR) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the PSNR [dB] of lit spheres by lighting, then by region."""
+    """Return the PSNR [dB] between lit spheres of a material and a surface, for each lighting and for each region."""
     normals, mask = sphere_normals(_STATED_SPHERE_SIZE_PX)
     grazing = normals[:, 2] < _MAX_GRAZING_COSINE
     errors, regions, by_lighting = [], [], {}
@@ -203,7 +206,7 @@ def _likeness(evaluate: Evaluate, surface: OpenPBR) -> tuple[dict[str, float], d
         regions.append([bright, ~grazing & ~bright, grazing])
     error, places = np.concatenate(errors), np.concatenate(regions, axis=1)
     names = ("highlight", "rest", "grazing")
-    floor = 1e-12  # minimum squared error, because equal pictures have 0
+    floor = 1e-12  # minimum squared error, because the PSNR of equal pictures would be infinite
     return by_lighting, {
         name: float(-10.0 * np.log10(max(float(np.mean(error[place])), floor)))
         for name, place in zip(names, places, strict=True)

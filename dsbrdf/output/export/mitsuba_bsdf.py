@@ -32,7 +32,7 @@ from dsbrdf.rendering.environment import LUMINANCE
 def register() -> None:
     """Register the BSDF ``dsbrdf`` with the active variant of Mitsuba.
 
-    Its only property is ``filename``, the path of a model in JSON. Raises MissingExtraError if Mitsuba is not
+    The BSDF has one property, ``filename``, the path of a model in JSON. Raises MissingExtraError if Mitsuba is not
     installed, and InvalidArgumentError if no variant is set, or the variant has polarisation.
     """
     require("mitsuba", "mitsuba", purpose="the BSDF of a model")
@@ -45,7 +45,7 @@ def register() -> None:
 
 
 def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
-    """Return the path of the file in the properties, and the model in this file; an error names the file."""
+    """Return the path in the properties of a BSDF, and the model in the file at this path; an error names the file."""
     name, wanted = properties.get("filename", None), "the .json file of a model"
     if not isinstance(name, str):
         raise InvalidArgumentError(f'the BSDF "dsbrdf" needs the property "filename", a text: {wanted}')
@@ -59,7 +59,7 @@ def _file_and_model(mitsuba: Any, properties: Any) -> tuple[str, DSBRDF]:
 
 
 def _bsdf_class(mitsuba: Any) -> Any:
-    """Define the BSDF as a class of the active variant."""
+    """Define the BSDF as a class of Mitsuba's active variant."""
     dr, lobe = import_module("drjit"), mitsuba.BSDFFlags.GlossyReflection
 
     class DirectionalStatistics(mitsuba.BSDF):  # type: ignore[misc]
@@ -103,7 +103,7 @@ def _bsdf_class(mitsuba: Any) -> Any:
 
 
 def _reflects(context: Any, surface: Any, wo: Any, lobe: Any) -> Any:
-    """Return whether both directions are above the surface and a context asks for the lobe."""
+    """Return whether both directions are above the surface and Mitsuba's context asks for this kind of BSDF."""
     return (surface.wi.z > 0.0) & (wo.z > 0.0) & context.is_enabled(lobe)
 
 

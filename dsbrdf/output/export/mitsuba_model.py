@@ -1,9 +1,10 @@
 """Evaluate and sample a model in the arrays of Mitsuba 3, with differentiable parameters.
 
-Formulas and names are those of `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision. Mitsuba
-follows a path from the camera, so its ``si.wi`` is omega_out of the model, and its ``wo`` is omega_in. Numbers are
-floats of Python or arrays of drjit. drjit has no ``expm1`` and ``log1p``; they are computed by series near 0. Also in
-a branch that is not taken, derivatives are finite, because drjit multiplies them by 0, and 0 times infinity is not 0.
+Formulas and names are as in `dsbrdf.model.evaluation` and `dsbrdf.model.sampling`, in single precision. Mitsuba follows
+a path from the camera, so that Mitsuba's ``si.wi`` is omega_out of the model, and ``wo`` is omega_in. Numbers are
+floats of Python or arrays of drjit. The functions ``expm1`` and ``log1p``, which drjit lacks, are computed by series
+near 0. The derivatives of a branch that is not taken must be finite too, because drjit multiplies these derivatives by
+0, and 0 times infinity is not 0.
 """
 
 from dataclasses import replace
@@ -23,7 +24,7 @@ Number = Any
 """A float or int of Python, or an array of drjit."""
 PARAMETERS = ("amplitude", "kappa", "gamma", "center", "elongation")
 """Names of the arrays of `DSBRDF` that can be changed in Mitsuba."""
-_MIN_LOG_PARAMETER = 1e-9  # Smaller values of a parameter are clipped before the logarithm.
+_MIN_LOG_PARAMETER = 1e-9  # Parameters that are interpolated as logarithms are clipped at this minimum.
 
 
 class Table:
@@ -68,8 +69,9 @@ def _safe_root(x: Number) -> Number:
 class MitsubaModel:
     """Evaluate and sample a model in the arrays of the active variant of Mitsuba.
 
-    `parameters` has tensors by their names in `PARAMETERS`; call `update` after a change. The tensors have the shapes
-    of the arrays in `DSBRDF`, but center has only ring lobes, and elongation only lobes that are not round.
+    The dict `parameters` has a tensor for each name in `PARAMETERS`; call `update` after a change of a tensor. The
+    tensors have the shapes of the arrays in `DSBRDF`, except that center has only the ring lobes, and elongation only
+    the lobes that are not round.
     """
 
     def __init__(self, model: DSBRDF) -> None:
@@ -106,12 +108,12 @@ class MitsubaModel:
 
     @property
     def _bounds(self) -> dict[str, float]:
-        """Return the minimum of each bounded parameter; it is positive where 0 would be singular."""
+        """Return the minimum of each bounded parameter, which is above 0 if the model is undefined at 0."""
         least = _MIN_LOG_PARAMETER if self._model.interpolation == "spline" else 0.0
         return {"amplitude": least, "kappa": _MIN_LOG_PARAMETER, "gamma": least}
 
     def update(self) -> None:
-        """Recompute the model from the current parameters; the densities of samples do not change."""
+        """Recompute the model from the current parameters; the density of sampled directions does not change."""
         if self._mitsuba.Float is float:
             self._coefficients = Table(bernstein_pieces(self.changed_model(), "Mitsuba")[1])
             return
@@ -119,7 +121,7 @@ class MitsubaModel:
         self._coefficients = Table(self._dr.concat([*rows, self._mitsuba.Float(np.ravel(self._delta))]))
 
     def _rows_of(self, name: str, basis: Array) -> Number:
-        """Return the Bernstein coefficients of a parameter's rows, as a flat array (row, piece, 4)."""
+        """Return the Bernstein coefficients of a parameter, as a flat array with the axes (row, piece, coefficient)."""
         dr, index = self._dr, self._mitsuba.UInt32
         shape = getattr(self._model, name).shape
         values = self._mitsuba.Float(0.0)
@@ -186,7 +188,7 @@ class MitsubaModel:
         return result
 
     def sample(self, omega_out: Number, one: Number, two: Number) -> Number:
-        """Draw omega_in, possibly below the horizon; `one` is a uniform random number, `two` is a pair of them."""
+        """Draw omega_in, possibly below the horizon, from a uniform random number `one` and a pair of them, `two`."""
         dr, width = self._dr, self._mixture_width
         row = self._row_of(omega_out)
         chosen = self._mitsuba.UInt32(0)
@@ -209,14 +211,17 @@ class MitsubaModel:
         return dr.normalize(self._mitsuba.Vector3f(toward * x - aside * y, toward * y + aside * x, z + seen.y))
 
     def _angles(self, omega_in: Number, omega_out: Number) -> tuple[Number, ...]:
-        """Return theta_diff, tan(theta_half), its clipped square, cos(phi_diff)**2, and elongation's logarithm."""
+        """Return theta_diff, tan(theta_half), the clipped square of this tangent, cos(phi_diff)**2 and a logarithm.
+
+        The logarithm of a lobe's stretch is the elongation times this last number, which depends on theta_diff alone.
+        """
         dr = self._dr
         total, difference = omega_in + omega_out, omega_in - omega_out
         sum2, difference2 = dr.maximum(dr.squared_norm(total), 1e-30), dr.squared_norm(difference)
         radius2 = total.x * total.x + total.y * total.y
         radius, height = _safe_root(radius2), dr.maximum(total.z, 1e-7)
         x, y = self._heading(total)
-        # Project the difference along and across the azimuth of the half vector.
+        # The difference of the directions is projected along and across the azimuth of the half vector.
         along = ((x * difference.x + y * difference.y) * total.z - radius * difference.z) * dr.rsqrt(sum2)
         across = x * difference.y - y * difference.x
         length2 = along * along + across * across
@@ -246,7 +251,10 @@ class MitsubaModel:
         return s * s * (s * first + 3.0 * t * second) + t * t * (3.0 * s * third + t * last)
 
     def _lobe(self, row: int, step: int, lobe: int, place: tuple[Number, Number], squared: Number) -> Number:
-        """Return a lobe with maximum 1; kappa is in `row`, gamma `step` rows later, and center 2 `step` rows later."""
+        """Return the value of a lobe with the maximum 1.
+
+        The parameter kappa is in `row` of the coefficients, gamma in `row + step`, and center in `row + 2 step`.
+        """
         dr, kappa, gamma = self._dr, self._row(row, place), self._row(row + step, place)
         if self._model.interpolation == "spline":
             kappa, gamma = dr.exp(kappa), dr.exp(gamma)
@@ -259,11 +267,11 @@ class MitsubaModel:
             return dr.exp(-kappa * (_log1p(gamma * squared) - _log1p(gamma * top_squared)))
         log_cos, log_cos_top = -0.5 * _log1p(squared), -0.5 * _log1p(top_squared)
         top, log_ratio = kappa * dr.exp(gamma * log_cos_top), gamma * (log_cos - log_cos_top)
-        # This is expm1(top * ratio) / expm1(top) without overflow.
+        # The value is expm1(top * exp(log_ratio)) / expm1(top), written in a form without overflow.
         return dr.exp(top * _expm1(log_ratio)) * _expm1(-top * dr.exp(log_ratio)) / _expm1(-top)
 
     def _heading(self, omega: Number) -> tuple[Number, Number]:
-        """Return cosine and sine of a direction's azimuth; 1 and 0 if the direction is the normal."""
+        """Return cosine and sine of the azimuth of a direction; 1 and 0 for the direction of the normal."""
         radius2 = omega.x * omega.x + omega.y * omega.y
         some = radius2 > 1e-30
         inverse = self._dr.rsqrt(self._dr.select(some, radius2, 1.0))

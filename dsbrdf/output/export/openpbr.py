@@ -1,14 +1,16 @@
 """Evaluate the OpenPBR surface model 1.1 for opaque materials, a rough base under a clear coat.
 
-    f = coat + (1 - coat's albedo) darkening (metalness metal + (1 - metalness) (specular + (1 - albedo) diffuse))
+    f = coat + (1 - A_coat) darkening (metalness metal + (1 - metalness) (specular + (1 - A_specular) diffuse)),
 
-The formulas are those of the shaders in the MaterialX library, which most programs use: GGX with height-correlated
-masking, Turquin's compensation of multiple scattering, Fresnel's equations for the dielectrics, the F82 tint for the
-metal, and layers dimmed by a rational fit of the directional albedo of the layer above. The fit in
-`dsbrdf.output.export.materialx` uses no transmission, subsurface, fuzz, thin film, anisotropy or roughness of the
-diffuse part, so these features are left out.
+where each A is the directional albedo of the part named in its index.
+The formulas are from the shaders in the MaterialX library, which most programs use: GGX with height-correlated masking,
+Turquin's compensation of multiple scattering, Fresnel's equations for the dielectrics, the F82 tint for the metal, and
+layers dimmed by a rational fit of the directional albedo of the layer above. Transmission, subsurface, fuzz, thin film,
+anisotropy and roughness of the diffuse part are left out, because the fit in `dsbrdf.output.export.materialx` does not
+use these features.
 
-A layer dims the layers below depending on the view direction (omega_out) only, so OpenPBR is not quite reciprocal.
+The amount by which a layer dims the layers below depends on the view direction (omega_out) only, so that OpenPBR is not
+quite reciprocal.
 """
 
 from dataclasses import dataclass
@@ -19,10 +21,10 @@ from dsbrdf.arrays import Array
 from dsbrdf.components.layers import Color
 from dsbrdf.data.geometry import incident_cosines
 
-_MIN_COSINE_OR_ALPHA = 1e-6  # Smaller cosines and values of alpha are clipped.
+_MIN_COSINE_OR_ALPHA = 1e-6  # Cosines and the roughness alpha are clipped at this minimum, because they are divisors.
 _F82_COSINE = 1.0 / 7.0
-# The directional albedo of GGX is F0 p1 / p3 + F90 p2 / p4. Each column has the coefficients of a polynomial p in the
-# cosine x and alpha y, for the terms 1, x, y, xy, xx, yy, xxy, xyy, xxyy.
+# The directional albedo of GGX is F0 p1 / p3 + F90 p2 / p4, where p1 to p4 are polynomials in the cosine x and alpha y.
+# Each column has the coefficients of one polynomial, for the terms 1, x, y, xy, xx, yy, xxy, xyy, xxyy.
 _ALBEDO_COEFFICIENTS = np.array(
     [
         [0.1003, 0.9345, 1.0, 1.0],
@@ -40,7 +42,7 @@ _ALBEDO_COEFFICIENTS = np.array(
 
 @dataclass(frozen=True)
 class OpenPBR:
-    """Hold the inputs of a surface by their names in MaterialX; all except the indices (ior) are from 0 to 1."""
+    """Hold the inputs of an OpenPBR surface; all inputs except the indices of refraction (ior) are from 0 to 1."""
 
     base_color: Color = (0.8, 0.8, 0.8)  # linear RGB of the diffuse part or of the metal
     base_metalness: float = 0.0
@@ -85,7 +87,7 @@ class OpenPBR:
 
     @property
     def _darkening(self) -> Array:
-        """Fraction of the base's light that remains after reflections inside the coat."""
+        """Fraction of the light from the base that remains after reflections inside the coat."""
         inner = 1.0 - (1.0 - _normal_reflectance(self.coat_ior)) / self.coat_ior**2
         dimmed = (1.0 - inner) / (1.0 - np.array(self.base_color) * inner)
         return np.asarray(self.coat_weight * dimmed + 1.0 - self.coat_weight)
@@ -93,7 +95,7 @@ class OpenPBR:
 
 @dataclass(frozen=True, eq=False)
 class _Facets:
-    """Hold a rough boundary: cos(theta_diff), value without Fresnel term, and factors of F0 and F90 in the albedo."""
+    """Hold a rough boundary: cos(theta_diff), value without Fresnel term, and factors of F0 and F90 in its albedo."""
 
     diff: Array
     value: Array
@@ -102,7 +104,7 @@ class _Facets:
 
     @classmethod
     def of(cls, alpha: float, half: Array, diff: Array, incident: Array, view: Array) -> "_Facets":
-        """Make GGX microfacets for pairs of directions with given cosines, each (n, 1)."""
+        """Make GGX microfacets of the roughness `alpha` for pairs of directions with given cosines, each (n, 1)."""
         alpha = max(alpha, _MIN_COSINE_OR_ALPHA)
         square = alpha**2
         tangent2 = (1.0 - half**2) / square
@@ -133,7 +135,7 @@ class _Facets:
         return self.value * fresnel * self._compensation(fresnel)
 
     def _compensation(self, fresnel: Array) -> Array:
-        """Return the factor for light that is reflected more than once."""
+        """Return the factor by which light that is reflected more than once increases the values."""
         once = self.to_normal + self.to_grazing
         return 1.0 + fresnel * (1.0 - once) / once
 

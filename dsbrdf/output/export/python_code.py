@@ -1,8 +1,9 @@
 """Define the functions of an exported Python file; `dsbrdf.output.export.python_file` copies their source.
 
-The functions use the common interface `xp` of NumPy, PyTorch and JAX. Derivatives are finite wherever values are,
-because arguments of roots and denominators are kept above 0. Parameters and formulas are those of
-`dsbrdf.model.dsbrdf`, `dsbrdf.components.layers` and `dsbrdf.components.shares`. Files are kept below 150 lines.
+The functions use the common interface `xp` of NumPy, PyTorch and JAX. Derivatives are finite wherever values are
+finite, because arguments of roots and denominators are kept above 0. Parameters and formulas are as in
+`dsbrdf.model.dsbrdf`, `dsbrdf.components.layers` and `dsbrdf.components.shares`. An exported file has less than 150
+lines.
 """
 
 import itertools
@@ -31,7 +32,7 @@ def _arrays(parameters: dict[str, Any], *directions: Any) -> tuple[Any, Any, Any
 
 
 def _angles(xp: Any, first: Any, second: Any) -> tuple[Any, Any, Any, Any]:
-    """Return a mask of pairs above the horizon, theta_diff, tan(theta_half)**2 and cos(phi_diff)**2."""
+    """Return for pairs of directions: whether both are above the horizon, and the angles that the model needs."""
     total, difference = first + second, first - second
     sum2, difference2, radius2 = (xp.clip((v * v).sum(-1), 1e-30, None) for v in (total, difference, total[..., :2]))
     (x, y, z), (dx, dy, dz) = ([v[..., i] for i in range(3)] for v in (total, difference))
@@ -50,12 +51,12 @@ def _spline(xp: Any, knots: list[float], values: Any, at: Any, degree: int) -> A
     for n in range(1, degree + 1):
         rise = [(at - low) / (high - low or 1.0) for low, high in zip(ends, ends[n:], strict=False)]
         weights = [rise[i] * w + (1.0 - rise[i + 1]) * weights[i + 1] for i, w in enumerate(weights[:-1])]
-    base = values[:, 0, :] * (degree - 1) / 2.0  # Sums of differences from a base lose fewer digits.
+    base = values[:, 0, :] * (degree - 1) / 2.0  # A sum of differences from a base loses fewer digits than of values.
     return base + sum(w[..., None, None] * (values[:, i, :] - base) for i, w in enumerate(weights))
 
 
 def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]) -> Any:
-    """Return the sum of the lobes and the delta term (..., 3)."""
+    """Return the RGB values (..., 3) of the model: the sum of the lobes and the delta term of the paper."""
     degree, log, exp = (3, xp.log, xp.exp) if IS_SPLINE else (1, xp.positive, xp.positive)
     kappa, gamma = (exp(_spline(xp, KNOTS[1], log(p[name]), theta_diff, degree)) for name in ("kappa", "gamma"))
     tangent = xp.tan(_spline(xp, KNOTS[1], p["center"], theta_diff, degree))
@@ -73,21 +74,21 @@ def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]
 
 
 def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
-    """Return a lobe at the squared tangent of the angle to its center; its maximum, 1, is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Smaller exponents give negligible values.
+    """Return a lobe of the paper's distribution at the squared tangent `square`; its maximum, 1, is at `top2`."""
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # A smaller exponent would underflow.
     fall = xp.clip(gamma / 2.0 * (xp.log1p(top2) - xp.log1p(square)), low, None)
     top = kappa * xp.exp(xp.clip(-gamma / 2.0 * xp.log1p(top2), low, None))
     return xp.exp(top * xp.expm1(fall)) * xp.expm1(-top * xp.exp(fall)) / xp.expm1(-top)
 
 
 def _student(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
-    """Return a lobe at the squared tangent of the angle to its center; its maximum, 1, is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # Smaller exponents give negligible values.
+    """Return a lobe of Student's distribution at the squared tangent `square`; its maximum, 1, is at `top2`."""
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # A smaller exponent would underflow.
     return xp.exp(xp.clip(kappa * (xp.log1p(gamma * top2) - xp.log1p(gamma * square)), low, None))
 
 
 def _rise(xp: Any, cosine: Any) -> Any:
-    """Return the rise of the reflectance of glass from normal (0) to grazing incidence (1)."""
+    """Return the reflectance of glass, scaled to 0 at normal incidence and to 1 at grazing incidence."""
     bent = xp.sqrt(1.25 + cosine**2)
     square = ((cosine * (bent + cosine) - 1.0) / (cosine * (bent - cosine) + 1.0)) ** 2
     return xp.clip(0.5 * ((bent - cosine) / (bent + cosine)) ** 2 * (1.0 + square) - COAT_F0, 0.0, None) / (1 - COAT_F0)
@@ -108,7 +109,7 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
     u, sin2, tan2 = 2.0 * xp.sin(theta_diff / 2.0) ** 2, xp.sin(theta_diff) ** 2, xp.clip(tan2, None, MAX_TAN2)
     to_in, to_out, fresnel = (_rise(xp, cosine) for cosine in (cos_in, cos_out, 1.0 - u))
     passed, sin2_half, rise = xp.log((1.0 - to_in) * (1.0 - to_out)), tan2 / (1.0 + tan2), fresnel[..., None]
-    total = 0.0 * rise - 1e4  # The exponential of -1e4 is 0.
+    total = 0.0 * rise - 1e4  # The logarithm -1e4 stands for a sum without layers, because exp(-1e4) is 0.
     for name in names:
         p = {key.rpartition(".")[2]: value for key, value in parameters.items() if key.rpartition(".")[0] == name}
         if "f0" in p:  # specular layer
@@ -131,7 +132,7 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
 
 
 def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: bool) -> list[Any]:
-    """Divide the model's values among spike, lobe and diffuse part, by the logarithms of the layers of each."""
+    """Divide the model's values among spike, lobe and diffuse part, by the logarithms of the layers of each part."""
     tan2, (narrow, wide, diffuse) = xp.clip(tan2, None, MAX_TAN2)[..., None], layers
     if not has_highlight:  # Values far above the diffuse layers near the mirror direction are a highlight.
         ground = xp.minimum(whole, xp.exp(diffuse) * (2.0 + (tan2 / HALO) ** 2))
@@ -146,7 +147,7 @@ def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: b
     return [spike, rest - spike, xp.minimum(whole, ground + (whole * s - ground) * (1.0 - halo) * s**3)]
 
 
-# An exported file defines these placeholders for its own model.
+# An exported file defines these constants for its own model; here they are placeholders.
 IS_SPLINE = True
 KNOTS = [[0.0]]
 MAX_TANGENT = 1e12

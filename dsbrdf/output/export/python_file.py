@@ -1,6 +1,6 @@
 """Write a model, a component or layers as a Python file with a differentiable function for NumPy, PyTorch and JAX.
 
-The file copies the functions of `dsbrdf.output.export.python_code` that it needs; its numbers are stored exactly.
+The file has copies of the functions of `dsbrdf.output.export.python_code` that the model needs, and exact numbers.
 """
 
 import inspect
@@ -38,7 +38,7 @@ def python_file(source: DSBRDF | LayeredModel | Component) -> str:
     if isinstance(source, DSBRDF):
         return _file("all of it", _model_parameters(source), _fixed(source), _of(source), "model")
     whole, what = source.whole, f"its {source.label.replace('_', ' ')}"
-    if len(whole.labels) < 2:  # The only component equals the whole model.
+    if len(whole.labels) < 2:  # If the model has a single component, this component equals the whole model.
         return _file(what, _model_parameters(whole.model), _fixed(whole.model), _of(whole.model), "model")
     parameters: dict[str, _Numbers] = _model_parameters(whole.model) | {"structures": {}}
     structures = []
@@ -53,7 +53,7 @@ def python_file(source: DSBRDF | LayeredModel | Component) -> str:
 
 
 def _model_parameters(model: DSBRDF) -> dict[str, _Numbers]:
-    """Return the parameters of a model by name; each name gets a line of the file."""
+    """Return the parameters of a model by name; the exported file has a line for each name."""
     names = ("amplitude", "kappa", "gamma", "center", "elongation")
     parameters = {name: {name: getattr(model, name).tolist()} for name in names}
     return parameters | ({"delta": {"delta": model.delta[..., np.newaxis].tolist()}} if model.delta.any() else {})
@@ -72,7 +72,7 @@ def _of(model: DSBRDF) -> _Functions:
 
 
 def _layer_parameters(layers: tuple[Layer, ...], lead: str) -> dict[str, _Numbers]:
-    """Return the parameters of layers by their names, such as ``specular_1.alpha``; each layer gets a line."""
+    """Return the parameters of layers by name, such as ``specular_1.alpha``; the exported file has a line per layer."""
     named = {f"{lead}{type(one).__name__.removesuffix('Layer').lower()}_{n}": one for n, one in enumerate(layers, 1)}
     return {
         name: {f"{name}.{parameter}": np.asarray(value).tolist() for parameter, value in vars(layer).items()}
@@ -81,12 +81,12 @@ def _layer_parameters(layers: tuple[Layer, ...], lead: str) -> dict[str, _Number
 
 
 def _with(label: str, names: dict[str, _Numbers], labels: tuple[str, ...]) -> Iterator[str]:
-    """Yield the names of the layers with one label."""
+    """Yield the names of the layers that belong to the component with one label."""
     return (name for name, own in zip(names, labels, strict=True) if own == label)
 
 
 def _file(part: str, parameters: dict[str, _Numbers], fixed: _Numbers, functions: _Functions, evaluate: str) -> str:
-    """Return the whole file; its last function is a section of the template."""
+    """Return the whole file; the template's section `evaluate` becomes the last function of the file."""
     used: _Functions = (code._arrays, code._angles, *functions)
     body = "\n".join([*(inspect.getsource(one) for one in used), _TEMPLATES[evaluate]])
     for name in _LOBE_FUNCTIONS:

@@ -7,12 +7,12 @@ light is reflected. The second warp, ``vndf``, maps these points to half vectors
     theta_half = pi/2 u**2,    azimuth from the first direction = (2 v - 1) pi,
 
 and ``rgb`` holds f cos(theta_out) 4 sigma / ndf on a grid of points between the two warps (Dupuy and Jakob 2018,
-section 4). Here ``vndf`` is the reflected luminance plus two uniform densities of twice its mean, so that no
-direction is far from a node. ``luminance`` corrects the density of samples. Division by ``ndf``, the mean value at each
-theta_half, makes ``rgb`` smooth; sigma is 1/4.
+section 4). Here ``vndf`` is the reflected luminance plus two uniform densities of twice the mean luminance, so that no
+direction is far from a node. The density of sampled directions is corrected by ``luminance``. Division by ``ndf``, the
+mean value at each theta_half, makes ``rgb`` smooth; sigma is 1/4.
 
-Mitsuba's RGB variants read ``rgb``. Its spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm] instead:
-the RGB values times `SPECTRA`. No program reads a file that has both.
+Mitsuba's RGB variants read ``rgb``. Mitsuba's spectral variants and pbrt read ``spectra`` at ``wavelengths`` [nm]
+instead, which are the RGB values times `SPECTRA`. No program reads a file that has both ``rgb`` and ``spectra``.
 """
 
 import numpy as np
@@ -25,12 +25,12 @@ from dsbrdf.data.rgl_material import RglMaterial
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.rendering.environment import LUMINANCE
 
-_THETA_I = np.radians(89.5) * (1.0 - (1.0 - np.linspace(0.0, 1.0, 40)) ** 1.5)  # Nodes are dense near the horizon.
-_N_TABLE_NODES = 64  # nodes along each axis of rgb and luminance
-_VNDF_SHAPE = 48, 128  # azimuth, theta_half
+_THETA_I = np.radians(89.5) * (1.0 - (1.0 - np.linspace(0.0, 1.0, 40)) ** 1.5)  # angles theta_i, dense at the horizon
+_N_TABLE_NODES = 64  # number of nodes along each axis of the tables rgb and luminance
+_VNDF_SHAPE = 48, 128  # numbers of nodes of the table vndf in azimuth and theta_half
 _N_NDF_NODES = 512
 _UNIFORM_DENSITY_WEIGHT = 2.0
-"""Weight of each uniform density that is added to the density of half vectors, in units of its mean."""
+"""Weight of each uniform density that is added to the reflected luminance, as a multiple of the mean luminance."""
 
 
 def rgl_bsdf(
@@ -39,7 +39,7 @@ def rgl_bsdf(
     """Return the bytes of a ``.bsdf`` file, about 4 MB, 12 MB if spectral.
 
     A measurement is interpolated; the values of other sources need not be reciprocal. The description is stored in the
-    file. A spectral file is for Mitsuba's spectral variants and pbrt-v4, the other for Mitsuba's RGB variants.
+    file. A spectral file is for Mitsuba's spectral variants and pbrt-v4, and an RGB file for Mitsuba's RGB variants.
     """
     evaluate = source.interpolated.evaluate if isinstance(source, Measurement) else source.evaluate
     ndf = _ndf(evaluate)
@@ -62,7 +62,7 @@ def rgl_bsdf(
 
 
 def _ndf(evaluate: Evaluate) -> Array:
-    """Return the geometric mean of the luminance at each theta_half, as two equal rows (2, `_N_NDF_NODES`)."""
+    """Return the geometric mean of the luminance at each theta_half, as two rows that are equal for all azimuths."""
     theta_half = 0.5 * np.pi * np.linspace(0.0, 1.0, _N_NDF_NODES) ** 2
     theta_diff = np.radians([5.0, 20.0, 40.0, 60.0])
     values = evaluate(*np.broadcast_arrays(theta_half[:, None], theta_diff, np.array(np.pi / 2))) @ LUMINANCE
@@ -71,12 +71,12 @@ def _ndf(evaluate: Evaluate) -> Array:
 
 
 def _slice(evaluate: Evaluate, ndf: Array, theta_i: float) -> tuple[Array, Array, Array]:
-    """Return the tables vndf, luminance (S, S) and rgb (3, S, S) for one angle theta_i; S is `_N_TABLE_NODES`."""
+    """Return the tables vndf, luminance and rgb of the file for one angle theta_i [rad]."""
     v, u = (part.ravel() for part in np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in _VNDF_SHAPE), indexing="ij"))
     reflected, jacobian = _reflected(evaluate, theta_i, u, v)
     density = ((reflected @ LUMINANCE) * jacobian).reshape(_VNDF_SHAPE)
     mean = density.mean()
-    # In u, half vectors that are uniform on the hemisphere have a density proportional to u sin(theta_half).
+    # Half vectors that are uniform on the hemisphere have a density over (u, v) proportional to u sin(theta_half).
     even = (u * np.sin(0.5 * np.pi * u * u)).reshape(_VNDF_SHAPE)
     density = density + max(mean, 1e-12) * _UNIFORM_DENSITY_WEIGHT * (1.0 + even / even.mean())
     warp = Warp.of(density)
@@ -91,7 +91,7 @@ def _slice(evaluate: Evaluate, ndf: Array, theta_i: float) -> tuple[Array, Array
 
 
 def _reflected(evaluate: Evaluate, theta_i: float, u: Array, v: Array) -> tuple[Array, Array]:
-    """Return ``f cos(theta_out)`` (n, 3) at half vectors, and the solid angle per du dv of the second direction."""
+    """Return ``f cos(theta_out)`` (n, 3) at half vectors (u, v), and the solid angle of omega_out per du dv."""
     theta_half, azimuth = 0.5 * np.pi * u * u, (2.0 * v - 1.0) * np.pi
     sine = np.sin(theta_half)
     half, first = spherical(theta_half, azimuth), spherical(theta_i, 0.0)
@@ -108,4 +108,4 @@ WAVELENGTHS = np.arange(400.0, 701.0, 20.0)
 _RED = [0.0574, 0.0537, 0.0299, 0.0047, 0, 0, 0, 0, 0, 0.1347, 0.7972, 1, 1, 1, 1, 1]
 _GREEN = [0, 0, 0, 0, 0.2587, 0.7471, 1, 1, 1, 0.7935, 0.2002, 0, 0, 0, 0, 0]
 SPECTRA = np.array([_RED, _GREEN, 1.0 - np.add(_RED, _GREEN)])
-"""Spectra of red, green and blue in linear sRGB at the nodes, shape (3, 16)."""
+"""Spectra of red, green and blue in linear sRGB at the 16 wavelengths in `WAVELENGTHS`, shape (3, 16)."""

@@ -1,6 +1,6 @@
 """Convert a model's parameters to cubic polynomials in Bernstein's form, for programs in single precision.
 
-In this form, a polynomial is a mean of its four coefficients with nonnegative weights, so no digits cancel.
+In Bernstein's form, a polynomial is a mean of its four coefficients with nonnegative weights, so that no digits cancel.
 """
 
 import numpy as np
@@ -31,9 +31,9 @@ def constant(name: str, value: float) -> str:
 
 
 def bernstein_pieces(model: DSBRDF, program: str) -> tuple[Array, Array]:
-    """Return the breaks (P + 1,) of P pieces and the coefficients (R, P, 4) of R parameters over theta_diff.
+    """Return the breaks in theta_diff between polynomial pieces, and Bernstein coefficients (row, piece, 4).
 
-    The coefficients are those of `dsbrdf.DSBRDF.pieces`, followed by three rows for the channels of the delta term.
+    The rows are the parameters in `dsbrdf.DSBRDF.pieces`, followed by the three channels of the paper's delta term.
     Raises InvalidArgumentError if a parameter is too large for the single precision of a program.
     """
     breaks, terms = model.pieces
@@ -45,9 +45,10 @@ def bernstein_pieces(model: DSBRDF, program: str) -> tuple[Array, Array]:
 
 
 def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
-    """Return, by the parameter's name, the Bernstein coefficients (D, P, 4) of each of D control values if that is 1.
+    """Return, for each name of a parameter, the Bernstein coefficients (angle, piece, 4) of a basis.
 
-    The coefficients in `bernstein_pieces` are sums of control values, on the scale of the interpolation, times these.
+    A function of the basis is the interpolation of control values that are 1 at one angle and 0 at all others. The
+    coefficients of a parameter are the sum of its control values times the coefficients of the basis.
     """
     breaks, _ = model.pieces
     knots = dict.fromkeys(("kappa", "gamma", "center"), model.shape_theta_diff)
@@ -55,20 +56,21 @@ def bernstein_bases(model: DSBRDF) -> dict[str, Array]:
     bases = {}
     for name in ("amplitude", "kappa", "gamma", "center", "elongation"):
         controls = np.eye(getattr(model, name).shape[-2])
-        terms = pieces_of(knots[name], controls, breaks, spline=model.interpolation == "spline")  # (4, P, D)
+        # The result has the axes (power, piece, angle of the control value).
+        terms = pieces_of(knots[name], controls, breaks, spline=model.interpolation == "spline")
         bases[name] = _bernstein(terms.transpose(0, 2, 1), np.diff(breaks))
     return bases
 
 
 def _bernstein(terms: Array, width: Array) -> Array:
-    """Return the Bernstein coefficients (R, P, 4) of polynomials (4, R, P) whose first coefficient is the cubic one."""
+    """Return Bernstein coefficients (row, piece, 4) of cubic polynomials (4, row, piece), cubic coefficient first."""
     cubic, square, slope, level = (term * width**power for term, power in zip(terms, (3, 2, 1, 0), strict=True))
     first, second = level + slope / 3.0, level + (2.0 * slope + square) / 3.0
     return np.stack([level, first, second, level + slope + square + cubic], axis=-1)
 
 
 def _delta_terms(model: DSBRDF, breaks: Array) -> Array:
-    """Return the delta term of the paper's model as polynomials (4, 3, P)."""
+    """Return the delta term of the paper's model as cubic polynomials, axes (power, channel, piece)."""
     at = np.stack([np.interp(breaks, model.theta_diff, row) for row in model.delta])
     slope = np.diff(at, axis=1) / np.diff(breaks)
     return np.stack([np.zeros_like(slope), np.zeros_like(slope), slope, at[:, :-1]])
