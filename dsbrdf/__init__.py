@@ -16,8 +16,8 @@ from importlib import import_module
 
 from dsbrdf.notebook_display import register as _register_with_notebook
 
-# The stub `__init__.pyi`, which type checkers read, lists the public names. A public name is imported when it is first
-# used, so that `import dsbrdf` and the commands that compute nothing do not wait for NumPy and SciPy.
+# The stub `__init__.pyi`, which type checkers read, lists the public names, each imported when it is first used.
+# Therefore `import dsbrdf` and the commands that compute nothing do not wait for NumPy and SciPy.
 with open(f"{__file__}i", encoding="utf-8") as _stub:  # noqa: PTH123 (pathlib takes long to import)
     _MODULE_OF = {line.split()[3]: line.split()[1] for line in _stub if line.startswith("from ")}
 __all__ = sorted(_MODULE_OF)

@@ -48,11 +48,10 @@ from dsbrdf.version import versions
 
 FEW_SAMPLES = 200
 """With fewer scattered samples, the model is only fitted to a predicted table, and not refined at the samples."""
-# Number of fits to the scattered samples. Before each of these fits, the latest model converts the samples to whole
-# degrees of theta_diff.
 REFINEMENT_ROUNDS = 3
-# If there are more samples, a random subset of this size is used for refinement.
+"""Number of fits to the scattered samples; before each fit, the latest model moves samples to whole degrees."""
 MAX_REFINED_SAMPLES = 30_000
+"""If there are more scattered samples, the model is refined at a random subset of this size."""
 
 
 @one_blas_thread
@@ -176,7 +175,7 @@ def _fit_samples(
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
     doubts = sample_doubts(samples)
-    used = replace(samples, values=samples.values * doubts.factor)  # The model is divided by this factor below.
+    used = replace(samples, values=samples.values * doubts.factor)  # At the end, the model is divided by this factor.
     if options.robust:
         used = without_outliers(used)
     known = thinned(used)

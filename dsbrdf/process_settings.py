@@ -23,9 +23,11 @@ The matrices of a fit are so small that several threads are slower than one thre
 `one_blas_thread` limits BLAS after NumPy has been imported.
 """
 _blas_lock = threading.Lock()
-# The first entry is the limiter, which stores the former number of threads; each running computation adds an entry, so
-# that the last computation to end can restore this number.
 _blas_limits: list[Any] = []
+"""The limiter, which stores the former number of threads, then an entry for each running computation.
+
+The last computation to end restores the former number of threads.
+"""
 
 # The BLAS libraries of NumPy and of SciPy reserve 32 MB each; another 32 MB are a margin for small buffers.
 _BLAS_MEMORY_BYTES = 96 << 20

@@ -1,7 +1,7 @@
 """Write warnings about a fitted model, one sentence each.
 
 The limits were chosen on 70 reference materials, 8 of the RGL database and 62 stand-ins for MERL, so that only the
-material with the worst fit exceeds a limit. The comment above each limit has the largest value of all other materials.
+material with the worst fit exceeds a limit. The comment on each limit has the largest value of all other materials.
 """
 
 from collections.abc import Iterator
@@ -14,20 +14,28 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# If data end at a larger angle, only a thin rim of a rendered sphere is extrapolated, so there is no warning; the data
-# of all reference materials reach 88 degrees.
 _COMPLETE_ANGLE = np.radians(85.0)
-# A smaller albedo would be printed as 1.000, so there is no warning; the reference materials reach an albedo of 0.93.
+"""If data end at a larger angle, only a thin rim of a rendered sphere is extrapolated, so there is no warning.
+
+The data of all reference materials reach 88 degrees.
+"""
 _MAX_ALBEDO = 1.0 + 5e-4
-# Noise of 20 % on each sample causes this relative difference between samples that should be equal by symmetry; the
-# reference materials have differences up to 0.11.
+"""A smaller albedo would be printed as 1.000, so there is no warning; the reference materials reach 0.93."""
 _MAX_RELATIVE_ASYMMETRY = 0.15
-# Errors of diffuse reflection change the albedo, but hardly relative_rms; the reference materials have albedo errors up
-# to 0.06.
+"""Noise of 20 % on each sample causes this relative difference between samples that are equal by symmetry.
+
+The reference materials have differences up to 0.11.
+"""
 _MAX_ALBEDO_ERROR = 0.15
-# Error of a fit without the part that noise explains, relative to the measurement; the reference material chm_mint has
-# 0.15, the others have up to 0.05.
+"""Errors of diffuse reflection change the albedo, but hardly relative_rms, so the albedo has a limit of its own.
+
+The reference materials have relative errors of the albedo up to 0.06.
+"""
 _MAX_RELATIVE_MISFIT = 0.1
+"""Limit of the relative error of a fit, without the part that noise explains.
+
+The reference material chm_mint has 0.15, and all others have up to 0.05.
+"""
 
 
 def fit_warnings(
@@ -86,8 +94,7 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
             "isotropic material has equal values there. The measurement is noisy, or the material sparkles or is "
             "anisotropic; no model of this kind can be more accurate."
         )
-    # symmetric_floor compares means of two samples, so that independent noise alone causes a relative_rms of
-    # sqrt(2) * symmetric_floor.
+    # The floor is an error of means of two samples, so noise alone causes a relative_rms of sqrt(2) times the floor.
     misfit = np.sqrt(max(error**2 - 2.0 * floor**2, 0.0))
     if misfit > _MAX_RELATIVE_MISFIT:
         yield (
@@ -103,14 +110,13 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
 
 MAX_EXPECTED_ERROR = 0.1
 """If the expected error over all directions is larger, a report lists directions to measure next."""
-# If the product of the sines of both polar angles and of the azimuth between both directions is smaller for every
-# sample, all samples count as lying in one plane of incidence.
 _MIN_OUT_OF_PLANE_SINE = 0.02
+"""If the triple product of the normal and both directions is smaller at all samples, they lie in one plane."""
 _MAX_SAMPLE_MISFIT = 0.3
-# The error at held-out samples is reported if it is at least this multiple of the error at the samples of the fit,
-# and if it is at least `_MIN_REPORTED_ERROR`.
 _REPORTED_ERROR_RATIO = 2.0
+"""The error at held-out samples is reported if it is at least this multiple of the error at the fitted samples."""
 _MIN_REPORTED_ERROR = 0.05
+"""A smaller error at held-out samples is not reported."""
 
 
 def sample_warnings(samples: ScatteredSamples, metrics: Metrics, structure: str, few: int) -> Iterator[str]:

@@ -3,7 +3,8 @@
 The lobes of an accurate model overlap, so no lobe is a component by itself. Instead, several structures of physical
 layers are fitted to the model's values and weighted by their evidence (`dsbrdf.components.layer_fit`). Each structure
 divides the model's values among the components (`dsbrdf.components.shares`). A component is the weighted mean over the
-structures: components sum to the model, and no component is negative. A component that reflects too little is left out.
+structures: components sum to the model, and no component is negative. A component that reflects too little light is
+left out.
 
 Afterwards, layers are fitted to the values of each component (`dsbrdf.components.description`), and the parameters of
 these layers describe the component.
@@ -350,8 +351,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
     light = np.max([one.sum(axis=1) / max(float(one.sum()), 1e-300) for one in reflected], axis=0)
     shares = dict(zip(LABELS, light.tolist(), strict=True))
     labels = tuple(label for label in LABELS if _is_there(label, shares[label], structures))
-    # If no component reflects enough, as in a model of `delta` alone, the last layer of the best structure gives the
-    # label of the only component.
+    # If no component reflects enough light, the last layer of the best structure gives the label of a single component.
     labels = labels or (structures[0].labels[-1],)
     drawn = DrawnLayers.of(model, kept)
     split = Decomposition(model, structures, labels, tuple(map(drawn.ranges, labels)), (), drawn.light_range(LABELS[2]))

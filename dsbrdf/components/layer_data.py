@@ -50,7 +50,7 @@ _MIN_COSINE = 1e-3  # Pairs of directions with a smaller cosine to the normal ar
 
 
 class _Grid(NamedTuple):
-    """Hold a grid of pairs of directions, R x C x P angles, of which N pairs are above the horizon.
+    """Hold a grid of pairs of directions, of which N pairs are above the horizon.
 
     Attributes
     ----------
@@ -59,11 +59,11 @@ class _Grid(NamedTuple):
     points : Points
         The N pairs above the horizon.
     above : Mask
-        Whether a pair is above the horizon (R, C, P).
+        Whether each pair is above the horizon, (theta_diff, theta_half, phi_diff).
     lit, plain : Array
-        Weights of relative and of absolute errors, (R, C, P); both are small near the horizon.
+        Weights of relative and of absolute errors, with the axes of `above`; both are small near the horizon.
     rendered : Array
-        Weight of relative errors in fits for renderers, where the rim of a sphere counts, (R, C, P).
+        Weight of relative errors in fits for renderers, where the rim of a sphere counts, with the axes of `above`.
     """
 
     angles: tuple[Array, Array, Array]

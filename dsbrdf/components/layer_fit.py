@@ -39,7 +39,7 @@ _FIXED_NOISE = 0.2
 _MAX_FIXED_NOISE_STEPS = 20
 _MIN_FIXED_NOISE_GAIN = 0.5  # If a step with a fixed noise lowers the cost by less, the first stage ends.
 _TRIAL_STEPS = (5,)
-_QUICK_TRIAL_STEPS = (2, 3)  # All starts get two steps, and the better half of the starts three more.
+_QUICK_TRIAL_STEPS = (2, 3)  # In a quick trial, all starts get two steps, and the better half of the starts three more.
 _QUICK_TRIAL_STRIDE = 2  # Trials of a complete material use every second pair of directions.
 _MAX_FIRST_STEPS = 10
 _MAX_STEPS = 60
@@ -81,7 +81,7 @@ class LayerData:
 
     @classmethod
     def of(cls, points: Points, values: Array, weight: Array) -> "LayerData":
-        """Combine values (3, N), some of them positive, with their weights (3, N)."""
+        """Make data of values (3, N) and their weights (3, N); at least one value must be positive."""
         root = np.sqrt(weight / np.sum(weight * values**2))
         return cls(points, root, values * root)
 
@@ -208,8 +208,8 @@ class _Descent:
     _steps: int = 0
     _stalled: int = 0
     _error: float = field(init=False)  # relative weighted squared error, see `LayerData.squared_error`
-    _matrix: Array = field(init=False)  # half the Gauss-Newton matrix of `_error`
-    _gradient: Array = field(init=False)  # half the gradient of `_error`
+    _matrix: Array = field(init=False)  # half the Gauss-Newton matrix of the squared error
+    _gradient: Array = field(init=False)  # half the gradient of the squared error
 
     def __post_init__(self) -> None:
         self.unknowns = np.clip(self.unknowns, *self.structure.bounds)
@@ -345,7 +345,7 @@ def _sum_of(layers: Sequence[Linearized]) -> Array:
 def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]) -> Array:
     """Return start unknowns: the half widths [degrees], the best colours for them, and the prior's mean for the rest.
 
-    Colours are found by linear least squares. The F0 and F90 of a specular layer are coefficients of two shapes.
+    The colours of the layers, and F90 of a specular layer, are found by linear least squares.
     """
     unknowns = structure.mean.copy()
     shapes, remaining = [], list(widths)

@@ -63,9 +63,9 @@ class SpecularLayer:
     alpha, tail_exponent : float
         Roughness, and tau: 2 is GGX, less is a longer tail.
     rise : tuple of float
-        q1 and q2, the deviation of the reflectance from glass.
+        Exponents q1 and q2, by which the reflectance of the facets deviates from glass.
     masking, under_coat : float
-        Exponents b of the masking and t of the coat.
+        Exponent b of the masking, and exponent t of the light that passes a coat.
     """
 
     f0: Color

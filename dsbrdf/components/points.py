@@ -37,7 +37,7 @@ class Points(NamedTuple):
 
     @classmethod
     def at(cls, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Points:
-        """Compute the quantities at the pairs of directions with some angles (N,) [rad]."""
+        """Compute the quantities that layers need at angles (N,) [rad]."""
         cos_half, sin_half, cos_diff = np.cos(theta_half), np.sin(theta_half), np.cos(theta_diff)
         level, swing = cos_diff * cos_half, np.sin(theta_diff) * sin_half * np.cos(phi_diff)
         cos_in, cos_out = np.maximum(level - swing, MIN_COSINE), np.maximum(level + swing, MIN_COSINE)

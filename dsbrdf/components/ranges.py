@@ -41,7 +41,7 @@ class ComponentRanges:
     light_share : tuple of float
         Fraction of all light at normal incidence.
     albedo, color : tuple of tuple of float
-        Directional albedo at normal incidence, and the albedo over its largest channel, for each channel.
+        Directional albedo at normal incidence, and this albedo divided by its largest channel.
     """
 
     light_share: Range
@@ -110,7 +110,10 @@ class DrawnLayers(NamedTuple):
         return low, min(high, 1.0)
 
     def surface_spread(self, label: str) -> SurfaceSpread:
-        """Return standard deviations over draws: of the brightest surface's roughness, and of total F0 and F70."""
+        """Return the standard deviations, over all draws, of the logarithms of roughness, F0 and F70.
+
+        The roughness is the one of the brightest surface; F0 and F70 are summed over all surfaces.
+        """
         own = [
             [layer for layer, found in zip(one.model.layers, one.labels, strict=True) if found == label]
             for one in self.layers

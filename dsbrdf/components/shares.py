@@ -107,8 +107,7 @@ class WeightedLayers:
         total = specular + diffuse
         missed = _ratio(values, total) - 1.0
         outside = _outside(points, np.where(missed > 0.0, HALO, EXCESS_HALO))
-        # A structure of diffuse layers alone would assign all values to the diffuse part, but values far above these
-        # layers near the mirror direction are a highlight.
+        # Even if all layers are diffuse, values far above the layers near the mirror direction are a highlight.
         most = (
             1.0 + missed * outside * (diffuse / total) ** _DIFFERENCE_POWER
             if (place < 2).any()

@@ -246,7 +246,7 @@ class LayerStructure:
 
     @cached_property
     def of_channel(self) -> tuple[Indices, Indices, Indices]:
-        """Indices of the unknowns that affect each channel: in each layer, one channel of the colour and all others."""
+        """Indices of the unknowns that affect each channel: one channel of each colour, and all other parameters."""
         places = [np.arange(part.start, part.stop) for part in self.slices]
         red, green, blue = (np.concatenate([np.r_[p[channel], p[3:]] for p in places]) for channel in range(3))
         return red, green, blue

@@ -208,7 +208,7 @@ def _structure(
 
 
 def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:
-    """Take the rows and columns with data nearest to the wanted rows and columns, or all if there are few.
+    """Take those rows and columns of the profiles with data that are nearest to wanted ones, or all if there are few.
 
     The weight of a column is multiplied by the number of columns with data that the column represents. Otherwise
     columns close to the mirror direction, all of which are taken, would weigh more than their visible area.

@@ -7,7 +7,7 @@ in the row's parameters, the weights W and the residual r of the row,
 
     normal equations  A = sum_row (B B^T) x (J^T W J) + smoothing,     gradient  g = sum_row B x (J^T W r).
 
-An amplitude affects only one channel, and a shape affects all three channels. Therefore J^T W J of a row is computed
+An amplitude affects only one channel, and a shape affects all three channels. Therefore the matrix of a row is computed
 from one small product of lobes and derivatives for each channel. The method is Levenberg-Marquardt with the damping
 update of Nielsen (1999, IMM-REP-1999-05) and bounds: an unknown at a bound is fixed if its step would cross the bound.
 
@@ -70,8 +70,7 @@ class MixtureProblem:
             for basis, weight in zip(self.bases, smoothing, strict=True)
         ]
         k = structure.n_lobes
-        # `linearize` overwrites the lower triangle of this matrix, except for products of amplitudes of different
-        # channels, which stay 0.
+        # Products of amplitudes of different channels stay 0; `linearize` overwrites the rest of the lower triangle.
         self._matrix = np.zeros((structure.n_unknowns, structure.n_unknowns))
         self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
 

@@ -155,7 +155,7 @@ def solved_amplitudes(gram: Array, right: Array, start: Array) -> Array:
 
 
 def _log_amplitudes(data: FitData, structure: Structure, amplitudes: Array) -> Array:
-    """Return control values (D, 3, K) of log amplitudes near the amplitudes (R, 3, K)."""
+    """Return control values of smooth log amplitudes that are near `amplitudes` (rows, 3, lobes)."""
     typical = np.sqrt(np.mean(amplitudes**2, axis=(0, 1)))
     typical = np.maximum(typical, MIN_START_HEIGHT * typical.max() + TINY)
     logs = np.log(np.maximum(amplitudes, MIN_START_HEIGHT * typical))

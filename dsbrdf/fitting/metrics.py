@@ -154,8 +154,7 @@ def _column_sums(samples: Array, fit: Array, counted: Array, cosine: Array) -> A
     mean = np.sum(samples, axis=1) / np.maximum(count, 1.0)
     deviation = samples - mean[:, None]
     deviation *= counted
-    # A reciprocal material has equal values at phi_diff and at 180 degrees - phi_diff, so both samples deviate from
-    # their mean by half of their difference.
+    # Samples at phi_diff and 180 degrees - phi_diff deviate from their mean by half of the difference between both.
     one, partner = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
     step = samples[:, one] - samples[:, partner]
     step *= np.sqrt(0.5) * counted[:, one] * counted[:, partner]

@@ -45,7 +45,7 @@ class Bounds:
 
 
 def option(default: Any, doc: str) -> Any:
-    """Return a field of a class of options; its sentence appears in docstring, command line and HTTP reference."""
+    """Return a field of a class of options; the docstring, command line and HTTP reference contain its sentence."""
     return field(default=default, metadata={"doc": doc})
 
 

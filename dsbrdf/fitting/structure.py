@@ -44,7 +44,7 @@ class Structure:
 
     rings: tuple[bool, ...]  # whether each lobe has a center other than 0; these lobes come last
     knots: tuple[Array, Array, Array]  # knots of amplitudes, shapes and elongations
-    family: str  # one of `dsbrdf.model.lobe_families.FAMILIES`
+    family: str  # name of a family of lobes, see `dsbrdf.model.lobe_families`
     # Angles that have data [rad]; their spacing bounds the widths, because narrower lobes would fit gaps in the data.
     theta_half: Array = field(default_factory=lambda: THETA_HALF)
 

@@ -1,5 +1,7 @@
 """Compute the directional albedo by quadrature over half vectors.
 
+The directional albedo rho of a BRDF f is
+
     rho(omega_out) = integral f(omega_in, omega_out) cos(theta_in) d omega_in,
     d omega_in = 4 cos(theta_diff) d omega_half.
 
@@ -25,13 +27,14 @@ _NO_KNOTS = np.zeros(0)
 _gauss = cache(np.polynomial.legendre.leggauss)
 
 _N_PANEL_NODES = 8  # Number of Gauss-Legendre nodes in each panel, an interval of the quadrature.
-# Ends of narrow intervals of the quadrature in theta_half [rad]. These intervals resolve a lobe of 0.01 degrees, and
-# the step at 1 degree of a model with `delta`.
+# The ends of narrow panels in theta_half [rad] resolve a lobe of 0.01 degrees and the step of `delta` at 1 degree.
 _FINE_PANEL_ENDS = CENTER_CUTOFF * np.concatenate([np.geomspace(1e-3, 1.0, 9), [1.7, 2.8, 4.5]])
 _PANEL_WIDTH = np.radians(4.0)  # Width of the intervals at larger theta_half, where the integrand is smooth [rad].
-# Ends of the intervals in the azimuth, as fractions of the range in which omega_in is above the horizon. Intervals are
-# short near azimuth 0, because theta_diff varies fastest with the azimuth there.
 _AZIMUTH_ENDS = np.array([0.0, 0.2, 0.5, 1.0])
+"""Ends of the intervals in the azimuth, as fractions of the range in which omega_in is above the horizon.
+
+Intervals are short near azimuth 0, because theta_diff varies fastest with the azimuth there.
+"""
 
 
 def directional_albedo(evaluate: Evaluate, theta_out: Array, knots: Array = _NO_KNOTS) -> Array:

@@ -16,7 +16,7 @@ from dsbrdf.data.geometry import random_directions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.sampling import ANGLES
 
-_FURNACE_THETA_OUT = ANGLES[:-1:2]  # 0 to 87 degrees, in radians.
+_FURNACE_THETA_OUT = ANGLES[:-1:2]  # angles to the normal from 0 to 87 degrees [rad]
 _N_SWAPPED_PAIRS = 4096
 
 

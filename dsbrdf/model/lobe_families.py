@@ -1,7 +1,7 @@
 """Define the families of lobes, as functions of the angle between theta' and the center of a lobe.
 
-`FAMILIES` has the families by name. `dsbrdf.model.lobes` has the formulas of the families, and the code that all
-families have in common.
+`FAMILIES` has the families of lobes by name. `dsbrdf.model.lobes` has the formulas of the families, and the code that
+all families have in common.
 """
 
 from collections.abc import Callable
@@ -45,8 +45,8 @@ class LobeFamily:
     slope_of_width: Callable[[Array, Array], Array]
     # Larger tangents of the angle to the center are clipped, because the tangent of 90 degrees is infinite.
     largest_tangent: float
-    # Returns lobes of height 1, and a function that returns the derivatives of these lobes. The arguments are the
-    # squared tangent of the angle to the center, kappa, gamma and, for cusps, the squared tangent at the maximum.
+    # Takes the squared tangent of the angle to the center, kappa, gamma and, for cusps, this square at the maximum.
+    # Returns lobes of height 1, and a function that returns the derivatives of the lobes.
     curve: Callable[[Array, Array, Array, Array | None], tuple[Array, Slopes]]
 
 

@@ -60,7 +60,7 @@ FRACTION_ITERATIONS = 20
 class Samples(NamedTuple):
     """Hold directions drawn by `dsbrdf.DSBRDF.sample`; below the horizon (z < 0), pdf and weight are 0."""
 
-    omega_in: Array  # unit vectors, (..., 3)
+    omega_in: Array  # drawn directions, unit vectors (..., 3)
     pdf: Array  # density per solid angle [1/sr], (...)
     weight: Array  # f cos(theta_in) / pdf, whose mean is the directional albedo, (..., 3)
 
@@ -115,7 +115,7 @@ def direction_sampler(evaluate: Evaluate) -> DirectionSampler:
 
 
 def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
-    """Return indices of the densities in the mixture for one angle, and all fractions, the cosine density's last."""
+    """Return the mixture for one angle: indices of its densities, then all fractions, the cosine density's last."""
     rule = half_vector_rule(theta_out)
     used = rule.cos_in > 0.0
     theta_half, azimuth, cos_in = rule.theta_half[used], rule.azimuth[used], rule.cos_in[used]

@@ -41,8 +41,8 @@ def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Ar
     """Return R curves as cubic polynomials in theta_diff (4, P - 1, R), one between any two of the P breaks.
 
     The first axis has the coefficients of (theta_diff - break)**3 to **0 for the break at which a polynomial begins.
-    The curves are splines with control values (D, R) on knots (B,), or linear between values (B, R) at the knots. The
-    breaks include all knots. Beyond its own knots a curve is constant.
+    The curves are splines with control values (D, R) on knots (B,), or linear between values (B, R) at the knots. All
+    knots must be among the breaks. Beyond its own knots a curve is constant.
     """
     starts = breaks[:-1]
     if knots.size == 1:

@@ -41,9 +41,12 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.fitting.report import SelectionStep
 from dsbrdf.paper import em
 
-# Nodes of a trapezium rule over x, the normal variable of the control. Because the integrand is smooth and decays like
-# a Gaussian, the error of the rule is at rounding level for up to 7 doses.
 _CONTROL = np.linspace(-9.0, 9.0, 91)
+"""Nodes of a trapezium rule over x, the normal variable of the control.
+
+Because the integrand is smooth and decays like a Gaussian, the error of the rule is at rounding level for up to 7
+doses.
+"""
 _CONTROL_WEIGHT = np.exp(-0.5 * _CONTROL**2) * (0.2 / math.sqrt(2.0 * math.pi))
 _LEGENDRE_NODES, _LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(80)
 # The integral over s, the estimated standard deviation, leaves out this probability at either end.
@@ -68,7 +71,7 @@ class WilliamsRow:
         Critical value for t; None for the control, and without degrees of freedom.
     significant : bool
         Whether this number of lobes is significantly worse than the control. The procedure ends at the first number
-        that is not; all larger numbers are False.
+        that is not significantly worse; for all larger numbers, this is False.
     """
 
     n_lobes: int
@@ -115,9 +118,9 @@ def williams_critical_value(n_doses: int, degrees_of_freedom: float, alpha: floa
     The test is one-sided with equal group sizes (Williams 1971); under the null hypothesis, no dose has an effect.
     `alpha` must be at least 1e-6 and below 0.5.
     """
-    # The quantile of Student's t for the largest dose alone is a lower bound. Means over several doses have smaller
-    # variances, so that Bonferroni's inequality gives an upper bound. Both bounds are widened for rounding.
+    # The critical value of Student's t test for the largest dose alone is a lower bound, here widened for rounding.
     lower = -float(stdtrit(degrees_of_freedom, alpha)) * 0.999 - 1e-3
+    # Means over several doses have smaller variances, so that Bonferroni's inequality gives an upper bound.
     upper = -float(stdtrit(degrees_of_freedom, alpha / n_doses)) * 1.001 + 1e-3
     log_alpha = math.log(alpha)
 

@@ -57,9 +57,9 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
 
     n_lobes, selection, done = options.n_lobes, tuple[SelectionStep, ...](), 0.0
     if n_lobes == "auto":
-        # Numbers of lobes are compared on slices with enough nodes for the largest number. If a channel has no such
-        # slice, slices with at least two nodes are compared.
+        # Numbers of lobes are compared on slices with enough nodes for the largest number of lobes.
         compared = n_nodes >= 2 * MAX_AUTOMATIC_LOBES
+        # If a channel has no such slice, numbers of lobes are compared on slices with at least two nodes.
         if not compared.any(axis=1).all():
             compared = n_nodes >= 2
         n_lobes, done, share = 1, _SELECTION_PROGRESS, _SELECTION_PROGRESS / MAX_AUTOMATIC_LOBES
@@ -91,8 +91,8 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
 def _largest_kappa(data: Profiles, rows: Indices) -> Array:
     """Return the kappa of a lobe whose height is twice the largest value of a slice, (channels, slices).
 
-    This kappa is an upper bound. Data at theta_half below 1 degree are not fitted, so that without a bound a steep lobe
-    could have any height there. A slice without data below 1 degree has no bound.
+    This kappa is an upper bound in the fit. Data at theta_half below 1 degree are not fitted, so that without a bound a
+    steep lobe could have any height there. A slice without data at theta_half below 1 degree has no bound of kappa.
     """
     centre_seen = np.any(data.weight[:, rows][:, :, ~OUTSIDE_CENTER] > 0, axis=2)
     return np.where(centre_seen, np.log1p(2.0 * data.mean[:, rows].max(axis=2)), np.inf)

@@ -54,8 +54,7 @@ def _axes(towards: Array) -> Array:
     return np.array([across, np.cross(across, towards), towards])
 
 
-# The edges of horizon and window have widths in radians or slopes. These widths exceed the spacing of the map of
-# directions, so that the map resolves the edges.
+# The widths of edges, in radians or slopes, exceed the spacing of the map of directions, so that it resolves edges.
 _ZENITH_COLOR = np.array([0.25, 0.45, 0.9])
 _HORIZON_COLOR = np.array([0.9, 0.95, 1.0])
 _GROUND_COLOR = np.array([0.22, 0.19, 0.16])

@@ -139,8 +139,7 @@ def _light_angles(normals: Array, light: Light) -> tuple[Indices, Array, Array]:
     cos_diff = float(direction @ half)
     across = np.cross(_VIEW_DIRECTION, half) if cos_diff < 1.0 - 1e-12 else np.array([1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
-    # The first axis points towards the light, at right angles to the half vector; phi_diff is 0 where the normal is
-    # tilted in the opposite direction.
+    # The first axis points towards the light; phi_diff is 0 where the normal is tilted in the opposite direction.
     frame = np.stack([np.cross(across, half), across, half])
     along, aside, height = frame @ normals[lit].T
     theta_half, phi_diff = np.arctan2(np.hypot(along, aside), height), np.arctan2(aside, -along)
