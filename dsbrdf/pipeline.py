@@ -225,7 +225,7 @@ def _fit_samples(
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:
     """Return the profiles that a fit with these options needs.
 
-    Raises InvalidArgumentError if `measurement` is profiles that were made with other options.
+    Raises InvalidArgumentError if the profiles passed as `measurement` were made with other options.
     """
     # The method "global" weights the means in bins of phi_diff itself, so it needs profiles without weighting.
     weighting = options.resolved_weighting if options.method == "paper" else "plain"

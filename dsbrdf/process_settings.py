@@ -1,4 +1,4 @@
-"""Configure a process: cores, threads of BLAS, freed memory, and its end together with its parent."""
+"""Configure a process: its cores, threads of BLAS and freed memory, and its end when the parent process ends."""
 
 import _thread
 import ctypes
@@ -100,7 +100,7 @@ def end_with_parent() -> None:
 def reserve_blas_memory() -> None:
     """Make the BLAS libraries of NumPy and SciPy allocate their working memory now, before a memory limit is set.
 
-    OpenBLAS allocates this memory in the first operation that needs it, and keeps it. If the memory cannot be
+    OpenBLAS allocates this memory in the first operation that needs memory, and never frees it. If the memory cannot be
     allocated, OpenBLAS waits for ever.
 
     Raises MemoryError if an existing limit leaves too little memory.
@@ -146,6 +146,6 @@ def _mallopt(settings: dict[int, int]) -> None:
 
 
 def trim_memory() -> None:
-    """Return free memory between small buffers to the system, which the C library would keep; it takes milliseconds."""
+    """Return free memory between small buffers, which the C library would keep, to the system within milliseconds."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -7,8 +7,8 @@ surface of microfacets (Cook and Torrance 1982), with s = s(cos(theta_diff)),
     f = (F0 (1 - s) + F90 s) D V exp(q1 u + q2 u**2) T**t,
     D = 1 / (pi alpha**2) (1 + tan(theta_half)**2 / (g alpha**2))**-tau / cos(theta_half)**4.
 
-D is Student's t distribution of slopes with the exponent tau, normalised by g = tau - 1: tau = 2 is GGX (Walter et
-al. 2007), and a large tau is Beckmann's distribution, both with their usual alpha. V is GGX's Smith masking divided by
+D is Student's t distribution of slopes with the exponent tau, normalised by g = tau - 1: tau = 2 is GGX (Walter
+2007), and a large tau is Beckmann's distribution, both with their usual alpha. V is GGX's Smith masking divided by
 4 cos_in cos_out; b = 0 is its height-correlated form, and b = 1 its separable form. T is the fraction of light that
 passes a clear coat both ways; t is 1 for a layer below a coat, and otherwise 0. A **diffuse layer** is
 
@@ -78,7 +78,7 @@ class SpecularLayer:
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> SpecularLayer:
-        """Make a layer from unknowns (10,)."""
+        """Make a layer from the array (10,) of its unknowns."""
         red, green, blue, f90, alpha, tail_exponent = np.exp(unknowns[[0, 1, 2, 3, 6, 7]]).tolist()
         q1, q2, masking, under_coat = unknowns[[4, 5, 8, 9]].tolist()
         return cls((red, green, blue), f90, alpha, tail_exponent, (q1, q2), masking, under_coat)
@@ -117,13 +117,13 @@ class SpecularLayer:
 
     @property
     def unknowns(self) -> Array:
-        """Unknowns (10,)."""
+        """Array (10,) of the unknowns of the layer."""
         logs = np.log([*self.f0, self.f90, self.alpha, self.tail_exponent])
         return np.array([*logs[:4], *self.rise, *logs[4:], self.masking, self.under_coat])
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
-        """Return values and their derivatives at points."""
+        """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
         surface = _Surface(points, *np.exp(unknowns[6:8]))
         masking = unknowns[8]
         shape = np.exp(surface.log_shape(masking) + unknowns[4:6] @ points.rise + unknowns[9] * points.passed)
@@ -134,7 +134,7 @@ class SpecularLayer:
         )
 
     def values(self, points: Points) -> Array:
-        """Return values (3, N) at points [1/sr]."""
+        """Return the values (3, N) of the layer at N points [1/sr]."""
         shape = np.exp(
             _Surface(points, self.alpha, self.tail_exponent).log_shape(self.masking)
             + np.array(self.rise) @ points.rise
@@ -190,23 +190,23 @@ class DiffuseLayer:
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> DiffuseLayer:
-        """Make a layer from unknowns (9,)."""
+        """Make a layer from the array (9,) of its unknowns."""
         red, green, blue = np.exp(unknowns[:3]).tolist()
         first, second, third, fourth, fifth, sixth = unknowns[3:].tolist()
         return cls((red, green, blue), (first, second, third, fourth, fifth, sixth))
 
     @property
     def unknowns(self) -> Array:
-        """Unknowns (9,)."""
+        """Array (9,) of the unknowns of the layer."""
         return np.array([*np.log(self.albedo), *self.exponents])
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
-        """Return values and their derivatives at points."""
+        """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
         return _powers(points.ground, unknowns, 1.0 / np.pi)
 
     def values(self, points: Points) -> Array:
-        """Return values (3, N) at points [1/sr]."""
+        """Return the values (3, N) of the layer at N points [1/sr]."""
         return _powers(points.ground, self.unknowns, 1.0 / np.pi).values
 
 
@@ -219,23 +219,23 @@ class SheenLayer:
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> SheenLayer:
-        """Make a layer from unknowns (5,)."""
+        """Make a layer from the array (5,) of its unknowns."""
         red, green, blue = np.exp(unknowns[:3]).tolist()
         first, second = unknowns[3:].tolist()
         return cls((red, green, blue), (first, second))
 
     @property
     def unknowns(self) -> Array:
-        """Unknowns (5,)."""
+        """Array (5,) of the unknowns of the layer."""
         return np.array([*np.log(self.color), *self.powers])
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
-        """Return values and their derivatives at points."""
+        """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
         return _powers(points.fibres, unknowns, 1.0)
 
     def values(self, points: Points) -> Array:
-        """Return values (3, N) at points [1/sr]."""
+        """Return the values (3, N) of the layer at N points [1/sr]."""
         return _powers(points.fibres, self.unknowns, 1.0).values
 
 
@@ -253,7 +253,7 @@ class RetroLayer:
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> RetroLayer:
-        """Make a layer from unknowns (4,)."""
+        """Make a layer from the array (4,) of its unknowns."""
         red, green, blue, alpha = np.exp(unknowns).tolist()
         return cls((red, green, blue), alpha)
 
@@ -269,12 +269,12 @@ class RetroLayer:
 
     @property
     def unknowns(self) -> Array:
-        """Unknowns (4,)."""
+        """Array (4,) of the unknowns of the layer."""
         return np.log([*self.color, self.alpha])
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
-        """Return values and their derivatives at points."""
+        """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
         turned = points._replace(
             squared_tangent=points.squared_retro, log_squared_secant=np.log1p(points.squared_retro)
         )
@@ -283,7 +283,7 @@ class RetroLayer:
         return Linearized(values, values, lambda: surface.derivatives(0.0)[0][np.newaxis])
 
     def values(self, points: Points) -> Array:
-        """Return values (3, N) at points [1/sr]."""
+        """Return the values (3, N) of the layer at N points [1/sr]."""
         return self.linearize(points, self.unknowns).values
 
 

@@ -31,7 +31,7 @@ class Points(NamedTuple):
     fresnel: Array  # reflectance of glass at theta_diff, from 0 (normal) to 1 (grazing)
     passed: Array  # logarithm of the fraction of light that passes a clear coat both ways
     rise: Array  # u = 1 - cos(theta_diff), and u**2
-    ground: Array  # six terms X of the diffuse layer, see `dsbrdf.components.layers`
+    ground: Array  # the six terms of a diffuse layer, see `dsbrdf.components.layers`
     fibres: Array  # logarithms of 1 - cos(theta_diff) and of sin(theta_half), for sheen
     squared_retro: Array  # tan(theta_half)**2 after omega_in is turned by 180 degrees about the normal
 
@@ -79,7 +79,7 @@ def grid_points(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterat
 
 def fresnel_rise(cosine: Array) -> Array:
     """Return the reflectance of glass (index 1.5), scaled to 0 at normal incidence and to 1 at grazing incidence."""
-    refracted = np.sqrt(1.25 + cosine**2)  # This is the refracted direction's cosine times the index.
+    refracted = np.sqrt(1.25 + cosine**2)  # This is the cosine of the refracted direction times the refractive index.
     across = (refracted - cosine) / (refracted + cosine)
     ratio = (cosine * (refracted + cosine) - 1.0) / (cosine * (refracted - cosine) + 1.0)
     return np.asarray(np.maximum(0.5 * across**2 * (1.0 + ratio**2) - COAT_F0, 0.0) / (1.0 - COAT_F0))

@@ -25,9 +25,7 @@ _DIFFERENCE_POWER = 3
 """Power p in the part f**p of the missed light that layers with the fraction f of all light of the layers receive."""
 _N_PANEL_NODES = 4  # With this number of nodes in each panel of a quadrature, its relative error is mostly below 1e-3.
 _MIN_LAYER_LIGHT = 1e-300  # This value is added to the sum of the layers, to avoid a division by zero [1/sr].
-_MAX_VALUE_RATIO = (
-    1e100  # Larger ratios of the model to its layers are clipped, so that squared ratios do not overflow.
-)
+_MAX_VALUE_RATIO = 1e100  # Larger ratios of model to layers are clipped, so that squared ratios do not overflow.
 
 
 class LightRule(NamedTuple):

@@ -1,8 +1,9 @@
 """Fit the whole measurement as one least-squares problem, the default fit.
 
-The paper fits slices one by one and interpolates. This method fits all rows of theta_diff at once, up to the horizon.
-The unknowns are the control values of the parameters, so a lobe keeps its identity over all theta_diff and channels.
-Lobes are searched on few rows of theta_diff and columns of theta_half, and refined on most rows and columns.
+The paper fits one slice of theta_diff after the other and interpolates. This method fits all rows of theta_diff at
+once, up to the horizon. The unknowns are the control values of the parameters, so a lobe keeps its identity over all
+theta_diff and channels. Lobes are searched on few rows of theta_diff and columns of theta_half, and refined on most
+rows and columns.
 """
 
 import itertools
@@ -208,7 +209,7 @@ def _structure(
 
 
 def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:
-    """Take those rows and columns of the profiles with data that are nearest to wanted ones, or all if there are few.
+    """Take those rows and columns with data that are nearest to the wanted rows and columns, or all if there are few.
 
     The weight of a column is multiplied by the number of columns with data that the column represents. Otherwise
     columns close to the mirror direction, all of which are taken, would weigh more than their visible area.

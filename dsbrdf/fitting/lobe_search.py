@@ -1,4 +1,4 @@
-"""Search the lobes of a mixture: choose all lobes, fit them, exchange two, and drop useless lobes.
+"""Search the lobes of a mixture: choose all lobes, fit the lobes, exchange two of them, and drop useless lobes.
 
 1. **Choice.** `dsbrdf.fitting.lobe_candidates` chooses all lobes by normal equations, without nonlinear fits.
 2. **Fit.** One nonlinear least-squares fit changes all lobes together, at first with kappa fixed.
@@ -276,8 +276,8 @@ def _best_of_starts(task: _Task, held_out: FitData, on_stage: Callable[[], None]
 def _starts(task: _Task) -> Iterator[Mixture]:
     """Yield mixtures from different starts, which are compared afterwards.
 
-    The first mixture has the lobes that explain most; others have no ring lobe or one. The last mixture begins with
-    `SPARE_LOBES` additional lobes, and the least useful lobes are dropped.
+    The first mixture has the lobes that explain most; other mixtures have no ring lobe or one ring lobe. The last
+    mixture begins with `SPARE_LOBES` additional lobes, and the least useful lobes are dropped.
     """
     n_lobes = task.wanted.max_lobes(task.data)
     yield (first := task.fit())

@@ -21,7 +21,7 @@ from dsbrdf.version import Versions
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """Compare a number of lobes by Williams' test of E_p, see `WilliamsRow`, and by its squared error."""
+    """Report one number of lobes in the choice by Williams' test, see `dsbrdf.paper.WilliamsRow`."""
 
     n_lobes: int
     e_p: float  # mean of the error E_p over the slices, see `dsbrdf.paper.lobe_selection`
@@ -96,8 +96,8 @@ class FitReport:
     Attributes
     ----------
     warnings : tuple of str
-        What a user should know before using the model, one sentence each, see `dsbrdf.report_warnings`; what concerns
-        the components is in the `remarks` of `dsbrdf.decompose`.
+        Sentences of `dsbrdf.report_warnings`, which a user should read before using the model; sentences about the
+        components are in the `remarks` of `dsbrdf.decompose`.
     metrics : Metrics
         Metrics of the fit; all are None if only profiles were fitted.
     by_channel, by_theta_diff : tuple of ChannelErrors, tuple of BandErrors
@@ -105,9 +105,9 @@ class FitReport:
     knots : KnotReport
         How the fit went at each knot of theta_diff.
     search, selection : tuple of SearchStep, tuple of SelectionStep
-        The lobes that the method "global" tried, and the numbers of lobes that "paper" compared unless one was given.
+        Mixtures of lobes that the method "global" tried; numbers of lobes that the method "paper" compared.
     directional_albedo, n_numbers : DirectionalAlbedo, int
-        The light that the model reflects, and how many numbers it stores.
+        Fraction of the light that the model reflects, and how many numbers the model stores.
     timings : dict of str to float
         Time of each step, by its name [s].
     options, versions : FitOptions, Versions

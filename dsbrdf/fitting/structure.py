@@ -158,7 +158,8 @@ class Structure:
         Only the lower triangle of the Gauss-Newton matrix is used.
         """
         shape, k, part = self.split(unknowns)[1], self.n_lobes, self.parts[1]
-        by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))[..., None]  # derivative of log gamma
+        # At a constant half width, gamma depends on kappa.
+        by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))[..., None]
         rows = matrix[part, : part.stop].reshape(*shape.shape, -1)
         columns = matrix[part.start :, part].reshape(-1, *shape.shape).transpose(1, 2, 0)
         reach, offset = self._of_rings(unknowns)
@@ -167,7 +168,8 @@ class Structure:
             limit = self._cusp_limit(reach)
             slope = FAMILIES[self.family].slope_of_width(np.exp(reach), np.tan(limit)) * (limit < MAX_CUSP_OFFSET)
             saturation = np.minimum(offset, 0.0) / limit
-            by_offset = np.exp(saturation)[..., None]  # derivative of the center
+            # The center of a cusp depends on the offset and on the half width.
+            by_offset = np.exp(saturation)[..., None]
             by_reach = (slope * (np.expm1(saturation) - saturation * np.exp(saturation)))[..., None]
         for derivatives in (gradient[part].reshape(*shape.shape, 1), rows, columns):
             by_gamma = derivatives[:, k : 2 * k]

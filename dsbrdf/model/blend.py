@@ -41,8 +41,9 @@ def blend(a: RenderableModel, b: RenderableModel, t: float) -> Blend:
     """Return a model between two models.
 
     Values are geometric means ``a**(1 - t) b**t``. A blend of a polished and a rough surface has one highlight of
-    medium width; an arithmetic mean would have two. Blends of positive, reciprocal models are positive and reciprocal.
-    Their albedo is at most the arithmetic mean of both albedos, so that a blend conserves energy if both models do.
+    medium width; an arithmetic mean would have two highlights. Blends of positive, reciprocal models are positive and
+    reciprocal. The albedo of a blend is at most the arithmetic mean of both albedos, so that a blend conserves energy
+    if both models conserve energy.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ class DSBRDF(RenderableModel):
     elongation : ndarray, shape (E, K)
         Stretch of each lobe, 0 for a round lobe, at the E control values of the knots ``elongation_theta_diff``.
     shape_theta_diff, elongation_theta_diff : ndarray
-        Knots [rad]; by default, those of the amplitudes, and a single knot.
+        Knots of shapes and of elongations [rad]; by default, the knots of the amplitudes, and a single knot.
     delta : ndarray, shape (3, B)
         Value added where theta_half < 1 degree [1/sr], linear between the knots, not negative; 0 by default.
     interpolation : {"linear", "spline"}

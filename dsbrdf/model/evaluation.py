@@ -17,12 +17,10 @@ from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.model.lobes import lobe_values, log_cosine
 from dsbrdf.model.splines import pieces_of
 
-_MAX_LOOKED_UP_POINTS = (
-    512  # For more points, sorting by interval between knots is faster than looking up coefficients.
-)
-_SORTED_POINTS = (
-    65536  # Many points are evaluated in blocks of this size, so that the arrays of a block stay in the cache.
-)
+_MAX_LOOKED_UP_POINTS = 512
+"""For more points, sorting by interval between knots is faster than looking up coefficients."""
+_SORTED_POINTS = 65536
+"""Many points are evaluated in blocks of this size, so that the arrays of a block stay in the cache."""
 _MAX_TANGENT = 1e15  # tan(theta_half) is clipped to this value, because the tangent of pi/2 is infinite.
 
 

@@ -90,7 +90,7 @@ def lobe_values(squared_tangent: Array, kappa: Array, gamma: Array, center: Arra
 def lobe_curves(
     squared_tangent: Array, kappa: Array, gamma: Array, center: Array | None, family: str
 ) -> tuple[Array, Callable[[], LobeSlopes]]:
-    """Return `lobe_values`, and a function that returns their derivatives from intermediate results."""
+    """Return `lobe_values`, and a function that returns the derivatives of the lobes from intermediate results."""
     known = FAMILIES[family]
     if center is None:
         values, slopes = known.curve(squared_tangent, kappa, gamma, None)

@@ -2,8 +2,8 @@
 
 A direction omega_in is drawn in one of two ways: with a density proportional to the cosine of its angle to the normal,
 or by mirroring omega_out at a facet of a rough surface. The facet is drawn from the facets that are visible from
-omega_out (Heitz 2018). The rough surface has the GGX distribution of normals, with different roughness along and across
-the plane of incidence (Walter et al. 2007). Visible facets reflect most light upwards even at grazing angles, so that
+omega_out (Heitz 2018). The rough surface has the GGX distribution of normals (Walter 2007), with different roughness
+along and across the plane of incidence. Visible facets reflect most light upwards even at grazing angles, so that
 few directions are drawn below the horizon.
 
 Let L be the length of T = omega_in + omega_out. In a frame whose first axis is the projection of omega_out on the
@@ -176,8 +176,7 @@ def _mirrored_density(seen: tuple[Array, ...], along: Array, across: Array) -> A
 def _visible_normals(omega_out: Array, along: Array, across: Array, uniform: Array) -> Array:
     """Draw a normal of a rough surface visible from each direction (n, 3), from uniform numbers (2, n).
 
-    The method is the one of Dupuy and Benyoub (2023).
-
+    The method is from Dupuy and Benyoub (2023).
     After the surface is stretched to roughness 1, a normal is the half vector of omega_out and of a point drawn
     uniformly from a spherical cap.
     """

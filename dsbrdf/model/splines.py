@@ -38,7 +38,7 @@ def spline_basis(knots: Array, theta_diff: Array) -> Array:
 
 
 def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Array:
-    """Return R curves as cubic polynomials in theta_diff (4, P - 1, R), one between any two of the P breaks.
+    """Return R curves as cubic polynomials in theta_diff (4, P - 1, R), between each of P breaks and the next.
 
     The first axis has the coefficients of (theta_diff - break)**3 to **0 for the break at which a polynomial begins.
     The curves are splines with control values (D, R) on knots (B,), or linear between values (B, R) at the knots. All
@@ -57,7 +57,7 @@ def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Ar
         return np.stack([np.zeros_like(level), np.zeros_like(level), slope * inside, level])
     all_knots, terms, factor = knot_vector(knots), [_basis(knot_vector(knots), DEGREE, held) @ values], 1.0
     for order in range(1, DEGREE + 1):
-        # The derivative of a spline is a spline of one degree less, whose knots lack the first and the last knot.
+        # The derivative of a spline is a spline of one degree less, without the first and the last of its knots.
         degree = DEGREE - order
         all_knots = all_knots[1:-1]
         spans = all_knots[degree + 1 :] - all_knots[: -degree - 1]

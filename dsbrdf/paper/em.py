@@ -10,7 +10,8 @@ and the M-step fits each lobe to its part q_k L of the data, separately and by L
     argmin over (kappa, gamma)_k of  sum_n w_n (q_k(theta_n) L_n - l(theta_n; kappa, gamma))**2,
 
 where l = exp(kappa cos(theta)**gamma) - 1 is the paper's lobe, the hemispherical exponential power distribution without
-its normalisation (eqs. 3 and 5). With gamma = 0 it is constant, a Lambertian lobe; with gamma -> infinity, a mirror.
+its normalisation (eqs. 3 and 5). With gamma = 0, the lobe is constant (Lambertian); with gamma -> infinity, it is a
+mirror.
 
 Because q_k depends on theta_half only, sums of squares over all samples and over their means differ by a constant, so
 that fits of `Profiles` equal fits of all samples. All slices, channels and lobes are iterated together. Each

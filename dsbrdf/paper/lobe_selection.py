@@ -135,7 +135,7 @@ def _exceedance(t: float, n_doses: int, degrees_of_freedom: float) -> float:
     half = 0.5 * degrees_of_freedom
     first = math.sqrt(float(gammaincinv(half, _CUT_OFF_PROBABILITY)) / half)
     last = math.sqrt(float(gammainccinv(half, _CUT_OFF_PROBABILITY)) / half)
-    # For a large t, only small s contribute to the integral: larger s are left out.
+    # If the statistic t is large, only small standard deviations s contribute, so the integral leaves out larger ones.
     if t > 0:
         last = min(last, max(_CERTAIN_CRITICAL_VALUE / (math.sqrt(2.0) * t), 2.0 * first))
     s = first + 0.5 * (last - first) * (1.0 + _LEGENDRE_NODES)

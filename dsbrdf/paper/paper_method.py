@@ -99,7 +99,7 @@ def _largest_kappa(data: Profiles, rows: Indices) -> Array:
 
 
 def _nearest_fitted(fitted: Mask) -> Indices:
-    """Return for each slice the index of the nearest fitted slice of its channel, (channels, slices); 0 without one."""
+    """Return for each slice the index of the nearest fitted slice, or 0 if its channel has none, (channels, slices)."""
     index = np.arange(fitted.shape[1])
     distance = np.where(fitted[:, None, :], np.abs(index[:, None] - index), np.inf)
     return np.argmin(distance, axis=2)

@@ -6,10 +6,10 @@ narrow lobes are:
     radiance(normal) = integral f(omega_in, view) L(omega_in) cos(theta_in) d omega_in,
     d omega_in = 4 cos(theta_diff) d omega_half.
 Normals with equal angles to the direction of the viewer form a ring of the sphere. Because the material is isotropic,
-all normals of a ring need f at equal angles; only the environment is rotated about the direction of the viewer. So f is
-evaluated for one normal of each ring. The weighted values of f are added to a map of directions omega_in, in polar
-coordinates about the direction of the viewer. The radiance of the whole ring is the circular correlation of this map
-with the environment.
+all normals of a ring need f at equal angles; only the environment is rotated about the direction of the viewer. So the
+BRDF f is evaluated for one normal of each ring. The weighted values of f are added to a map of directions omega_in, in
+polar coordinates about the direction of the viewer. The radiance of the whole ring is the circular correlation of this
+map with the environment.
 """
 
 from collections.abc import Callable

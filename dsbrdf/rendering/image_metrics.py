@@ -9,16 +9,16 @@ from scipy.ndimage import gaussian_filter
 from dsbrdf.arrays import Array, Mask
 
 _EXPOSURE_QUANTILE = 0.99  # An exposure scales this quantile of the pixels to 1.
-# The window of Wang et al. (2004) has 11 x 11 pixels.
+# The window of SSIM has 11 x 11 pixels (Wang, Bovik, Sheikh and Simoncelli 2004).
 _WINDOW_SIGMA_PX = 1.5
 _WINDOW_RADIUS_PX = 5
 _C1, _C2 = 0.01**2, 0.03**2
 
 
 def exposure(image: Array, mask: Mask) -> float:
-    """Return the factor that scales the 99th percentile of the masked values of all channels to 1; 1 if they are black.
+    """Return the factor that scales the 99th percentile of the masked values of all channels to 1, or 1 if all are 0.
 
-    The image usually shows the measurement; images that are compared with it are scaled by the same factor.
+    The image usually shows a measurement; images that are compared with this image are scaled by the factor as well.
     """
     bright = float(np.quantile(image[mask], _EXPOSURE_QUANTILE))
     return 1.0 / bright if bright > 0.0 else 1.0
@@ -41,11 +41,11 @@ def psnr(reference: Array, image: Array, mask: Mask) -> float:
 
 
 def ssim(reference: Array, image: Array, mask: Mask) -> float:
-    """Return the structural similarity (Wang et al. 2004) of two displayed images; 1 for equal images.
+    """Return the structural similarity (Wang and others 2004) of two displayed images; 1 for equal images.
 
     Means, variances and covariance are weighted by a Gaussian window of 11 x 11 pixels, sigma 1.5, in each channel,
-    with the constants 0.01**2 and 0.03**2. The result is the mean over all windows whose centre is in the mask. Beyond
-    its border an image is black.
+    with the constants 0.01**2 and 0.03**2. The result is the mean over all windows whose centre is in the mask. An
+    image is continued in black beyond its border.
     """
     mean_a, mean_b = _windowed(reference), _windowed(image)
     variances = _windowed(reference**2) + _windowed(image**2) - mean_a**2 - mean_b**2

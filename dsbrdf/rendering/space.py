@@ -100,6 +100,6 @@ def _places(distance: Array, gloss: Array) -> Array:
     sizes, axes = np.linalg.eigh(-0.5 * centered)
     found = (axes * np.sqrt(np.maximum(sizes, 0.0)))[:, ::-1][:, :2]
     places[:, : found.shape[1]] = found
-    # The signs of eigenvectors are arbitrary: choose them by gloss and by order.
+    # The signs of eigenvectors are arbitrary, so gloss and the order of the materials determine the signs.
     reference = np.stack([gloss - gloss.mean(), np.arange(count) - (count - 1) / 2.0], axis=1)
     return places * np.where(np.sum(places * reference, axis=0) < 0.0, -1.0, 1.0)
