@@ -72,7 +72,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
-# Each command of the service has the modules that must be installed, and its purpose for the help.
+# For each command of the service, this has the modules that must be installed, and a sentence for the help.
 SERVICE_COMMANDS = {
     "serve": (("cyclopts", "fastapi", "pydantic_settings", "uvicorn"), "Run the HTTP service."),
     "keys": (("cyclopts", "pydantic_settings"), "Add, list and revoke API keys of the service."),

@@ -226,7 +226,7 @@ SHOWN = {"relative_rms": 12, "excess": 8, "psnr": 7}
 """Metrics in the table for the terminal, each with the width of its column; the CSV table has all metrics."""
 
 _OF_FILE = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
-_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # The last of COLUMNS is psnr, which is left out because METRICS has it too.
+_COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # The last name in COLUMNS, psnr, is left out because METRICS has psnr too.
 
 
 def summary_table(items: Sequence[FileFit]) -> list[str]:
@@ -272,9 +272,8 @@ def _rows(item: FileFit) -> Iterator[dict[str, Any]]:
         "warnings": " ".join(report.warnings),
     }
     rows = [*component_rows(item.file.stem, component_documents(model), report.metrics.psnr)]
-    for row in rows or [
-        {"material": item.file.stem}
-    ]:  # A model without components, which reflects nothing, gets a row.
+    # A model that reflects nothing has no components, but gets a row.
+    for row in rows or [{"material": item.file.stem}]:
         yield row | about
 
 

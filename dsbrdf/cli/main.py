@@ -50,7 +50,8 @@ def _run(words: list[str]) -> int:
         return BAD_INPUT
     if words[0] in SERVICE_COMMANDS:
         return run_service_command(words[0], words[1:])
-    if words[0] == "fit" and "numpy" not in sys.modules:  # The variables have no effect once NumPy is imported.
+    # NumPy reads these environment variables when it is imported, so that they must be set before.
+    if words[0] == "fit" and "numpy" not in sys.modules:
         os.environ.update(ONE_BLAS_THREAD)
     require("cli", "cyclopts", "rich", purpose="the command line")
     from dsbrdf.cli.commands import run_command

@@ -120,7 +120,7 @@ DEFAULT = FitFlags()
 
 
 def _each(kind: Any, tokens: Sequence[Token]) -> Any:
-    """Convert the values of an option that `dsbrdf.cli.arguments.join_points` has joined."""
+    """Convert the values of an option from the text into which `dsbrdf.cli.arguments.join_points` joined them."""
     between = r"[,\s]+" if kind == tuple[float, ...] else r"\s+"  # Commas separate angles, but are parts of directions.
     values = (value for token in tokens for value in re.split(between, token.value.strip()))
     return convert(kind, [tokens[0].evolve(value=value) for value in values])
@@ -140,7 +140,7 @@ _DEFAULTS = {"phi_diff": (90.0,), "phi_out": (180.0,)}
 @Parameter(name="*", group=Group("Points", sort_key=2))
 @dataclass(frozen=True)
 class Points:
-    """Hold the values of the options that describe points.
+    """Hold the options for the angles or pairs of directions at which a model is evaluated.
 
     Attributes
     ----------

@@ -41,7 +41,7 @@ def nodes_above_horizon(cutoff: float = np.pi / 2) -> Mask:
     most `cutoff`.
     """
     above = np.empty(GRID_SHAPE, dtype=np.bool_)
-    # This loops over the rows of theta_half, because arrays for the whole grid would need 50 MB.
+    # The mask is computed for one theta_half at a time, because arrays for the whole grid would need 50 MB.
     for row, theta_half in enumerate(THETA_HALF):
         above[row, :, :QUARTER] = above_horizon(theta_half, THETA_DIFF[:, np.newaxis], PHI_DIFF[:QUARTER], cutoff)
     above[:, :, QUARTER:] = above[:, :, QUARTER - 2 : 0 : -1]

@@ -21,7 +21,7 @@ from dsbrdf.data.geometry import checked_angles
 from dsbrdf.data.grid import GRID_SHAPE
 from dsbrdf.errors import InvalidArgumentError
 
-# This constant is added to values before the logarithm, so that 0 has one; it is far below any visible reflectance.
+# This constant, far below any visible reflectance, is added to values before the logarithm, because log(0) is infinite.
 _LOG_OFFSET_PER_SR = 1e-6
 # Points are evaluated in blocks of this size, because the arrays of a block stay in the processor's cache.
 _POINTS_PER_BLOCK = 65536
@@ -51,8 +51,8 @@ class InterpolatedMeasurement:
     """
 
     measurement: Grid
-    diff: NDArray[np.int8]  # axes (C, theta_half, theta_diff, phi_diff), with C = 1 or 3 channels
-    start: NDArray[np.int32]  # axes (C, theta_half, phi_diff), with C = 1 or 3 channels
+    diff: NDArray[np.int8]  # theta_diff index of each node's source, axes (channel, theta_half, theta_diff, phi_diff)
+    start: NDArray[np.int32]  # flat index of the source's node at theta_diff = 0, axes (channel, theta_half, phi_diff)
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return values (..., 3) [1/sr] at half and difference angles (...) that broadcast [rad]; never negative.

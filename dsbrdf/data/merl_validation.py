@@ -105,12 +105,12 @@ def check_values(rows: Iterable[Array]) -> Mask:
     not_finite, too_large = _Fault(_NOT_FINITE, "is", "are"), _Fault(_TOO_LARGE, "exceeds", "exceed")
     for number, values in enumerate(rows):
         channel, row = divmod(number, N_ROWS)
-        # Without this, NumPy would warn about comparisons with a signalling NaN, which is counted as a fault here.
+        # The warning of NumPy about comparisons with a signalling NaN is off, because NaN is counted as a fault.
         with np.errstate(invalid="ignore"):
             largest, smallest, limit = values.max(), values.min(), MAX_VALUE / SCALE[channel]
             if not (np.isfinite(largest) and np.isfinite(smallest)):
                 not_finite.add(channel, row, ~np.isfinite(values))
-            # This comparison is false if the largest value is NaN, which has been counted above.
+            # If the largest value is NaN, which has been counted above, this comparison is false.
             if largest > limit:
                 too_large.add(channel, row, (values > limit) & above[row])
             measured = (values >= 0.0) & above[row]

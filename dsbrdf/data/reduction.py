@@ -61,8 +61,8 @@ class FoldedProfiles:
     In a robust reduction, a sample counts as less than one if it is far from the other samples of its bin.
     """
 
-    mean: Array  # axes (channel, theta_diff, theta_half, bin of phi_diff), shape (3, 90, 90, 10)
-    weight: Array  # axes (channel, theta_diff, theta_half, bin of phi_diff), shape (3, 90, 90, 10)
+    mean: Array  # mean value [1/sr], axes (channel, theta_diff, theta_half, bin of phi_diff)
+    weight: Array  # number of samples, axes (channel, theta_diff, theta_half, bin of phi_diff)
     cos2_phi: Array  # mean of cos(phi_diff)**2 over the samples of a bin, axes (theta_diff, theta_half, bin)
 
 
@@ -74,7 +74,7 @@ class Profiles:
     ----------
     mean, weight, within : ndarray, shape (3, 90, 90)
         Weighted mean [1/sr], summed weight, and summed weighted squared deviation from the mean [1/sr^2] over
-        phi_diff, for each (channel, theta_diff, theta_half). If ``weight`` is 0, the others are 0.
+        phi_diff, for each (channel, theta_diff, theta_half). Where ``weight`` is 0, ``mean`` and ``within`` are 0.
     folded : FoldedProfiles
         Sums over bins of phi_diff, also of samples beyond the horizon cutoff; they are not weighted.
     horizon_cutoff, weighting, robust

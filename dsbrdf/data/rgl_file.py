@@ -28,7 +28,7 @@ from dsbrdf.errors import MeasurementFormatError
 class Warp:
     """Hold one warp, or a stack of warps for increasing values of a parameter, interpolated linearly in between."""
 
-    density: Array  # axes (..., row, column)
+    density: Array  # density at each node, axes (..., row, column)
     conditional: Array  # integral of the density along each row, up to each node, axes (..., row, column)
     marginal: Array  # integral of the density over all rows up to each row, axes (..., row)
 
@@ -106,7 +106,7 @@ def _cell(position: Array, count: int) -> tuple[Indices, Array]:
 
 
 def _running(values: Array) -> Array:
-    """Integrate a piecewise linear function along the last axis, from the first node to each node, 1 apart."""
+    """Integrate a piecewise linear function along the last axis, from the first node to each; nodes are 1 apart."""
     steps = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]), axis=-1)
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), steps], axis=-1)
 

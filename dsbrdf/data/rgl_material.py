@@ -45,7 +45,7 @@ class RglMaterial:
     ndf: Array  # (H, W)
     sigma: Array  # (H, W)
     vndf: Warp  # one warp for each angle theta_i
-    rgb: Array  # axes (theta_i, channel, row, column)
+    rgb: Array  # table of values in RGB for each theta_i, axes (theta_i, channel, row, column)
     name: str
 
     def evaluate_directions(self, omega_in: Array, omega_out: Array) -> Array:

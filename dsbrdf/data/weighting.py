@@ -29,11 +29,11 @@ SEEN_POWER = 1.2
 """In a rendering of a lit sphere, errors of the BRDF f are relative to this power of f."""
 DARK_VALUE_FRACTION = 0.02
 """This fraction of a typical value is added before weights are divided by values, to bound the weights of dark ones."""
-# The error of the best model counts as at least this fraction of the squared signal, so that it can be a divisor.
+# The error that others are divided by is at least this fraction of the squared signal, because it could be 0.
 _MIN_RELATIVE_FLOOR = 1e-4
 TINY = 1e-300
 """Added to sums of weights that are divisors, so that they are not 0."""
-# Nodes near theta_half = 0 have at least this relative weight: their solid angle is nearly 0, but they have the peak.
+# Nodes near theta_half = 0 have a solid angle near 0, but the peak value: their relative weight is at least this.
 _MIN_RELATIVE_SOLID_ANGLE = 1e-3
 
 

@@ -26,18 +26,18 @@ _CLUSTER_TIMEOUT_S = 15.0  # A cluster without a usable worker for this time is 
 
 @dataclass(frozen=True)
 class FileFit:
-    """Hold the fit of one file, or the reason why it failed."""
+    """Hold the fit of one file, or the reason why the fit failed."""
 
     file: Path
     output: Path | None = None  # file of the model; None if the fit failed
-    result: FitResult | None = None  # None if the fit failed
+    result: FitResult | None = None  # model and report; None if the fit failed
     error: str | None = None  # one sentence with the reason why the fit failed
     lost: bool = False  # whether the fit failed for a reason other than the measurement, so that it may succeed later
     resumed: bool = False  # whether the fit is from an earlier run
 
 
 def measurement_files(paths: Sequence[Path]) -> list[Path]:
-    """Replace each folder by its ``.binary`` files; raise InvalidArgumentError for a folder without any."""
+    """Replace each folder by its ``.binary`` files; raise InvalidArgumentError for a folder without such files."""
     files: list[Path] = []
     for path in paths:
         inside = sorted(path.glob("*.binary")) if path.is_dir() else [path]

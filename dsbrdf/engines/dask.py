@@ -39,7 +39,7 @@ _CLUSTER_POLL_INTERVAL_S = 0.5
 _SCHEDULER_TIMEOUT_S = 2.5
 _START_TIMEOUT_S = 60.0  # The cluster counts as unreachable if the fork server of a worker takes longer to start.
 _CLUSTER_CHECK_LIFETIME_S = 5.0  # After a successful check, the cluster counts as usable for this time.
-_LOST_WORKER_TIMEOUT_S = 5.0  # After all workers are lost, the scheduler has this time to report how the fit ended.
+_LOST_WORKER_TIMEOUT_S = 5.0  # If all workers are lost, the scheduler has this time to report how the fit ended.
 
 logger = logging.getLogger(__name__)
 
@@ -72,7 +72,7 @@ class DaskEngine(Processes):
 @asynccontextmanager
 async def _cluster(scheduler: str) -> AsyncIterator[tuple[Any, set[str]]]:
     """Connect to a cluster; yield the client and the addresses of the usable workers, at least one of them."""
-    distributed: Any = import_module("distributed")  # The type annotations of this module are incomplete.
+    distributed: Any = import_module("distributed")  # The type annotations of `distributed` are incomplete.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # Dask logs every lost connection with long tracebacks.
     client = distributed.Client(
         scheduler, timeout=_SCHEDULER_TIMEOUT_S, asynchronous=True, set_as_default=False, name="dsbrdf"

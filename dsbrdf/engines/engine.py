@@ -31,10 +31,10 @@ NOT_STARTED = "ProcessNotStarted"
 class FitLimits:
     """Hold the limits of one fit."""
 
-    seconds: float = math.inf  # elapsed time [s]
+    seconds: float = math.inf  # elapsed time after which the fit is stopped [s]
     memory_mb: int | None = None  # address space of the process [MB]; None means no limit
     niceness: int = 0  # increase of the nice value of the process, ignored on systems without nice values
-    processor_seconds: float = math.inf  # processor time [s], which does not depend on the load of the machine
+    processor_seconds: float = math.inf  # processor time after which the fit is stopped [s]
 
 
 NO_LIMITS = FitLimits()
@@ -107,7 +107,7 @@ def run_step(step: Callable[..., Any], *arguments: Any) -> Any:
     except MemoryError:
         return MEMORY_LIMIT
     except OSError as error:
-        if error.errno == errno.ENOMEM:  # The system call that maps a file raises ENOMEM if memory is short.
+        if error.errno == errno.ENOMEM:  # Mapping a file into memory fails with this error if memory is short.
             return MEMORY_LIMIT
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return DISK_FULL

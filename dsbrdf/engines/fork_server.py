@@ -12,7 +12,7 @@ from multiprocessing import resource_tracker, util
 from pathlib import Path
 from typing import Any
 
-# The fork server also imports each of these modules that this process uses, so that no worker has to import it again.
+# Modules that the fork server imports once for all workers, if this process has imported them too.
 _IMPORTED_BY_WORKERS = {"distributed", "dsbrdf_service.compute.steps"}
 START_LOCK = threading.Lock()
 """Lock for starting a process or collecting an exit code, because a start also collects other processes' exit codes."""

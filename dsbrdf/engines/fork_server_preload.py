@@ -13,7 +13,7 @@ os.environ.update(ONE_BLAS_THREAD)  # The variables are set before the import of
 import dsbrdf.engines.local  # noqa: F401 (workers run its functions)
 from dsbrdf.data.grid import nodes_above_horizon
 
-nodes_above_horizon()  # This call fills the cache of the function, whose memory all forked workers share.
+nodes_above_horizon()  # This call fills a cache in memory that all forked workers share.
 
 
 @atexit.register

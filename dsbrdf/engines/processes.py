@@ -25,7 +25,7 @@ from dsbrdf.engines.worker import OUT_OF_MEMORY, run_in_worker
 
 _EXIT_TIMEOUT_S = 5.0  # A process is killed if it still runs this long after sending its outcome.
 _UNKNOWN_EXIT_CODE = 255  # `multiprocessing` reports this code if the fork server is gone.
-# Reasons for the end of a process that lie outside of the fit, so that another attempt may succeed.
+# If a process ends for one of these reasons, which lie outside of the fit, another attempt may succeed.
 _FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", f"exit code {_UNKNOWN_EXIT_CODE}")
 _NOTHING = object()  # replaces the outcome if a process dies without sending an outcome
 
@@ -53,9 +53,8 @@ class Processes:
         call.add_done_callback(self._unfinished.discard)
         try:
             self._threads.submit(copy_context().run, call.settle)
-        except (
-            RuntimeError
-        ):  # No new thread can be started; without `cancel`, an older thread would run this call later.
+        except RuntimeError:
+            # No thread could be started for this call, which must not wait for a thread of another call.
             call.cancel()
             raise
         return call
@@ -82,7 +81,7 @@ class _Call(Future[Any]):
 
     def cancel(self) -> bool:
         self._is_stopped = True
-        if super().cancel():  # The computation has not begun.
+        if super().cancel():  # The result is True if the computation has not begun.
             return True
         with suppress(OSError):  # The process may have ended already.
             self._stop()

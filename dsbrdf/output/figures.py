@@ -189,9 +189,8 @@ def _parts_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, model_lobe
         curves = [slice_means(source, row, profiles.horizon_cutoff)[:, 0] for source, *_ in parts]
         seen = [curve.max() > pair[0].get_ylim()[0] for curve in curves]
         for ax in pair:
-            draw_curve(
-                ax, fitted, "0.75", label="fit", width=3.5
-            )  # A wide line stays visible behind an equal component.
+            # The line of the fit is wide, so that it stays visible behind the line of a single component.
+            draw_curve(ax, fitted, "0.75", label="fit", width=3.5)
             # The colour of the axis labels is visible on light and dark backgrounds.
             draw_points(ax, *points, str(ax.xaxis.label.get_color()), "o", "measured")
             for (_, colour, style, label), curve in compress(zip(parts, curves, strict=True), seen):

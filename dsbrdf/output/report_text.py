@@ -26,7 +26,7 @@ from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.serialize import to_json
 
 _TEXT_WIDTH = 60  # maximum length of the lines of a report [characters]
-# The verdict on a fit is the first one here whose PSNR [dB] is not above the PSNR of the fit's lit sphere.
+# The verdict on a fit is the first in this table whose PSNR [dB] the lit sphere of the fit reaches.
 _VERDICTS_BY_PSNR = (
     (45.0, "hard to tell apart"),
     (38.0, "very close"),

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 MAX_DRAWN_DISTANCE_DEG = 3.0
 """A panel shows only samples at most this far from its slice of theta_diff, or from its plane of incidence."""
-_MAX_DRAWN_SAMPLES = 3000  # If there are more samples, a random subset is drawn.
+_MAX_DRAWN_SAMPLES = 3000  # If there are more samples, a random subset of this size is drawn.
 # The drawn slices have two of these theta_diff, and the drawn planes of incidence two of these theta_in.
 _SLICE_CANDIDATES_DEG = np.arange(0.0, 86.0, 5.0)
-_MIN_SLICE_DISTANCE_DEG = 15.0  # The two drawn slices, or planes, are at least this far apart.
+_MIN_SLICE_DISTANCE_DEG = 15.0  # Two drawn slices differ at least by this in theta_diff, and two planes in theta_in.
 _CURVE_ANGLES_DEG = np.linspace(0.0, 89.0, 357)
 _CURVE_PHI_DIFF = np.radians(np.arange(0.0, 181.0, 15.0))
 _MAX_RESIDUAL_AXIS_PERCENT = 100.0  # Larger residuals are drawn at the edge of the axis.

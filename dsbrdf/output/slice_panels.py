@@ -77,7 +77,7 @@ def measured_means(profiles: Profiles, row: int, channel: int) -> tuple[Array, A
 
 
 def set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array) -> None:
-    """Set the axes of two panels: all angles on a logarithmic scale, and four half widths of the peak on a linear."""
+    """Set the axes of two panels: all angles with a logarithmic scale, and the peak with a linear scale."""
     top = float(max(fitted.max(), measured.max(initial=0.0), 1e-6))
     bottom = float(measured.min(initial=top))
     all_angles, peak = pair
@@ -91,7 +91,7 @@ def set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array
         ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
         set_ticks(ax)
     if extent == 90.0:
-        peak.set_xticks(range(-90, 91, 45))  # The panel is too narrow for more ticks.
+        peak.set_xticks(range(-90, 91, 45))  # The panel of the peak is too narrow for more ticks.
 
 
 def _peak_half_width(values: Array) -> float | None:

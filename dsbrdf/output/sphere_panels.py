@@ -149,9 +149,8 @@ def encode_png(image: Array) -> bytes:
     """Return the bytes of a PNG file with displayed values from 0 to 1, RGB (height, width, 3) or RGBA."""
     levels = np.rint(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
     height, width, channels = levels.shape
-    rows = np.concatenate(
-        [np.zeros((height, 1), np.uint8), levels.reshape(height, -1)], axis=1
-    )  # The first byte 0 of a row means no filter.
+    # In the PNG format, a row begins with a byte for its filter; 0 means no filter.
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), levels.reshape(height, -1)], axis=1)
     head = struct.pack(">IIBBBBB", width, height, 8, {3: 2, 4: 6}[channels], 0, 0, 0)
     chunks = ((b"IHDR", head), (b"sRGB", b"\0"), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
     parts = (

@@ -19,7 +19,7 @@ MAX_COLUMNS = 4096
 _MISSING = {"", "nan", "na", "n/a", "n.a.", "null", "none", "missing", "-nan(ind)", "1.#qnan", "-1.#ind"}
 _N_TRIED_BYTES = 64  # This number of bytes at the start of a text is enough to recognise UTF-16.
 _PRINTED = frozenset((*b"\t\r\n", *range(32, 127)))
-# These cells have no number: "#N/A" and "#DIV/0!" of spreadsheets, and the hyphens below the head of a Markdown table.
+# Cells without a number are "#N/A" and "#DIV/0!" in spreadsheets, and hyphens below the head of a Markdown table.
 _NO_NUMBER = re.compile(r"#.*|:?-+:?")
 # A tolerance, a degree sign or the mark of a footnote behind a number is ignored.
 _TOLERANCE = re.compile(r"(?:±.*|[\N{DEGREE SIGN}*]\s*)$")

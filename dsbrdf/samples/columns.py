@@ -38,10 +38,13 @@ _NO_UNIT = ("", "1", "-", "none")
 _MAX_WAVELENGTH_M = 1e-3
 _MAX_WAVELENGTH_UM = 20.0
 _MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
-_MAX_THETA_RAD = 1.6  # If no theta is larger, the angles look like radians.
+_MAX_THETA_RAD = (
+    1.6  # A table without a larger theta and without units is refused, because its angles look like radians.
+)
 # If more than this fraction of the rows is at or below the horizon, the columns theta and phi may be exchanged.
 _DOUBTFUL_FRACTION = 0.5
-_PHASE_TOLERANCE = np.radians(1.0)  # A phase angle may lie outside of the possible range by this rounding error.
+# A phase angle may lie outside of its possible range by this much, because of rounding.
+_PHASE_TOLERANCE = np.radians(1.0)
 LOWEST_COSINE = 1e-6
 """A direction whose cosine to the normal is smaller counts as at the horizon, because of rounding errors."""
 

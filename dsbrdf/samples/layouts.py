@@ -1,4 +1,4 @@
-"""Recognise the layout of a file of samples by its content, and read it.
+"""Recognise the format of a file of samples by its content, and read the file.
 
 The readers of known formats are in `dsbrdf.samples.optics` (Zemax, LightTools, FRED, Speos) and
 `dsbrdf.samples.research` (ASTM E1392, Cornell's spectral text, ALTA, RAMI, AMBRALS, JSON). A reader returns None for a

@@ -26,7 +26,7 @@ _POSSIBLE = (
     "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF, and the option "
     "constants gives an angle that all rows have, as in constants theta_in=30"
 )
-# An error message suggests these meanings for columns without names; they depend on the number of columns.
+# For each number of columns without names, this is the usual meaning of the columns, which an error message suggests.
 _ORDERS = {
     3: "theta_in=1,theta_out=2,value=3",
     4: "theta_in=1,theta_out=2,phi_out=3,value=4",

@@ -12,8 +12,9 @@ from dsbrdf.arrays import Array, Mask
 MAX_NOISE_FRACTION = 0.01
 """Negative values are noise up to this fraction of the largest value each, and of the sum of all values together."""
 _CERTAIN_CODE = -99.0  # A negative number above this stands for a missing value only if it occurs more than once.
-# A note on a repeated extreme value needs this number of different values, and this number of equal extreme values.
+# A repeated extreme value gets a note only if the table has at least this number of different values.
 _MIN_DIFFERENT_VALUES = 10
+# A repeated extreme value gets a note only if at least this number of rows have the value.
 _MIN_EQUAL_VALUES = 4
 # A repeated extreme value gets a note only if it differs from the next value by more than this factor.
 _FAR_OFF_FACTOR = 3.0
@@ -22,7 +23,8 @@ _CLEARLY_LIT_FRACTION = 0.02
 _N_NEIGHBOURS = 4
 # If nonzero samples beside zeros differ among themselves by more than this factor, the zeros are noise, and are kept.
 _MAX_SCATTER_FACTOR = 4.0
-# A zero is a rounded value if a neighbour is below this number of last-digit units, or this fraction of the median.
+# A zero is a rounded value, and kept, if a neighbour is below this number of units of the last digit of the table,
+# or below this fraction of the median.
 _MAX_ROUNDED_DIGITS = 10.0
 _MAX_ROUNDED_FRACTION = 1e-4
 _MIN_ZEROS = 3  # If a table has fewer zeros, all are kept as measured values.
@@ -59,7 +61,7 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
     if np.median(beside.max(axis=1) / darkest) > _MAX_SCATTER_FACTOR:
         return empty, []
     rounded = max(_MAX_ROUNDED_DIGITS * _last_digit(level), _MAX_ROUNDED_FRACTION * float(np.median(level[lit])))
-    # A zero is left out if most zeros around it have only neighbours above the rounding error.
+    # A zero stands for a missing value if most zeros around it have no nonzero neighbour that may be rounding error.
     alike = cKDTree(places[zero]).query(places[zero], min(_N_NEIGHBOURS, len(zero)))[1]
     empty[zero] = np.mean((darkest > rounded)[alike], axis=1) > 0.5
     count = int(np.count_nonzero(empty))

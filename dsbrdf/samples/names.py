@@ -132,7 +132,8 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
         special.get(name) or vectors.get(name) or _meaning(name) or _angle_by_unit(name, unit)
         for name, unit in zip(names, units, strict=True)
     ]
-    ignored = {"scattering_angle"} if found.count("theta_out") > 1 else set()  # It lies between light and viewer.
+    # A scattering angle beside another theta_out is the angle between light and viewer, and is ignored.
+    ignored = {"scattering_angle"} if found.count("theta_out") > 1 else set()
     if found.count("phi_out") > 1:
         # If there is no azimuth of the light, a relative azimuth is used instead of the azimuth of the viewer.
         relative = {name for name in names if name == "raa" or _RELATIVE & {*name.split("_")}}

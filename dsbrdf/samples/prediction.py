@@ -26,9 +26,9 @@ from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.samples.sample_layers import CANDIDATES, SampleLayers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# The prediction uses at most this number of samples, a random subset, because its time grows with the cube of it.
+# The prediction uses a random subset of this number of samples, because its time grows with the cube of the number.
 _MAX_SAMPLES = 800
-# The kernel's length scales and noise are determined from at most this number of samples, for the same reason.
+# The length scales of the kernel and the noise are fitted to a random subset of at most this number of samples.
 _MAX_KERNEL_SAMPLES = 500
 _ENERGY_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0, 85.0])
 _OFFSET = np.radians(1.5)
@@ -53,13 +53,13 @@ def thinned(samples: ScatteredSamples, most: int = _MAX_SAMPLES) -> ScatteredSam
 
 @dataclass(frozen=True, eq=False)
 class SamplePrediction:
-    """Predict values: layers times the factor by which samples differ from the layers."""
+    """Predict values of a material: the values of layers times the factor by which samples differ from the layers."""
 
     layers: SampleLayers
     places: Array  # kernel coordinates of the samples, divided by the length scales, axes (sample, coordinate)
     reach: Array  # length scale of the kernel in each of the three coordinates
     root_weight: Array  # square root of the weight of each sample; the weights have the mean 1
-    logs: Array  # logarithm of sample over layers, times the root of the weight, axes (sample, channel)
+    logs: Array  # logarithm of the ratio of a sample to the layers, times root_weight, axes (sample, channel)
     noise: float  # ratio of the variance of the noise to the variance of the logarithm of the factor
 
     @classmethod
@@ -132,15 +132,15 @@ class SamplePrediction:
         return np.asarray(np.sqrt(self.unknown_fraction(*angles) * (self.variance + self.layers.spread(*angles) ** 2)))
 
     def unknown_fraction(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return the fraction (n,) of the factor's variance that remains: 0 near many samples, 1 far from all."""
+        """Return the fraction (n,) of the factor's variance that samples leave: 0 near many samples, 1 far from all."""
         values, vectors = self._eigen
         known = vectors[:, values > self.noise] / np.sqrt(values[values > self.noise] + self.noise)
         blocks = self._near(theta_half, theta_diff, phi_diff)
         return np.maximum(1.0 - np.concatenate([np.sum((near @ known) ** 2, axis=1) for near in blocks]), 0.0)
 
     def remoteness(self, theta_half: Array, theta_diff: Array, phi_diff: Array, samples: ScatteredSamples) -> Array:
-        """Return the distance of angles (n,) from the nearest sample: 0 at a sample, 1 far beyond the length scales."""
-        from scipy.spatial import cKDTree  # This slow import is here because only some fits need it.
+        """Return the distance of angles (n,) from the nearest sample, scaled to 0 at a sample and to 1 far from all."""
+        from scipy.spatial import cKDTree  # This slow import is here, because fits of grids do not need it.
 
         known = _places(*half_difference(samples.omega_in, samples.omega_out)) / self.reach
         distance, _ = cKDTree(known).query(_places(theta_half, theta_diff, phi_diff) / self.reach)

@@ -26,10 +26,9 @@ from dsbrdf.components.structures import STRUCTURES, LayerStructure
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
-# This fraction of the median value is added to values before logarithms are taken, so that dark values weigh little.
+# This fraction of the median is added to values before their logarithm, so that noise of dark values weighs little.
 _DARK_FRACTION = 0.02
-# If no sample is closer to the peak of a highlight, the highlight has at least this half width, which an instrument
-# resolves, because samples in the tails do not determine a narrower peak.
+# A highlight whose peak has no samples is not narrower than this half width, which instruments resolve.
 _APERTURE = np.radians(0.3)
 _MIN_HALF_WIDTH = 1e-4
 _NEGLIGIBLE_WEIGHT = 1e-3
@@ -37,8 +36,7 @@ _NEGLIGIBLE_WEIGHT = 1e-3
 _STRETCHES = {0.0: 0.6, 0.5: 0.3, 1.0: 0.1}
 _LOWEST_COSINE_DIFF = 0.17  # The stretch of a highlight stays constant where the cosine of theta_diff is smaller.
 _N_DRAWS = 32
-# Structures of layers are drawn with probabilities proportional to this power of their weights, because the weights
-# are overconfident.
+# The weights of structures are overconfident, so that structures are drawn in proportion to this power of the weights.
 _DRAWN_POWER = 0.5
 
 Candidate = tuple[LayerStructure, float]

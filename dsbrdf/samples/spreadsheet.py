@@ -14,9 +14,11 @@ _ARCHIVE = b"PK\x03\x04"
 _WORKBOOK = "xl/workbook.xml"
 _PIECE_BYTES = 1 << 20
 _MAX_UNPACKED_BYTES = 1 << 26
-_MAX_TAGS = 2_000_000  # A file with more XML tags is refused, because openpyxl would take over 5 s; a cell has four.
+_MAX_TAGS = (
+    2_000_000  # A file with more XML tags is refused, because openpyxl would take over 5 s; a cell has four tags.
+)
 _MAX_ROWS = 1 << 20  # A sheet with more rows is refused, because no spreadsheet program writes so many.
-_MAX_TEXT_LENGTH = 1 << 26  # [characters]
+_MAX_TEXT_LENGTH = 1 << 26  # A sheet is refused if its text is longer [characters].
 
 
 def is_spreadsheet(data: bytes) -> bool:

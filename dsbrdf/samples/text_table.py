@@ -42,7 +42,7 @@ _LISTED = re.compile(
 )
 # In the search for column names, a line that has a name for each cell of the row below counts as two names more.
 _FITS_BONUS = 2
-# If the line below the column names has this number of names too, it repeats the names in another language.
+# If the line below the column names has at least this number of names, the line is a translation and has no units.
 _MIN_NAMES = 2
 # A table is transposed only if at least this number of lines begin with a column name.
 _MIN_TRANSPOSED_LINES = 3
@@ -143,7 +143,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
         below = filter(_is_row, islice(lines, place + 1, place + 1 + _MAX_LINES_BEFORE_NAMES))
         row = next(below, "").strip(" ")
         at = place
-        if not row and _COMMENT.match(line):  # No row follows, so that this comment may name the columns of rows above.
+        if not row and _COMMENT.match(line):  # A comment without rows below may name the columns of the rows above.
             at, row = -1, next(filter(_is_row, lines), "").strip(" ")
         splits = [_cells(row, separator) for separator in SEPARATORS]
         for names in _candidates(words):
@@ -151,7 +151,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
             fits = any(_fits(cells, len(names)) for cells in splits)
             has_numbers = any(name and not wavelength_of(name) and as_number(name, " ") is not None for name in names)
             if has_numbers and (known == 1 or not fits):
-                continue  # The line is a constant, a column of a transposed table, or a title.
+                continue  # The line is no line of column names, but a constant, a transposed column or a title.
             score = known + _FITS_BONUS * fits
             if known > 0 and (score, fits) > best[:2]:
                 best = score, fits, at, names

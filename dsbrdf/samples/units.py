@@ -51,8 +51,8 @@ _MIN_WEIGHT = 0.1
 _KERNEL_SCALE = 2.0
 # Prior variance of the mean logarithm of all values, as a multiple of the variance of the Gaussian process.
 _LEVEL_VARIANCE = 10.0
-# Variance of the noise of each sample, as a fraction of the variance of the Gaussian process. A drift of the instrument
-# has equal variance, and is common to samples at nearly equal theta_in.
+# Variance of the noise of each sample, and of a drift of the instrument, as a fraction of that of the Gaussian process.
+# The drift is common to samples at nearly equal theta_in.
 _NOISE_VARIANCE = 0.01
 # This is added to the most likely variance of the Gaussian process, so that nearly constant values give no extremes.
 _MIN_VARIANCE = 0.03
@@ -85,7 +85,7 @@ class SampleDoubts:
 
 
 def sample_doubts(samples: ScatteredSamples) -> SampleDoubts:
-    """Return the properties of samples that should be checked."""
+    """Return the properties of samples that a user should check, such as a wrong unit."""
     bound = albedo_bound(samples)
     # For few samples, the bound is far below the albedo, and the median is a better estimate.
     level = max(bound, np.pi * float(np.median(samples.values)) + 1e-4 * float(samples.values.max()))
@@ -210,7 +210,7 @@ def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
             continue
         covered += group.size
         order = group[np.argsort(theta_half[group])]
-        # Repeated samples at one pair of directions are no neighbours of each other.
+        # Samples repeated at one pair of directions do not count as neighbours of each other.
         first = np.flatnonzero(theta_half[order] > theta_half[order[0]] + 1e-3)
         if theta_half[order[0]] > _SPIKE_THETA_HALF or first.size < _MIN_IN_GROUP - 1:
             continue
@@ -219,7 +219,7 @@ def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
         if level[order[0]] > _SPIKE_FACTOR * beside > 0.0:
             ratios.append(float(level[order[0]] / beside))
             gaps.append(float(np.degrees(theta_half[order[first[0]]])))
-    # Nothing is said of random directions: most samples must be in groups with equal angles of incidence.
+    # The sentence is left out for random directions, where few samples have equal angles of incidence.
     if ratios and 2 * len(ratios) >= seen and 2 * covered > len(level):
         yield (
             f"At {len(ratios)} angles of incidence one sample alone lies in the highlight: it is up to "

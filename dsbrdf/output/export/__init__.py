@@ -43,10 +43,10 @@ class Extras(NamedTuple):
 class ExportFormat:
     """Describe a file format and its encoder."""
 
-    purpose: str  # a phrase for command line, HTTP reference and page
+    purpose: str  # phrase on what the format is for, shown on the command line, in the HTTP reference and on the page
     suffix: str  # suffix of the file's name, without the dot
     media_type: str  # MIME type for HTTP
-    encode: Callable[[Any, Extras], bytes | str]  # returns the content of a file for a model, layers or a component
+    encode: Callable[[Any, Extras], bytes | str]  # function from a model, layers or a component to a file's content
     holds_parameters: bool = False  # whether the format stores parameters, which a single component does not have
     time: Literal["short", "medium", "long"] = "short"  # duration of the encoding: about 50 ms, 1 s or several seconds
 

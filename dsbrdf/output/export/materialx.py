@@ -1,11 +1,11 @@
-"""Write a model as a MaterialX file with the OpenPBR surface that looks most like it.
+"""Write a model as a MaterialX file with the OpenPBR surface that looks most like the model.
 
 Lit spheres of the surface and of the model are compared as a screen shows them, under both lightings of
 `dsbrdf.render_sphere`. Nonlinear least squares, started from the layers of the model, finds the inputs of the surface.
 A dielectric or a metal, whose inputs a person can read and edit, is preferred to a mixture of both that looks somewhat
-more like the model. OpenPBR has about a dozen numbers, so a difference remains. The file states this difference as the
-PSNR of the whole sphere, of its highlights (the brightest tenth), of pixels viewed at more than 60 degrees, and of the
-other pixels.
+more like the model. Because OpenPBR has only about a dozen numbers, a difference from the model remains. The file
+states the difference as the PSNR of the whole sphere, of the highlights (the brightest tenth), of pixels viewed at more
+than 60 degrees, and of the other pixels.
 """
 
 import re
@@ -27,7 +27,10 @@ from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.version import __version__
 
-_FITTED_SPHERE_SIZES_PX = {"three_lights": 32, "environment": 10}  # diameters of the fitted spheres
+_FITTED_SPHERE_SIZES_PX = {
+    "three_lights": 32,
+    "environment": 10,
+}  # diameters of the spheres that a fit compares, by lighting
 _STATED_SPHERE_SIZE_PX = 128  # The PSNR in the exported document compares lit spheres of this diameter.
 _MAX_RADIANCE = 1e100  # A model whose lit sphere has larger values is refused, because a picture would overflow.
 _DERIVATIVE_STEPS = [1e-4]  # relative steps of the finite differences that give the derivatives of a fit
@@ -38,7 +41,9 @@ _FITTED_INPUTS = ("base_metalness", "specular_ior", "specular_roughness", "coat_
 _MIN_ROUGHNESS = 0.03
 _INPUT_BOUNDS = (
     np.array([0.0] * 7 + [0.002, _MIN_ROUGHNESS, 0.0, _MIN_ROUGHNESS, 0.01]),
-    np.array([1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]),  # 0.18 and 0.1 are F0 of the indices 2.5 and 1.9.
+    np.array(
+        [1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]
+    ),  # The bounds 0.18 and 0.1 are the F0 of the indices of refraction 2.5 and 1.9.
 )
 # If the layers have no coat, the fit of a coat starts with this weight, roughness and F0.
 _ABSENT_COAT_START = (0.05, 0.1, 0.053)
@@ -49,11 +54,12 @@ _METAL = (0, 1, 2, 3, 4, 5, 8)
 # Indices of the unknowns that are fitted for a coat, in addition to the unknowns of the base.
 _COAT = (9, 10, 11)
 _MAX_COST_RATIO = 2.0  # A simple surface is preferred if its squared error is at most this times the smallest (3 dB).
-_MIN_BOUND_DISTANCE = 0.02  # The start of an input keeps this fraction of the input's range away from both bounds.
-_START_WEIGHT = 0.003  # This small weight of the distance from the start determines inputs without visible effect.
+_MIN_BOUND_DISTANCE = 0.02  # A fit starts at least this fraction of an input's range away from both bounds.
+_START_WEIGHT = 0.003  # Small weight of the distance from the start, so that inputs without visible effect stay there.
 _DIFFUSE_ANGLES = np.radians([[40.0, 50.0, 60.0], [10.0, 20.0, 5.0], [90.0, 90.0, 90.0]])
-_HIGHLIGHT_QUANTILE = 0.9  # Pixels brighter than this quantile are highlights.
-_MAX_GRAZING_COSINE = np.cos(np.radians(60.0))  # A pixel is grazing if its normal has a smaller cosine to the view.
+_HIGHLIGHT_QUANTILE = 0.9  # Pixels brighter than this quantile of all pixels count as highlights.
+# A pixel counts as grazing if the cosine between its normal and the view is smaller.
+_MAX_GRAZING_COSINE = np.cos(np.radians(60.0))
 
 
 class FoundSurface(NamedTuple):

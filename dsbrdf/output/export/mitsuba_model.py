@@ -213,7 +213,7 @@ class MitsubaModel:
     def _angles(self, omega_in: Number, omega_out: Number) -> tuple[Number, ...]:
         """Return theta_diff, tan(theta_half), the clipped square of this tangent, cos(phi_diff)**2 and a logarithm.
 
-        The logarithm of a lobe's stretch is the elongation times this last number, which depends on theta_diff alone.
+        The elongation of a lobe times the last logarithm is the logarithm of the ratio of the lobe's two widths.
         """
         dr = self._dr
         total, difference = omega_in + omega_out, omega_in - omega_out

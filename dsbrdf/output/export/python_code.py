@@ -2,7 +2,7 @@
 
 The functions use the common interface `xp` of NumPy, PyTorch and JAX. Derivatives are finite wherever values are
 finite, because arguments of roots and denominators are kept above 0. Parameters and formulas are as in
-`dsbrdf.model.dsbrdf`, `dsbrdf.components.layers` and `dsbrdf.components.shares`. An exported file has less than 150
+`dsbrdf.model.dsbrdf`, `dsbrdf.components.layers` and `dsbrdf.components.shares`. An exported file has at most 150
 lines.
 """
 
@@ -51,7 +51,7 @@ def _spline(xp: Any, knots: list[float], values: Any, at: Any, degree: int) -> A
     for n in range(1, degree + 1):
         rise = [(at - low) / (high - low or 1.0) for low, high in zip(ends, ends[n:], strict=False)]
         weights = [rise[i] * w + (1.0 - rise[i + 1]) * weights[i + 1] for i, w in enumerate(weights[:-1])]
-    base = values[:, 0, :] * (degree - 1) / 2.0  # A sum of differences from a base loses fewer digits than of values.
+    base = values[:, 0, :] * (degree - 1) / 2.0  # Sums of differences from base lose fewer digits than sums of values.
     return base + sum(w[..., None, None] * (values[:, i, :] - base) for i, w in enumerate(weights))
 
 
@@ -75,7 +75,7 @@ def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]
 
 def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
     """Return a lobe of the paper's distribution at the squared tangent `square`; its maximum, 1, is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # A smaller exponent would underflow.
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # The exponential of less would underflow.
     fall = xp.clip(gamma / 2.0 * (xp.log1p(top2) - xp.log1p(square)), low, None)
     top = kappa * xp.exp(xp.clip(-gamma / 2.0 * xp.log1p(top2), low, None))
     return xp.exp(top * xp.expm1(fall)) * xp.expm1(-top * xp.exp(fall)) / xp.expm1(-top)
@@ -83,7 +83,7 @@ def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
 
 def _student(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
     """Return a lobe of Student's distribution at the squared tangent `square`; its maximum, 1, is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # A smaller exponent would underflow.
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # The exponential of less would underflow.
     return xp.exp(xp.clip(kappa * (xp.log1p(gamma * top2) - xp.log1p(gamma * square)), low, None))
 
 
@@ -104,7 +104,7 @@ def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, alpha: Any, tail: Any
 
 
 def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, parameters: dict[str, Any], names: Any) -> Any:
-    """Return the logarithm of the sum of the layers with these names (..., 3)."""
+    """Return the logarithm of the sum of the layers with the given names (..., 3)."""
     cos_in, cos_out = (xp.clip(omega[..., 2], MIN_COSINE, 1.0) for omega in pair)
     u, sin2, tan2 = 2.0 * xp.sin(theta_diff / 2.0) ** 2, xp.sin(theta_diff) ** 2, xp.clip(tan2, None, MAX_TAN2)
     to_in, to_out, fresnel = (_rise(xp, cosine) for cosine in (cos_in, cos_out, 1.0 - u))
@@ -112,14 +112,14 @@ def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, paramete
     total = 0.0 * rise - 1e4  # The logarithm -1e4 stands for a sum without layers, because exp(-1e4) is 0.
     for name in names:
         p = {key.rpartition(".")[2]: value for key, value in parameters.items() if key.rpartition(".")[0] == name}
-        if "f0" in p:  # specular layer
+        if "f0" in p:  # Only specular layers have F0.
             bent = p["rise"][0] * u + p["rise"][1] * u**2 + p["under_coat"] * (passed + 2.0 * math.log1p(-COAT_F0))
             color = xp.log(p["f0"] * (1.0 - rise) + p["f90"] * rise)
             form = bent + _facets(xp, cos_in, cos_out, tan2, p["alpha"], p["tail_exponent"], p["masking"])
-        elif "alpha" in p:  # retro layer
+        elif "alpha" in p:  # Of the other layers, only retro layers have a roughness alpha.
             back2 = xp.clip(4.0 * sin2 - (cos_in - cos_out) ** 2, 0.0, None) / (cos_in + cos_out) ** 2
             color, form = xp.log(p["color"]), _facets(xp, cos_in, cos_out, back2, p["alpha"], 0.0 * u + 2.0, 0.0)
-        elif "powers" in p:  # sheen layer
+        elif "powers" in p:  # Only sheen layers have powers.
             log_u, log_sin2 = xp.log(xp.clip(u, MIN_RISE, None)), xp.log(xp.clip(sin2_half, MIN_SINE**2, None))
             color, form = xp.log(p["color"]), p["powers"][0] * log_u + p["powers"][1] / 2.0 * log_sin2
         else:

@@ -25,7 +25,8 @@ from dsbrdf.data.rgl_material import RglMaterial
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.rendering.environment import LUMINANCE
 
-_THETA_I = np.radians(89.5) * (1.0 - (1.0 - np.linspace(0.0, 1.0, 40)) ** 1.5)  # angles theta_i, dense at the horizon
+# The angles theta_i [rad] are dense near the horizon, where the BRDF changes fastest.
+_THETA_I = np.radians(89.5) * (1.0 - (1.0 - np.linspace(0.0, 1.0, 40)) ** 1.5)
 _N_TABLE_NODES = 64  # number of nodes along each axis of the tables rgb and luminance
 _VNDF_SHAPE = 48, 128  # numbers of nodes of the table vndf in azimuth and theta_half
 _N_NDF_NODES = 512

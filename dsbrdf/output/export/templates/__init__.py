@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def template(file: str) -> str:
-    """Return the text of a template."""
+    """Return the text of a template for an exported file."""
     return Path(__file__).with_name(file).read_text(encoding="utf-8")
 
 
@@ -16,7 +16,7 @@ def sections(file: str) -> dict[str, str]:
 
 
 def filled(text: str, words: Mapping[str, str | int]) -> str:
-    """Return a template with its words in capitals replaced."""
+    """Return a template in which words in capitals are replaced by values."""
     for word, value in words.items():
         text = text.replace(word, str(value))
     return text
