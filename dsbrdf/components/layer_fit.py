@@ -37,7 +37,7 @@ MODEL_ERROR = 0.02
 """Relative error that even the best layers of a material have; it is c in the cost of a structure."""
 _FIXED_NOISE = 0.2
 _MAX_FIXED_NOISE_STEPS = 20
-_MIN_FIXED_NOISE_GAIN = 0.5  # If a step with a fixed noise lowers the cost by less, the first stage ends.
+_MIN_FIXED_NOISE_GAIN = 0.5  # The first stage, with a fixed noise, ends if a step lowers the cost by less.
 _TRIAL_STEPS = (5,)
 _QUICK_TRIAL_STEPS = (2, 3)  # In a quick trial, all starts get two steps, and the better half of the starts three more.
 _QUICK_TRIAL_STRIDE = 2  # Trials of a complete material use every second pair of directions.
@@ -48,7 +48,7 @@ _MAX_STALLED_STEPS = 2
 _COST_TOLERANCE = 0.02  # A step that lowers the cost by less counts as stalled; two such steps end the fit.
 _MAX_TRIAL_COST_LEAD = 40.0  # After the trials, structures whose cost is higher than the best by more are dropped.
 _MAX_COST_LEAD = 30.0  # After the first steps, a structure whose cost is higher than the best by more is dropped.
-_MAX_UNKNOWN_CHANGE = 1.2  # A larger change of an unknown in one step is clipped.
+_MAX_UNKNOWN_CHANGE = 1.2  # If a step would change an unknown by more, the change is clipped.
 _FIRST_DAMPING = 1e-2
 _MAX_DAMPING_TRIES = 8
 _MIN_CHANNEL_START = 0.05  # The colour of a layer starts with at least this fraction of its brightest channel.

@@ -259,7 +259,7 @@ class RetroLayer:
 
     @property
     def reflectance(self) -> Array:
-        """The colour, RGB, shape (3,)."""
+        """The colour of the layer as an array, RGB, shape (3,)."""
         return np.array(self.color)
 
     @property

@@ -25,7 +25,7 @@ PROBABILITY = 0.9
 """Probability with which a parameter lies in its range."""
 _POSTERIOR_FACTOR = float(np.sqrt(2.0 / EVIDENCE_SCALE))
 """Ratio of the posterior's standard deviation to the standard deviation of draws, which `EVIDENCE_SCALE` widens."""
-_MIN_DRAWS = 4  # From every structure, at least this number of layers is drawn.
+_MIN_DRAWS = 4  # The layers of every structure are drawn at least this number of times.
 _N_SHARED_DRAWS = 40  # This number of further draws is divided among structures by weight.
 
 Range: TypeAlias = tuple[float, float]

@@ -23,7 +23,7 @@ from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLay
 
 _STUDENT_T_FREEDOM = 4.0
 _GAUSSIAN_FREEDOM = 1e9  # With so many degrees of freedom, Student's t distribution is a Gaussian.
-_FIXED_DEVIATION = 1e-3  # An unknown with this standard deviation is practically fixed.
+_FIXED_DEVIATION = 1e-3  # A prior with this standard deviation practically fixes an unknown.
 _CHANNEL_CONTRASTS = np.array([[1.0, 1.0, 1.0], [3.0, -3.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[9.0], [18.0], [6.0]])
 """Matrix from three log channels of a colour to their mean and two normalised differences."""
 _RISE_AXES = np.array([[-0.6, 0.8], [0.8, 0.6]])
@@ -253,7 +253,7 @@ class LayerStructure:
 
     @cached_property
     def log_determinant(self) -> float:
-        """Log determinant of the normal equations of the prior alone, at the mean of the prior."""
+        """Log determinant of the normal equations of the prior without data, at the mean of the prior."""
         return 2.0 * float(np.linalg.slogdet(self.root)[1])
 
     def model(self, unknowns: Array) -> LayeredModel:

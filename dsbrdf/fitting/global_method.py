@@ -230,7 +230,7 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
 def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:
     """Fit a few bins of phi_diff, then all bins exactly, with outliers weighted down on request."""
     is_few = Wanted(options.n_lobes, options.ring_lobes).is_few
-    tolerance = COST_TOLERANCE if is_few else REFINE_TOLERANCE  # More iterations are cheap for few lobes.
+    tolerance = COST_TOLERANCE if is_few else REFINE_TOLERANCE  # With few lobes, iterations are cheap.
     rounds = ROBUST_REFINE_ROUNDS if options.robust else REFINE_ROUNDS
     unknowns, weight, iterations = mixture.unknowns, data.weight, 0
     for number in range(rounds):

@@ -110,7 +110,7 @@ class MixtureProblem:
         k, count = self.structure.n_lobes, self._lobe_of.size
         products, columns_of_blocks, weighted_of_blocks = self._buffers
         for block, curves, kinds, residual in at.parts:
-            # The columns are the derivatives of the values, then the residual.
+            # The columns are the derivatives of the values in the parameters of the lobes, then the residual.
             shape = len(curves), count + 1, curves.shape[2]
             columns = columns_of_blocks[: math.prod(shape)].reshape(shape)
             weighted = weighted_of_blocks[: columns[:, :count].size].reshape(columns[:, :count].shape)

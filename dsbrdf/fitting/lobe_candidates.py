@@ -1,4 +1,4 @@
-"""Choose the lobes that a fit starts from among many candidates, by normal equations alone.
+"""Choose the lobes with which a fit starts, from many candidates and without nonlinear fits.
 
 The method is orthogonal matching pursuit (Pati, Rezaiifar, Krishnaprasad 1993). The candidates are lobes of many
 widths, centers and elongations. In each step, the candidate that explains most of the residual is added to the chosen

@@ -3,7 +3,7 @@
 1. **Choice.** `dsbrdf.fitting.lobe_candidates` chooses all lobes by normal equations, without nonlinear fits.
 2. **Fit.** One nonlinear least-squares fit changes all lobes together, at first with kappa fixed.
 3. **Exchange.** Twice, the least useful lobe is replaced by the candidate that explains most of the residual.
-4. **Elimination**, if the number of lobes is free. The least useful lobe is dropped and the other lobes are fitted
+4. **Elimination.** If the number of lobes is free, the least useful lobe is dropped and the other lobes are fitted
    again, as long as the validation error hardly rises: the error on rows of theta_diff that no mixture was fitted to.
 
 A mixture of few lobes depends on the start of its fit. If the number of lobes is fixed and small, the first three steps

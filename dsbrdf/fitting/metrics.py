@@ -84,7 +84,7 @@ class Metrics:
     relative_rms_left_out, relative_rms_expected : float or None
         For scattered samples: the error at left-out samples, and an estimate for all directions.
     relative_rms, floor, symmetric_floor, male : float or None
-        Errors over the samples used, without a unit.
+        Errors over the samples that the fit uses, without a unit; the formulas are at the top of this file.
     excess : float or None
         ``relative_rms / floor``; None where the floor is zero.
     albedo_error : float or None

@@ -43,7 +43,7 @@ class Structure:
     """Define the lobes of a mixture, the knots [rad] of their parameters, and the layout of the unknowns."""
 
     rings: tuple[bool, ...]  # whether each lobe has a center other than 0; these lobes come last
-    knots: tuple[Array, Array, Array]  # knots of amplitudes, shapes and elongations
+    knots: tuple[Array, Array, Array]  # knots in theta_diff of amplitudes, shapes and elongations [rad]
     family: str  # name of a family of lobes, see `dsbrdf.model.lobe_families`
     # Angles that have data [rad]; their spacing bounds the widths, because narrower lobes would fit gaps in the data.
     theta_half: Array = field(default_factory=lambda: THETA_HALF)
@@ -212,7 +212,7 @@ class Mixture:
     def lobes(self) -> tuple[Array, Array, Array]:
         """Return the control values of K lobes, the last axis of each array.
 
-        The first axis of each array is the control value. The arrays are the log amplitude (D, 3, K), the shape
+        The arrays are the log amplitude (D, 3, K), the shape
         (S, 3, K) and the elongation (E, K). A shape holds log kappa, log reach and offset of the module's equations;
         lobes about the normal have the offset 0.
         """

@@ -38,7 +38,7 @@ class Blend(RenderableModel):
 
 
 def blend(a: RenderableModel, b: RenderableModel, t: float) -> Blend:
-    """Return a model between two models.
+    """Return a model whose values lie between the values of two models.
 
     Values are geometric means ``a**(1 - t) b**t``. A blend of a polished and a rough surface has one highlight of
     medium width; an arithmetic mean would have two highlights. Blends of positive, reciprocal models are positive and

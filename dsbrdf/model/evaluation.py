@@ -27,11 +27,11 @@ _MAX_TANGENT = 1e15  # tan(theta_half) is clipped to this value, because the tan
 class Evaluator:
     """Evaluate the lobes of a model; safe to use from several threads.
 
-    The three `groups` are amplitude; kappa, gamma and center; and elongation. Each group has knots (B,) and the control
-    values (D, R) of R parameters. The parameters are amplitude (channel, lobe), then kappa, gamma and center (shape,
-    lobe), then elongation (lobe). If `spline`, the control values of amplitude, kappa and gamma are logarithms;
-    otherwise the control values of amplitude are log1p(amplitude). All three channels have one shape, or each channel
-    has its own; `is_ring` is the mask (lobes,) of the lobes with a center other than 0.
+    The three `groups` of parameters are amplitude; kappa, gamma and center; and elongation. Each group has its knots
+    and the control values (control values, parameters). The order of the parameters is amplitude (channel, lobe), then
+    kappa, gamma and center (shape, lobe), then elongation (lobe). If `spline`, the control values of amplitude, kappa
+    and gamma are logarithms; otherwise the control values of amplitude are log1p(amplitude). All three channels have
+    one shape, or each channel has its own; `is_ring` is the mask (lobes,) of the lobes with a center other than 0.
     """
 
     def __init__(self, *groups: tuple[Array, Array], n_shapes: int, is_ring: Mask, family: str, spline: bool) -> None:

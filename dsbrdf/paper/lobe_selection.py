@@ -18,8 +18,8 @@ where s^2 is the residual mean square after removing row and block effects. The 
 tested, against the critical value of i doses, only if every larger dose was significant.
 
 Critical values are exact. Under the null hypothesis, let z_i be independent standard normal variables. M_k <= c is
-equivalent to this: the random walk with the steps z_k - c, z_(k-1) - c, ... stays at or below 0. The probability is
-(Spitzer 1956, Trans. AMS 82:323-339)
+equivalent to this: the random walk with the steps z_k - c, z_(k-1) - c and so on stays at or below 0. The probability
+of M_k <= c is (Spitzer 1956, Transactions AMS 82:323-339)
 
     H_0 = 1,    H_k(c) = (1/k) sum_{j=1..k} Phi(c sqrt(j)) H_{k-j}(c).
 
@@ -68,7 +68,7 @@ class WilliamsRow:
     t : float or None
         Test statistic; None for the control, and if the residual variance is zero.
     critical_value : float or None
-        Critical value for t; None for the control, and without degrees of freedom.
+        Critical value for t; None for the control, and if the test has no degrees of freedom.
     significant : bool
         Whether this number of lobes is significantly worse than the control. The procedure ends at the first number
         that is not significantly worse; for all larger numbers, this is False.

@@ -114,7 +114,7 @@ def _evaluator(source: Source) -> Evaluate:
 
 @lru_cache(maxsize=4)
 def _lit(size: int, lights: tuple[Light, ...]) -> tuple[tuple[Array, Array, Array], list[sparse.csr_array]]:
-    """Return the angles of all pixels and distant lights, and for each channel the matrix from values to pixels."""
+    """Return the angles at which distant lights need values of the material, and matrices from values to pixels."""
     normals, _ = sphere_normals(size)
     parts = [_light_angles(normals, light) for light in lights]
     pixel = np.concatenate([lit for lit, _, _ in parts])
