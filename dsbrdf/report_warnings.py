@@ -94,7 +94,7 @@ def accuracy_warnings(metrics: Metrics) -> Iterator[str]:
             "isotropic material has equal values there. The measurement is noisy, or the material sparkles or is "
             "anisotropic; no model of this kind can be more accurate."
         )
-    # The floor is an error of means of two samples, so noise alone causes a relative_rms of sqrt(2) times the floor.
+    # Noise alone causes a relative_rms of sqrt(2) times the floor, because the floor belongs to means of two samples.
     misfit = np.sqrt(max(error**2 - 2.0 * floor**2, 0.0))
     if misfit > _MAX_RELATIVE_MISFIT:
         yield (

@@ -61,7 +61,7 @@ class SpecularLayer:
     f90 : float
         Reflectance of the facets at grazing incidence, before it is multiplied by the factor of `rise`.
     alpha, tail_exponent : float
-        Roughness, and tau: 2 is GGX, less is a longer tail.
+        Roughness, and the exponent tau of the tails: 2 is GGX, and a smaller exponent makes a longer tail.
     rise : tuple of float
         Exponents q1 and q2, by which the reflectance of the facets deviates from glass.
     masking, under_coat : float

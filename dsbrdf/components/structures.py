@@ -81,7 +81,7 @@ def _prior(
 
 _DIELECTRIC_LOG_F0_BOUNDS = (-12.0, np.log(0.2))  # Diamond, the brightest dielectric, has F0 = 0.17.
 _LOG_F0_BOUNDS = (-12.0, np.log(3.0))
-_RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # priors of a surface's exponents q1 and q2 along `_RISE_AXES`
+_RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # priors of a surface's exponents q1 and q2, along two axes of their plane
 # Bounds of log F90, q1, q2, log alpha, log tau, masking and under_coat, the unknowns of a surface after its colour.
 _SPECULAR_BOUNDS = (
     (-5.0, 0.0), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),

@@ -29,7 +29,7 @@ class Surface:
     Attributes
     ----------
     alpha, tail_exponent : float or None
-        Roughness, and exponent of the tails: 2 is GGX, more is a shorter tail.
+        Roughness, and the exponent of the tails: 2 is GGX, and a larger exponent makes a shorter tail.
     f0, f70 : tuple of float or None
         Reflectance at normal incidence, and at 70 degrees to the facets, RGB.
     alpha_range, f0_range, f70_range : tuple or None

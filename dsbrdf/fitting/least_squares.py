@@ -132,8 +132,8 @@ class MixtureProblem:
     def _buffers(self) -> tuple[Array, Array, Array]:
         """Arrays that `linearize` reuses, so that they stay in a processor's cache.
 
-        The arrays are the products of M derivatives and the residual (rows, 3, M, M + 1), and the flat columns and
-        weighted columns of a block.
+        The first array is for the products of M derivatives with each other and with the residual (rows, 3, M, M + 1).
+        The other arrays are for the columns of a block, and for these columns times the weights.
         """
         count, dtype = self._lobe_of.size, self.data.mean.dtype
         size = max(block.along.size for block in self.data.blocks)

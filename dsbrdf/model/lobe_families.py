@@ -124,7 +124,7 @@ FAMILIES = {
         slope_of_fall=_student_slope,
         reach=lambda squared_tangent: squared_tangent,
         squared_tangent=lambda reach: reach,
-        slope_of_width=lambda _, tangent: 0.5 * tangent / (1.0 + tangent**2),  # For this family, `reach` is tangent**2.
+        slope_of_width=lambda _, tangent: 0.5 * tangent / (1.0 + tangent**2),  # The unused `reach` is tangent**2.
         largest_tangent=float(np.tan(MAX_CENTER)),
         curve=_student_curve,
     ),

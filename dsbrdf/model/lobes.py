@@ -65,7 +65,7 @@ def gamma_of_half_width(width: Array, kappa: Array, family: str) -> Array:
 
 
 def fall_to_half(kappa: Array, family: str) -> Array:
-    """Return the product of gamma and `reach_of_width` at the half width of a lobe."""
+    """Return the product of gamma and `reach_of_width` at which a lobe with `kappa` has half its height."""
     return FAMILIES[family].fall_to_half(kappa)
 
 

@@ -91,8 +91,9 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
 def _largest_kappa(data: Profiles, rows: Indices) -> Array:
     """Return the kappa of a lobe whose height is twice the largest value of a slice, (channels, slices).
 
-    This kappa is an upper bound in the fit. Data at theta_half below 1 degree are not fitted, so that without a bound a
-    steep lobe could have any height there. A slice without data at theta_half below 1 degree has no bound of kappa.
+    Fits of a slice use this kappa as an upper bound. Data at theta_half below 1 degree are not fitted, so that without
+    a bound a steep lobe could have any height there. A slice without data at theta_half below 1 degree has no bound of
+    kappa.
     """
     centre_seen = np.any(data.weight[:, rows][:, :, ~OUTSIDE_CENTER] > 0, axis=2)
     return np.where(centre_seen, np.log1p(2.0 * data.mean[:, rows].max(axis=2)), np.inf)
