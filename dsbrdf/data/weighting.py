@@ -29,7 +29,7 @@ SEEN_POWER = 1.2
 """In a rendering of a lit sphere, errors of the BRDF f are relative to this power of f."""
 DARK_VALUE_FRACTION = 0.02
 """This fraction of a typical value is added before weights are divided by values, to bound the weights of dark ones."""
-# The error that others are divided by is at least this fraction of the squared signal, because it could be 0.
+# This fraction of the squared signal is added to the error of the best model, because the sum is a divisor.
 _MIN_RELATIVE_FLOOR = 1e-4
 TINY = 1e-300
 """Added to sums of weights that are divisors, so that they are not 0."""

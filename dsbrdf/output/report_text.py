@@ -161,7 +161,7 @@ def result_text(file: Path, result: FitResult) -> list[str]:
     sentences = dict.fromkeys((*result.report.warnings, *decompose(result.model).remarks))
     warnings = [f"warning: {sentence}" for sentence in sentences]
     lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
-    lines += model_text(result.model, remarks=False)  # The warnings above include the remarks on components.
+    lines += model_text(result.model, remarks=False)  # The warnings of the report include the remarks.
     for table in (
         samples_tables(result.report),
         search_table(result.report),

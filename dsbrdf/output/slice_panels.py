@@ -133,6 +133,6 @@ def draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker:
 
 
 def _mirrored(theta_half: Array, values: Array) -> tuple[Array, Array]:
-    """Return a curve mirrored about theta_half = 0, in degrees."""
+    """Return a curve over theta_half [degrees] with its mirror image on the negative side."""
     degrees = np.degrees(theta_half)
     return np.concatenate([-degrees[::-1], degrees]), np.concatenate([values[::-1], values])

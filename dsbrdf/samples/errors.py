@@ -30,7 +30,7 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 # Errors are reported separately for samples in bands of theta_out with these edges.
 _THETA_OUT_EDGES_DEG = (0, 30, 60, 75, 90)
-# Errors are reported separately for samples near the mirror direction, whose theta_half is smaller.
+# Errors are reported separately for samples near the mirror direction, which have a theta_half below this.
 _NEAR_MIRROR_DEG = 10
 N_SUGGESTED = 20
 _N_CANDIDATES = 700

@@ -170,7 +170,7 @@ def _chosen(table: TextTable, places: dict[str, list[int]], bands: Iterable[str]
     forms = [form for form in _DIRECTION_FORMS if places.keys() >= {*form}]
     values = CHANNELS if places.keys() >= {*CHANNELS} else tuple(bands) or GREY
     if not forms:
-        # The error names the form with most columns in the table; without any, it names angles.
+        # The error names the missing columns of the nearest form: angles, vectors, or half and difference angles.
         nearest = max((THETAS, VECTORS, HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
         raise _missing("directions", nearest, table, places)
     if not places.keys() >= {*values}:

@@ -99,7 +99,7 @@ class SamplePrediction:
         return directional_albedo(self.unbounded, _ENERGY_ANGLES)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) at angles (n,) [1/sr].
+        """Return the predicted values (n, 3) [1/sr] at angles (n,).
 
         A material must not reflect more light than it receives. Therefore a value is divided by the albedo at the
         angle of omega_in to the normal, and by the albedo at the angle of omega_out, if the albedo is above 1.

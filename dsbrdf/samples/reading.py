@@ -34,7 +34,7 @@ _ROUNDED_LENGTH_DEVIATION = 1e-3
 _SAME_COMPONENT = 1e-5
 # Values at one pair of directions contradict each other if their ratio is larger than this factor.
 _CONTRADICTION_FACTOR = 1.25
-# Before the ratio is computed, this fraction of the median is added, because dark values are noisy.
+# This fraction of the median is added to the lower value before the ratio is taken, because dark values are noisy.
 _DARK_FRACTION = 0.05
 
 

@@ -80,7 +80,7 @@ class SampleLayers:
         return tuple((one.structure, stretch) for one, stretch in zip(self.found, self.stretches, strict=True))
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) at angles (n,) [1/sr]."""
+        """Return the values (n, 3) [1/sr] that the layers have at angles (n,)."""
         return np.maximum(np.exp(self._mean_log((theta_half, theta_diff, phi_diff))) - self.dark, 0.0)
 
     def caution(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:

@@ -75,7 +75,7 @@ def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]
 
 def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
     """Return a lobe of the paper's distribution at the squared tangent `square`; its maximum, 1, is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # The exponential of less would underflow.
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # exp(low) is small, but does not underflow.
     fall = xp.clip(gamma / 2.0 * (xp.log1p(top2) - xp.log1p(square)), low, None)
     top = kappa * xp.exp(xp.clip(-gamma / 2.0 * xp.log1p(top2), low, None))
     return xp.exp(top * xp.expm1(fall)) * xp.expm1(-top * xp.exp(fall)) / xp.expm1(-top)
@@ -83,7 +83,7 @@ def _hemi_epd(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
 
 def _student(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
     """Return a lobe of Student's distribution at the squared tangent `square`; its maximum, 1, is at `top2`."""
-    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # The exponential of less would underflow.
+    low = max(-200.0, math.log(xp.finfo(square.dtype).tiny) + 7.0)  # exp(low) is small, but does not underflow.
     return xp.exp(xp.clip(kappa * (xp.log1p(gamma * top2) - xp.log1p(gamma * square)), low, None))
 
 
