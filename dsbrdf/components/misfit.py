@@ -10,10 +10,10 @@ from dsbrdf.components.layers import LayeredModel
 from dsbrdf.components.points import Points
 from dsbrdf.components.shares import light_rules
 
-MAX_PEAK_MISFIT = 0.25  # If layers miss the peak of a highlight by a larger fraction, no reflectance is stated.
-MAX_COLOR_MISFIT = 0.15  # If layers miss the colour of a component by a larger fraction, no reflectance is stated.
-MAX_WIDTH_MISFIT = 0.3  # If layers miss the half width of a highlight by a larger fraction, no roughness is stated.
-MAX_ALBEDO_MISFIT = 0.12  # If layers miss the albedo of a component by a larger fraction, no reflectance is stated.
+MAX_PEAK_MISFIT = 0.25  # A component whose peak value differs more from its layers has no F0 (relative error).
+MAX_COLOR_MISFIT = 0.15  # A component whose colour differs more from its layers has no F0 (relative error).
+MAX_WIDTH_MISFIT = 0.3  # A component whose half width differs more from its layers has no alpha (relative error).
+MAX_ALBEDO_MISFIT = 0.12  # A component whose albedo differs more from its layers has no F0 (relative error).
 _N_COMPARED_ALBEDOS = 2  # The error of the albedo at the third angle of `light_rules` widens ranges only.
 _PEAK_THETA_DIFF = np.radians([0.0, 15.0, 30.0, 45.0])
 _WIDTH_THETA_DIFF = np.radians(15.0)

@@ -40,7 +40,7 @@ class LayerPrior:
     kind: type[Layer]
     is_diffuse: bool
     mean: Array
-    root: Array  # matrix (U, U) that turns deviations from the mean into independent numbers of variance 1
+    root: Array  # matrix (U, U) that turns unknowns minus their prior mean into independent numbers of variance 1
     freedom: Array  # degrees of freedom of Student's t distribution for each of these numbers
     lower: Array
     upper: Array

@@ -194,8 +194,9 @@ def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
 def _outlier_weights(samples: Array, used: Mask) -> Array:
     """Return weights of samples: 1 near the median over phi_diff, falling to 0 for outliers far from the median.
 
-    The samples of a bin often form two groups, at phi_diff and at 180 degrees - phi_diff. Therefore the scale of
-    deviations is their third quartile: with the median deviation as scale, the smaller group would be outliers.
+    The samples of a bin often form two groups of unequal values, at phi_diff and at 180 degrees - phi_diff. If samples
+    were compared with the median deviation, the smaller of both groups would be outliers; so they are compared with the
+    third quartile of the deviations.
     """
     count = used.sum(axis=-1, keepdims=True)
     masked = np.where(used, samples, np.nan)

@@ -70,7 +70,7 @@ class MixtureProblem:
             for basis, weight in zip(self.bases, smoothing, strict=True)
         ]
         k = structure.n_lobes
-        # Products of amplitudes of different channels stay 0; `linearize` overwrites the rest of the lower triangle.
+        # Entries of the normal matrix for amplitudes of two different channels stay 0; `linearize` writes all others.
         self._matrix = np.zeros((structure.n_unknowns, structure.n_unknowns))
         self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
 

@@ -50,7 +50,7 @@ def option(default: Any, doc: str) -> Any:
 
 
 def sentences_of(options: type) -> dict[str, str]:
-    """Return the sentence of each option of a class."""
+    """Return the sentence that documents each option of a class of options, by the name of the option."""
     return {declared.name: declared.metadata["doc"] for declared in fields(options)}
 
 

@@ -41,7 +41,7 @@ class LobeFamily:
     reach: Callable[[Array], Array]
     # Takes a value of `reach`, and returns the squared tangent of the angle to the center.
     squared_tangent: Callable[[Array], Array]
-    # Takes `reach` and the tangent of the angle to the center, and returns the derivative of this angle in log(reach).
+    # Takes `reach` and the tangent of the angle to the center; returns the derivative of the angle by log(reach).
     slope_of_width: Callable[[Array, Array], Array]
     # Larger tangents of the angle to the center are clipped, because the tangent of 90 degrees is infinite.
     largest_tangent: float

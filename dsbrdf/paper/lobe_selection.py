@@ -8,14 +8,15 @@ where p is the mixture normalised over the nodes of the slice, L_n the data, and
 uniform density with the weight 0.01 is mixed into p, because otherwise the logarithm of a tail that underflows would
 dominate the error.
 
-In the terms of the test, the largest K is the control, and dose i = 1 ... k removes i lobes, which can only increase
-E_p. Let X_i be the mean of E_p at dose i over r blocks. Then (Williams 1971, Biometrics 27:103-117; 1972, Biometrics
-28:519-531)
+The test was made for doses of a drug: here the largest K is the control, and dose i = 1 ... k removes i lobes, which
+can only increase E_p. Let X_i be the mean of E_p at dose i over r blocks. Then (Williams 1971, Biometrics 27:103-117;
+1972, Biometrics 28:519-531)
 
     M_i = max_{u <= i} min_{v >= i} mean(X_u, ..., X_v),    t_i = (M_i - X_0) / sqrt(2 s^2 / r),
 
-where s^2 is the residual mean square after removing row and block effects. The largest dose is tested first. Dose i is
-tested, against the critical value of i doses, only if every larger dose was significant.
+where s^2 is the residual mean square after removing row and block effects. The largest dose is tested first, and each
+smaller dose i only while the error with the larger doses was significantly worse, against the critical value of i
+doses.
 
 Critical values are exact. Under the null hypothesis, let z_i be independent standard normal variables. M_k <= c is
 equivalent to this: the random walk with the steps z_k - c, z_(k-1) - c and so on stays at or below 0. The probability
@@ -92,8 +93,8 @@ def williams_test(statistic: ArrayLike, alpha: float = 0.01) -> tuple[WilliamsRo
     n_groups, n_blocks = values.shape
     degrees_of_freedom = (n_groups - 1) * (n_blocks - 1)
     rounding = 8.0 * float(np.finfo(np.float64).eps) * float(np.abs(values).max())
-    # The test depends only on differences from the block means, which have smaller rounding errors than the values.
-    # In these differences, row i is dose i, and row 0 is the control.
+    # The mean of each block is subtracted, which reduces rounding errors and does not change the test.
+    # Row i of the differences is dose i, and row 0 is the control.
     centred = (values - values.mean(axis=0))[::-1]
     means = centred.mean(axis=1)
     variance = float(np.sum((centred - means[:, np.newaxis]) ** 2)) / max(degrees_of_freedom, 1)

@@ -60,7 +60,7 @@ class SamplePrediction:
     reach: Array  # length scale of the kernel in each of the three coordinates
     root_weight: Array  # square root of the weight of each sample; the weights have the mean 1
     logs: Array  # logarithm of the ratio of a sample to the layers, times root_weight, axes (sample, channel)
-    noise: float  # ratio of the variance of the noise to the variance of the logarithm of the factor
+    noise: float  # variance of the noise of `logs`, divided by the variance of the correction that `logs` determine
 
     @classmethod
     def fit(cls, samples: ScatteredSamples, like: "SamplePrediction | None" = None) -> "SamplePrediction":

@@ -40,7 +40,7 @@ _MAX_HEAD_LENGTH = 1 << 18  # The column names are searched only in this part at
 _LISTED = re.compile(
     r"[ \t]*(?:[#%!]+[ \t]*(?:column|col\.?|field)?|column|col\.?|field)[ \t]*([0-9]+)[ \t]*[-:=.)][ \t]*(\S.*)", re.I
 )
-# In the search for column names, a line that has a name for each cell of the row below counts as two names more.
+# The line with most column names is taken; a line with a name for each cell of the row below gets so many extra names.
 _FITS_BONUS = 2
 # If the line below the column names has at least this number of names, the line is a translation and has no units.
 _MIN_NAMES = 2
@@ -161,7 +161,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
 
 
 def _with_groups(names: tuple[str, ...], above: str) -> tuple[str, ...]:
-    """Return names such as theta, phi, theta, phi, each preceded by its group, such as incident, in the line above."""
+    """Return column names, each with its group in front: theta below incident in the line above is "incident theta"."""
     for groups in (_cells(above, separator) for separator in SEPARATORS):
         if 1 < len(groups) <= len(names) + 1:
             group, found = "", list[str]()

@@ -178,7 +178,7 @@ class Client:
     def upload(self, measurement: Source, options: TableOptions = AS_WRITTEN, *, name: str | None = None) -> str:
         """Make sure that the service has a measurement, and return its sha256; parameters and errors are as for `fit`.
 
-        The client reads a table with its options, and sends the samples in the service's own format.
+        The client reads a table with `options`, and sends the samples in the service's own format.
         """
         headers, own_name = {"Content-Type": "application/octet-stream"}, None
         if isinstance(measurement, str | os.PathLike):

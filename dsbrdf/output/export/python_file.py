@@ -60,7 +60,7 @@ def _model_parameters(model: DSBRDF) -> dict[str, _Numbers]:
 
 
 def _fixed(model: DSBRDF) -> _Numbers:
-    """Return the constants of a model's functions."""
+    """Return the constants that the functions of an exported Python file use beside the parameters of the model."""
     knots = [getattr(model, name).tolist() for name in _KNOTS]
     limit = FAMILIES[model.lobe].largest_tangent
     return {"KNOTS": knots, "IS_SPLINE": model.interpolation == "spline", "MAX_TANGENT": limit}

@@ -36,7 +36,9 @@ from .data_folder import refuse
 # More connections than requests are allowed, because most connections are idle; beyond this limit, requests get 503.
 _CONNECTIONS_PER_REQUEST = 8
 _CLEANUP_TIMEOUT_S = 5.0  # The process ends if its queue, processes and database are not closed within this time.
-_INTERPRETER_EXIT_TIMEOUT_S = 60.0  # The process ends at most this time after its server, even if a thread hangs.
+_INTERPRETER_EXIT_TIMEOUT_S = (
+    60.0  # When the server has stopped, the process ends within this time, even if a thread hangs.
+)
 
 logger = logging.getLogger(__name__)
 _PURPOSE = "Run the HTTP service. Further settings are environment variables that begin with DSBRDF_."

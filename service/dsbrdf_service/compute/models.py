@@ -67,7 +67,7 @@ class ModelCache:
             self._models.move_to_end((key, stamp))
             return self._models[key, stamp]
         loaded = LoadedFit(*await run_in_threadpool(lambda: fit_from_json(self._store.result(key).decode())))
-        if stamp is not None:  # A result that was stored after the stamp was read is not cached.
+        if stamp is not None:  # Without a stamp, the fit had no result a moment ago, so its result is not cached yet.
             loaded = self._models.setdefault((key, stamp), loaded)  # Another request may have loaded the fit.
             if len(self._models) > self._size:
                 self._models.popitem(last=False)

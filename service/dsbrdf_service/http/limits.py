@@ -1,6 +1,7 @@
 """Limit the length of a request's head, and the time in which its body must arrive.
 
-The proxy in front of a public service (`docker/nginx.conf`) must limit slow heads, slow readers and floods of requests.
+The proxy in front of a public service (`docker/nginx.conf`) must limit slow request headers, slow readers and floods of
+requests.
 """
 
 import asyncio

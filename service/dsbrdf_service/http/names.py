@@ -10,7 +10,7 @@ from urllib.parse import quote, unquote_to_bytes
 
 from dsbrdf.errors import InvalidArgumentError
 
-if TYPE_CHECKING:  # The Python client, which needs no Starlette, checks names too.
+if TYPE_CHECKING:  # The Python client checks names too, and must not import Starlette, which it does not need.
     from starlette.requests import Request
 
 MAX_LENGTH = 100
