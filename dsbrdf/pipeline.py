@@ -185,9 +185,9 @@ def _fit_samples(
     clock.lap("profiles")
     found, mixture = fit_global(table, options, lambda share: progress(0.1 + 0.7 * share), clock.lap)
     if len(used.values) >= FEW_SAMPLES:
-        chosen = np.random.default_rng(0).permutation(len(used.values)) < MAX_REFINED_SAMPLES
+        exact = thinned(used, MAX_REFINED_SAMPLES)
         for _ in range(REFINEMENT_ROUNDS):
-            data = sample_rows(used.take(chosen), table, options, prediction, found.model)
+            data = sample_rows(exact, table, options, prediction, found.model)
             refined, mixture = refine_at_samples(data, mixture)
             found = replace(refined, search=found.search)
         clock.lap("refine at samples")

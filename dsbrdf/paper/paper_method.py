@@ -57,11 +57,7 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
 
     n_lobes, selection, done = options.n_lobes, tuple[SelectionStep, ...](), 0.0
     if n_lobes == "auto":
-        # Numbers of lobes are compared on slices with enough nodes for the largest number of lobes.
-        compared = n_nodes >= 2 * MAX_AUTOMATIC_LOBES
-        # If a channel has no such slice, numbers of lobes are compared on slices with at least two nodes.
-        if not compared.any(axis=1).all():
-            compared = n_nodes >= 2
+        compared = _compared(n_nodes)
         n_lobes, done, share = 1, _SELECTION_PROGRESS, _SELECTION_PROGRESS / MAX_AUTOMATIC_LOBES
         if compared.any():
             n_lobes, selection = choose_n_lobes(
@@ -86,6 +82,15 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
     bounds_hit = _bounds_hit(slices, largest_kappa[fitted])
     found = (_spread(part, fitted, nearest) for part in (slices.converged, slices.iterations, bounds_hit))
     return FoundModel(model, KnotReport.from_arrays(PAPER_SLICES, fitted, *found), selection=selection)
+
+
+def _compared(n_nodes: Indices) -> Mask:
+    """Return the mask of the slices on which numbers of lobes are compared, given the number of nodes of each slice.
+
+    These slices have enough nodes for the largest number of lobes; if a channel has no such slice, at least two nodes.
+    """
+    enough = n_nodes >= 2 * MAX_AUTOMATIC_LOBES
+    return enough if enough.any(axis=1).all() else n_nodes >= 2
 
 
 def _largest_kappa(data: Profiles, rows: Indices) -> Array:
