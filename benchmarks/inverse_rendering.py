@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import Component
+from dsbrdf.components.component import Component
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.errors import ConvergenceWarning

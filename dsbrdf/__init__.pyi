@@ -1,6 +1,6 @@
 # The public names of the library and where each is defined; `__init__.py` reads this list.
-from dsbrdf.components.decomposition import Component as Component
-from dsbrdf.components.decomposition import Decomposition as Decomposition
+from dsbrdf.components.component import Component as Component
+from dsbrdf.components.component import Decomposition as Decomposition
 from dsbrdf.components.decomposition import decompose as decompose
 from dsbrdf.data.measurement import Measurement as Measurement
 from dsbrdf.data.merl import parse_merl as parse_merl

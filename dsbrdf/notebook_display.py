@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import Any
 
 SHOWN_CLASSES = {
-    "dsbrdf.components.decomposition": ("Component",),
+    "dsbrdf.components.component": ("Component",),
     "dsbrdf.components.layers": ("LayeredModel",),
     "dsbrdf.data.measurement": ("Measurement",),
     "dsbrdf.fitting.report": ("FitReport", "FitResult"),

@@ -12,7 +12,7 @@ from cyclopts import Group, Parameter, Token, convert
 
 from dsbrdf.arrays import Array
 from dsbrdf.cli.commands import Whole
-from dsbrdf.components.decomposition import Component
+from dsbrdf.components.component import Component
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.files import known_kind
 from dsbrdf.data.measurement import Measurement

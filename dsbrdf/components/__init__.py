@@ -1,6 +1,7 @@
 """Decompose a reflectance into components by fitting physical layers."""
 
-from dsbrdf.components.decomposition import Component, Decomposition, decompose
+from dsbrdf.components.component import Component, Decomposition
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.components.misfit import Misfit
 from dsbrdf.components.shares import LABELS

@@ -12,302 +12,32 @@ these layers describe the component.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.description import Description, describe, renderer_layers
-from dsbrdf.components.layer_data import grid_points as layer_points
+from dsbrdf.components.component import MIN_COMPONENT_LIGHT, MIN_LIGHT_OF_UNLIKELY_COMPONENT, Decomposition
+from dsbrdf.components.description import describe
 from dsbrdf.components.layer_data import grid_values, material_data
 from dsbrdf.components.layer_fit import fit_structures, structure_weights
-from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
-from dsbrdf.components.misfit import PROFILE, Misfit, OwnValues
-from dsbrdf.components.points import Points, grid_points
-from dsbrdf.components.ranges import ComponentRanges, DrawnLayers, Range
-from dsbrdf.components.shares import LABELS, NORMAL, LightRule, WeightedLayers, light_rules
+from dsbrdf.components.layers import RetroLayer
+from dsbrdf.components.ranges import DrawnLayers
+from dsbrdf.components.shares import LABELS, LightRule, WeightedLayers, light_rules
 from dsbrdf.components.structures import RARE_STRUCTURES, STRUCTURES
-from dsbrdf.components.surfaces import Surface
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.reflectance import ReflectanceModel, check_angle
+from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.process_settings import one_blas_thread
 
 if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitResult
 
 _MIN_WEIGHT = 0.01  # A structure of layers with a smaller weight is dropped.
-_MIN_COMPONENT_LIGHT = 2e-3
-"""A component is left out if it reflects a smaller fraction of all reflected light at every angle."""
-_MIN_LIGHT_OF_UNLIKELY_COMPONENT = 0.02
-"""An unlikely component is left out if it reflects a smaller fraction of all reflected light at every angle."""
 _LIKELY_WEIGHT = 0.5
 """A component is likely if the weights of the structures with this component have a larger sum."""
-_MIN_REMARKED_LIGHT = 0.02
-"""A remark tells of sheen or retro-reflection that has a larger fraction of all reflected light."""
-_MAX_CERTAIN_WIDTH = 0.2
-"""If the range of the diffuse fraction is wider, a remark says that this fraction is not determined."""
-_RECEIVERS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
-"""Indices in `LABELS`, in order of preference, of the component that receives the values of an absent component."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Component(ReflectanceModel):
-    """Evaluate one component of a model, and hold the rough surfaces that describe this component.
-
-    Attributes
-    ----------
-    label : str
-        One of `LABELS`.
-    ranges : ComponentRanges
-        Ranges of the component's fraction of the light, albedo and colour, each with 90 % probability.
-    description : Description
-        Layers fitted to the values of the component, and the misfit of these layers.
-    whole : Decomposition
-        The decomposition that the component belongs to.
-    """
-
-    label: str
-    ranges: ComponentRanges
-    description: Description
-    whole: Decomposition
-
-    def __repr__(self) -> str:
-        width = "" if self.half_width is None else f", half width {np.degrees(self.half_width):.1f} degrees"
-        return f"<Component: {self.label}, {self.light_share:.0%} of the light{width}>"
-
-    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""
-        return self.whole.split_unmasked(theta_half, theta_diff, phi_diff)[self._index]
-
-    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
-        for parts in self.whole.split_grid(theta_half, theta_diff, phi_diff):
-            yield parts[self._index]
-
-    def directional_albedo(self, theta_out: ArrayLike) -> Array:
-        """Return the fraction (..., 3) of light from directions theta_out (...) [rad] that the component reflects."""
-        return directional_albedo(self.evaluate_unmasked, check_angle("theta_out", theta_out))
-
-    @property
-    def layers(self) -> LayeredModel:
-        """Layers fitted to the component's own values."""
-        return self.description.layers
-
-    @property
-    def surfaces(self) -> tuple[Surface, ...]:
-        """At most two rough surfaces of a specular component, the brightest first; empty for a diffuse component."""
-        return self.description.surfaces
-
-    @property
-    def misfit(self) -> Misfit:
-        """Distance of the layers in `layers` from the values of the component."""
-        return self.description.misfit
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Sentences about parameters that are None, because no surface describes the component or F70 is uncertain."""
-        return self.description.remarks(self.label)
-
-    def height(self, theta_diff: ArrayLike) -> Array:
-        """Return values (..., 3) [1/sr] of the component's layers at theta_half = 0 and theta_diff (...) [rad]."""
-        theta_diff = check_angle("theta_diff", theta_diff)
-        flat = theta_diff.ravel()
-        values = self.layers.evaluate_unmasked(np.zeros(flat.size), flat, np.full(flat.size, np.pi / 2))
-        return values.reshape(*theta_diff.shape, 3)
-
-    @property
-    def structure(self) -> str:
-        """The most probable structure that has the component, in words, such as "dielectric over diffuse"."""
-        return next(one for one in self.whole.structures if self.label in one.labels).name
-
-    @property
-    def albedo(self) -> Array:
-        """Directional albedo at normal incidence, RGB, shape (3,)."""
-        return self.whole.albedos[self._index]
-
-    @property
-    def light_share(self) -> float:
-        """Fraction of the model's light, channels added, that the component reflects at normal incidence."""
-        return float(self.albedo.sum() / self.whole.albedos.sum())
-
-    @property
-    def color(self) -> Array:
-        """Albedo divided by its largest channel, RGB, shape (3,)."""
-        return np.asarray(self.albedo / (self.albedo.max() or 1.0))
-
-    @property
-    def half_width(self) -> float | None:
-        """Angle theta_half at which slopes of the surfaces are half as frequent as the slope 0 [rad], or None."""
-        return self.description.half_width
-
-    @property
-    def _index(self) -> int:
-        return self.whole.labels.index(self.label)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Decomposition:
-    """Hold the components of a model that reflect light; their values sum to the model's values.
-
-    Iteration yields the components from narrow to wide; ``decomposition[label]`` returns one component.
-
-    Attributes
-    ----------
-    model : DSBRDF
-        The model that was decomposed.
-    structures : tuple of WeightedLayers
-        Structures of layers that explain the model, the most probable one first; the weights sum to 1.
-    labels : tuple of str
-        Labels of the components that reflect light, in the order of `LABELS`.
-    ranges : tuple of ComponentRanges
-        Ranges of the light and colour of each component.
-    descriptions : tuple of Description
-        Layers fitted to the values of each component.
-    diffuse_range : tuple of float
-        Range with 90 % probability of the diffuse fraction of all light, also without a diffuse component.
-    """
-
-    model: DSBRDF
-    structures: tuple[WeightedLayers, ...]
-    labels: tuple[str, ...]
-    ranges: tuple[ComponentRanges, ...]
-    descriptions: tuple[Description, ...]
-    diffuse_range: Range
-
-    def __repr__(self) -> str:
-        return f"<Decomposition: {', '.join(self.labels) or 'no light'}>"
-
-    def __iter__(self) -> Iterator[Component]:
-        return iter(self._components)
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-    def __getitem__(self, label: str) -> Component:
-        if label not in LABELS:
-            raise InvalidArgumentError(f"the label must be one of {', '.join(LABELS)}, not {label!r}")
-        if label not in self.labels:
-            there = f"it has {' and '.join(self.labels)}" if self.labels else "it has no light"
-            raise InvalidArgumentError(f"this model has no component {label}: {there}")
-        return self._components[self.labels.index(label)]
-
-    @property
-    def specular_spike(self) -> Component | None:
-        """The highlight whose half width is below 3 degrees, or None if there is none."""
-        return self._find("specular_spike")
-
-    @property
-    def specular_lobe(self) -> Component | None:
-        """The highlight whose half width is 3 degrees or more, or None if there is none."""
-        return self._find("specular_lobe")
-
-    @property
-    def diffuse(self) -> Component | None:
-        """The component that is reflected into all directions, or None if there is none."""
-        return self._find("diffuse")
-
-    @property
-    def structure(self) -> str:
-        """The most probable structure in words, such as "dielectric over diffuse", or "no light"."""
-        return self.structures[0].name if self.structures else "no light"
-
-    @cached_property
-    def layers(self) -> LayeredModel:
-        """A small model of the material for renderers: the layers of all components, fitted together."""
-        return _renderer_layers(self)
-
-    @cached_property
-    def albedos(self) -> Array:
-        """Directional albedo of each component at normal incidence, shape (components, 3)."""
-        return np.sum(self.split_at(NORMAL) * NORMAL.weight, axis=2)
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Sentences about an undetermined diffuse fraction, withheld alpha or F0, sheen and retro-reflection."""
-        own = (remark for component in self for remark in component.description.misfit_remarks(component.label))
-        return (*self._open_split(), *own, *self._other_light())
-
-    def receiver(self, label: str) -> str:
-        """Return the label of the component to which layers with some label belong, also if theirs is left out."""
-        return next(one for one in (label, *(LABELS[heir] for heir in _RECEIVERS[label])) if one in self.labels)
-
-    def split_at(self, rule: LightRule) -> Array:
-        """Return the values of all components at the n nodes of a quadrature [1/sr], (components, 3, n)."""
-        return self._split(self.model.evaluate_unmasked(*rule.angles).T, rule.points)
-
-    def own_values(self, reflected: Sequence[Array]) -> tuple[OwnValues, ...]:
-        """Return for each component the values to which layers are fitted.
-
-        `reflected` has the albedos of `LABELS` at each angle of `light_rules`.
-        """
-        grids = self._split(grid_values(self.model), layer_points())
-        profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
-        albedos = np.stack([self._received(light) for light in reflected], axis=1)
-        return tuple(OwnValues(*own) for own in zip(grids, profiles, albedos, strict=True))
-
-    def split_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Return values (components, n, 3) [1/sr] of all components at angles (n,) that are not checked."""
-        values = self.model.evaluate_unmasked(theta_half, theta_diff, phi_diff)
-        return self._split(values.T, Points.at(theta_half, theta_diff, phi_diff)).transpose(0, 2, 1)
-
-    def split_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_half the values (components, 3, D, P) at all theta_diff (D,) and phi_diff (P,)."""
-        axes = theta_half, theta_diff, phi_diff
-        for points, values in zip(grid_points(*axes), self.model.evaluate_grid(*axes), strict=True):
-            yield self._split(values.reshape(3, -1), points).reshape(-1, *values.shape)
-
-    def _split(self, values: Array, points: Points) -> Array:
-        """Divide values (3, N) of the model at points among the components, (components, 3, N)."""
-        if len(self.labels) < 2:
-            return values[np.newaxis][: len(self.labels)]
-        parts = np.sum([one.weight * one.split(values, points) for one in self.structures], axis=0)
-        return self._received(parts)
-
-    def _received(self, parts: Array) -> Array:
-        """Return the values of all components; a component receives the values of labels that are left out."""
-        received = parts.copy()
-        for place, label in enumerate(LABELS):
-            if label not in self.labels:
-                received[LABELS.index(self.receiver(label))] += parts[place]
-        return np.asarray(received[[LABELS.index(label) for label in self.labels]])
-
-    def _open_split(self) -> Iterator[str]:
-        low, high = self.diffuse_range
-        is_doubtful = (
-            self.diffuse is not None
-            and low < _MIN_COMPONENT_LIGHT
-            and self.diffuse.light_share > _MIN_LIGHT_OF_UNLIKELY_COMPONENT
-        )
-        if high - low > _MAX_CERTAIN_WIDTH or is_doubtful:
-            names = ", ".join(f"{structure.name} {structure.weight:.0%}" for structure in self.structures[:3])
-            yield (
-                f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to "
-                f"{high:.0%}. Probable structures: {names}."
-            )
-
-    def _other_light(self) -> Iterator[str]:
-        kinds = (
-            (RetroLayer, "goes back towards its source; it is counted with the specular lobe"),
-            (SheenLayer, "is sheen, as of fibres at grazing angles; it is counted as diffuse"),
-        )
-        for kind, what in kinds:
-            share = sum(structure.weight * structure.light_of(kind) for structure in self.structures)
-            if share > _MIN_REMARKED_LIGHT:
-                yield f"About {share:.0%} of the light {what}."
-
-    def _find(self, label: str) -> Component | None:
-        return self[label] if label in self.labels else None
-
-    @cached_property
-    def _components(self) -> tuple[Component, ...]:
-        parts = zip(self.labels, self.ranges, self.descriptions, strict=True)
-        return tuple(Component(label, ranges, found, self) for label, ranges, found in parts)
 
 
 def decompose(model: DSBRDF | FitResult) -> Decomposition:
@@ -371,7 +101,7 @@ def _decompose(model: DSBRDF) -> Decomposition:
 def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) -> bool:
     """Tell whether a component reflects enough light to be kept; an unlikely component must reflect more light."""
     probability = sum(structure.weight for structure in structures if label in structure.labels)
-    least = _MIN_COMPONENT_LIGHT if probability > _LIKELY_WEIGHT else _MIN_LIGHT_OF_UNLIKELY_COMPONENT
+    least = MIN_COMPONENT_LIGHT if probability > _LIKELY_WEIGHT else MIN_LIGHT_OF_UNLIKELY_COMPONENT
     return probability > 0.0 and share > least
 
 
@@ -380,8 +110,3 @@ def _reflected(model: DSBRDF, structures: tuple[WeightedLayers, ...], rule: Ligh
     values = model.evaluate_unmasked(*rule.angles).T
     parts = np.sum([one.weight * one.split(values, rule.points) for one in structures], axis=0)
     return np.asarray(parts @ rule.weight)
-
-
-@one_blas_thread
-def _renderer_layers(decomposition: Decomposition) -> LayeredModel:
-    return renderer_layers(grid_values(decomposition.model), decomposition.descriptions)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.components.layer_fit import LayerData
+from dsbrdf.components.layer_descent import LayerData
 from dsbrdf.components.points import Points
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.weighting import center_share, interval_ends, seen_weight, trust

@@ -16,7 +16,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_fit import EVIDENCE_SCALE, FittedStructure, structure_weights
+from dsbrdf.components.layer_descent import EVIDENCE_SCALE, FittedStructure
+from dsbrdf.components.layer_fit import structure_weights
 from dsbrdf.components.layers import GRAZING_ANGLE, SpecularLayer
 from dsbrdf.components.shares import LABELS, NORMAL, WeightedLayers
 from dsbrdf.model.reflectance import ReflectanceModel

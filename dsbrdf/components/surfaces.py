@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import gammaln, stdtr
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_fit import MODEL_ERROR, FittedStructure
+from dsbrdf.components.layer_descent import MODEL_ERROR, FittedStructure
 from dsbrdf.components.layers import GRAZING_ANGLE, Color, RetroLayer, SpecularLayer, tail_norm
 from dsbrdf.components.misfit import Misfit
 from dsbrdf.components.ranges import Range, RgbRange, SurfaceSpread

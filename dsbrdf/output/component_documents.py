@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.component import Component
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.description import Description
 from dsbrdf.components.ranges import ComponentRanges
 from dsbrdf.model.dsbrdf import DSBRDF

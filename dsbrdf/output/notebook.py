@@ -9,7 +9,8 @@ from html import escape
 
 import numpy as np
 
-from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.component import Component
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.fitting.report import FitReport, FitResult

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from dsbrdf.components.decomposition import Component
+    from dsbrdf.components.component import Component
     from dsbrdf.model.dsbrdf import DSBRDF
 
 _CURVE_THETA_DIFF = np.radians(np.linspace(0.0, 85.0, 200))

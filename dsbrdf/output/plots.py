@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
-from dsbrdf.components.decomposition import Component, Decomposition, decompose
+from dsbrdf.components.component import Component, Decomposition
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import InvalidArgumentError

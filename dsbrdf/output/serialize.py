@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import Decomposition
+from dsbrdf.components.component import Decomposition
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.components.ranges import Range
 from dsbrdf.components.shares import LABELS, WeightedLayers

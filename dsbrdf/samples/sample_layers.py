@@ -19,7 +19,8 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.layer_data import LAYER_POWER, PLAIN_ERROR_WEIGHT
-from dsbrdf.components.layer_fit import FittedStructure, LayerData, fit_structures, structure_weights
+from dsbrdf.components.layer_descent import FittedStructure, LayerData
+from dsbrdf.components.layer_fit import fit_structures, structure_weights
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.components.points import Points
 from dsbrdf.components.structures import STRUCTURES, LayerStructure

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.component import Component
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.components.shares import LABELS
 from dsbrdf.data.files import write_atomically

@@ -17,7 +17,7 @@ import re
 
 import numpy as np
 
-from dsbrdf.components.decomposition import Component
+from dsbrdf.components.component import Component
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.components.shares import LABELS
 from dsbrdf.data.grid import CENTER_CUTOFF

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dsbrdf.components.decomposition import Component
+from dsbrdf.components.component import Component
 from dsbrdf.components.layers import Layer, LayeredModel
 from dsbrdf.components.shares import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsbrdf.components.decomposition import Component
+from dsbrdf.components.component import Component
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, map_merl

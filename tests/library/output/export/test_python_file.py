@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import Component, decompose
+from dsbrdf.components.component import Component
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.data.geometry import half_difference
 from dsbrdf.model.dsbrdf import DSBRDF
