@@ -27,10 +27,8 @@ from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.version import __version__
 
-_FITTED_SPHERE_SIZES_PX = {
-    "three_lights": 32,
-    "environment": 10,
-}  # diameters of the spheres that a fit compares, by lighting
+# A fit compares spheres of these diameters, by lighting.
+_FITTED_SPHERE_SIZES_PX = {"three_lights": 32, "environment": 10}
 _STATED_SPHERE_SIZE_PX = 128  # The PSNR in the exported document compares lit spheres of this diameter.
 _MAX_RADIANCE = 1e100  # A model whose lit sphere has larger values is refused, because a picture would overflow.
 _DERIVATIVE_STEPS = [1e-4]  # relative steps of the finite differences that give the derivatives of a fit
@@ -39,11 +37,10 @@ _MAX_FIT_STEPS = 16
 # The unknowns of a fit are base colour, specular colour and these inputs; the unknown for an index (ior) is its F0.
 _FITTED_INPUTS = ("base_metalness", "specular_ior", "specular_roughness", "coat_weight", "coat_roughness", "coat_ior")
 _MIN_ROUGHNESS = 0.03
+# The bounds 0.18 and 0.1 are the F0 of the indices of refraction 2.5 and 1.9.
 _INPUT_BOUNDS = (
     np.array([0.0] * 7 + [0.002, _MIN_ROUGHNESS, 0.0, _MIN_ROUGHNESS, 0.01]),
-    np.array(
-        [1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]
-    ),  # The bounds 0.18 and 0.1 are the F0 of the indices of refraction 2.5 and 1.9.
+    np.array([1.0] * 7 + [0.18, 1.0, 1.0, 1.0, 0.1]),
 )
 # If the layers have no coat, the fit of a coat starts with this weight, roughness and F0.
 _ABSENT_COAT_START = (0.05, 0.1, 0.053)
