@@ -65,6 +65,7 @@ check: $(TESTS_READY)  ## check format, lint, prose, types and security
 	$(BIN)/python .ci/prose.py
 	$(BIN)/mypy
 	$(BIN)/bandit --quiet --recursive --configfile pyproject.toml dsbrdf service
+	$(BIN)/zizmor --quiet --offline .github
 
 TSC := .venv/typescript
 
