@@ -80,12 +80,13 @@ fix: $(TESTS_READY)  ## format and repair what can be repaired automatically
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(TESTS_READY)  ## run all benchmarks except the long ones
+bench: $(TESTS_READY)  ## run the tests of the benchmarks, then all benchmarks except the long ones
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile benchmarks
 	$(BIN)/python -m benchmarks
 
 soak: $(TESTS_READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
 	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
-	DSBRDF_SOAK=1 $(BIN)/python -m pytest
+	DSBRDF_SOAK=1 $(BIN)/python -m pytest tests benchmarks
 
 prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
 	docker/prove.sh
