@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf import DSBRDF, ConvergenceWarning, FitOptions, Measurement, ScatteredSamples, fit
 from dsbrdf.data import half_difference, interpolate
-from dsbrdf.samples.errors import scattered_metrics
+from dsbrdf.samples.scattered_fit import scattered_metrics
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
 LIMIT = 0.03

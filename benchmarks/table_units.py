@@ -13,8 +13,8 @@ import numpy as np
 from dsbrdf import ScatteredSamples
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import spherical
-from dsbrdf.samples.missing import unmeasured_zeros
-from dsbrdf.samples.units import sample_doubts
+from dsbrdf.samples.doubts import sample_doubts
+from dsbrdf.samples.values import unmeasured_zeros
 
 Truth = Callable[[Array, Array], Array]
 _UNIT_WORDS = ("scale", "cosine", "multiply")

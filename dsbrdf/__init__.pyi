@@ -33,7 +33,7 @@ from dsbrdf.rendering.environment import read_environment as read_environment
 from dsbrdf.rendering.space import MaterialSpace as MaterialSpace
 from dsbrdf.rendering.space import space as space
 from dsbrdf.rendering.sphere import render_sphere as render_sphere
-from dsbrdf.samples.measurement_files import read_measurement as read_measurement
+from dsbrdf.samples.reading import read_measurement as read_measurement
 from dsbrdf.samples.reading import read_samples as read_samples
 from dsbrdf.samples.scattered_samples import ScatteredSamples as ScatteredSamples
 from dsbrdf.samples.table_options import TableOptions as TableOptions

@@ -30,20 +30,21 @@ from dsbrdf.report_warnings import (
     fit_warnings,
     sample_warnings,
 )
-from dsbrdf.samples.bins import predicted_profiles, sample_rows
-from dsbrdf.samples.errors import (
+from dsbrdf.samples.doubts import sample_doubts
+from dsbrdf.samples.prediction import SamplePrediction, thinned, without_outliers
+from dsbrdf.samples.reading import read_measurement
+from dsbrdf.samples.scattered_fit import (
     expected_error,
     left_out_errors,
     left_out_values,
     pairs_to_measure,
+    predicted_profiles,
+    sample_rows,
     scattered_metrics,
     unconfirmed_sample,
 )
-from dsbrdf.samples.measurement_files import read_measurement
-from dsbrdf.samples.prediction import SamplePrediction, thinned, without_outliers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import TABLE_OPTIONS, TableOptions
-from dsbrdf.samples.units import sample_doubts
 from dsbrdf.version import versions
 
 FEW_SAMPLES = 200

@@ -48,7 +48,7 @@ def fit_warnings(
 ) -> Iterator[str]:
     """Yield warnings about the convergence of a fit, missing data and a too large albedo.
 
-    If `is_unit_wrong`, `dsbrdf.samples.units` has already warned about the unit, and there is no warning about the
+    If `is_unit_wrong`, `dsbrdf.samples.doubts` has already warned about the unit, and there is no warning about the
     albedo. Warnings about components are in `dsbrdf.components.component`.
     """
     if not np.all(knots.converged):

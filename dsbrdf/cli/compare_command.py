@@ -29,7 +29,7 @@ from dsbrdf.output.figure_parts import encode_figure
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sample_figures import samples_figure
 from dsbrdf.output.sphere_panels import Panels, compare_spheres, component_panels, encode_png, one_below_another
-from dsbrdf.samples.errors import relative_rms
+from dsbrdf.samples.scattered_fit import relative_rms
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import TableOptions
 

@@ -30,8 +30,7 @@ from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.component_table import COLUMNS, component_rows, table_csv
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
-from dsbrdf.samples.measurement_files import read_measurement
-from dsbrdf.samples.reading import read_samples
+from dsbrdf.samples.reading import read_measurement, read_samples
 from dsbrdf.samples.table_options import TableOptions
 
 _FILES = (".json", ".png", ".svg", ".pdf", ".csv", ".binary")

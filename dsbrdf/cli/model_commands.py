@@ -40,8 +40,7 @@ from dsbrdf.output.export.glsl import NAME
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import lobes_phrase, model_text, result_document, result_text
 from dsbrdf.pipeline import fit
-from dsbrdf.samples.measurement_files import kind_of_file
-from dsbrdf.samples.reading import read_samples
+from dsbrdf.samples.reading import kind_of_file, read_samples
 from dsbrdf.samples.table_options import TableOptions
 
 _FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())

@@ -22,7 +22,7 @@ from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import PARTS, part_of
 from dsbrdf.output.serialize import read_model_file
-from dsbrdf.samples.measurement_files import START_BYTES, measurement_kind, read_measurement
+from dsbrdf.samples.reading import START_BYTES, measurement_kind, read_measurement
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 

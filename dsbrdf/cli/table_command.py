@@ -9,8 +9,7 @@ from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, RequiredFile
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.output.table_summary import ANGLE_NAMES, summary_of_table
-from dsbrdf.samples.measurement_files import kind_of_file
-from dsbrdf.samples.reading import ReadTable, read_table
+from dsbrdf.samples.reading import ReadTable, kind_of_file, read_table
 from dsbrdf.samples.table_options import TableOptions
 
 

@@ -15,7 +15,7 @@ from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 from dsbrdf.output.sphere_panels import thumbnail
 from dsbrdf.pipeline import fit
-from dsbrdf.samples.measurement_files import open_checked, read_measurement
+from dsbrdf.samples.reading import open_checked, read_measurement
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.grid import CHANNELS
+from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.reading import ReadTable
 from dsbrdf.samples.scattered_samples import ScatteredSamples
-from dsbrdf.samples.units import sample_doubts
 
 ANGLE_NAMES = ("theta_in_deg", "theta_out_deg", "phi_deg")
 """Names of the angles of a sample in a summary; phi is the azimuth from omega_in to omega_out, 0 to 360 degrees."""

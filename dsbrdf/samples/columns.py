@@ -1,244 +1,194 @@
-"""Read directions [rad] and RGB values from the columns of a table of scattered samples.
+"""Find the columns of a table that contain directions and values, by their names or the option ``columns``."""
 
-A direction is a unit vector, or spherical coordinates in degrees, with the normal along z:
-
-    omega = (sin(theta) cos(phi), sin(theta) sin(phi), cos(theta)).
-
-If the table has no phi, both directions lie in one plane, on opposite sides of the normal: theta_out = theta_in is the
-mirror direction. A negative angle lies on the other side of the normal.
-"""
-
-from collections.abc import Collection, Iterator, Sequence
+import re
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import directions, spherical
 from dsbrdf.data.grid import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
-from dsbrdf.samples.meanings import FROM_MIRROR, PHIS, THETAS, Column, Description, FoundColumns, find_columns
-from dsbrdf.samples.missing import without_code
-from dsbrdf.samples.names import (
-    ANGLE_UNITS,
-    COSINE,
-    HALF_DIFFERENCE,
-    VALUE_UNITS,
-    VECTORS,
-    WAVELENGTH_UNITS,
-    factor_of,
-    wavelength_of,
-)
-from dsbrdf.samples.spectra import linear_srgb, of_rows
+from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS, meaning_of, meanings_of, name_and_unit, wavelength_of
 from dsbrdf.samples.table_options import TableOptions
 
-_NO_UNIT = ("", "1", "-", "none")
-# Wavelengths without a unit are in metres or micrometres if they are below these limits, otherwise in nanometres.
-_MAX_WAVELENGTH_M = 1e-3
-_MAX_WAVELENGTH_UM = 20.0
-_MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
-_MAX_THETA_RAD = (
-    1.6  # A table without a larger theta and without units is refused, because its angles look like radians.
+THETAS = ("theta_in", "theta_out")
+PHIS = ("phi_in", "phi_out")
+GREY = ("value",)
+FROM_MIRROR = ("theta_in", "theta_from_mirror")
+_DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS, FROM_MIRROR)
+# A column of unknown meaning is refused if its name matches this, because it may be an azimuth that the samples need.
+_AZIMUTH = re.compile(r"phi|(?:^|_)az|azi|azm|[rv]aa|phase")
+_POSSIBLE = (
+    "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
+    "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or "
+    "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF, and the option "
+    "constants gives an angle that all rows have, as in constants theta_in=30"
 )
-# If more than this fraction of the rows is at or below the horizon, the columns theta and phi may be exchanged.
-_DOUBTFUL_FRACTION = 0.5
-# A phase angle may lie outside of its possible range by this much, because of rounding.
-_PHASE_TOLERANCE = np.radians(1.0)
-LOWEST_COSINE = 1e-6
-"""A direction whose cosine to the normal is smaller counts as at the horizon, because of rounding errors."""
+# For each number of columns without names, this is the usual meaning of the columns, which an error message suggests.
+_ORDERS = {
+    3: "theta_in=1,theta_out=2,value=3",
+    4: "theta_in=1,theta_out=2,phi_out=3,value=4",
+    5: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,value=5",
+    6: "theta_in=1,theta_out=2,phi_out=3,red=4,green=5,blue=6",
+    7: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,red=5,green=6,blue=7",
+}
+
+Description = tuple[tuple[str, str, str], ...]
+"""The name as written, the meaning and the unit of each column; meaning and unit may be empty."""
 
 
 @dataclass(frozen=True, eq=False)
-class SampleRows:
-    """Hold rows of samples, and a description of the columns of the table that contained the rows.
+class Column:
+    """Hold a column of a table: its name and unit as written in the file, and its numbers (n,)."""
 
-    The columns of `numbers` (n, 10) are omega_in (3) and omega_out (3), not yet of unit length, the values of red,
-    green and blue, and the weight. A missing number is NaN.
-    """
-
+    written: str
+    unit: str
     numbers: Array
-    written: Array  # values as written in the file, axes (row, band)
-    notes: tuple[str, ...]  # a sentence on each decision of the reader
-    columns: Description
-    n_rows: int  # number of rows in the file, also unusable rows
+    is_elevation: bool = False
 
 
-def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
-    """Return the directions of the samples in a table as vectors, and their values as RGB.
+@dataclass(frozen=True, eq=False)
+class FoundColumns:
+    """Hold the columns of a table by their meaning, such as theta_in.
 
-    Raises MeasurementFormatError if a column is missing, occurs twice, or has an unknown unit.
+    `form` lists the meanings of the columns for directions, and `values` the meanings of the columns for values. If the
+    values are spectra, `wavelengths` [nm] has the wavelength of each column of values; otherwise it is empty.
     """
-    table = table.with_columns({name: np.full(table.n_rows, number) for name, number in options.held().items()})
-    found = find_columns(table, options)
-    columns, wavelengths = found.columns, found.wavelengths
-    notes = list(table.notes)
-    written = _written(found, options, notes)
-    colors = linear_srgb(wavelengths, written) if wavelengths.size else np.broadcast_to(written, (table.n_rows, 3))
-    weight = columns["weight"].numbers if "weight" in columns else np.ones(table.n_rows)
-    numbers = np.column_stack([*_vectors(columns, found.form), colors, weight])
-    if "wavelength" in columns:
-        numbers, wavelengths = of_rows(numbers, _in_nanometres(columns["wavelength"]))
-    notes += (
-        *_about_directions(found, is_turned=options.phi == "mirror"),
-        *_about_unread(table, {column.written for column in columns.values()}),
-        *_about_values(found, wavelengths, options),
-    )
-    return SampleRows(numbers, written, tuple(notes), found.description, table.n_rows)
+
+    columns: dict[str, Column]
+    form: tuple[str, ...]
+    values: tuple[str, ...]
+    wavelengths: Array
+    description: Description
 
 
-def _written(found: FoundColumns, options: TableOptions, notes: list[str]) -> Array:
-    """Return the values as written in the file, shape (rows, bands), with NaN for a missing value."""
-    columns = [found.columns[name] for name in found.values]
-    for name, column in zip(found.values, columns, strict=True):
-        is_band = wavelength_of(name) is not None and column.unit in WAVELENGTH_UNITS
-        if column.unit not in (*_NO_UNIT, *VALUE_UNITS) and not is_band and options.scale == 1.0:
+def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
+    """Find the columns of a table that contain directions, values, weights and wavelengths.
+
+    Raises MeasurementFormatError if a column is missing or occurs twice.
+    """
+    places, units = _places(table, options)
+    elevations = {f"theta_{side}" for side in ("in", "out") if f"elevation_{side}" in places} - places.keys()
+    places |= {name: places[name.replace("theta", "elevation")] for name in elevations}
+    bands = {} if places.keys() & {*GREY, *CHANNELS} else _bands(table)
+    places |= {name: [place] for name, (place, _) in bands.items()}
+    form, values = _chosen(table, places, bands)
+    azimuths = () if form in (VECTORS, HALF_DIFFERENCE) else PHIS if "phi_out" in places else (PHIS[0], "phase")
+    read = (*form, *values, *azimuths, "weight", *(("wavelength",) if values == GREY else ()))
+    columns = {}
+    for name in [name for name in read if name in places]:
+        place, *others = places[name]
+        written, unit = table.names[place], name_and_unit(table.names[place])[1]
+        if others:
             raise MeasurementFormatError(
-                f"The column {name!r} is in {column.unit!r}; the values of a BRDF are in 1/sr: if they are "
-                "those times a factor, give its inverse as the option scale, which is 0.01 for per cent and 0.003183, "
-                "1/(100 pi), for reflectance factors in per cent."
+                f"The columns {written!r} and {table.names[others[0]]!r} mean the same; keep one of them."
             )
-    written = np.stack([column.numbers for column in columns], axis=-1)
-    return without_code(np.where(np.isin(written, options.missing), np.nan, written), notes)
+        columns[name] = Column(written, units.get(name) or unit, table.numbers(place), name in elevations)
+    at = {places[name][0]: name for name in columns}
+    if azimuths and not columns.keys() & {*azimuths}:
+        _refuse_unread_azimuth(table, at)
+    described = ((name, at.get(place, ""), name_and_unit(name)[1]) for place, name in enumerate(table.names) if name)
+    wavelengths = np.array([wavelength for _, wavelength in bands.values()])
+    return FoundColumns(columns, form, values, wavelengths, tuple(described))
 
 
-def _in_nanometres(column: Column) -> Array:
-    largest = _largest(column.numbers)
-    by_size = "m" if largest < _MAX_WAVELENGTH_M else "um" if largest < _MAX_WAVELENGTH_UM else "nm"
-    unit = by_size if column.unit in _NO_UNIT else column.unit
-    if unit not in WAVELENGTH_UNITS:
-        raise MeasurementFormatError(f"The wavelengths are in {unit!r}; they are in nm, um or m.")
-    return column.numbers * WAVELENGTH_UNITS[unit]
+def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int]], dict[str, str]]:
+    """Return the indices of the columns with each meaning, and the units that the option `columns` gives.
+
+    A column of the table takes precedence over a constant with the same meaning.
+    """
+    named = options.named_columns()
+    if table.names[:2] == ("1", "2") and not named:
+        raise _unnamed(table)
+    chosen = {meaning: _places_of(table, name) for meaning, name in named.items()}
+    taken = {at for found in chosen.values() for at in found}
+    places: dict[str, list[int]] = {}
+    for place, known in enumerate(meanings_of(table.names)):
+        if known is not None and place not in taken and not (known in places and place >= table.n_cells):
+            places.setdefault(known, []).append(place)
+    for meaning, found in chosen.items():
+        known = meaning_of(meaning)
+        if known is None:
+            raise MeasurementFormatError(f"The option columns has {meaning!r}, which is no meaning. {_POSSIBLE}.")
+        if not found:
+            raise MeasurementFormatError(f"The table has no column {named[meaning]!r}; it has {_listed(table.names)}.")
+        places[known] = found
+    return places, {str(meaning_of(name)): unit for name in named if (unit := name_and_unit(name)[1])}
 
 
-def _in_radians(name: str, column: Column) -> Array:
-    unit = "deg" if column.unit in _NO_UNIT else column.unit
-    if unit == COSINE and np.all(np.abs(column.numbers) <= 1.0):
-        return np.asarray(np.arccos(column.numbers))
-    if unit not in ANGLE_UNITS:
-        raise MeasurementFormatError(f"The column {name!r} is in {unit!r}; angles are in deg or in rad.")
-    angles = np.where(np.isfinite(column.numbers), column.numbers, np.nan) * ANGLE_UNITS[unit]
-    return np.pi / 2.0 - angles if column.is_elevation else angles
-
-
-def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Array]:
-    """Return omega_in and omega_out, (n, 3) each, from the columns that describe directions."""
-    if form is VECTORS:
-        first, second = (np.stack([columns[name].numbers for name in form[i : i + 3]], axis=-1) for i in (0, 3))
-        return first, second
-    angles = {name: _in_radians(name, column) for name, column in columns.items() if name in (*form, *PHIS, "phase")}
-    if angles.keys() >= {*PHIS}:
-        _check_not_exchanged(angles, columns)
-    _check_sizes(angles, columns)
-    if form is HALF_DIFFERENCE:
-        return directions(*(angles[name] for name in form))
-    if form is FROM_MIRROR:
-        angles["theta_out"] = angles["theta_in"] + angles["theta_from_mirror"]
-    if "phase" in angles:
-        angles |= {
-            "phi_out": _azimuth_of_phase(angles) + angles.get("phi_in", 0.0),
-            "theta_out": np.abs(angles["theta_out"]),
-        }
-    zero = np.zeros_like(angles["theta_in"])
-    phi_in = angles.get("phi_in", zero if "phi_out" in angles else zero + np.pi)
-    return spherical(angles["theta_in"], phi_in), spherical(angles["theta_out"], angles.get("phi_out", zero))
-
-
-def _azimuth_of_phase(angles: dict[str, Array]) -> Array:
-    """Return the azimuth between light and viewer from the phase angle, by the law of cosines on the sphere."""
-    theta_in, theta_out, phase = (np.abs(angles[name]) for name in (*THETAS, "phase"))
-    lowest, highest = np.abs(theta_in - theta_out), theta_in + theta_out
-    wrong = (phase < lowest - _PHASE_TOLERANCE) | (phase > highest + _PHASE_TOLERANCE)
-    if count := np.count_nonzero(wrong):
-        raise MeasurementFormatError(
-            f"In {count} of {len(phase)} rows the phase angle is not between the difference and the sum of theta_in "
-            "and theta_out, as the angle between light and viewer is."
-        )
-    sines = np.sin(theta_in) * np.sin(theta_out)
-    cosine = (np.cos(phase) - np.cos(theta_in) * np.cos(theta_out)) / np.where(sines == 0.0, 1.0, sines)
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
-def _check_not_exchanged(angles: dict[str, Array], columns: dict[str, Column]) -> None:
-    """Raise MeasurementFormatError if most rows would be above the horizon only with theta and phi exchanged."""
-    quarter = np.pi / 2.0 - LOWEST_COSINE
-    above, exchanged = (np.all([np.abs(angles[name]) < quarter for name in pair], axis=0) for pair in (THETAS, PHIS))
-    if above.size and np.mean(above) < _DOUBTFUL_FRACTION < np.mean(exchanged):
-        names = zip((*THETAS, *PHIS), (*PHIS, *THETAS), strict=True)
-        pairs = ",".join(f"{name}={columns[other].written}" for name, other in names)
-        raise MeasurementFormatError(
-            f"{np.count_nonzero(~above)} of {above.size} rows have a direction at or below the horizon as theta and "
-            "phi are named, and the columns named phi have angles as those to the normal: if the names are "
-            f"exchanged, set columns to {pairs}."
-        )
-
-
-def _check_sizes(angles: dict[str, Array], columns: dict[str, Column]) -> None:
-    """Raise MeasurementFormatError if an angle is too large, or if angles without a unit look like radians."""
-    for name, angle in angles.items():
-        bound, largest = 180.0 if name.startswith("theta") else 360.0, np.degrees(_largest(angle))
-        if largest > bound + 1e-4:
-            raise MeasurementFormatError(
-                f"The column {name!r} has an angle of {largest:.6g} degrees; {bound:.0f} is the largest that there is."
-            )
-    thetas = [name for name in angles if name.startswith("theta") and not columns[name].unit]
-    largest = max((_largest(columns[name].numbers) for name in thetas), default=0.0)
-    if 0.0 < largest < _MAX_THETA_RAD:
-        first, second = [name for name in angles if name.startswith("theta")][:2]
-        raise MeasurementFormatError(
-            f"The angles {first} and {second} are at most {largest:.3g}, as angles in radians are: write degrees, "
-            f"or name the columns {first}_rad and so on."
-        )
-
-
-def _largest(numbers: Array) -> float:
-    return float(np.abs(numbers[np.isfinite(numbers)]).max(initial=0.0))
-
-
-def _about_directions(found: FoundColumns, *, is_turned: bool) -> Iterator[str]:
-    phis = [name for name in PHIS if name in found.columns]
-    if found.form is FROM_MIRROR:
-        yield f"The angle theta_out is theta_in plus the column {found.columns['theta_from_mirror'].written!r}."
-    if "phase" in found.columns:
-        yield "The azimuth follows from the phase angle, which is 0 where the viewer looks along the light."
-    elif found.form in (THETAS, FROM_MIRROR) and not phis:
-        yield (
-            "The table has no phi: all directions are taken to lie in one plane, and theta_out = "
-            f"{'-' if is_turned else ''}theta_in to be the mirror direction."
-        )
-    if phis == ["phi_out"]:
-        yield f"The table has no phi_in: the mirror direction is taken to have phi_out = {0 if is_turned else 180}."
-    elevations = [name for name, column in found.columns.items() if column.is_elevation]
-    yield from (f"The elevation is from the horizon: {name} is 90 degrees minus it." for name in elevations)
-
-
-def _about_unread(table: TextTable, read: Collection[str]) -> Iterator[str]:
-    others = [name for name in table.names if name not in read and name]
-    if others:
-        shown = ", ".join(repr(name) for name in others[:5]) + (" and others" if len(others) > 5 else "")
-        yield f"The table has {'a column that was' if len(others) == 1 else 'columns that were'} not read: {shown}."
+def _refuse_unread_azimuth(table: TextTable, read: Container[int]) -> None:
+    """Raise MeasurementFormatError if a table without an azimuth has a varying column that may be the azimuth."""
     for at, name in enumerate(table.names):
-        words = table.words(at) if name in others else []
-        if 1 < len(words) <= _MAX_MATERIALS:
-            yield (
-                f"The column {name!r} has {len(words)} values, such as {words[0][:40]!r} and {words[1][:40]!r}: if "
-                "they are several materials, leave out all but one."
+        if at not in read and _AZIMUTH.search(name_and_unit(name)[0]) and table.varies(at):
+            raise MeasurementFormatError(
+                f"The column {name!r} is not understood, and may be an azimuth, which the table lacks otherwise: name "
+                f"it, as in columns phi_out={name}, or leave it out."
             )
 
 
-def _about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:
-    written, light = found.columns[found.values[0]].written, found.columns.get("theta_in")
-    factor = factor_of(written, light.written if light else "") if options.scale == 1.0 else ""
-    if factor:
-        yield f"The names suggest that the column {written!r} has reflectance factors, which are {factor}."
-    if found.values == CHANNELS:
-        return
-    if wavelengths.size == 0:
-        yield "The table has one column of values: the material is taken to be grey."
-    elif wavelengths.size == 1:
-        yield f"All values are at {wavelengths[0]:g} nm: the material is taken to be grey."
-    else:
-        yield (
-            f"The {wavelengths.size} wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm were made linear "
-            "sRGB, as the CIE 1931 observer sees them under light of equal energy; a flat spectrum is grey."
+def _places_of(table: TextTable, name: str) -> list[int]:
+    """Return the indices of the columns with a name; if no column has the name, a number is a position from 1."""
+    found = [place for place, written in enumerate(table.names) if written.lower() == name.lower()]
+    bare = name_and_unit(name)[0]
+    found = found or [place for place, written in enumerate(table.names) if name_and_unit(written)[0] == bare]
+    is_position = name.isdecimal() and 1 <= int(name[:9]) <= len(table.names)
+    return found or ([int(name) - 1] if is_position else [])
+
+
+def _unnamed(table: TextTable) -> MeasurementFormatError:
+    count, held = table.n_cells, [meaning_of(name) for name in table.names[table.n_cells :]]
+    blocks = held.count(None)
+    example, between = _ORDERS.get(count, _ORDERS[3]), ""
+    if held:
+        angles = (f",theta_in={count + 1}", f",phi_in={count + 2}")[:blocks]
+        example = "theta_out=1,phi_out=2,value=3" + "".join(angles)
+    if blocks:
+        between = f", and lines of {blocks} between them, which are columns {count + 1} and on"
+    if table.rows and not table.rows[0][0]:
+        return MeasurementFormatError(
+            "The table looks like a matrix, but its first cell is empty: write the names of the angles down and across "
+            "there, such as theta_out / phi_out."
         )
+    first = ", ".join(table.rows[0]) if table.rows else ""
+    return MeasurementFormatError(
+        f"The table has no line that names its columns; its rows have {count} numbers, such as {first[:60]}{between}: "
+        f"name them by their positions, as in columns {example}."
+    )
+
+
+def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
+    """Return index and wavelength [nm] of the columns named by wavelengths; a bare number alone is no wavelength."""
+    found = [(wavelength, place) for place, name in enumerate(table.names) if (wavelength := wavelength_of(name))]
+    is_band = len(found) > 1 or (found and not table.names[found[0][1]].isdecimal())
+    return {f"{wavelength:g} nm": (place, wavelength) for wavelength, place in sorted(found)} if is_band else {}
+
+
+def _chosen(table: TextTable, places: dict[str, list[int]], bands: Iterable[str]) -> tuple[tuple[str, ...], ...]:
+    """Return the meanings of the columns of directions and of values in a table."""
+    forms = [form for form in _DIRECTION_FORMS if places.keys() >= {*form}]
+    values = CHANNELS if places.keys() >= {*CHANNELS} else tuple(bands) or GREY
+    if not forms:
+        # The error names the missing columns of the nearest form: angles, vectors, or half and difference angles.
+        nearest = max((THETAS, VECTORS, HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
+        raise _missing("directions", nearest, table, places)
+    if not places.keys() >= {*values}:
+        raise _missing("values", CHANNELS, table, places)
+    return forms[0], values
+
+
+def _missing(
+    kind: str, wanted: Sequence[str], table: TextTable, places: dict[str, list[int]]
+) -> MeasurementFormatError:
+    lacking = ", ".join(name for name in wanted if name not in places)
+    known = {at for found in places.values() for at in found}
+    unknown = [name for at, name in enumerate(table.names) if name and at not in known and not wavelength_of(name)]
+    quoted = f"; not understood are {', '.join(map(repr, unknown[:10]))}" if unknown else ""
+    return MeasurementFormatError(
+        f"The table lacks columns for the {kind}: {lacking}. It has {_listed(table.names)}{quoted}. {_POSSIBLE}."
+    )
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join([name for name in names if name][:20])

@@ -20,8 +20,7 @@ from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measur
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl_material import read_rgl
 from dsbrdf.output.serialize import result_from_json
-from dsbrdf.samples.measurement_files import kind_of_file
-from dsbrdf.samples.reading import read_samples
+from dsbrdf.samples.reading import kind_of_file, read_samples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 from .http.names import check_name

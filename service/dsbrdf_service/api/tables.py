@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from starlette.requests import Request
 
 from dsbrdf.output.table_summary import ANGLE_NAMES
-from dsbrdf.samples.measurement_files import START_BYTES
+from dsbrdf.samples.reading import START_BYTES
 
 from ..compute.steps import understood_step
 from ..http import openapi

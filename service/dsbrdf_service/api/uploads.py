@@ -20,7 +20,7 @@ from dsbrdf.data.merl_validation import (
     check_values,
 )
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
-from dsbrdf.samples.measurement_files import START_BYTES, measurement_kind
+from dsbrdf.samples.reading import START_BYTES, measurement_kind
 from dsbrdf.samples.table_options import TableOptions
 
 from ..compute.computations import Place

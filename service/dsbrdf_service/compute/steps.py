@@ -38,8 +38,7 @@ from dsbrdf.output.table_summary import summary_of_table
 from dsbrdf.rendering.environment import EnvironmentMap
 from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import render_sphere, sphere_normals
-from dsbrdf.samples.measurement_files import kind_of_file, open_checked
-from dsbrdf.samples.reading import parse_samples, read_table
+from dsbrdf.samples.reading import kind_of_file, open_checked, parse_samples, read_table
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import TableOptions
 

@@ -9,10 +9,9 @@ from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_DIFF, THETA_HALF, half_difference, spherical, synthetic_measurement
 from dsbrdf.fitting import Metrics
 from dsbrdf.report_warnings import sample_warnings
-from dsbrdf.samples.bins import predicted_profiles, sample_rows
-from dsbrdf.samples.errors import scattered_metrics
+from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction
-from dsbrdf.samples.units import sample_doubts
+from dsbrdf.samples.scattered_fit import predicted_profiles, sample_rows, scattered_metrics
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]

@@ -7,9 +7,9 @@ from dsbrdf import MeasurementFormatError, ScatteredSamples, TableOptions
 from dsbrdf.arrays import Array
 from dsbrdf.data import CHANNELS
 from dsbrdf.data.geometry import spherical
+from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.names import VECTORS
 from dsbrdf.samples.reading import parse_samples
-from dsbrdf.samples.units import sample_doubts
 from tests.library.samples.test_layouts import truth
 from tests.library.samples.test_reading import (
     ANGLES,

@@ -6,7 +6,7 @@ import pytest
 from dsbrdf import MeasurementFormatError
 from dsbrdf.arrays import Array
 from dsbrdf.samples.reading import parse_samples
-from dsbrdf.samples.spectra import linear_srgb
+from dsbrdf.samples.values import linear_srgb
 from tests.library.samples.test_reading import ANGLES, COUNT, GREY, check_same, table
 
 DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")

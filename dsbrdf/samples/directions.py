@@ -1,0 +1,243 @@
+"""Read directions [rad] and RGB values from the columns of a table of scattered samples.
+
+A direction is a unit vector, or spherical coordinates in degrees, with the normal along z:
+
+    omega = (sin(theta) cos(phi), sin(theta) sin(phi), cos(theta)).
+
+If the table has no phi, both directions lie in one plane, on opposite sides of the normal: theta_out = theta_in is the
+mirror direction. A negative angle lies on the other side of the normal.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsbrdf.arrays import Array
+from dsbrdf.data.geometry import directions, spherical
+from dsbrdf.data.grid import CHANNELS
+from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.samples.cells import TextTable
+from dsbrdf.samples.columns import FROM_MIRROR, PHIS, THETAS, Column, Description, FoundColumns, find_columns
+from dsbrdf.samples.names import (
+    ANGLE_UNITS,
+    COSINE,
+    HALF_DIFFERENCE,
+    VALUE_UNITS,
+    VECTORS,
+    WAVELENGTH_UNITS,
+    factor_of,
+    wavelength_of,
+)
+from dsbrdf.samples.table_options import TableOptions
+from dsbrdf.samples.values import linear_srgb, of_rows, without_code
+
+_NO_UNIT = ("", "1", "-", "none")
+# Wavelengths without a unit are in metres or micrometres if they are below these limits, otherwise in nanometres.
+_MAX_WAVELENGTH_M = 1e-3
+_MAX_WAVELENGTH_UM = 20.0
+_MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
+_MAX_THETA_RAD = (
+    1.6  # A table without a larger theta and without units is refused, because its angles look like radians.
+)
+# If more than this fraction of the rows is at or below the horizon, the columns theta and phi may be exchanged.
+_DOUBTFUL_FRACTION = 0.5
+# A phase angle may lie outside of its possible range by this much, because of rounding.
+_PHASE_TOLERANCE = np.radians(1.0)
+LOWEST_COSINE = 1e-6
+"""A direction whose cosine to the normal is smaller counts as at the horizon, because of rounding errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampleRows:
+    """Hold rows of samples, and a description of the columns of the table that contained the rows.
+
+    The columns of `numbers` (n, 10) are omega_in (3) and omega_out (3), not yet of unit length, the values of red,
+    green and blue, and the weight. A missing number is NaN.
+    """
+
+    numbers: Array
+    written: Array  # values as written in the file, axes (row, band)
+    notes: tuple[str, ...]  # a sentence on each decision of the reader
+    columns: Description
+    n_rows: int  # number of rows in the file, also unusable rows
+
+
+def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
+    """Return the directions of the samples in a table as vectors, and their values as RGB.
+
+    Raises MeasurementFormatError if a column is missing, occurs twice, or has an unknown unit.
+    """
+    table = table.with_columns({name: np.full(table.n_rows, number) for name, number in options.held().items()})
+    found = find_columns(table, options)
+    columns, wavelengths = found.columns, found.wavelengths
+    notes = list(table.notes)
+    written = _written(found, options, notes)
+    colors = linear_srgb(wavelengths, written) if wavelengths.size else np.broadcast_to(written, (table.n_rows, 3))
+    weight = columns["weight"].numbers if "weight" in columns else np.ones(table.n_rows)
+    numbers = np.column_stack([*_vectors(columns, found.form), colors, weight])
+    if "wavelength" in columns:
+        numbers, wavelengths = of_rows(numbers, _in_nanometres(columns["wavelength"]))
+    notes += (
+        *_about_directions(found, is_turned=options.phi == "mirror"),
+        *_about_unread(table, {column.written for column in columns.values()}),
+        *_about_values(found, wavelengths, options),
+    )
+    return SampleRows(numbers, written, tuple(notes), found.description, table.n_rows)
+
+
+def _written(found: FoundColumns, options: TableOptions, notes: list[str]) -> Array:
+    """Return the values as written in the file, shape (rows, bands), with NaN for a missing value."""
+    columns = [found.columns[name] for name in found.values]
+    for name, column in zip(found.values, columns, strict=True):
+        is_band = wavelength_of(name) is not None and column.unit in WAVELENGTH_UNITS
+        if column.unit not in (*_NO_UNIT, *VALUE_UNITS) and not is_band and options.scale == 1.0:
+            raise MeasurementFormatError(
+                f"The column {name!r} is in {column.unit!r}; the values of a BRDF are in 1/sr: if they are "
+                "those times a factor, give its inverse as the option scale, which is 0.01 for per cent and 0.003183, "
+                "1/(100 pi), for reflectance factors in per cent."
+            )
+    written = np.stack([column.numbers for column in columns], axis=-1)
+    return without_code(np.where(np.isin(written, options.missing), np.nan, written), notes)
+
+
+def _in_nanometres(column: Column) -> Array:
+    largest = _largest(column.numbers)
+    by_size = "m" if largest < _MAX_WAVELENGTH_M else "um" if largest < _MAX_WAVELENGTH_UM else "nm"
+    unit = by_size if column.unit in _NO_UNIT else column.unit
+    if unit not in WAVELENGTH_UNITS:
+        raise MeasurementFormatError(f"The wavelengths are in {unit!r}; they are in nm, um or m.")
+    return column.numbers * WAVELENGTH_UNITS[unit]
+
+
+def _in_radians(name: str, column: Column) -> Array:
+    unit = "deg" if column.unit in _NO_UNIT else column.unit
+    if unit == COSINE and np.all(np.abs(column.numbers) <= 1.0):
+        return np.asarray(np.arccos(column.numbers))
+    if unit not in ANGLE_UNITS:
+        raise MeasurementFormatError(f"The column {name!r} is in {unit!r}; angles are in deg or in rad.")
+    angles = np.where(np.isfinite(column.numbers), column.numbers, np.nan) * ANGLE_UNITS[unit]
+    return np.pi / 2.0 - angles if column.is_elevation else angles
+
+
+def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Array]:
+    """Return omega_in and omega_out, (n, 3) each, from the columns that describe directions."""
+    if form is VECTORS:
+        first, second = (np.stack([columns[name].numbers for name in form[i : i + 3]], axis=-1) for i in (0, 3))
+        return first, second
+    angles = {name: _in_radians(name, column) for name, column in columns.items() if name in (*form, *PHIS, "phase")}
+    if angles.keys() >= {*PHIS}:
+        _check_not_exchanged(angles, columns)
+    _check_sizes(angles, columns)
+    if form is HALF_DIFFERENCE:
+        return directions(*(angles[name] for name in form))
+    if form is FROM_MIRROR:
+        angles["theta_out"] = angles["theta_in"] + angles["theta_from_mirror"]
+    if "phase" in angles:
+        angles |= {
+            "phi_out": _azimuth_of_phase(angles) + angles.get("phi_in", 0.0),
+            "theta_out": np.abs(angles["theta_out"]),
+        }
+    zero = np.zeros_like(angles["theta_in"])
+    phi_in = angles.get("phi_in", zero if "phi_out" in angles else zero + np.pi)
+    return spherical(angles["theta_in"], phi_in), spherical(angles["theta_out"], angles.get("phi_out", zero))
+
+
+def _azimuth_of_phase(angles: dict[str, Array]) -> Array:
+    """Return the azimuth between light and viewer from the phase angle, by the law of cosines on the sphere."""
+    theta_in, theta_out, phase = (np.abs(angles[name]) for name in (*THETAS, "phase"))
+    lowest, highest = np.abs(theta_in - theta_out), theta_in + theta_out
+    wrong = (phase < lowest - _PHASE_TOLERANCE) | (phase > highest + _PHASE_TOLERANCE)
+    if count := np.count_nonzero(wrong):
+        raise MeasurementFormatError(
+            f"In {count} of {len(phase)} rows the phase angle is not between the difference and the sum of theta_in "
+            "and theta_out, as the angle between light and viewer is."
+        )
+    sines = np.sin(theta_in) * np.sin(theta_out)
+    cosine = (np.cos(phase) - np.cos(theta_in) * np.cos(theta_out)) / np.where(sines == 0.0, 1.0, sines)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _check_not_exchanged(angles: dict[str, Array], columns: dict[str, Column]) -> None:
+    """Raise MeasurementFormatError if most rows would be above the horizon only with theta and phi exchanged."""
+    quarter = np.pi / 2.0 - LOWEST_COSINE
+    above, exchanged = (np.all([np.abs(angles[name]) < quarter for name in pair], axis=0) for pair in (THETAS, PHIS))
+    if above.size and np.mean(above) < _DOUBTFUL_FRACTION < np.mean(exchanged):
+        names = zip((*THETAS, *PHIS), (*PHIS, *THETAS), strict=True)
+        pairs = ",".join(f"{name}={columns[other].written}" for name, other in names)
+        raise MeasurementFormatError(
+            f"{np.count_nonzero(~above)} of {above.size} rows have a direction at or below the horizon as theta and "
+            "phi are named, and the columns named phi have angles as those to the normal: if the names are "
+            f"exchanged, set columns to {pairs}."
+        )
+
+
+def _check_sizes(angles: dict[str, Array], columns: dict[str, Column]) -> None:
+    """Raise MeasurementFormatError if an angle is too large, or if angles without a unit look like radians."""
+    for name, angle in angles.items():
+        bound, largest = 180.0 if name.startswith("theta") else 360.0, np.degrees(_largest(angle))
+        if largest > bound + 1e-4:
+            raise MeasurementFormatError(
+                f"The column {name!r} has an angle of {largest:.6g} degrees; {bound:.0f} is the largest that there is."
+            )
+    thetas = [name for name in angles if name.startswith("theta") and not columns[name].unit]
+    largest = max((_largest(columns[name].numbers) for name in thetas), default=0.0)
+    if 0.0 < largest < _MAX_THETA_RAD:
+        first, second = [name for name in angles if name.startswith("theta")][:2]
+        raise MeasurementFormatError(
+            f"The angles {first} and {second} are at most {largest:.3g}, as angles in radians are: write degrees, "
+            f"or name the columns {first}_rad and so on."
+        )
+
+
+def _largest(numbers: Array) -> float:
+    return float(np.abs(numbers[np.isfinite(numbers)]).max(initial=0.0))
+
+
+def _about_directions(found: FoundColumns, *, is_turned: bool) -> Iterator[str]:
+    phis = [name for name in PHIS if name in found.columns]
+    if found.form is FROM_MIRROR:
+        yield f"The angle theta_out is theta_in plus the column {found.columns['theta_from_mirror'].written!r}."
+    if "phase" in found.columns:
+        yield "The azimuth follows from the phase angle, which is 0 where the viewer looks along the light."
+    elif found.form in (THETAS, FROM_MIRROR) and not phis:
+        yield (
+            "The table has no phi: all directions are taken to lie in one plane, and theta_out = "
+            f"{'-' if is_turned else ''}theta_in to be the mirror direction."
+        )
+    if phis == ["phi_out"]:
+        yield f"The table has no phi_in: the mirror direction is taken to have phi_out = {0 if is_turned else 180}."
+    elevations = [name for name, column in found.columns.items() if column.is_elevation]
+    yield from (f"The elevation is from the horizon: {name} is 90 degrees minus it." for name in elevations)
+
+
+def _about_unread(table: TextTable, read: Collection[str]) -> Iterator[str]:
+    others = [name for name in table.names if name not in read and name]
+    if others:
+        shown = ", ".join(repr(name) for name in others[:5]) + (" and others" if len(others) > 5 else "")
+        yield f"The table has {'a column that was' if len(others) == 1 else 'columns that were'} not read: {shown}."
+    for at, name in enumerate(table.names):
+        words = table.words(at) if name in others else []
+        if 1 < len(words) <= _MAX_MATERIALS:
+            yield (
+                f"The column {name!r} has {len(words)} values, such as {words[0][:40]!r} and {words[1][:40]!r}: if "
+                "they are several materials, leave out all but one."
+            )
+
+
+def _about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:
+    written, light = found.columns[found.values[0]].written, found.columns.get("theta_in")
+    factor = factor_of(written, light.written if light else "") if options.scale == 1.0 else ""
+    if factor:
+        yield f"The names suggest that the column {written!r} has reflectance factors, which are {factor}."
+    if found.values == CHANNELS:
+        return
+    if wavelengths.size == 0:
+        yield "The table has one column of values: the material is taken to be grey."
+    elif wavelengths.size == 1:
+        yield f"All values are at {wavelengths[0]:g} nm: the material is taken to be grey."
+    else:
+        yield (
+            f"The {wavelengths.size} wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm were made linear "
+            "sRGB, as the CIE 1931 observer sees them under light of equal energy; a flat spectrum is grey."
+        )
