@@ -21,7 +21,7 @@ from dsbrdf.engines.local import LocalEngine
 
 from .access.authentication import Access
 from .access.keys import Keys
-from .api import about, components, exports, fits, measurements, pictures, tables, values
+from .api import about, fits, measurements, pictures, results, values
 from .api.context import Context
 from .api.fits import FitRequest, NewName
 from .api.measurements import MeasurementDetails
@@ -121,8 +121,8 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     stack = AsyncExitStackMiddleware(app.router)  # FastAPI's routes need this middleware.
     app.middleware_stack = RequestLogMiddleware(stack, access, settings, metrics)
     # Routes are tried in this order, so the routes with the quickest answers come first.
-    of_fits = (values.router, fits.router, components.router, exports.router, pictures.router)
-    routers = (*of_fits, values.measured, measurements.router, tables.router, about.router, about.page)
+    of_fits = (values.router, fits.router, results.router, pictures.router)
+    routers = (*of_fits, values.measured, measurements.router, about.router, about.page)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     for route in given:
         route.unique_id = route.name  # Generated clients name their functions after this id.

@@ -27,10 +27,10 @@ from ..http.responses import BINARY, JSON, preferred_wait, prefix_of, tagged_rep
 from ..queue.fit_options import canonical, from_query, from_wire
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
-from .components import ComponentDocument
 from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheRow, TheTableOptions
 from .fields import FIT_ID, PLAIN, SHA256, Document, Input, Name, Options, Page, Range, Share, members, next_page, parse
-from .uploads import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLE_PARAMETERS, TABLES, receive_upload
+from .measurements import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLE_PARAMETERS, TABLES, receive_upload
+from .results import ComponentDocument
 
 
 class FitRequest(Input):

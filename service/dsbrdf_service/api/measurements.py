@@ -1,27 +1,227 @@
-"""Upload, list, download and delete measurements."""
+"""Upload, list, download and delete measurements, and describe tables of samples before their upload.
 
+An upload is a MERL file, an RGL ``.bsdf`` file or a table. It is hashed and checked while it is written, and is never
+held whole in memory; nothing of a wrong file is stored.
+"""
+
+import hashlib
 import os
+from collections.abc import AsyncIterator
 from datetime import datetime
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
+import numpy as np
 from fastapi import APIRouter, Query, Request
-from pydantic import Field
+from pydantic import BaseModel, Field
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
-from ..errors import MeasurementNotFoundError
+from dsbrdf.data.merl_validation import (
+    FILE_SIZE,
+    HEADER,
+    HEADER_SIZE,
+    ROW_NODES,
+    check_header,
+    check_length,
+    check_values,
+)
+from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
+from dsbrdf.output.table_summary import ANGLE_NAMES
+from dsbrdf.samples.reading import START_BYTES, measurement_kind
+from dsbrdf.samples.table_options import TableOptions
+
+from ..compute.computations import Place
+from ..compute.steps import conversion_step, understood_step
+from ..errors import MeasurementNotFoundError, ProblemError
 from ..http import openapi
-from ..http.names import content_disposition, given_name
-from ..http.request_body import media_type_of
+from ..http.names import MAX_LENGTH, content_disposition, given_name
+from ..http.request_body import decoded, media_type_of
 from ..http.request_log import IS_HEAD
 from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefers, prefix_of, tagged_reply
-from ..storage.blobs import OpenFile
+from ..storage.blobs import Incoming, OpenFile
 from ..storage.database import in_write_thread
+from ..storage.schema import Caller, MeasurementRow
 from ..storage.writing import in_thread
-from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheTableOptions
-from .fields import SHA256, Document, Name, Page, members, next_page
-from .uploads import CONTENT, PARAMETERS, TABLE_PARAMETERS, UPLOADED, receive_upload
+from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions
+from .fields import OPTIONS_SCHEMA, SHA256, TABLE_SCHEMA, Document, Name, Page, Range, Share, members, next_page
+
+router = APIRouter(prefix="/v1", tags=["measurements"], dependencies=CHECKED_QUERY)
+
+TABLES = (
+    *("text/csv", "text/tab-separated-values", "text/plain"),
+    "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+)
+UPLOADED = (BINARY, *TABLES, JSON)
+"""Media types of uploads."""
+_SUFFIXES = (".binary", ".bsdf", ".csv", ".tsv", ".txt", ".astm", ".xlsx")
+PARAMETERS = [
+    {
+        "name": "name",
+        "in": "query",
+        "description": "Name of the measurement and of the fit; exports are called after it; "
+        f"{', '.join(_SUFFIXES)} at its end is no part of the name.",
+        "schema": {"type": "string", "minLength": 1, "maxLength": MAX_LENGTH},
+    },
+    openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
+    openapi.ENCODING,
+]
+OPTION_PARAMETERS, TABLE_PARAMETERS = (
+    [openapi.option_parameter(name, declared) for name, declared in schema["properties"].items()]
+    for schema in (OPTIONS_SCHEMA, TABLE_SCHEMA)
+)
+"""Query parameters for the options of a fit, and of a table."""
+CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
+
+_PIECE_BYTES = 1 << 15  # Every unfinished upload keeps one piece of this size in memory.
+_MAX_SHORT_TEXT_BYTES = 1 << 16  # A longer text takes over a second to read, so its reading is a long computation.
+_ZIP = b"PK"  # Every .xlsx file begins with these bytes.
+_MAX_CONVERTED_BYTES = 1 << 23  # Reading an RGL file or a table takes up to 70 times as much memory.
+
+
+async def receive_upload(
+    request: Request, context: Context, caller: Caller, name: str | None, options: TableOptions
+) -> tuple[MeasurementRow, bool]:
+    """Store the measurement in the body; return its row, and whether it is new to the caller.
+
+    The kind of the file is determined from its content, not from its media type or name. A table is read with the
+    options, and its samples are stored.
+
+    Raises InvalidArgumentError if options are given for another file than a table, MeasurementFormatError if the file
+    is not a measurement, and ProblemError if the body is too long, cannot be decoded, or exceeds the caller's quota.
+    """
+    if name is not None and Path(name).suffix.lower() in _SUFFIXES:
+        name = Path(name).stem
+    with context.metrics.upload_seconds.time():
+        async with context.store.writing.incoming(caller) as incoming:
+            pieces = _pieces(request)
+            start = await anext(pieces)
+            if measurement_kind(start) == "merl":
+                options.refuse("a MERL file")
+                await _receive_merl(request, start, pieces, incoming)
+            else:
+                await _write(start, pieces, incoming, _MAX_CONVERTED_BYTES, "A .bsdf file or a table")
+                key, place = ("upload", incoming.path), _place_of_table(start, incoming.size)
+                found = await _read_table(request, context, key, conversion_step, incoming.path, options, place=place)
+                incoming.sha256, incoming.size, incoming.valid_nodes = found
+            return await in_thread(context.store.add_measurement, caller, incoming, name)
+
+
+async def _receive_merl(request: Request, start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming) -> None:
+    """Write and check a MERL file; a wrong header or a wrong declared length is refused after the first piece.
+
+    Values are checked when all have arrived, so that an unfinished upload needs no memory for this check.
+    """
+    declared = request.headers.get("content-length", "")
+    length = int(declared) if declared.isdecimal() and "content-encoding" not in request.headers else FILE_SIZE
+    try:
+        check_header(start)
+        check_length(length)
+    except MeasurementFormatError as error:
+        if length > FILE_SIZE:
+            raise ProblemError("measurement-too-large", str(error)) from None
+        raise
+    await _write(start, pieces, incoming, FILE_SIZE, "A MERL file")
+    check_length(incoming.size)
+    incoming.valid_nodes = await in_thread(_count_valid_nodes, incoming.path)
+
+
+def _count_valid_nodes(path: Path) -> int:
+    """Check the values of a MERL file; return the number of its nodes with a value."""
+    with path.open("rb") as file:
+        file.seek(HEADER_SIZE)
+        rows = (np.fromfile(file, "<f8", ROW_NODES) for _ in range(HEADER_SIZE, FILE_SIZE, 8 * ROW_NODES))
+        return int(check_values(rows).sum())
+
+
+async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming, most: int, kind: str) -> None:
+    """Write and close a file of a `kind`; raise ProblemError if the file is longer than `most` bytes."""
+    piece = start
+    while piece:
+        if incoming.size + len(piece) > most:
+            raise ProblemError(
+                "measurement-too-large", f"{kind} has at most {most} bytes here, and this one is longer."
+            )
+        await in_thread(incoming.write, piece)
+        del piece  # This piece is not kept in memory while the next one arrives.
+        piece = await anext(pieces, b"")
+    await in_thread(incoming.close)
+
+
+def _place_of_table(start: bytes, size: int) -> Place:
+    """Return how long the reading of a table takes, as a `Place`: `medium` for a short text, otherwise `long`."""
+    is_short_text = size <= _MAX_SHORT_TEXT_BYTES and measurement_kind(start) == "samples" and start[:2] != _ZIP
+    return "medium" if is_short_text else "long"
+
+
+async def _read_table(request: Request, context: Context, *arguments: Any, **named: Any) -> Any:
+    """Read a table in a separate process; raise MeasurementFormatError if the table is refused."""
+    try:
+        return await context.computations.run_in_process(request, *arguments, **named)
+    except InvalidArgumentError as error:
+        raise MeasurementFormatError(str(error)) from None
+
+
+async def _pieces(request: Request) -> AsyncIterator[bytes]:
+    """Yield the decoded body: first enough bytes to recognise the kind of the file, then further pieces."""
+    piece, begun = b"", False
+    async for part in decoded(request, FILE_SIZE):
+        piece += part
+        if not begun and (len(piece) >= START_BYTES or piece.startswith(HEADER)):
+            yield piece[:START_BYTES]
+            piece, begun = piece[START_BYTES:], True
+        if begun and len(piece) >= _PIECE_BYTES:
+            yield piece
+            piece = b""
+    yield piece
+
+
+class ColumnDocument(BaseModel):
+    """A column of a table."""
+
+    name: str
+    read_as: Annotated[str | None, Field(description="What it means; null if it is not read.")]
+    unit: Annotated[str, Field(description="The unit that the table states; empty if it states none.")]
+
+
+class TableDocument(BaseModel):
+    """Columns, ranges and samples of a table, as the library reads it."""
+
+    n_rows: int
+    n_samples: Annotated[int, Field(description="Rows that can be fitted.")]
+    columns: list[ColumnDocument]
+    ranges: Annotated[
+        dict[str, Range],
+        Field(description=f"Smallest and largest of {', '.join(ANGLE_NAMES)}, red, green and blue [1/sr]."),
+    ]
+    angles_of_incidence_deg: Annotated[list[float] | None, Field(description="Angles theta_in, if they are few.")]
+    in_plane_of_incidence: Annotated[Share, Field(description="Fraction of the samples in the plane of incidence.")]
+    warnings: list[str]
+    first: Annotated[list[list[float]], Field(description="The first samples, with numbers in the order of `ranges`.")]
+
+
+@router.post(
+    "/tables",
+    responses=openapi.problems("too-large", "measurement-format", *openapi.BODY_PROBLEMS),
+    openapi_extra={
+        "parameters": [*TABLE_PARAMETERS, openapi.ENCODING],
+        **openapi.body("A table of scattered samples.", CONTENT),
+    },
+)
+async def describe_table(
+    request: Request, context: TheContext, caller: TheCaller, options: TheTableOptions
+) -> TableDocument:
+    """Return columns, units, ranges, warnings and the first samples of the table in the body.
+
+    Nothing is stored, so the right options can be found before the upload.
+    """
+    media_type_of(request, *UPLOADED)
+    async with context.bodies.received(request, _MAX_CONVERTED_BYTES) as content:
+        key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
+        place = _place_of_table(content[:START_BYTES], len(content))
+        found = await _read_table(request, context, key, understood_step, content, options, place=place)
+    return TableDocument(**found)
 
 
 class MeasurementDocument(Document):
@@ -47,8 +247,6 @@ class MeasurementList(Document):
     items: list[MeasurementDocument]
 
 
-router = APIRouter(prefix="/v1/measurements", tags=["measurements"], dependencies=CHECKED_QUERY)
-
 _VARY = {"Vary": "Accept"}
 _MAX_LISTED_FITS = 200
 _ACCEPT = openapi.header_parameter("Accept", f"`{BINARY}` asks for the file instead of the document.")
@@ -60,7 +258,7 @@ _FILE: openapi.Responses = {
 
 
 @router.post(
-    "",
+    "/measurements",
     status_code=201,
     response_model=MeasurementDocument,
     responses={
@@ -87,7 +285,9 @@ async def upload_measurement(
     return Response(to_json(members(MeasurementDocument, row)), 201 if new else 200, headers, JSON)
 
 
-@router.get("", response_model=MeasurementList, responses={200: openapi.headers("Link"), **openapi.problems()})
+@router.get(
+    "/measurements", response_model=MeasurementList, responses={200: openapi.headers("Link"), **openapi.problems()}
+)
 async def list_measurements(
     request: Request, context: TheContext, caller: TheCaller, page: Annotated[Page, Query()]
 ) -> Response:
@@ -97,7 +297,12 @@ async def list_measurements(
     return Response(to_json({"items": items}), 200, next_page(request, page, rows), JSON)
 
 
-@router.get("/{sha256}", response_model=MeasurementDetails, responses=_FILE, openapi_extra={"parameters": [_ACCEPT]})
+@router.get(
+    "/measurements/{sha256}",
+    response_model=MeasurementDetails,
+    responses=_FILE,
+    openapi_extra={"parameters": [_ACCEPT]},
+)
 async def get_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Return the document of a measurement: name, size, time of the upload and fits.
 
@@ -112,7 +317,7 @@ async def get_measurement(request: Request, context: TheContext, caller: TheCall
 
 
 @router.get(
-    "/{sha256}/content",
+    "/measurements/{sha256}/content",
     response_class=FileResponse,
     response_description="The file, byte for byte as it is stored.",
     responses=_FILE,
@@ -136,7 +341,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
 
 
 @router.delete(
-    "/{sha256}",
+    "/measurements/{sha256}",
     status_code=204,
     response_class=Response,
     responses=openapi.problems("not-found", "measurement-in-use", "disk-full"),

@@ -21,7 +21,7 @@ from dsbrdf.components import decomposition
 from dsbrdf.engines import Fault, FitLimits, Processes
 from dsbrdf.engines.engine import MEMORY_LIMIT
 from dsbrdf_service.access.authentication import CALLER_NAME
-from dsbrdf_service.api import exports, pictures, uploads, values
+from dsbrdf_service.api import measurements, pictures, results, values
 from dsbrdf_service.compute import steps
 from dsbrdf_service.compute.computations import Computations
 from dsbrdf_service.http.responses import PIECE_BYTES, OpenFileResponse
@@ -84,7 +84,7 @@ async def until_waiting(running: Application, n_requests: int) -> None:
 @pytest.mark.parametrize(
     ("place", "name", "targets"),
     [
-        (exports, "export_step", [EXPORT, *(f"{EXPORT}&component={label}" for label in COMPONENTS)]),
+        (results, "export_step", [EXPORT, *(f"{EXPORT}&component={label}" for label in COMPONENTS)]),
         (pictures, "sphere_step", [SPHERE, *(f"{SPHERE}&component={label}" for label in COMPONENTS)]),
     ],
 )
@@ -120,7 +120,7 @@ async def test_one_picture_is_drawn_once_for_all_who_wait_for_it(running: Applic
 
 
 async def test_a_long_computation_holds_up_no_other(running: Application, key: str, block: Block) -> None:
-    blocked = block(uploads, "conversion_step")
+    blocked = block(measurements, "conversion_step")
     upload = running.ask("/v1/measurements", key, "POST", b"a table".ljust(1 << 17), "text/csv")
     await blocked.until_called()
     others = [running.ask(target, key) for target in (EXPORT, SPHERE)]
@@ -187,7 +187,7 @@ async def test_keys_take_turns_with_long_batches(running: Application, key: str,
 async def test_full_disk_under_an_export_is_507(
     running: Application, key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exports, "export_step", lambda *_: Path("/dev/full").write_bytes(b"a table"))
+    monkeypatch.setattr(results, "export_step", lambda *_: Path("/dev/full").write_bytes(b"a table"))
     answer = await running.ask(f"{FIT_PATH}/export?format=merl", key).end()
     assert (answer.status, json.loads(answer.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
 
@@ -262,7 +262,7 @@ async def test_an_export_is_made_once_for_all_to_whom_it_is_being_sent(
         kept.append(file)
         return OpenFileResponse(file, headers)
 
-    monkeypatch.setattr(exports, "OpenFileResponse", keep)
+    monkeypatch.setattr(results, "OpenFileResponse", keep)
     bodies = {(await running.ask(EXPORT, key).end()).body for _ in range(3)}
     assert (len(made.calls), len(bodies)) == (1, 1)
     kept.clear()
