@@ -3,9 +3,8 @@
 from dsbrdf.components.component import Component, Decomposition
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
-from dsbrdf.components.misfit import Misfit
 from dsbrdf.components.shares import LABELS
-from dsbrdf.components.surfaces import Surface
+from dsbrdf.components.surfaces import Misfit, Surface
 
 __all__ = [
     "LABELS",

@@ -11,14 +11,10 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.description import Description, renderer_layers
-from dsbrdf.components.layer_data import grid_points as layer_points
-from dsbrdf.components.layer_data import grid_values
+from dsbrdf.components.layer_data import Points, data_points, grid_points, grid_values
 from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
-from dsbrdf.components.misfit import PROFILE, Misfit, OwnValues
-from dsbrdf.components.points import Points, grid_points
-from dsbrdf.components.ranges import ComponentRanges, Range
-from dsbrdf.components.shares import LABELS, NORMAL, LightRule, WeightedLayers
-from dsbrdf.components.surfaces import Surface
+from dsbrdf.components.shares import LABELS, NORMAL, ComponentRanges, LightRule, Range, WeightedLayers
+from dsbrdf.components.surfaces import PROFILE, Misfit, OwnValues, Surface
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -199,9 +195,10 @@ class Decomposition:
         return self.structures[0].name if self.structures else "no light"
 
     @cached_property
+    @one_blas_thread
     def layers(self) -> LayeredModel:
         """A small model of the material for renderers: the layers of all components, fitted together."""
-        return _renderer_layers(self)
+        return renderer_layers(grid_values(self.model), self.descriptions)
 
     @cached_property
     def albedos(self) -> Array:
@@ -227,7 +224,7 @@ class Decomposition:
 
         `reflected` has the albedos of `LABELS` at each angle of `light_rules`.
         """
-        grids = self._split(grid_values(self.model), layer_points())
+        grids = self._split(grid_values(self.model), data_points())
         profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
         albedos = np.stack([self._received(light) for light in reflected], axis=1)
         return tuple(OwnValues(*own) for own in zip(grids, profiles, albedos, strict=True))
@@ -289,8 +286,3 @@ class Decomposition:
     def _components(self) -> tuple[Component, ...]:
         parts = zip(self.labels, self.ranges, self.descriptions, strict=True)
         return tuple(Component(label, ranges, found, self) for label, ranges, found in parts)
-
-
-@one_blas_thread
-def _renderer_layers(decomposition: Decomposition) -> LayeredModel:
-    return renderer_layers(grid_values(decomposition.model), decomposition.descriptions)

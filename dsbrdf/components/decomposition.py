@@ -24,8 +24,7 @@ from dsbrdf.components.description import describe
 from dsbrdf.components.layer_data import grid_values, material_data
 from dsbrdf.components.layer_fit import fit_structures, structure_weights
 from dsbrdf.components.layers import RetroLayer
-from dsbrdf.components.ranges import DrawnLayers
-from dsbrdf.components.shares import LABELS, LightRule, WeightedLayers, light_rules
+from dsbrdf.components.shares import LABELS, DrawnLayers, LightRule, WeightedLayers, light_rules
 from dsbrdf.components.structures import RARE_STRUCTURES, STRUCTURES
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF

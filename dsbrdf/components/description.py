@@ -15,10 +15,17 @@ from dsbrdf.arrays import Array
 from dsbrdf.components.layer_data import component_data, peak_half_width, renderer_data
 from dsbrdf.components.layer_fit import fit_structures, refined
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
-from dsbrdf.components.misfit import Misfit, OwnValues, albedo_of
-from dsbrdf.components.ranges import SurfaceSpread
+from dsbrdf.components.shares import SurfaceSpread
 from dsbrdf.components.structures import OWN_PRIORS, LayerStructure
-from dsbrdf.components.surfaces import MAX_RANGE_FACTOR, Surface, half_width_of, surfaces_of
+from dsbrdf.components.surfaces import (
+    MAX_RANGE_FACTOR,
+    Misfit,
+    OwnValues,
+    Surface,
+    albedo_of,
+    half_width_of,
+    surfaces_of,
+)
 
 _SECOND_SURFACE_COST = 40.0  # A second surface is kept only if it lowers the cost of the fit by more than this.
 _MIN_ALPHA_RATIO = 1.3  # Two surfaces with a smaller ratio of roughness count as one surface.
@@ -81,7 +88,8 @@ def describe(
     best = fit_structures(data, structures, quick=True)[0]
     albedo = albedo_of(best.model)
     misfit = Misfit.of(own, albedo, best.model, is_diffuse=is_diffuse)
-    if not _are_distinct(best.model):
+    alphas = [layer.alpha for layer in best.model.layers if isinstance(layer, SpecularLayer)]
+    if len(alphas) > 1 and max(alphas) <= _MIN_ALPHA_RATIO * min(alphas):
         alone = fit_structures(data, structures[:1], quick=True)[0]
         of_one = albedo_of(alone.model)
         misfit_of_one = Misfit.of(own, of_one, alone.model, is_diffuse=is_diffuse)
@@ -131,9 +139,3 @@ def _highlights(half_width: float, *, has_retro: bool, has_ground: bool) -> tupl
             LayerStructure("retro-reflection and surface", (retro, _SURFACE_PRIOR), _SECOND_SURFACE_COST, ((width,),))
         )
     return tuple(found)
-
-
-def _are_distinct(model: LayeredModel) -> bool:
-    """Tell whether the surfaces of a model differ so much in roughness that they count as two surfaces."""
-    alphas = [layer.alpha for layer in model.layers if isinstance(layer, SpecularLayer)]
-    return len(alphas) < 2 or max(alphas) > _MIN_ALPHA_RATIO * min(alphas)

@@ -1,28 +1,109 @@
-"""Weigh a model's values at 668 pairs of directions, to separate its layers or to describe a component.
+"""Compute what layers need at pairs of directions, and weigh a model's values at 668 pairs for the fits of layers.
 
-To separate layers, the weight of a pair is its visibility on a lit sphere. Squared errors of values f are divided by
-f**1.4, because the many small values determine the diffuse part. Absolute errors have some weight too, which preserves
-the peaks of highlights.
+Where layers are separated, the weight of a pair is its visibility on a lit sphere. Squared errors of values f are
+divided by f**1.4, because the many small values determine the diffuse part. Absolute errors have some weight too, which
+preserves the peaks of highlights.
 
-To describe one component, squared errors of values f are divided by f. Additional weight is on relative errors where a
-highlight is above a tenth of its peak, and on relative errors of the light in four bands of theta_diff, because the sum
-of this light is the albedo.
+Where one component is described, squared errors of values f are divided by f. Additional weight is on relative errors
+where a highlight is above a tenth of its peak, and on relative errors of the light in four bands of theta_diff, because
+the sum of this light is the albedo.
 """
 
+from __future__ import annotations
+
 import itertools
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.components.layer_descent import LayerData
-from dsbrdf.components.points import Points
 from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.weighting import center_share, interval_ends, seen_weight, trust
 from dsbrdf.model.reflectance import ReflectanceModel
 
+COAT_F0 = 0.04
+"""Reflectance at normal incidence of the clear coat above a layer."""
+MIN_COSINE = 0.02
+"""Smaller cosines to the normal are clipped, because masking is steep near the horizon, where nothing is measured."""
+MAX_TAN2 = 1e4
+"""Larger values of tan(theta_half)**2 are clipped, because the tangent of 90 degrees is infinite."""
+MIN_RISE = 1e-3
+"""Smaller values of 1 - cos(theta_diff) are clipped for sheen, which uses their logarithm."""
+MIN_SINE = 3e-2
+"""Smaller values of sin(theta_half) are clipped for sheen, which uses the logarithm of sin(theta_half)."""
+
+
+class Points(NamedTuple):
+    """Hold the quantities that layers need at N pairs of directions, as arrays (N,) or stacks of such arrays."""
+
+    squared_tangent: Array  # tan(theta_half)**2
+    log_squared_secant: Array
+    cos_in: Array
+    cos_out: Array
+    fresnel: Array  # reflectance of glass at theta_diff, from 0 (normal) to 1 (grazing)
+    passed: Array  # logarithm of the fraction of light that passes a clear coat both ways
+    rise: Array  # u = 1 - cos(theta_diff), and u**2
+    ground: Array  # the six terms of a diffuse layer, see `dsbrdf.components.layers`
+    fibres: Array  # logarithms of 1 - cos(theta_diff) and of sin(theta_half), for sheen
+    squared_retro: Array  # tan(theta_half)**2 after omega_in is turned by 180 degrees about the normal
+
+    @classmethod
+    def at(cls, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Points:
+        """Compute the quantities that layers need at angles (N,) [rad]."""
+        cos_half, sin_half, cos_diff = np.cos(theta_half), np.sin(theta_half), np.cos(theta_diff)
+        level, swing = cos_diff * cos_half, np.sin(theta_diff) * sin_half * np.cos(phi_diff)
+        cos_in, cos_out = np.maximum(level - swing, MIN_COSINE), np.maximum(level + swing, MIN_COSINE)
+        squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, MAX_TAN2)
+        rise = 1.0 - np.maximum(cos_diff, 0.0)
+        to_in, to_out, fresnel = map(fresnel_rise, (cos_in, cos_out, 1.0 - rise))
+        # This equals sin(theta_in) sin(theta_out) cos(phi_in - phi_out), from which the term of Oren and Nayar is made.
+        along = 2.0 * cos_diff**2 - 1.0 - cos_in * cos_out
+        passed = np.log((1.0 - to_in) * (1.0 - to_out))
+        ground = (
+            passed,
+            cos_diff**2 * (to_in + to_out),
+            fresnel,
+            np.log(2.0 / (cos_in + cos_out)),
+            sin_half**2,
+            np.where(along > 0.0, along / np.maximum(cos_in, cos_out), along),
+        )
+        return cls(
+            squared_tangent=squared_tangent,
+            log_squared_secant=np.log1p(squared_tangent),
+            cos_in=cos_in,
+            cos_out=cos_out,
+            fresnel=fresnel,
+            passed=passed + 2.0 * np.log(1.0 - COAT_F0),
+            rise=np.stack([rise, rise**2]),
+            ground=np.stack(ground),
+            fibres=np.log(np.stack([np.maximum(rise, MIN_RISE), np.maximum(sin_half, MIN_SINE)])),
+            squared_retro=np.maximum(4.0 * np.sin(theta_diff) ** 2 - (cos_in - cos_out) ** 2, 0.0)
+            / (cos_in + cos_out) ** 2,
+        )
+
+
+def grid_points(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Points]:
+    """Yield for each theta_half the points at all pairs of theta_diff (D,) and phi_diff (P,), phi_diff fastest."""
+    diff, phi = (angle.ravel() for angle in np.meshgrid(theta_diff, phi_diff, indexing="ij"))
+    for angle in theta_half:
+        yield Points.at(np.full(diff.size, angle), diff, phi)
+
+
+def fresnel_rise(cosine: Array) -> Array:
+    """Return the reflectance of glass (index 1.5), scaled to 0 at normal incidence and to 1 at grazing incidence."""
+    refracted = np.sqrt(1.25 + cosine**2)  # This is the cosine of the refracted direction times the refractive index.
+    across = (refracted - cosine) / (refracted + cosine)
+    ratio = (cosine * (refracted + cosine) - 1.0) / (cosine * (refracted - cosine) + 1.0)
+    return np.asarray(np.maximum(0.5 * across**2 * (1.0 + ratio**2) - COAT_F0, 0.0) / (1.0 - COAT_F0))
+
+
+N_SAMPLES = 50.0
+"""The values of a whole material count as this many independent samples."""
+MODEL_ERROR = 0.02
+"""Relative error that even the best layers of a material have; it is c in the cost of a structure."""
 # Angles of the grid of pairs of directions [rad].
 _THETA_DIFF = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _THETA_HALF = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
@@ -47,6 +128,56 @@ _BAND_EDGES = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # edges of the bands of
 _MIN_BAND_LIGHT = 0.05  # Errors of a darker band are relative to this fraction of the mean light of all bands.
 _MAX_VALUE = 1e100  # Larger values of a model are clipped, because their squares would overflow.
 _MIN_COSINE = 1e-3  # Pairs of directions with a smaller cosine to the normal are left out.
+
+
+@dataclass(frozen=True, eq=False)
+class LayerData:
+    """Hold RGB values at points and the weights of their errors; weights times squared values sum to 1.
+
+    Attributes
+    ----------
+    points : Points
+        N pairs of directions.
+    root_weight, weighted : Array
+        Square roots of the weights, and the values times these roots, (3, N).
+    n_samples : float
+        Number of independent samples that the values count as.
+    model_error : float
+        Relative error that even the best layers have.
+    sums : Array or None
+        Weights of B sums over the weighted residuals, (3, B, N); the squared sums are added to the error.
+    """
+
+    points: Points
+    root_weight: Array
+    weighted: Array
+    n_samples: float = N_SAMPLES
+    model_error: float = MODEL_ERROR
+    sums: Array | None = None
+
+    @classmethod
+    def of(cls, points: Points, values: Array, weight: Array) -> LayerData:
+        """Make data of values (3, N) and their weights (3, N); at least one value must be positive."""
+        root = np.sqrt(weight / np.sum(weight * values**2))
+        return cls(points, root, values * root)
+
+    def thinned(self, step: int) -> LayerData:
+        """Return the data at every pair of directions with an index divisible by `step`, for a rough fit."""
+        root, weighted = self.root_weight[:, ::step], self.weighted[:, ::step]
+        scale = 1.0 / max(float(np.linalg.norm(weighted)), 1e-300)
+        return replace(
+            self,
+            points=Points(*(quantity[..., ::step] for quantity in self.points)),
+            root_weight=scale * root,
+            weighted=scale * weighted,
+            sums=None if self.sums is None else step / scale * self.sums[:, :, ::step],
+        )
+
+    def squared_error(self, values: Array) -> float:
+        """Return the weighted squared error of layers with the values (3, N), relative to the data."""
+        residual = values * self.root_weight - self.weighted
+        error = float(np.sum(residual**2))
+        return error if self.sums is None else error + float(np.sum((self.sums @ residual[..., np.newaxis]) ** 2))
 
 
 class _Grid(NamedTuple):
@@ -79,7 +210,7 @@ def grid_values(model: ReflectanceModel) -> Array:
     return np.minimum(model.evaluate_unmasked(*_grid().angles).T, _MAX_VALUE)
 
 
-def grid_points() -> Points:
+def data_points() -> Points:
     """Return the N pairs of directions of the grid that are above the horizon."""
     return _grid().points
 

@@ -29,7 +29,7 @@ _CHANNEL_CONTRASTS = np.array([[1.0, 1.0, 1.0], [3.0, -3.0, 0.0], [1.0, 1.0, -2.
 _RISE_AXES = np.array([[-0.6, 0.8], [0.8, 0.6]])
 """Axes of the plane of the exponents q1 and q2, in which glass is at 0, and Schlick's law at 1.5 on the first axis."""
 
-Range: TypeAlias = tuple[float, float]
+Pair: TypeAlias = tuple[float, float]
 """Mean and standard deviation of an unknown, or its lower and upper bound."""
 
 
@@ -48,10 +48,10 @@ class LayerPrior:
 
 def _prior(
     kind: type[Layer],
-    color: Range,
+    color: Pair,
     tint: float,
-    others: Sequence[Range],
-    bounds: Sequence[Range],
+    others: Sequence[Pair],
+    bounds: Sequence[Pair],
     *,
     is_diffuse: bool = True,
 ) -> LayerPrior:
@@ -89,7 +89,7 @@ _SPECULAR_BOUNDS = (
 )  # fmt: skip
 
 
-def _specular(color: Range, tint: float, *, strength: Range = _LOG_F0_BOUNDS, under_coat: bool = False) -> LayerPrior:
+def _specular(color: Pair, tint: float, *, strength: Pair = _LOG_F0_BOUNDS, under_coat: bool = False) -> LayerPrior:
     """Make the prior of a surface up to roughness 0.7; a rougher surface looks like a matte ground."""
     bounds = (strength, *_SPECULAR_BOUNDS)
     others = (
@@ -103,7 +103,7 @@ def _specular(color: Range, tint: float, *, strength: Range = _LOG_F0_BOUNDS, un
     return _prior(SpecularLayer, color, tint, others, bounds, is_diffuse=False)
 
 
-def _diffuse(exponents: Sequence[Range]) -> LayerPrior:
+def _diffuse(exponents: Sequence[Pair]) -> LayerPrior:
     bounds = ((-14.0, np.log(2.0)), (-1.0, 2.0), (-1.0, 2.0), (-2.5, 4.0), (-1.0, 2.0), (-2.5, 2.5), (-1.0, 1.5))
     return _prior(DiffuseLayer, (np.log(0.15), 1.5), 1.0, exponents, bounds)
 

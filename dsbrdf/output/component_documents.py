@@ -12,7 +12,7 @@ import numpy as np
 from dsbrdf.components.component import Component
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.description import Description
-from dsbrdf.components.ranges import ComponentRanges
+from dsbrdf.components.shares import ComponentRanges
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.typed_json import typed
 

@@ -19,8 +19,7 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.components.component import Decomposition
 from dsbrdf.components.layers import LayeredModel
-from dsbrdf.components.ranges import Range
-from dsbrdf.components.shares import LABELS, WeightedLayers
+from dsbrdf.components.shares import LABELS, Range, WeightedLayers
 from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.report import FitReport, FitResult

@@ -7,7 +7,7 @@ import numpy as np
 import dsbrdf
 from dsbrdf.arrays import Array
 from dsbrdf.components.layers import Color
-from dsbrdf.components.ranges import RgbRange
+from dsbrdf.components.shares import RgbRange
 from tests.support.foreign_materials import Material
 
 ANGLES_DEG = (0.0, 40.0, 70.0)

@@ -20,8 +20,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dsbrdf.components.component import Component, Decomposition
+from dsbrdf.components.layer_data import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
 from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, tail_norm
-from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
 from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS, SPIKE_HALO, WeightedLayers
 from dsbrdf.output.export.single_precision import literal
 from dsbrdf.output.export.templates import filled, sections

@@ -10,8 +10,8 @@ from pydantic_core import from_json, to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from dsbrdf.components.misfit import Misfit
-from dsbrdf.components.ranges import ComponentRanges, RgbRange
+from dsbrdf.components.shares import ComponentRanges, RgbRange
+from dsbrdf.components.surfaces import Misfit
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.output.export import FORMATS, LAYERS, PARTS, check_holds_component, check_shader_options, export_model
 from dsbrdf.output.export.examples import EXAMPLES, example

@@ -8,8 +8,7 @@ import pytest
 import dsbrdf
 from dsbrdf.components import Component, DiffuseLayer, Layer, LayeredModel, SpecularLayer
 from dsbrdf.components.description import Description
-from dsbrdf.components.misfit import MAX_PEAK_MISFIT, Misfit
-from dsbrdf.components.surfaces import Surface
+from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, Misfit, Surface
 from tests.support.random_models import random_model
 
 GREEN = (0.02, 0.14, 0.08)

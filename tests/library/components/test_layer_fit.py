@@ -7,9 +7,8 @@ import pytest
 from scipy.optimize import minimize
 
 from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
-from dsbrdf.components.layer_data import component_data, grid_values, material_data
-from dsbrdf.components.layer_descent import FittedStructure, LayerData
-from dsbrdf.components.layer_fit import fit_structures, structure_weights
+from dsbrdf.components.layer_data import LayerData, component_data, grid_values, material_data
+from dsbrdf.components.layer_fit import FittedStructure, fit_structures, structure_weights
 from dsbrdf.components.structures import STRUCTURES
 
 
