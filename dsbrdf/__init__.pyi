@@ -18,11 +18,11 @@ from dsbrdf.errors import ModelFormatError as ModelFormatError
 from dsbrdf.fitting.options import FitOptions as FitOptions
 from dsbrdf.fitting.report import FitReport as FitReport
 from dsbrdf.fitting.report import FitResult as FitResult
-from dsbrdf.model.blend import Blend as Blend
-from dsbrdf.model.blend import blend as blend
 from dsbrdf.model.dsbrdf import DSBRDF as DSBRDF
-from dsbrdf.model.furnace import FurnaceReport as FurnaceReport
-from dsbrdf.model.furnace import white_furnace as white_furnace
+from dsbrdf.model.reflectance import Blend as Blend
+from dsbrdf.model.reflectance import FurnaceReport as FurnaceReport
+from dsbrdf.model.reflectance import blend as blend
+from dsbrdf.model.reflectance import white_furnace as white_furnace
 from dsbrdf.output.export import export as export
 from dsbrdf.output.plots import plot as plot
 from dsbrdf.output.serialize import load as load

@@ -18,8 +18,7 @@ from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
 from dsbrdf.fitting.global_method import fit_global, refine_at_samples
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
-from dsbrdf.fitting.option_fields import check_names
-from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.options import FitOptions, check_names
 from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, FoundModel
 from dsbrdf.paper.paper_method import fit_slicewise
 from dsbrdf.process_settings import one_blas_thread

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dsbrdf
-from dsbrdf.data.grid import CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.output.figure_parts import encode_figure

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.paper.materials import Computed, Material, Numbers, choose
 from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
-from dsbrdf.paper.lobe_selection import MAX_AUTOMATIC_LOBES
+from dsbrdf.paper.paper_method import MAX_AUTOMATIC_LOBES
 from dsbrdf.rendering import exposure, sphere_likeness, sphere_normals
 
 __all__ = ["FIGURE"]

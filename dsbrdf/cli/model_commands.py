@@ -23,11 +23,10 @@ from dsbrdf.cli.parameters import (
     read_model,
 )
 from dsbrdf.data.files import write_atomically
-from dsbrdf.data.geometry import spherical
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.geometry import CHANNELS, spherical
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, read_merl
-from dsbrdf.data.rgl_material import RglMaterial, read_rgl
+from dsbrdf.data.rgl import RglMaterial, read_rgl
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult

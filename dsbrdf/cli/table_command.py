@@ -6,7 +6,7 @@ from typing import Any
 
 from dsbrdf.cli.arguments import BAD_INPUT, print_json
 from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, RequiredFiles, named_in_errors
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.output.table_summary import ANGLE_NAMES, summary_of_table
 from dsbrdf.samples.reading import ReadTable, kind_of_file, read_table

@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.grid import DEFAULT_HORIZON_CUTOFF
-from dsbrdf.data.weighting import center_share, interval_ends, seen_weight, trust
+from dsbrdf.data.geometry import DEFAULT_HORIZON_CUTOFF
+from dsbrdf.data.reduction import center_share, interval_ends, seen_weight, trust
 from dsbrdf.model.reflectance import ReflectanceModel
 
 COAT_F0 = 0.04

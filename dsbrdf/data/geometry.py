@@ -1,4 +1,4 @@
-"""Convert between directions and half and difference angles (Rusinkiewicz 1998; Nishino 2009, section 2).
+"""Convert between directions and half and difference angles, and define the angular grid of the MERL database.
 
 Let ``omega_in`` and ``omega_out`` be unit vectors above a surface with the normal (0, 0, 1). The half vector ``h`` is
 proportional to ``omega_in + omega_out`` and has the polar angles ``theta_half`` and ``phi_half``. In the frame whose
@@ -11,8 +11,15 @@ for ``omega_in`` and ``s = -1`` for ``omega_out``::
 
 An isotropic BRDF does not depend on ``phi_half``. All angles are in radians. Every angle is computed by ``atan2`` from
 the sum and the difference of the directions, because ``arccos`` loses half of the digits at normal incidence, at
-``omega_in = omega_out`` and at the horizon.
+``omega_in = omega_out`` and at the horizon (Rusinkiewicz 1998; Nishino 2009, section 2).
+
+The grid has 90 x 90 x 180 nodes over (theta_half, theta_diff, phi_diff). ``theta_half`` is spaced quadratically, so
+that most nodes are in the highlight. ``phi_diff`` covers 180 degrees only, because by reciprocity a BRDF is equal at
+``phi_diff`` and ``phi_diff`` + 180 degrees. The MERL database divides the angles into bins, and the node of a bin is
+the lower edge of the bin.
 """
+
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -174,3 +181,39 @@ def _numbers(name: str, value: ArrayLike) -> Array:
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise InvalidArgumentError(f"{name} must be an array of real numbers.") from None
+
+
+CHANNELS = ("red", "green", "blue")
+GRID_SHAPE = (90, 90, 180)
+DEFAULT_HORIZON_CUTOFF = float(np.radians(80.0))
+"""By default, samples with a direction further than this from the surface normal are left out [rad]."""
+CENTER_CUTOFF = float(np.radians(1.0))
+"""The paper's procedure and the metrics leave out samples with a smaller theta_half [rad] (Nishino 2009, section 6)."""
+
+
+def _read_only(array: Array) -> Array:
+    array.flags.writeable = False
+    return array
+
+
+THETA_HALF = _read_only(np.deg2rad(np.arange(90) ** 2 / 90.0))
+THETA_DIFF = _read_only(np.deg2rad(np.arange(90.0)))
+PHI_DIFF = _read_only(np.deg2rad(np.arange(180.0)))
+QUARTER = PHI_DIFF.size // 2 + 1
+"""Number of nodes of phi_diff from 0 to 90 degrees; models have equal values at phi_diff and pi - phi_diff."""
+
+
+@lru_cache(maxsize=4)
+def nodes_above_horizon(cutoff: float = np.pi / 2) -> Mask:
+    """Return a mask (90, 90, 180) of the nodes with both directions above the horizon and within the cutoff.
+
+    The mask is cached, and therefore read-only. A direction is within the cutoff if its angle to the normal [rad] is at
+    most `cutoff`.
+    """
+    above = np.empty(GRID_SHAPE, dtype=np.bool_)
+    # The mask is computed for one theta_half at a time, because arrays for the whole grid would need 50 MB.
+    for row, theta_half in enumerate(THETA_HALF):
+        above[row, :, :QUARTER] = above_horizon(theta_half, THETA_DIFF[:, np.newaxis], PHI_DIFF[:QUARTER], cutoff)
+    above[:, :, QUARTER:] = above[:, :, QUARTER - 2 : 0 : -1]
+    above.flags.writeable = False
+    return above

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.data.files import write_atomically
-from dsbrdf.data.grid import GRID_SHAPE, nodes_above_horizon
+from dsbrdf.data.geometry import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement, merl_pieces, stored_numbers
 from dsbrdf.data.merl_validation import FILE_SIZE, HEADER_SIZE, SCALE, check_header, check_length, checked_values
 from dsbrdf.errors import MeasurementFormatError

@@ -11,7 +11,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.files import known_kind
-from dsbrdf.data.grid import CHANNELS, GRID_SHAPE, nodes_above_horizon
+from dsbrdf.data.geometry import CHANNELS, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.errors import MeasurementFormatError
 
 HEADER = struct.pack("<3i", *GRID_SHAPE)

@@ -10,8 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import incident_cosines
-from dsbrdf.data.grid import PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.geometry import PHI_DIFF, THETA_DIFF, THETA_HALF, incident_cosines, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 

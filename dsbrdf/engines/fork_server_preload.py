@@ -11,7 +11,7 @@ from dsbrdf.process_settings import ONE_BLAS_THREAD
 os.environ.update(ONE_BLAS_THREAD)  # The variables are set before the import of NumPy, which reads them.
 
 import dsbrdf.engines.local  # noqa: F401 (workers run its functions)
-from dsbrdf.data.grid import nodes_above_horizon
+from dsbrdf.data.geometry import nodes_above_horizon
 
 nodes_above_horizon()  # This call fills a cache in memory that all forked workers share.
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dsbrdf.arrays import Array, Indices
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FoldedProfiles
 
 MAX_SAMPLES_IN_BLOCK = 2400

@@ -14,17 +14,15 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from dsbrdf.arrays import Array, Indices, Mask
-from dsbrdf.data.geometry import above_horizon
-from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import OUTLIER, SAMPLES_IN_BIN, Profiles
-from dsbrdf.data.weighting import DARK_VALUE_FRACTION, TINY, bin_weights
+from dsbrdf.data.geometry import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF, above_horizon
+from dsbrdf.data.reduction import DARK_VALUE_FRACTION, OUTLIER, SAMPLES_IN_BIN, TINY, Profiles, bin_weights
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.least_squares import COST_TOLERANCE, MixtureProblem, Solution, minimize
 from dsbrdf.fitting.lobe_search import SearchData, Wanted, search
+from dsbrdf.fitting.mixture import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
-from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width, width_of_reach
 

@@ -29,7 +29,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs, spotrf, strtrs
 
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.fitting.fit_data import Block, FitData
-from dsbrdf.fitting.structure import Structure
+from dsbrdf.fitting.mixture import Structure
 from dsbrdf.model.lobes import LobeSlopes, lobe_curves, log_cosine
 from dsbrdf.model.splines import roughness
 

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.weighting import TINY
+from dsbrdf.data.reduction import TINY
 from dsbrdf.fitting.fit_data import FitData
-from dsbrdf.fitting.structure import Mixture, Structure, join_lobes
+from dsbrdf.fitting.mixture import Mixture, Structure, join_lobes
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width
 from dsbrdf.model.splines import smooth_control_values
 

@@ -17,11 +17,11 @@ from typing import Literal
 import numpy as np
 
 from dsbrdf.arrays import Mask
-from dsbrdf.data.weighting import TINY
+from dsbrdf.data.reduction import TINY
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.least_squares import MixtureProblem, minimize
 from dsbrdf.fitting.lobe_candidates import Candidates, normal_equations, solved_amplitudes
-from dsbrdf.fitting.structure import Mixture, Structure, join_lobes
+from dsbrdf.fitting.mixture import Mixture, Structure, join_lobes
 
 MAX_SEARCHED_LOBES = 9
 """If the number of lobes is free, the search chooses this number of lobes and then drops useless lobes."""

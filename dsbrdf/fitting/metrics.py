@@ -26,7 +26,7 @@ from itertools import pairwise
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import CENTER_CUTOFF, CHANNELS, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_samples
 from dsbrdf.errors import InvalidArgumentError

@@ -24,7 +24,7 @@ class SelectionStep:
     """Report one number of lobes in the choice by Williams' test, see `dsbrdf.paper.WilliamsRow`."""
 
     n_lobes: int
-    e_p: float  # mean of the error E_p over the slices, see `dsbrdf.paper.lobe_selection`
+    e_p: float  # mean of the error E_p over the slices, see `dsbrdf.paper.paper_method`
     squared_error: float  # sum of squared errors over all samples used [1/sr^2]
     bic: float | None  # Bayesian information criterion for Gaussian errors of unknown variance; None for an exact fit
     t: float | None

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dsbrdf.arrays import Array, Evaluate, Indices
-from dsbrdf.data.grid import CENTER_CUTOFF
+from dsbrdf.data.geometry import CENTER_CUTOFF
 
 _NO_KNOTS = np.zeros(0)
 _gauss = cache(np.polynomial.legendre.leggauss)

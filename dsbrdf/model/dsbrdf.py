@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.grid import CENTER_CUTOFF
+from dsbrdf.data.geometry import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.evaluation import Evaluator
-from dsbrdf.model.lobe_families import FAMILIES, MAX_CENTER
+from dsbrdf.model.lobes import FAMILIES, MAX_CENTER
 from dsbrdf.model.reflectance import RenderableModel, check_angle
 from dsbrdf.model.splines import n_control_values
 

@@ -1,20 +1,35 @@
-"""Define the common interface of all isotropic, reciprocal models of reflectance."""
+"""Define the common interface of all isotropic, reciprocal models of reflectance, their blends, and a check of energy.
+
+In a furnace with uniformly bright walls, a surface with the directional albedo rho has rho times the brightness of the
+walls. A surface that conserves energy is never brighter than the walls. A reciprocal BRDF has equal values for swapped
+directions.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import check_directions, checked_angles, half_difference, incident_cosines
-from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import (
+    PHI_DIFF,
+    QUARTER,
+    THETA_DIFF,
+    THETA_HALF,
+    check_directions,
+    checked_angles,
+    half_difference,
+    incident_cosines,
+    random_directions,
+)
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
-from dsbrdf.model.sampling import DirectionSampler, Samples, direction_sampler
+from dsbrdf.model.sampling import ANGLES, DirectionSampler, Samples, direction_sampler
 
 # A direction whose cosine to the normal is smaller is below the horizon; the bound is not 0 because of rounding.
 _MIN_COSINE_ABOVE_HORIZON = -1e-12
@@ -175,3 +190,109 @@ def check_angle(name: str, angle: ArrayLike) -> Array:
     if not ((angle >= 0.0) & (angle <= np.pi / 2 + slack)).all():
         raise InvalidArgumentError(f"{name} must lie between 0 and 90 degrees (0 and pi/2 radians)")
     return np.minimum(angle, np.pi / 2)
+
+
+@dataclass(frozen=True)
+class Blend(RenderableModel):
+    """Evaluate the geometric mean ``first**(1 - t) second**t`` of two models."""
+
+    first: RenderableModel
+    second: RenderableModel
+    t: float
+
+    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""
+        angles = theta_half, theta_diff, phi_diff
+        return self._mean(self.first.evaluate_unmasked(*angles), self.second.evaluate_unmasked(*angles))
+
+    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
+        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
+        axes = theta_half, theta_diff, phi_diff
+        return map(self._mean, self.first.evaluate_grid(*axes), self.second.evaluate_grid(*axes))
+
+    @property
+    def kinks(self) -> Array:
+        """Angles theta_diff (n,) [rad] at which the values of the model have a kink."""
+        return np.union1d(self.first.kinks, self.second.kinks)
+
+    def _mean(self, first: Array, second: Array) -> Array:
+        return np.asarray(first ** (1.0 - self.t) * second**self.t)
+
+
+def blend(a: RenderableModel, b: RenderableModel, t: float) -> Blend:
+    """Return a model whose values lie between the values of two models.
+
+    Values are geometric means ``a**(1 - t) b**t``. A blend of a polished and a rough surface has one highlight of
+    medium width; an arithmetic mean would have two highlights. Blends of positive, reciprocal models are positive and
+    reciprocal. The albedo of a blend is at most the arithmetic mean of both albedos, so that a blend conserves energy
+    if both models conserve energy.
+
+    Parameters
+    ----------
+    a, b : DSBRDF, LayeredModel or Blend
+    t : float
+        Position of the blend, from 0 (`a`) to 1 (`b`).
+
+    Raises
+    ------
+    InvalidArgumentError
+        If t is out of range, or `a` or `b` is not a model.
+    """
+    for end in (a, b):
+        if not isinstance(end, RenderableModel):
+            raise InvalidArgumentError(f"only models, such as result.model, can be blended, not a {type(end).__name__}")
+    if not 0.0 <= t <= 1.0:
+        raise InvalidArgumentError(f"t must lie between 0 and 1, not at {t:g}")
+    return Blend(a, b, float(t))
+
+
+_FURNACE_THETA_OUT = ANGLES[:-1:2]  # angles to the normal from 0 to 87 degrees [rad]
+_N_SWAPPED_PAIRS = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class FurnaceReport:
+    """Report the energy and the reciprocity of a model.
+
+    Attributes
+    ----------
+    theta_out : ndarray, shape (n,)
+        Angles to the normal [rad].
+    albedo : ndarray, shape (n, 3)
+        Brightness in the furnace, relative to the walls, in each channel.
+    reciprocity_error : float
+        Largest difference between values of swapped directions, relative to the larger value.
+    """
+
+    theta_out: Array
+    albedo: Array
+    reciprocity_error: float
+
+    @property
+    def largest_albedo(self) -> float:
+        """Largest albedo over angles and channels; at most 1 if the model conserves energy."""
+        return float(self.albedo.max())
+
+    @property
+    def conserves_energy(self) -> bool:
+        """Whether the albedo is at most 1 at all angles and in all channels."""
+        return self.largest_albedo <= 1.0
+
+    def __str__(self) -> str:
+        row = int(self.albedo.max(axis=1).argmax())
+        angle = float(np.degrees(self.theta_out[row]))
+        verdict = "no direction returns" if self.conserves_energy else "some directions return"
+        return (
+            f"White furnace: {verdict} more than is received; the largest albedo is {self.largest_albedo:.3f}, at "
+            f"{angle:.0f} degrees. Reciprocity: values of swapped directions differ by {self.reciprocity_error:.1e}."
+        )
+
+
+def white_furnace(model: RenderableModel) -> FurnaceReport:
+    """Check the energy and the reciprocity of a model."""
+    rng = np.random.default_rng(0)
+    first, second = random_directions(rng, rng.random((2, _N_SWAPPED_PAIRS)))
+    values, swapped = model.evaluate_directions(first, second), model.evaluate_directions(second, first)
+    scale = np.maximum(np.maximum(values, swapped), np.finfo(float).tiny)
+    error = float(np.max(np.abs(values - swapped) / scale))
+    return FurnaceReport(_FURNACE_THETA_OUT, model.albedo(_FURNACE_THETA_OUT), error)

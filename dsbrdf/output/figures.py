@@ -18,7 +18,7 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.shares import LABELS
-from dsbrdf.data.grid import CHANNELS, DEFAULT_HORIZON_CUTOFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import CHANNELS, DEFAULT_HORIZON_CUTOFF, THETA_DIFF, THETA_HALF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.figure_parts import (
     CHANNEL_COLOURS,

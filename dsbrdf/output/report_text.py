@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from dsbrdf.arrays import Array
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import LayeredModel
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.fitting.metrics import Metrics, RelativeErrors
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.geometry import half_difference, spherical
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.geometry import CHANNELS, half_difference, spherical
 from dsbrdf.output.figure_parts import CHANNEL_COLOURS, ROW_HEIGHT_IN, draw_legend, figure_of_rows, set_ticks
 
 if TYPE_CHECKING:

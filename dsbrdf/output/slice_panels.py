@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import THETA_DIFF, THETA_HALF
 from dsbrdf.output.figure_parts import PAIR_WIDTH_IN, ROW_HEIGHT_IN, draw_legend, set_ticks
 
 if TYPE_CHECKING:

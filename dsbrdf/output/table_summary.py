@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.reading import ReadTable
 from dsbrdf.samples.scattered_samples import ScatteredSamples

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
 from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS, meaning_of, meanings_of, name_and_unit, wavelength_of

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import directions, spherical
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.geometry import CHANNELS, directions, spherical
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
 from dsbrdf.samples.columns import FROM_MIRROR, PHIS, THETAS, Column, Description, FoundColumns, find_columns

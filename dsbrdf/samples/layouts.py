@@ -20,7 +20,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.files import known_kind
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples import optics
 from dsbrdf.samples.cells import TextTable, check_size

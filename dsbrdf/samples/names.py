@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 from functools import lru_cache
 from math import pi
 
-from dsbrdf.data.grid import CHANNELS
+from dsbrdf.data.geometry import CHANNELS
 
 _SIDE_WORDS = {
     "in": "in i inc incident incidence incoming input ill illum illumination light source src solar sol sun",

@@ -21,7 +21,7 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.merl_validation import HEADER
-from dsbrdf.data.rgl_material import read_rgl
+from dsbrdf.data.rgl import read_rgl
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import is_spreadsheet, spreadsheet_text, utf_16_of
 from dsbrdf.samples.columns import Description

@@ -25,8 +25,16 @@ from functools import cache
 import numpy as np
 
 from dsbrdf.arrays import Array, Indices
-from dsbrdf.data.geometry import above_horizon, directions, half_difference, incident_cosines
-from dsbrdf.data.grid import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import (
+    PHI_DIFF,
+    QUARTER,
+    THETA_DIFF,
+    THETA_HALF,
+    above_horizon,
+    directions,
+    half_difference,
+    incident_cosines,
+)
 from dsbrdf.data.reduction import N_BINS, SAMPLES_IN_BIN, FoldedProfiles, Profiles
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.global_method import FIT_COLUMNS, FIT_ROWS, USED_COLUMNS, USED_ROWS, fit_weights

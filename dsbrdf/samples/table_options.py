@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.option_fields import Bounds, documented, option, suggesting
+from dsbrdf.fitting.options import Bounds, documented, option, suggesting
 
 _SCALES = Bounds(1e-12, 1e12)
 

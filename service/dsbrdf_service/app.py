@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
 import dsbrdf
-from dsbrdf.data.grid import nodes_above_horizon
+from dsbrdf.data.geometry import nodes_above_horizon
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, FitLimits
 from dsbrdf.engines.local import LocalEngine

@@ -18,7 +18,7 @@ import httpx
 
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
 from dsbrdf.data.merl import encode_merl
-from dsbrdf.data.rgl_material import read_rgl
+from dsbrdf.data.rgl import read_rgl
 from dsbrdf.output.serialize import result_from_json
 from dsbrdf.samples.reading import kind_of_file, read_samples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions

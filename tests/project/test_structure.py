@@ -99,7 +99,7 @@ package = pytest.mark.parametrize("package", FOLDERS)
 
 
 def module_name(path: Path) -> str:
-    """Dotted name of a source file, such as ``dsbrdf.data.grid``; that of its package for an ``__init__.py``."""
+    """Dotted name of a source file, such as ``dsbrdf.data.geometry``; that of its package for an ``__init__.py``."""
     folder = FOLDERS["dsbrdf_service"] if FOLDERS["dsbrdf_service"] in path.parents else ROOT
     parts = path.relative_to(folder).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)

@@ -134,7 +134,7 @@ def _serve_requests(program: str) -> None:
         for command in ("scheduler", "worker"):
             import_module(f"distributed.cli.dask_{command}")
         import_module("dsbrdf.engines.local")  # for what workers run
-        import_module("dsbrdf.data.grid").nodes_above_horizon()  # cached for all workers, as their server does it
+        import_module("dsbrdf.data.geometry").nodes_above_horizon()  # cached for all workers, as their server does it
     else:
         _warm_up()
     gc.freeze()  # a collection in a fork would write into all that it shares

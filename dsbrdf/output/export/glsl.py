@@ -20,7 +20,7 @@ import numpy as np
 from dsbrdf.components.component import Component
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.components.shares import LABELS
-from dsbrdf.data.grid import CENTER_CUTOFF
+from dsbrdf.data.geometry import CENTER_CUTOFF
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import GRAZING_COSINE

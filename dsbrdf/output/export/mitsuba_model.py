@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.grid import CENTER_CUTOFF
+from dsbrdf.data.geometry import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import GRAZING_COSINE
 from dsbrdf.model.sampling import ANGLES

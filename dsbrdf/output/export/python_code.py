@@ -15,7 +15,7 @@ import numpy
 
 from dsbrdf.components.layer_data import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
 from dsbrdf.components.shares import EXCESS_HALO, HALO, SPIKE_HALO
-from dsbrdf.data.grid import CENTER_CUTOFF
+from dsbrdf.data.geometry import CENTER_CUTOFF
 from dsbrdf.model.lobes import GRAZING_COSINE
 
 

@@ -13,7 +13,7 @@ from dsbrdf.components.component import Component
 from dsbrdf.components.layers import Layer, LayeredModel
 from dsbrdf.components.shares import LABELS
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobe_families import FAMILIES
+from dsbrdf.model.lobes import FAMILIES
 from dsbrdf.output.export import python_code as code
 from dsbrdf.output.export.templates import filled, sections
 from dsbrdf.version import __version__

@@ -20,8 +20,7 @@ import numpy as np
 from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.data.rgl_file import Warp, bilinear, encode_tensors
-from dsbrdf.data.rgl_material import RglMaterial
+from dsbrdf.data.rgl import RglMaterial, Warp, bilinear, encode_tensors
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.rendering.environment import LUMINANCE
 

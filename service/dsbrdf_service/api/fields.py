@@ -15,8 +15,7 @@ from starlette.requests import Request
 
 from dsbrdf.components.shares import LABELS
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.fitting.option_fields import sentences_of
-from dsbrdf.fitting.options import FitOptions
+from dsbrdf.fitting.options import FitOptions, sentences_of
 from dsbrdf.samples.table_options import TableOptions
 
 from ..errors import validation_sentence

@@ -22,7 +22,7 @@ from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import Profiles, profiles
-from dsbrdf.data.rgl_material import read_rgl
+from dsbrdf.data.rgl import read_rgl
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions

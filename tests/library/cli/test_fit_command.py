@@ -20,9 +20,9 @@ from dsbrdf import FitResult, TableOptions, decompose, load, read_merl
 from dsbrdf.cli import fit_command
 from dsbrdf.cli.parameters import DEFAULT, Flags
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, read_rgl
-from dsbrdf.data.rgl_file import encode_tensors, parse_tensors
+from dsbrdf.data.rgl import encode_tensors, parse_tensors
 from dsbrdf.engines import FileFit, batch, local
-from dsbrdf.fitting.option_fields import sentences_of
+from dsbrdf.fitting.options import sentences_of
 from dsbrdf.output.export.rgl import rgl_bsdf
 from tests.support.command_line import QUICK, document, printed, run, sentence
 from tests.support.guarded import Guarded

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dsbrdf import MeasurementFormatError
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, parse_rgl, read_rgl, spherical
-from dsbrdf.data.rgl_file import Warp, encode_tensors, parse_tensors
+from dsbrdf.data.rgl import Warp, encode_tensors, parse_tensors
 from dsbrdf.output.export.rgl import rgl_bsdf
 from tests.support.known_models import pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant

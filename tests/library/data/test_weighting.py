@@ -8,8 +8,7 @@ import pytest
 
 from dsbrdf import Profiles
 from dsbrdf.data import THETA_DIFF, THETA_HALF
-from dsbrdf.data.reduction import FoldedProfiles
-from dsbrdf.data.weighting import bin_weights, seen_weight
+from dsbrdf.data.reduction import FoldedProfiles, bin_weights, seen_weight
 
 CUTOFF = float(np.radians(80.0))
 WEIGHTINGS = ("balanced", "plain", "cosine", "log")

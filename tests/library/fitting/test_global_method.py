@@ -23,7 +23,7 @@ from dsbrdf.data import CHANNELS, THETA_DIFF, THETA_HALF, model_measurement
 from dsbrdf.fitting import METRICS, Metrics, global_method, relative_errors, sample_errors
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.least_squares import MixtureProblem
-from dsbrdf.fitting.structure import KAPPA_BOUNDS, REACH_BOUNDS, Structure
+from dsbrdf.fitting.mixture import KAPPA_BOUNDS, REACH_BOUNDS, Structure
 from dsbrdf.model import half_width
 from dsbrdf.pipeline import profiles_for
 from dsbrdf.version import versions

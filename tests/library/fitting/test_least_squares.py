@@ -10,7 +10,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.least_squares import MixtureProblem, Solution, minimize
-from dsbrdf.fitting.structure import ELONGATION_BOUNDS, REACH_BOUNDS, Mixture, Structure, mixture_model
+from dsbrdf.fitting.mixture import ELONGATION_BOUNDS, REACH_BOUNDS, Mixture, Structure, mixture_model
 from dsbrdf.model import FAMILIES, half_width
 
 ROWS = np.arange(0, 80, 9)

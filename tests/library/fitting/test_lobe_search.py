@@ -11,7 +11,7 @@ from dsbrdf.data import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.least_squares import MixtureProblem
 from dsbrdf.fitting.lobe_search import MAX_SEARCHED_LOBES, SearchData, SearchStep, Wanted, search
-from dsbrdf.fitting.structure import Mixture, Structure
+from dsbrdf.fitting.mixture import Mixture, Structure
 from dsbrdf.model import FAMILIES, gamma_of_half_width
 
 KNOTS = np.radians([0.0, 40.0, 70.0, 89.0])

@@ -11,7 +11,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_HALF
 from dsbrdf.fitting import OUTSIDE_CENTER, SelectionStep
 from dsbrdf.paper import WilliamsRow, em, williams_critical_value, williams_test
-from dsbrdf.paper.lobe_selection import UNIFORM_FRACTION, choose_n_lobes, expected_negative_log_probability
+from dsbrdf.paper.paper_method import UNIFORM_FRACTION, choose_n_lobes, expected_negative_log_probability
 from tests.support.known_models import plain_lobe
 
 ANGLES = THETA_HALF[OUTSIDE_CENTER]

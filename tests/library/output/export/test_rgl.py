@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dsbrdf import Measurement
 from dsbrdf.data import half_difference, interpolate
-from dsbrdf.data.rgl_file import parse_tensors
+from dsbrdf.data.rgl import parse_tensors
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from tests.support.known_models import pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant

@@ -18,10 +18,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.grid import THETA_HALF
+from dsbrdf.data.geometry import THETA_HALF
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.model.lobe_families import FAMILIES, MAX_CENTER
-from dsbrdf.model.lobes import fall_to_half, reach_of_width, width_of_reach
+from dsbrdf.model.lobes import FAMILIES, MAX_CENTER, fall_to_half, reach_of_width, width_of_reach
 from dsbrdf.model.splines import n_control_values, spline_basis
 
 LOG_AMPLITUDE_BOUNDS = (-25.0, 18.5)
@@ -44,7 +43,7 @@ class Structure:
 
     rings: tuple[bool, ...]  # whether each lobe has a center other than 0; these lobes come last
     knots: tuple[Array, Array, Array]  # knots in theta_diff of amplitudes, shapes and elongations [rad]
-    family: str  # name of a family of lobes, see `dsbrdf.model.lobe_families`
+    family: str  # name of a family of lobes, see `dsbrdf.model.lobes`
     # Angles that have data [rad]; their spacing bounds the widths, because narrower lobes would fit gaps in the data.
     theta_half: Array = field(default_factory=lambda: THETA_HALF)
 
