@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
+from shutil import copytree, ignore_patterns
 from typing import Any
 
 import httpx
@@ -20,7 +21,6 @@ from PIL import Image
 
 import dsbrdf
 from dsbrdf.cli import main as cli
-from dsbrdf.data.synthetic import synthetic_measurement
 from dsbrdf.fitting import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
@@ -64,9 +64,9 @@ def words_of(line: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the file that the first example of README and pages reads."""
+    """A folder with the measurement that the first example of README and pages reads."""
     made = tmp_path_factory.mktemp("readme")
-    dsbrdf.write_merl(made / "paint.binary", synthetic_measurement(noise=0.02))
+    copytree(ROOT / "examples", made / "examples", ignore=ignore_patterns("*.py"))
     return made
 
 
@@ -79,7 +79,7 @@ def python_quick_start(folder: Path) -> dict[str, Any]:
         patch.chdir(folder)
         for number, text in enumerate(blocks("python", http=False)):
             exec(compile(text, f"Python block {number}", "exec"), names)
-            if text.startswith("measurement ="):
+            if text.startswith("result = dsbrdf.fit(measurement)"):
                 names["fitted"] = names["result"]
     return names
 
@@ -158,7 +158,7 @@ def test_commands_of_the_pages_have_their_options() -> None:
 
 def test_the_python_quick_start(python_quick_start: dict[str, Any], folder: Path) -> None:
     assert python_quick_start["values"].shape == (3, 3)
-    assert dsbrdf.load(folder / "paint.json") == python_quick_start["result"]
+    assert dsbrdf.load(folder / "paint.json") == python_quick_start["fitted"]
     assert dsbrdf.read_merl(folder / "paint-model.binary").valid.any()
 
 
