@@ -24,8 +24,8 @@ from benchmarks.durability_series.harness import Harness
 from benchmarks.http_load import PeakMemory, Row
 from dsbrdf.data import synthetic_measurement, write_merl
 from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.storage.database import Database
+from dsbrdf_service.storage.keys import add_key
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
 

@@ -22,7 +22,7 @@ from benchmarks.durability_series.harness import (
 )
 from benchmarks.durability_series.stateful_clients import OPTIONS, TWO_LOBE_FIT, StatefulClient, running_clients
 from dsbrdf.data import FILE_SIZE
-from dsbrdf_service.storage.removal import purge
+from dsbrdf_service.storage.maintenance import purge
 from tests.support.server import Server
 
 _CLIENTS = 4

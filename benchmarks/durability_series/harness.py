@@ -22,7 +22,7 @@ import numpy as np
 import dsbrdf
 from dsbrdf import read_merl
 from dsbrdf.output import from_json
-from dsbrdf_service.queue.fit_options import from_wire
+from dsbrdf_service.wire import from_wire
 from tests.support.processes import ONE_CORE
 from tests.support.server import Server
 

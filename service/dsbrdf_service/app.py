@@ -19,22 +19,19 @@ from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, FitLimits
 from dsbrdf.engines.local import LocalEngine
 
-from .access.authentication import Access
-from .access.keys import Keys
+from .access import Access, Keys
 from .api import about, fits, measurements, pictures, results, values
 from .api.context import Context
 from .api.fits import FitRequest, NewName
 from .api.measurements import MeasurementDetails
 from .api.points import FORMS
-from .compute.computations import Computations
-from .compute.models import ModelCache
+from .compute.computations import Computations, ModelCache
 from .http import openapi
-from .http.metrics import Metrics
-from .http.readiness import Readiness
-from .http.request_body import Bodies
-from .http.request_log import RequestLogMiddleware
+from .http.messages import Bodies
+from .http.middleware import RequestLogMiddleware
+from .http.monitoring import Metrics, Readiness
 from .http.static_files import is_open
-from .queue.fit_queue import FitQueue
+from .queue import FitQueue
 from .settings import Settings
 from .storage.store import Store
 

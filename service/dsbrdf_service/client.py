@@ -23,8 +23,7 @@ from dsbrdf.output.serialize import result_from_json
 from dsbrdf.samples.reading import kind_of_file, read_samples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
-from .http.names import check_name
-from .queue.fit_options import to_wire
+from .wire import check_name, to_wire
 
 Source = str | os.PathLike[str] | bytes | Measurement
 Document = dict[str, Any]

@@ -8,9 +8,9 @@ import pytest
 
 import dsbrdf
 from dsbrdf_service.app import create_app
-from dsbrdf_service.queue.fit_options import to_wire
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.store import Store
+from dsbrdf_service.wire import to_wire
 from tests.support.stores import LOCAL, add
 
 

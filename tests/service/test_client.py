@@ -15,7 +15,7 @@ import dsbrdf
 from dsbrdf.engines import FitTask
 from dsbrdf_service.client import Client, ServiceError
 from dsbrdf_service.client_engine import ClientEngine
-from dsbrdf_service.queue.fit_options import canonical
+from dsbrdf_service.wire import canonical
 from tests.support import endless_fit
 from tests.support.guarded import Guarded
 from tests.support.mixtures import mixture, samples_table, scattered_samples

@@ -21,12 +21,12 @@ import dsbrdf
 from dsbrdf.engines import OnProgress, Processes, processes
 from dsbrdf.engines.engine import run_step
 from dsbrdf.output import to_json
-from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.app import create_app
-from dsbrdf_service.queue.fit_options import to_wire
 from dsbrdf_service.settings import Settings
+from dsbrdf_service.storage.keys import add_key
 from dsbrdf_service.storage.schema import checksum
 from dsbrdf_service.storage.store import Store
+from dsbrdf_service.wire import to_wire
 from tests.support.random_models import random_model
 
 FIT = "a" * 32

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from subprocess import CompletedProcess
 from typing import Any
 
-from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.admin import keys
 from dsbrdf_service.storage.database import Database
+from dsbrdf_service.storage.keys import add_key
 from tests.support.commands import run_main
 from tests.support.server import Server
 

@@ -1,6 +1,6 @@
 """Measurements put into a store without a service."""
 
-from dsbrdf_service.storage.blobs import Incoming
+from dsbrdf_service.storage.files import Incoming
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 

@@ -16,8 +16,8 @@ import httpx
 import numpy as np
 import pytest
 
+from dsbrdf_service.http.messages import NPY
 from dsbrdf_service.http.problems import KINDS, TYPE_PREFIX
-from dsbrdf_service.http.responses import NPY
 from dsbrdf_service.settings import Settings
 from tests.support.points import npy
 from tests.support.processes import free_port, wait_until

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.commands import new_application
 
-from ..storage.inspection import check_database, check_files, check_measurements
+from ..storage.maintenance import check_database, check_files, check_measurements
 from .data_folder import DataDir, Json, data_folder, run_on_folder
 
 _CHECKS = {"database": check_database, "measurements": check_measurements, "files": check_files}

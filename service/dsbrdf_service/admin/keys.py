@@ -11,9 +11,8 @@ from cyclopts.validators import Number
 from dsbrdf.cli.arguments import print_error, print_json
 from dsbrdf.cli.commands import Whole, new_application
 
-from ..access.keys import add_key
 from ..storage.database import Database, is_data_folder
-from ..storage.keys import all_keys, revoke_key
+from ..storage.keys import add_key, all_keys, revoke_key
 from .data_folder import DataDir, Json, data_folder, refuse, run_on_folder
 
 _MAX_NAME_LENGTH = 100

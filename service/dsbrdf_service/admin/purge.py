@@ -15,7 +15,7 @@ from cyclopts import Parameter
 from dsbrdf.cli.arguments import print_json
 from dsbrdf.cli.commands import new_application
 
-from ..storage.removal import purge
+from ..storage.maintenance import purge
 from .data_folder import DataDir, Json, data_folder, refuse, run_on_folder
 
 _PURPOSE = "Remove fits that ended long ago, measurements as old that no other fit uses, or files; a server may run."

@@ -26,7 +26,7 @@ from dsbrdf.process_settings import return_freed_memory, trim_memory
 from ..api.context import Context
 from ..app import create_app, make_engine
 from ..errors import DataFolderError, validation_sentence
-from ..http.limits import Connection
+from ..http.middleware import Connection
 from ..log import configure
 from ..settings import Settings
 from ..storage.keys import has_active_key

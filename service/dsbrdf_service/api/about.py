@@ -15,7 +15,7 @@ import dsbrdf
 
 from ..errors import ProblemError
 from ..http import openapi
-from ..http.responses import JSON
+from ..http.messages import JSON
 from ..http.static_files import StaticFile, file_at
 from .context import CHECKED_QUERY, TheCaller, TheContext
 

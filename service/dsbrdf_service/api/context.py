@@ -12,22 +12,19 @@ from starlette.concurrency import run_in_threadpool
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.samples.table_options import TableOptions
 
-from ..access.authentication import CALLER
-from ..access.keys import Keys
-from ..compute.computations import Computations, Place
-from ..compute.models import LoadedFit, ModelCache
+from ..access import CALLER, Keys
+from ..compute.computations import Computations, LoadedFit, ModelCache, Place
 from ..compute.steps import StoredMeasurement
 from ..errors import ProblemError
-from ..http.metrics import Metrics
+from ..http.messages import Bodies
+from ..http.monitoring import Metrics, Readiness
 from ..http.openapi import EXAMPLE_FIT, EXAMPLE_SHA256
-from ..http.readiness import Readiness
-from ..http.request_body import Bodies
-from ..queue.fit_options import table_from_query
-from ..queue.fit_queue import FitQueue
+from ..queue import FitQueue
 from ..settings import Settings
+from ..storage.files import in_thread
 from ..storage.schema import Caller, FitKey, FitRow
 from ..storage.store import Store
-from ..storage.writing import in_thread
+from ..wire import table_from_query
 from .fields import FIT_ID, SHA256
 
 

@@ -19,9 +19,9 @@ from dsbrdf.fitting.options import FitOptions, sentences_of
 from dsbrdf.samples.table_options import TableOptions
 
 from ..errors import validation_sentence
-from ..http.responses import prefix_of
-from ..queue.fit_options import DEFAULTS, TABLE_DEFAULTS
+from ..http.messages import prefix_of
 from ..storage.schema import FitRow, MeasurementRow
+from ..wire import DEFAULTS, TABLE_DEFAULTS
 
 FIT_ID = r"^[0-9a-f]{32}$"
 SHA256 = r"^[0-9a-f]{64}$"

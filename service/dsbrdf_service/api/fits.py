@@ -21,12 +21,18 @@ from dsbrdf.output.report_text import likeness
 from ..compute.computations import departure
 from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
-from ..http.names import MAX_LENGTH, check_name, given_name
-from ..http.request_body import media_type_of
-from ..http.responses import BINARY, JSON, preferred_wait, prefix_of, tagged_reply
-from ..queue.fit_options import canonical, from_query, from_wire
+from ..http.messages import (
+    BINARY,
+    JSON,
+    given_name,
+    media_type_of,
+    preferred_wait,
+    prefix_of,
+    tagged_reply,
+)
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
+from ..wire import MAX_NAME_LENGTH, canonical, check_name, from_query, from_wire
 from .context import CHECKED_QUERY, Context, TheCaller, TheContext, TheFit, TheRow, TheTableOptions
 from .fields import FIT_ID, PLAIN, SHA256, Document, Input, Name, Options, Page, Range, Share, members, next_page, parse
 from .measurements import CONTENT, OPTION_PARAMETERS, PARAMETERS, TABLE_PARAMETERS, TABLES, receive_upload
@@ -43,7 +49,7 @@ class FitRequest(Input):
 class NewName(Input):
     """The new name of a fit, or null."""
 
-    name: Annotated[str | None, Field(max_length=MAX_LENGTH, description="null takes the name away.")]
+    name: Annotated[str | None, Field(max_length=MAX_NAME_LENGTH, description="null takes the name away.")]
 
 
 class FitSummary(Document):

@@ -36,14 +36,24 @@ from ..compute.computations import Place
 from ..compute.steps import conversion_step, understood_step
 from ..errors import MeasurementNotFoundError, ProblemError
 from ..http import openapi
-from ..http.names import MAX_LENGTH, content_disposition, given_name
-from ..http.request_body import decoded, media_type_of
-from ..http.request_log import IS_HEAD
-from ..http.responses import BINARY, JSON, OpenFileResponse, not_modified, prefers, prefix_of, tagged_reply
-from ..storage.blobs import Incoming, OpenFile
+from ..http.messages import (
+    BINARY,
+    JSON,
+    OpenFileResponse,
+    content_disposition,
+    decoded,
+    given_name,
+    media_type_of,
+    not_modified,
+    prefers,
+    prefix_of,
+    tagged_reply,
+)
+from ..http.middleware import IS_HEAD
 from ..storage.database import in_write_thread
+from ..storage.files import Incoming, OpenFile, in_thread
 from ..storage.schema import Caller, MeasurementRow
-from ..storage.writing import in_thread
+from ..wire import MAX_NAME_LENGTH
 from .context import CHECKED_QUERY, Context, Sha256, TheCaller, TheContext, TheTableOptions
 from .fields import OPTIONS_SCHEMA, SHA256, TABLE_SCHEMA, Document, Name, Page, Range, Share, members, next_page
 
@@ -62,7 +72,7 @@ PARAMETERS = [
         "in": "query",
         "description": "Name of the measurement and of the fit; exports are called after it; "
         f"{', '.join(_SUFFIXES)} at its end is no part of the name.",
-        "schema": {"type": "string", "minLength": 1, "maxLength": MAX_LENGTH},
+        "schema": {"type": "string", "minLength": 1, "maxLength": MAX_NAME_LENGTH},
     },
     openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
     openapi.ENCODING,

@@ -17,9 +17,8 @@ from dsbrdf.rendering.sphere import LIGHTINGS
 
 from ..compute.steps import FIGURES, figure_step, samples_step, sphere_step, table_step
 from ..http import openapi
-from ..http.request_body import media_type_of
-from ..http.responses import NPY, OpenFileResponse, long_reply, not_modified, tag_of, tagged_reply
-from ..queue.fit_options import from_wire
+from ..http.messages import NPY, OpenFileResponse, long_reply, media_type_of, not_modified, tag_of, tagged_reply
+from ..wire import from_wire
 from .context import CHECKED_QUERY, Sha256, TheCaller, TheContext, TheLoadedFit, TheMeasurement, TheRow
 from .fields import PLAIN, Label
 from .points import panorama_from_npy

@@ -19,8 +19,7 @@ from dsbrdf.output.export.glsl import NAME
 
 from ..compute.steps import export_step
 from ..http import openapi
-from ..http.names import content_disposition
-from ..http.responses import BINARY, JSON, OpenFileResponse, tagged_reply
+from ..http.messages import BINARY, JSON, OpenFileResponse, content_disposition, tagged_reply
 from .context import CHECKED_QUERY, TheContext, TheFit, TheRow
 from .fields import Document, Input, Label, Range, Rgb, Share
 

@@ -17,12 +17,11 @@ from dsbrdf.components.shares import LABELS
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.reflectance import ReflectanceModel
 
-from ..access.authentication import CALLER
+from ..access import CALLER
 from ..compute.steps import Array, StoredMeasurement, measured_step
 from ..errors import ProblemError
 from ..http import openapi
-from ..http.request_body import media_type_of
-from ..http.responses import JSON, NPY, long_reply, prefers
+from ..http.messages import JSON, NPY, long_reply, media_type_of, prefers
 from ..storage.schema import FitKey
 from .context import Context, TheContext, TheFit, TheMeasurement, check_query
 from .fields import Label, Rgb

@@ -1,5 +1,5 @@
 """Run computations for requests.
 
-`computations` runs equal computations once, in fair turns of the callers; `steps` has the functions that run in
-separate processes; `models` caches fitted models.
+`computations` has the turns of the callers and the cache of models; `steps` has the functions that run in separate
+processes.
 """

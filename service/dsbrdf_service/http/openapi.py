@@ -12,9 +12,9 @@ from pydantic.json_schema import models_json_schema
 
 import dsbrdf
 
-from ..queue.fit_options import DEFAULTS
+from ..wire import DEFAULTS
+from .messages import JSON
 from .problems import KINDS, MEDIA_TYPE, Problem
-from .responses import JSON
 
 _TAGS = ("fits", "components", "values", "export", "figures", "measurements", "health")
 Responses = dict[int | str, dict[str, Any]]

@@ -1,7 +1,13 @@
-"""Read and write the rows of API keys; the id of a key is the owner of the data that are sent with the key."""
+"""Make, list, revoke and find API keys.
 
+A key is ``dsbrdf_<id>_<secret>``. The database stores only the sha256 of the secret: a secret of 32 random bytes cannot
+be guessed from its hash, so a slow hash would not be safer. Data that are stored with a key belong to its id, which is
+public.
+"""
+
+import hashlib
+import secrets
 import time
-from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,12 +22,15 @@ _SELECT_ACTIVE = (
 )
 
 
-def insert_key(database: Database, values: Mapping[str, Any]) -> None:
-    """Write the row of a new key, with the present time."""
-    values = {"created": time.time(), **values}
-    marks = ", ".join(f":{name}" for name in values)
+def add_key(database: Database, name: str, **fields: Any) -> tuple[str, str]:
+    """Make a key and its row, with further `fields`; return the id and the key, whose secret is not stored."""
+    key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
+    digest = hashlib.sha256(secret.encode()).hexdigest()
+    values = {"id": key_id, "name": name, "secret_sha256": digest, "created": time.time(), **fields}
+    marks = ", ".join(f":{column}" for column in values)
     with database.transaction() as db:
         db.execute(f"INSERT INTO keys ({', '.join(values)}) VALUES ({marks})", values)  # noqa: S608
+    return key_id, f"dsbrdf_{key_id}_{secret}"
 
 
 def all_keys(database: Database) -> list[dict[str, Any]]:

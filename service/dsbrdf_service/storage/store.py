@@ -19,9 +19,9 @@ from typing import Any, Literal
 import dsbrdf
 
 from ..errors import FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
-from .blobs import Blobs, Incoming
 from .database import RESERVE, Database, own_folder
-from .removal import remove_files, remove_rows
+from .files import Blobs, Incoming, Writing, check_key, check_queue, check_storage
+from .maintenance import remove_files, remove_rows
 from .schema import (
     IS_UNFINISHED,
     ROW_SIZE,
@@ -35,7 +35,6 @@ from .schema import (
     checksum,
     columns,
 )
-from .writing import Writing, check_key, check_queue, check_storage
 
 logger = logging.getLogger(__name__)
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf_service.access import keys as keys_module
-from dsbrdf_service.access.keys import Keys, add_key
+from dsbrdf_service import access as keys_module
+from dsbrdf_service.access import Keys
 from dsbrdf_service.errors import InvalidKeyError
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.database import Database
-from dsbrdf_service.storage.keys import revoke_key
+from dsbrdf_service.storage.keys import add_key, revoke_key
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.guarded import Guarded, keys_command
@@ -45,7 +45,7 @@ def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypat
         compared.append((one, other))
         return one == other
 
-    monkeypatch.setattr("dsbrdf_service.access.keys.hmac.compare_digest", compare)
+    monkeypatch.setattr("dsbrdf_service.access.hmac.compare_digest", compare)
     with closing(Database(tmp_path)) as database:
         key_id, key = add_key(database, "x")
         active = Keys(Settings())

@@ -15,11 +15,10 @@ import pytest
 
 from dsbrdf.cli.main import main
 from dsbrdf.data import FILE_SIZE
-from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.admin import doctor, purge
-from dsbrdf_service.storage.blobs import Blobs
 from dsbrdf_service.storage.database import FILE_NAME, Database, read_only
-from dsbrdf_service.storage.keys import revoke_key
+from dsbrdf_service.storage.files import Blobs
+from dsbrdf_service.storage.keys import add_key, revoke_key
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.commands import run_main, start_in_vain

@@ -7,7 +7,7 @@ from starlette.requests import Request
 
 from dsbrdf import FitOptions, InvalidArgumentError
 from dsbrdf_service.client import Client
-from dsbrdf_service.http.names import content_disposition, given_name
+from dsbrdf_service.http.messages import content_disposition, given_name
 from tests.support.server import QUICK, Server, assert_problem
 
 

@@ -14,8 +14,8 @@ import dsbrdf
 from dsbrdf import EnvironmentMap
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.rendering import displayed, exposure, sphere_normals
+from dsbrdf_service.http.messages import NPY
 from dsbrdf_service.http.problems import KINDS, problem_of
-from dsbrdf_service.http.responses import NPY
 from tests.support.points import npy
 from tests.support.server import QUICK, Server, assert_problem
 

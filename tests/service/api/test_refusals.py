@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from starlette.requests import Request
 
-from dsbrdf_service.http.responses import preferred_wait
+from dsbrdf_service.http.messages import preferred_wait
 from tests.support.server import Server, assert_problem
 
 # Targets, in which {fit} is the path of a fit, and what the sentence has that refuses them.

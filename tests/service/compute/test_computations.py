@@ -20,12 +20,12 @@ from starlette.types import Message
 from dsbrdf.components import decomposition
 from dsbrdf.engines import Fault, FitLimits, Processes
 from dsbrdf.engines.engine import MEMORY_LIMIT
-from dsbrdf_service.access.authentication import CALLER_NAME
+from dsbrdf_service.access import CALLER_NAME
 from dsbrdf_service.api import measurements, pictures, results, values
 from dsbrdf_service.compute import steps
 from dsbrdf_service.compute.computations import Computations
-from dsbrdf_service.http.responses import PIECE_BYTES, OpenFileResponse
-from dsbrdf_service.storage.blobs import OpenFile
+from dsbrdf_service.http.messages import PIECE_BYTES, OpenFileResponse
+from dsbrdf_service.storage.files import OpenFile
 from dsbrdf_service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until

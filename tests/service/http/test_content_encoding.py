@@ -9,7 +9,7 @@ from starlette.requests import Request
 from starlette.types import Message
 
 from dsbrdf_service.errors import ProblemError
-from dsbrdf_service.http.request_body import PIECE, decoded
+from dsbrdf_service.http.messages import PIECE, decoded
 from tests.support.strategies import examples
 
 LIMIT = 1 << 20  # what these tests take

@@ -15,8 +15,8 @@ from dsbrdf import FitOptions, TableOptions
 from dsbrdf.samples.table_options import TABLE_OPTIONS
 from dsbrdf_service.app import create_app
 from dsbrdf_service.http.problems import KINDS
-from dsbrdf_service.queue.fit_options import from_query, table_from_query, to_wire
 from dsbrdf_service.settings import Settings
+from dsbrdf_service.wire import from_query, table_from_query, to_wire
 from tests.support.server import Server
 
 

@@ -13,8 +13,8 @@ from typing import cast
 import pytest
 
 from dsbrdf.engines import Engine
-from dsbrdf_service.http import readiness
-from dsbrdf_service.http.readiness import Readiness
+from dsbrdf_service.http import monitoring
+from dsbrdf_service.http.monitoring import Readiness
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage import database
 from dsbrdf_service.storage.database import FILE_NAME
@@ -30,7 +30,9 @@ def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
     own_server: Callable[..., Server], data: bytes
 ) -> None:
     limit = 0.5  # [s] The service's own limits are several seconds.
-    server = own_server(constants={f"{database.__name__}._BUSY_TIMEOUT": limit, f"{readiness.__name__}.LIMIT": limit})
+    server = own_server(
+        constants={f"{database.__name__}._BUSY_TIMEOUT": limit, f"{monitoring.__name__}.READY_TIMEOUT_S": limit}
+    )
     first = server.http.post("/v1/fits", params=QUICK, content=data).json()
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
         db.execute("BEGIN IMMEDIATE")
@@ -42,7 +44,7 @@ def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
         # It has not answered, or has given up.
         assert "The database " in assert_problem(server.http.get("/health/ready"), 503, "not-ready")
         live = [server.http.get("/health/live").raise_for_status() for _ in range(3)]
-        assert min(answer.elapsed.total_seconds() for answer in live) < readiness.LIMIT
+        assert min(answer.elapsed.total_seconds() for answer in live) < monitoring.READY_TIMEOUT_S
         db.execute("ROLLBACK")
     wait_until(lambda: server.http.get("/health/ready").status_code == 200)
     assert not list((server.data_dir / "tmp").iterdir())
@@ -137,7 +139,7 @@ async def test_checks_run_once_for_all_who_ask_together(tmp_path: Path) -> None:
 
 
 async def test_hanging_check_is_not_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readiness, "LIMIT", 0.2)
+    monkeypatch.setattr(monitoring, "READY_TIMEOUT_S", 0.2)
     engine = Asked()
     with with_engine(tmp_path, engine) as ready:
         engine.hangs.clear()

@@ -26,7 +26,7 @@ from starlette.types import Message
 from dsbrdf import parse_merl
 from dsbrdf.data import FILE_SIZE
 from dsbrdf.output import export_model, from_json
-from dsbrdf_service.http.request_body import decoded
+from dsbrdf_service.http.messages import decoded
 from tests.support.guarded import new_key
 from tests.support.merl_files import filled, with_value
 from tests.support.processes import wait_until

@@ -10,8 +10,8 @@ from openapi_schema_validator import OAS31Validator
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError
 from dsbrdf_service.api.fields import OPTIONS_SCHEMA
-from dsbrdf_service.queue.fit_options import DEFAULTS, canonical, from_query, from_wire, to_wire
 from dsbrdf_service.storage.store import fit_identity
+from dsbrdf_service.wire import DEFAULTS, canonical, from_query, from_wire, to_wire
 from tests.support.server import Server, assert_problem
 
 PROPERTIES: dict[str, dict[str, Any]] = OPTIONS_SCHEMA["properties"]

@@ -17,15 +17,15 @@ import dsbrdf
 from dsbrdf.engines import Fault, FitDocument, FitTask, Outcome
 from dsbrdf.engines.engine import NOT_STARTED
 from dsbrdf.output import to_json
-from dsbrdf_service.compute.models import ModelCache
+from dsbrdf_service import queue as queue_module
+from dsbrdf_service.compute.computations import ModelCache
 from dsbrdf_service.errors import FitNotFoundError
-from dsbrdf_service.http.metrics import Metrics
-from dsbrdf_service.queue import fit_queue
-from dsbrdf_service.queue.fit_options import to_wire
-from dsbrdf_service.queue.fit_queue import FitQueue
+from dsbrdf_service.http.monitoring import Metrics
+from dsbrdf_service.queue import FitQueue
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.schema import Caller, FitKey, FitRow
 from dsbrdf_service.storage.store import Store
+from dsbrdf_service.wire import to_wire
 from tests.support.random_models import random_model
 from tests.support.stores import LOCAL, add
 
@@ -216,7 +216,7 @@ async def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(
 async def test_result_is_written_when_the_disk_works_again(
     place: Race, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    monkeypatch.setattr(fit_queue, "_RETRY_DELAY", 0.01)
+    monkeypatch.setattr(queue_module, "_RETRY_DELAY", 0.01)
     complete = place.store.complete_fit
     failures = iter([error, error])
 
@@ -242,7 +242,7 @@ async def test_engine_exception_is_a_system_fault(place: Race) -> None:
 
 
 async def test_fit_is_retried_when_processes_cannot_be_started(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit_queue, "_RETRY_DELAY", 0.01)
+    monkeypatch.setattr(queue_module, "_RETRY_DELAY", 0.01)
     not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
     too_many = OSError(errno.EMFILE, "Too many open files")
     place.engine.outcomes += [not_started, too_many, not_started]

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf_service.access.keys import add_key
 from dsbrdf_service.admin import doctor
 from dsbrdf_service.admin.serve import main
 from dsbrdf_service.errors import DataFolderError, MeasurementDamagedError
-from dsbrdf_service.storage.blobs import Incoming
 from dsbrdf_service.storage.database import FILE_NAME, Database
-from dsbrdf_service.storage.removal import purge
+from dsbrdf_service.storage.files import Incoming
+from dsbrdf_service.storage.keys import add_key
+from dsbrdf_service.storage.maintenance import purge
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.commands import run_main

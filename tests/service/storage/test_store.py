@@ -16,10 +16,10 @@ from dsbrdf_service.errors import (
     MeasurementNotFoundError,
     ProblemError,
 )
-from dsbrdf_service.queue.fit_options import to_wire
 from dsbrdf_service.storage.database import FILE_NAME, Database
 from dsbrdf_service.storage.schema import ROW_SIZE, UNFINISHED_SIZE, Caller, FitKey
 from dsbrdf_service.storage.store import Store, fit_identity
+from dsbrdf_service.wire import to_wire
 from tests.support.stores import LOCAL, add, receive
 
 OPTIONS = to_wire(dsbrdf.FitOptions())

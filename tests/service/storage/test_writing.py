@@ -12,7 +12,7 @@ import pytest
 import dsbrdf
 from dsbrdf.data import FILE_SIZE
 from dsbrdf_service.errors import MeasurementDamagedError, ProblemError
-from dsbrdf_service.storage import writing
+from dsbrdf_service.storage import files
 from dsbrdf_service.storage.database import RESERVE
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
@@ -27,7 +27,7 @@ def test_uploads_in_progress_count_towards_the_quota_but_one_may_exceed_it(
     async def most_at_once(caller: Caller, most: int) -> None:
         async with AsyncExitStack() as stack:
             with monkeypatch.context() as broken:
-                broken.setattr(writing, "Incoming", lambda _: 1 / 0)
+                broken.setattr(files, "Incoming", lambda _: 1 / 0)
                 with pytest.raises(ZeroDivisionError):  # Nothing is reserved.
                     await stack.enter_async_context(store.writing.incoming(caller))
             for _ in range(most):

@@ -1,23 +1,31 @@
-"""Authenticate requests, and limit the rate and the number of simultaneous requests of each caller.
+"""Admit or refuse requests, and limit the rate and the number of simultaneous requests of each caller.
 
 An API key is needed if other machines can reach the service. On loopback, the local user needs no key. Two kinds of
 requests reach loopback but are not from the local user, and are refused: requests of another site's page in the user's
 browser, and requests to a foreign host name that was made to resolve to this machine.
 """
 
+import hashlib
+import hmac
 import math
 import re
 from collections import Counter
 from collections.abc import Callable
+from time import monotonic
 
 from prometheus_client import Gauge
 from starlette.types import Scope
 
-from ..errors import InvalidKeyError, ProblemError
-from ..settings import Settings
-from ..storage.schema import Caller
-from .keys import Keys
+from .errors import InvalidKeyError, ProblemError
+from .settings import Settings
+from .storage.database import Database
+from .storage.keys import active_key, is_active
+from .storage.schema import Caller
 
+_KEY = re.compile(rb"dsbrdf_([0-9a-f]{12})_([A-Za-z0-9_-]{43})")
+_NO_SECRET = b"\0" * hashlib.sha256().digest_size
+_MB = 1_000_000
+_BURST_SECONDS = 5.0
 HEALTH = ("/health/live", "/health/ready")
 """Paths that are answered to everyone, even when the service is overloaded."""
 CALLER = "dsbrdf.caller"
@@ -27,6 +35,52 @@ CALLER_NAME = "dsbrdf.caller_name"
 _LOCAL = Caller()
 # Host names without a dot are allowed, because only the local network can make such a name resolve to this machine.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
+
+
+class Keys:
+    """Find keys in the database at each request, so that a change of a key applies at once.
+
+    `settings` has the limits of keys that have no limits of their own.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._usual = settings.key_requests_per_second, settings.key_stored_mb, settings.key_queued_fits
+        self._next_due: dict[str, float] = {}  # For each key, the time when its next evenly spaced request is due.
+
+    def open(self, database: Database) -> None:
+        """Set the database in which keys are found; this is called before the first request."""
+        self._database = database
+
+    def find(self, text: bytes) -> Caller | None:
+        """Return the caller whose key has this text, or None; the duration does not reveal which part is wrong."""
+        parts = _KEY.fullmatch(text)
+        if parts is None:
+            return None
+        key_id = parts[1].decode()
+        row = active_key(self._database, key_id, *self._usual)
+        expected = _NO_SECRET if row is None else bytes.fromhex(row[0])
+        right = hmac.compare_digest(hashlib.sha256(parts[2]).digest(), expected)
+        if row is None or not right:
+            return None
+        _, rate, stored_mb, queued_fits, metrics = row
+        return Caller(key_id, stored_mb * _MB, queued_fits, bool(metrics), rate)
+
+    def wait(self, caller: Caller) -> float:
+        """Count a request of a caller and return 0, or return the time after which a request is allowed [s].
+
+        A burst may have as many requests as are allowed in five seconds, but at least one.
+        """
+        now, each = monotonic(), 1.0 / caller.requests_per_second
+        begin = max(now, self._next_due.get(caller.owner, now))
+        too_early = begin - now - max(0.0, _BURST_SECONDS - each)
+        if too_early > 0.0:
+            return too_early
+        self._next_due[caller.owner] = begin + each
+        return 0.0
+
+    def allows(self, caller: Caller) -> bool:
+        """Return whether the key of a caller is still active; a caller without key is always allowed."""
+        return not caller.owner or is_active(self._database, caller.owner)
 
 
 class Access:

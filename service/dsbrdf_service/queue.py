@@ -1,4 +1,4 @@
-"""Run fits: a fit is accepted, then running, then succeeded, failed or cancelled.
+"""Run fits in fair turns of their owners: a fit is accepted, then running, then succeeded, failed or cancelled.
 
 The store has the state of every fit. This module has the tasks that wait for their turn or for the engine, the progress
 of the fits, and the requests that wait for a change.
@@ -8,8 +8,11 @@ import asyncio
 import logging
 import sqlite3
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import Future
+from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, TypeVar, TypeVarTuple
+from weakref import WeakValueDictionary
 
 from anyio import CancelScope, move_on_after
 from prometheus_client import Counter, Histogram
@@ -17,19 +20,53 @@ from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitDocument, FitTask, Outcome
 
-from ..errors import FitNotFoundError, MeasurementDamagedError
-from ..log import bind
-from ..settings import Settings
-from ..storage.database import in_write_thread
-from ..storage.schema import Caller, FitKey, FitRow
-from ..storage.store import Store
-from .fit_options import from_wire
-from .turns import FairTurns, result_of
+from .errors import FitNotFoundError, MeasurementDamagedError
+from .log import bind
+from .settings import Settings
+from .storage.database import in_write_thread
+from .storage.schema import Caller, FitKey, FitRow
+from .storage.store import Store
+from .wire import from_wire
+
+T = TypeVar("T")
+
+
+class FairTurns:
+    """Limit the work in progress to `count` slots, at which owners alternate.
+
+    Each owner has a queue. Only the first task of each queue waits for a slot, so an owner with many tasks delays
+    another owner by only one turn.
+    """
+
+    def __init__(self, count: int = 1) -> None:
+        self._places = asyncio.Semaphore(count)
+        self._queues: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()  # By owner.
+
+    @asynccontextmanager
+    async def turn(self, owner: str) -> AsyncIterator[None]:
+        """Wait for the turn of an owner, and keep the slot during the block."""
+        queue = self._queues.setdefault(owner, asyncio.Lock())
+        async with queue:
+            await self._places.acquire()
+        try:
+            yield
+        finally:
+            self._places.release()
+
+
+async def result_of(future: "Future[T]") -> T:
+    """Await the future of a process; when cancelled, wait for the end of the process, which still uses its slot."""
+    try:
+        return await asyncio.wrap_future(future)
+    except asyncio.CancelledError:
+        with CancelScope(shield=True):
+            await asyncio.gather(asyncio.wrap_future(future), return_exceptions=True)
+        raise
+
 
 logger = logging.getLogger(__name__)
 
 Values = TypeVarTuple("Values")
-T = TypeVar("T")
 
 _RETRY_DELAY = 5.0  # [s] Pause before a failed write, or the failed start of a process, is repeated.
 _DISK_ERRORS = (OSError, sqlite3.DatabaseError)

@@ -1,28 +1,45 @@
-"""Store measurement files on disk: write a temporary file, then rename it to its final name in one step.
+"""Store measurement files on disk, and reserve space for unfinished uploads and unread answers.
 
-A file gets its final name before its row is committed and is deleted after its row (see `removal`), so that every row
-has a file. The final name is the sha256 of the content. Before a file is read, its sha256 is checked, but the sha256 is
-computed again only if the file has changed.
+A file is written under a temporary name. It gets its final name, the sha256 of its content, before its row is committed
+and is deleted after its row (see `maintenance`), so that every row has a file. Before a file is read, its sha256 is
+checked, but the sha256 is computed again only if the file has changed.
 """
 
+import asyncio
 import errno
 import hashlib
 import os
 import re
+import sqlite3
 import stat
 import tempfile
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
+from weakref import WeakSet
 
-from .database import own_folder
+from anyio import CapacityLimiter, to_thread
+
+from dsbrdf.data.merl_validation import FILE_SIZE
+
+from ..errors import InvalidKeyError, ProblemError
+from .database import Database, own_folder
+from .schema import IS_UNFINISHED, Caller
 
 _SUFFIX = ".binary"
 PREFIX = "upload-"
 """Beginning of the names of temporary files; other files in that folder do not belong to the service."""
 _NAME = re.compile("[0-9a-f]{64}")
+in_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
+"""Run a function of an upload in one of four threads, because each thread keeps the memory of its last piece."""
+_STORED = (
+    "SELECT (SELECT coalesce(sum(size), 0) FROM measurements WHERE owner = ?)"
+    " + (SELECT coalesce(sum(size), 0) FROM fits WHERE owner = ?)"
+)
 
 
 class Incoming:
@@ -172,3 +189,106 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+@dataclass(eq=False)
+class Hold:
+    """Reserve disk space for an unfinished upload or an unread answer, as long as this object lives."""
+
+    owner: str
+    n_bytes: int
+
+
+class Writing:
+    """Write uploads in progress, and answers that clients have not read completely; both count in the key's quota."""
+
+    def __init__(self, database: Database, blobs: Blobs) -> None:
+        self._database = database
+        self._blobs = blobs
+        self._holds: WeakSet[Hold] = WeakSet()  # Only the event loop adds to this set, so no lock is needed.
+
+    async def hold(self, caller: Caller, n_bytes: int, kind: str) -> Hold:
+        """Reserve space for a file; raise ProblemError of a `kind` if the files in progress exceed the caller's quota.
+
+        A caller whose quota is full may still have one file at a time, because the service may have the uploaded file
+        already, and an answer is deleted when it has been read.
+        """
+        others = [hold.n_bytes for hold in self._holds if hold.owner == caller.owner]
+        held = Hold(caller.owner, n_bytes)
+        self._holds.add(held)
+        if others:
+            stored = await in_thread(self._stored, caller)
+            if stored + sum(others) + n_bytes > caller.stored_bytes:
+                self._holds.discard(held)
+                said = f" and {len(others)} uploads and answers in progress take {sum(others) / 1e6:.1f} MB"
+                raise _full(caller.stored_bytes, stored, said, kind)
+        return held
+
+    @asynccontextmanager
+    async def incoming(self, caller: Caller) -> AsyncIterator[Incoming]:
+        """Yield a new file, which is removed afterwards unless it was stored; raises the errors of `hold`."""
+        held = await self.hold(caller, FILE_SIZE, "storage-quota")
+        try:
+            incoming = await in_thread(Incoming, self._blobs.temporary)
+            try:
+                yield incoming
+            finally:
+                await asyncio.shield(in_thread(incoming.discard))
+        finally:
+            self._holds.discard(held)
+
+    @asynccontextmanager
+    async def answer(self, caller: Caller, n_bytes: int) -> AsyncIterator[tuple[OpenFile, Path]]:
+        """Yield an open file and its path, to which the block writes at most `n_bytes`.
+
+        The content is deleted when the last reference to the open file ends. Raises ProblemError if the files in
+        progress exceed the caller's quota.
+        """
+        held = await self.hold(caller, n_bytes, "too-many-at-once")
+        try:
+            with self._blobs.temporary_file(held) as (file, path):
+                yield file, path
+            held.n_bytes = file.size
+        except BaseException:
+            self._holds.discard(held)
+            raise
+
+    async def answer_with(self, caller: Caller, content: bytes) -> OpenFile:
+        """Return a file with the content of an answer; raises the errors of `hold`."""
+        async with self.answer(caller, len(content)) as (file, path):
+            await in_thread(path.write_bytes, content)
+        return file
+
+    def _stored(self, caller: Caller) -> int:
+        ((stored,),) = self._database.rows(_STORED, caller.owner, caller.owner)
+        return int(stored)
+
+
+def check_key(db: sqlite3.Connection, caller: Caller) -> None:
+    """Raise InvalidKeyError if the caller's key has been revoked since the request began."""
+    if db.execute("SELECT 1 FROM keys WHERE id = ? AND revoked IS NOT NULL", (caller.owner,)).fetchone():
+        raise InvalidKeyError
+
+
+def check_queue(db: sqlite3.Connection, caller: Caller) -> None:
+    """Raise ProblemError if the caller's number of unfinished fits is at its limit."""
+    query = f"SELECT count(*) FROM fits WHERE owner = ? AND {IS_UNFINISHED}"  # noqa: S608
+    (unfinished,) = db.execute(query, (caller.owner,)).fetchone()
+    if unfinished >= caller.queued_fits:
+        detail = f"{unfinished} fits of this key are unfinished, which is the limit; try again when one has ended."
+        raise ProblemError("queue-quota", detail)
+
+
+def check_storage(db: sqlite3.Connection, caller: Caller, more: int, said: str) -> None:
+    """Raise ProblemError if `more` bytes would exceed the caller's quota; `said` is the text before this number."""
+    (stored,) = db.execute(_STORED, (caller.owner, caller.owner)).fetchone()
+    if stored + more > caller.stored_bytes:
+        raise _full(caller.stored_bytes, stored, f" and {said} {more / 1e6:.1f} MB")
+
+
+def _full(allowed: float, stored: int, more: str, kind: str = "storage-quota") -> ProblemError:
+    usage = f"this key has stored {stored / 1e6:.1f} of {allowed / 1e6:.1f} MB"
+    remedy = "delete what is not needed any more"
+    if kind != "storage-quota":
+        remedy = f"read or close those answers, or {remedy}"
+    return ProblemError(kind, f"{usage}{more}; {remedy}.")

@@ -1,9 +1,11 @@
-"""Convert options to JSON types and back: fields of `FitOptions` and `TableOptions`, which the library checks.
+"""Convert options to JSON types and back, and check names; the Python client and the service share this module.
 
-The Python client uses this module too, so the module needs neither FastAPI nor pydantic.
+The library checks the fields of `FitOptions` and `TableOptions`. The module needs neither FastAPI nor pydantic, which
+the client lacks.
 """
 
 import json
+import re
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import fields
 from typing import Any
@@ -15,7 +17,23 @@ from dsbrdf.fitting.global_method import KNOTS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
+MAX_NAME_LENGTH = 100
 _NAMES = [field.name for field in fields(FitOptions)]
+
+
+def check_name(text: str) -> str:
+    """Return a name; raise InvalidArgumentError if it cannot be the name of a file on any system."""
+    if (
+        not 0 < len(text) <= MAX_NAME_LENGTH
+        or not text.isprintable()
+        or text.strip() != text
+        or re.search(r"[/\\]", text)
+    ):
+        raise InvalidArgumentError(
+            f"{text[:60]!r} is not a valid name: a name has 1 to {MAX_NAME_LENGTH} printable characters, no slash "
+            "and no space at its ends."
+        )
+    return text
 
 
 def to_wire(options: FitOptions | TableOptions) -> dict[str, Any]:
