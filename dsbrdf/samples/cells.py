@@ -1,6 +1,6 @@
 """Split a text or a spreadsheet into cells, and read the numbers in the cells.
 
-Spreadsheets (``.xlsx``) need the optional extra ``xlsx``.
+Spreadsheets (``.xlsx``, ``.ods``, ``.xls``) need the optional extra ``xlsx``.
 """
 
 import codecs
@@ -8,6 +8,7 @@ import csv
 import io
 import re
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -197,24 +198,24 @@ def as_number(cell: str, separator: str) -> float | None:
         return None
 
 
-_ARCHIVE = b"PK\x03\x04"
-_WORKBOOK = "xl/workbook.xml"
-_PIECE_BYTES = 1 << 20
+OLD_WORKBOOK = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
+"""First bytes of an ``.xls`` file."""
+# The part of an archive that holds the sheets of an .xlsx, or the sheets of an .ods, makes it a spreadsheet.
+_WORKBOOKS = {"xl/workbook.xml", "content.xml"}
 _MAX_UNPACKED_BYTES = 1 << 26
-_MAX_TAGS = (
-    2_000_000  # A file with more XML tags is refused, because openpyxl would take over 5 s; a cell has four tags.
-)
-_MAX_ROWS = 1 << 20  # A sheet with more rows is refused, because no spreadsheet program writes so many.
-_MAX_TEXT_LENGTH = 1 << 26  # A sheet is refused if its text is longer [characters].
+_XLSX_COLUMN = re.compile(rb'<c r="([A-Z]{1,3})')
+_XLSX_ROW = re.compile(rb'<row r="([0-9]{1,9})"')
+_ODS_EMPTY_COLUMNS = re.compile(rb'columns-repeated="([0-9]{1,9})"/>(?=<table:table-cell [^>]*value)')
+_ODS_REPEATED_ROWS = re.compile(rb'rows-repeated="([0-9]{1,9})"')
 
 
 def is_spreadsheet(data: bytes) -> bool:
-    """Return whether the bytes of a file are a spreadsheet (``.xlsx``)."""
-    if not data.startswith(_ARCHIVE):
-        return False
+    """Return whether the bytes of a file are a spreadsheet (``.xlsx``, ``.ods`` or ``.xls``)."""
+    if not data.startswith(b"PK\x03\x04"):
+        return data.startswith(OLD_WORKBOOK)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return _WORKBOOK in archive.namelist()
+            return not _WORKBOOKS.isdisjoint(archive.namelist())
     except zipfile.BadZipFile:
         return False
 
@@ -223,57 +224,52 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
     """Return the longest sheet of a file as text, cells separated by semicolons, and notes on the choice.
 
     A line of the text is a row of the sheet; a formula is replaced by its result, which the file stores. Raises
-    MeasurementFormatError if the file cannot be read or is too long, and MissingExtraError without openpyxl.
+    MeasurementFormatError if the file cannot be read or is too long, and MissingExtraError without python-calamine.
     """
-    require("xlsx", "openpyxl", purpose="spreadsheets, which can also be saved as .csv")
-    import openpyxl
+    require("xlsx", "python_calamine", purpose="spreadsheets, which can also be saved as .csv")
+    from python_calamine import CalamineError, CalamineWorkbook
 
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            _check_work(archive)
-        workbook = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-        texts = {sheet.title: _text(sheet.iter_rows(values_only=True)) for sheet in workbook.worksheets}
-    except (MeasurementFormatError, MemoryError):
-        raise
-    except Exception as error:  # A damaged file raises exceptions of many types, from openpyxl, XML and ZIP.
+        if not data.startswith(OLD_WORKBOOK):
+            _check_extent(data)
+        with CalamineWorkbook.from_filelike(io.BytesIO(data)) as book:
+            texts = {name: _text(book.get_sheet_by_name(name).to_python(False)) for name in book.sheet_names}
+    except (CalamineError, zipfile.BadZipFile, zlib.error, EOFError) as error:
         raise MeasurementFormatError("The spreadsheet cannot be read; save its sheet as .csv.") from error
     title = max(texts, key=lambda name: len(texts[name]), default="")
     notes = [f"The spreadsheet has {len(texts)} sheets; the longest was read, {title!r}."] if len(texts) > 1 else []
     return texts.get(title, "").encode(), notes
 
 
-def _check_work(archive: zipfile.ZipFile) -> None:
-    """Count the XML tags of a spreadsheet; raise MeasurementFormatError if the file would take too long to read."""
-    n_bytes = n_tags = 0
-    for part in archive.namelist():
-        with archive.open(part) as file:
-            while piece := file.read(_PIECE_BYTES):
-                n_bytes, n_tags = n_bytes + len(piece), n_tags + piece.count(b"<")
-                if n_bytes > _MAX_UNPACKED_BYTES or n_tags > _MAX_TAGS:
-                    raise MeasurementFormatError(
-                        f"The spreadsheet has more than {_MAX_TAGS // 4} cells, or {_MAX_UNPACKED_BYTES} bytes when it "
-                        "is unpacked; save its sheet as .csv."
-                    )
+def _check_extent(data: bytes) -> None:
+    """Raise MeasurementFormatError if an archive, or the rectangle around the cells of a sheet, is too large."""
+    n_bytes = 0
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for part in archive.namelist():
+            with archive.open(part) as file:
+                content = file.read(_MAX_UNPACKED_BYTES - n_bytes + 1)
+            n_bytes += len(content)
+            column = max((letters.rjust(3) for letters in _XLSX_COLUMN.findall(content)), default=b"")
+            n_columns = sum(max(letter - 64, 0) * 26**place for place, letter in enumerate(reversed(column)))
+            n_rows = max(map(int, _XLSX_ROW.findall(content)), default=0)
+            if written := content.count(b"<table:table-row"):
+                gaps = map(int, _ODS_EMPTY_COLUMNS.findall(content))
+                n_columns = content.count(b"<table:table-cell") // written + max(gaps, default=0)
+                repeated = _ODS_REPEATED_ROWS.findall(content, 0, max(content.rfind(b"office:value"), 0))
+                n_rows = written + sum(map(int, repeated))
+            if n_bytes > _MAX_UNPACKED_BYTES or n_columns * n_rows > MAX_CELLS:
+                raise MeasurementFormatError(
+                    f"The spreadsheet has more than {_MAX_UNPACKED_BYTES} bytes when it is unpacked, or a sheet with "
+                    f"more than {MAX_CELLS} cells, empty ones between others included; save its sheet as .csv."
+                )
 
 
 def _text(rows: Iterable[Sequence[Any]]) -> str:
     """Return rows as lines of equally many cells, with a separator at the end; a row without content is empty."""
-    lines: list[list[str]] = []
-    length = n_cells = 0
-    for row in rows:
-        n_cells += len(row)
-        # Rows and cells that the file leaves out count too, because openpyxl yields them as empty.
-        if n_cells > MAX_CELLS or len(lines) == _MAX_ROWS:
-            most = f"{_MAX_ROWS} rows or {MAX_CELLS} cells, empty ones between others included"
-            raise MeasurementFormatError(f"The sheet has more than {most}; save it as .csv.")
-        lines.append([" ".join(str(cell).split()) if cell is not None else "" for cell in row])
-        length += sum(map(len, lines[-1])) + len(row)
-        if length > _MAX_TEXT_LENGTH:
-            raise MeasurementFormatError(f"The sheet has more than {_MAX_TEXT_LENGTH} characters; save it as .csv.")
+    lines = [[" ".join(str(cell).split()) for cell in row] for row in rows]
     width = max((at for line in lines for at, cell in enumerate(line, 1) if cell), default=0)
     text = io.StringIO()
     writer = csv.writer(text, delimiter=";", lineterminator="\n")
     for line in lines:
-        cells = line[:width]
-        writer.writerow([*cells, *[""] * (width + 1 - len(cells))] if any(cells) else [])
+        writer.writerow([*line[:width], ""] if any(line) else [])
     return text.getvalue()

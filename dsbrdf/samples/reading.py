@@ -23,7 +23,7 @@ from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.data.rgl import read_rgl
 from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.cells import is_spreadsheet, spreadsheet_text, utf_16_of
+from dsbrdf.samples.cells import OLD_WORKBOOK, is_spreadsheet, spreadsheet_text, utf_16_of
 from dsbrdf.samples.columns import Description
 from dsbrdf.samples.directions import LOWEST_COSINE, SampleRows, read_columns
 from dsbrdf.samples.layouts import table_in
@@ -34,7 +34,6 @@ from dsbrdf.samples.values import MAX_NOISE_FRACTION, about_repeated, unmeasured
 START_BYTES = 4096
 """This number of bytes at the beginning of a file is enough to recognise the kind of the file."""
 _RGL = b"tensor_file\0"
-_OLD_SPREADSHEET = b"\xd0\xcf\x11\xe0"  # .xls
 _CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _NAMES = {"merl": "a MERL file", "rgl": "an RGL file"}
 
@@ -45,21 +44,16 @@ MeasurementKind = Literal["merl", "rgl", "samples"]
 def measurement_kind(start: bytes) -> MeasurementKind:
     """Return the kind of a file from its first `START_BYTES` bytes, or from all bytes of a shorter file.
 
-    A text or a spreadsheet contains samples; other data that do not begin like an RGL file count as MERL. Raises
-    MeasurementFormatError for spreadsheets other than ``.xlsx``.
+    A text or a spreadsheet contains samples; other data that do not begin like an RGL file count as MERL.
     """
     if start.startswith(_RGL):
         return "rgl"
-    if start.startswith(_OLD_SPREADSHEET) or (start.startswith(b"PK") and b"opendocument.spreadsheet" in start):
-        raise MeasurementFormatError(
-            "The file is a spreadsheet of another kind: save it as .xlsx, or its sheet as .csv."
-        )
-    is_text = utf_16_of(start) is not None or not _CONTROLS.search(start)
-    return "samples" if start and not start.startswith(HEADER) and (is_text or start.startswith(b"PK")) else "merl"
+    is_table = utf_16_of(start) or not _CONTROLS.search(start) or start.startswith((b"PK", OLD_WORKBOOK))
+    return "samples" if start and not start.startswith(HEADER) and is_table else "merl"
 
 
 def kind_of_file(path: str | os.PathLike[str]) -> MeasurementKind:
-    """Return the kind of a file; raise OSError, or MeasurementFormatError as `measurement_kind` does."""
+    """Return the kind of a file; raise OSError if the file cannot be read."""
     with Path(path).open("rb") as file:
         return measurement_kind(file.read(START_BYTES))
 
@@ -141,7 +135,7 @@ def read_samples(
     ----------
     path : path-like, or several
         A text, a ``.bsdf`` file of Zemax and others that `docs/formats.md` lists, or, with the extra ``xlsx``, a
-        spreadsheet. Several files of one material become one measurement. The stem of the first file becomes the name.
+        spreadsheet (``.xlsx``, ``.ods``, ``.xls``). Several files of one material become one measurement. The stem of the first file becomes the name.
     options : TableOptions, optional
         Options for reading the table.
     **choices

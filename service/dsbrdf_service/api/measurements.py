@@ -65,7 +65,7 @@ TABLES = (
 )
 UPLOADED = (BINARY, *TABLES, JSON)
 """Media types of uploads."""
-_SUFFIXES = (".binary", ".bsdf", ".csv", ".tsv", ".txt", ".astm", ".xlsx")
+_SUFFIXES = (".binary", ".bsdf", ".csv", ".tsv", ".txt", ".astm", ".xlsx", ".ods", ".xls")
 PARAMETERS = [
     {
         "name": "name",
@@ -86,7 +86,7 @@ CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_S
 
 _PIECE_BYTES = 1 << 15  # Every unfinished upload keeps one piece of this size in memory.
 _MAX_SHORT_TEXT_BYTES = 1 << 16  # A longer text takes over a second to read, so its reading is a long computation.
-_ZIP = b"PK"  # Every .xlsx file begins with these bytes.
+_ZIP = b"PK"  # Every .xlsx or .ods file begins with these bytes.
 _MAX_CONVERTED_BYTES = 1 << 23  # Reading an RGL file or a table takes up to 70 times as much memory.
 
 

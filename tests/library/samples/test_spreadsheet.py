@@ -6,9 +6,9 @@ import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
-import openpyxl
 import pytest
 
 from dsbrdf import MeasurementFormatError, ScatteredSamples, read_measurement
@@ -20,21 +20,80 @@ NAMES = (*DIRECTION, "red", "green", "blue")
 ROWS = np.hstack([ANGLES, RGB]).tolist()
 
 
+XML_NAMESPACES = "urn:oasis:names:tc:opendocument:xmlns"
+SCHEMAS = "http://schemas.openxmlformats.org"
+
+
 def spreadsheet(**sheets: Sequence[Sequence[Any]]) -> bytes:
-    book = openpyxl.Workbook()
-    book.remove(book.active)
-    for title, rows in sheets.items():
-        sheet = book.create_sheet(title)
-        for row in rows:
-            sheet.append(list(row))
+    """An .xlsx file."""
+    main, links = f"{SCHEMAS}/spreadsheetml/2006/main", f"{SCHEMAS}/officeDocument/2006/relationships"
+    titles = "".join(f'<sheet name="{title}" sheetId="{at}" r:id="r{at}"/>' for at, title in enumerate(sheets, 1))
+    targets = "".join(
+        f'<Relationship Id="r{at}" Target="worksheets/sheet{at}.xml" Type="{links}/worksheet"/>'
+        for at in range(1, len(sheets) + 1)
+    )
+    book = f'<Relationship Id="r1" Target="xl/workbook.xml" Type="{links}/officeDocument"/>'
+    parts = {
+        "_rels/.rels": f'<Relationships xmlns="{SCHEMAS}/package/2006/relationships">{book}</Relationships>',
+        "xl/workbook.xml": f'<workbook xmlns="{main}" xmlns:r="{links}"><sheets>{titles}</sheets></workbook>',
+        "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{SCHEMAS}/package/2006/relationships">{targets}'
+        "</Relationships>",
+    }
+    for at, rows in enumerate(sheets.values(), 1):
+        lines = "".join(f"<row>{''.join(map(xlsx_cell, row))}</row>" for row in rows)
+        parts[f"xl/worksheets/sheet{at}.xml"] = sheet_of(lines)
+    return archive(parts)
+
+
+def sheet_of(rows: str) -> str:
+    return f'<worksheet xmlns="{SCHEMAS}/spreadsheetml/2006/main"><sheetData>{rows}</sheetData></worksheet>'
+
+
+def xlsx_cell(value: Any) -> str:
+    if value is None:
+        return "<c/>"
+    text = escape(str(value))
+    return f'<c t="inlineStr"><is><t>{text}</t></is></c>' if isinstance(value, str) else f"<c><v>{text}</v></c>"
+
+
+def open_document(rows: Sequence[Sequence[Any]], rest: str = "") -> bytes:
+    """An .ods file with a sheet, and with `rest` below its rows."""
+    cells = [[ods_cell(value) for value in row] for row in rows]
+    lines = "".join(f"<table:table-row>{''.join(row)}</table:table-row>" for row in cells)
+    names = " ".join(f'xmlns:{name}="{XML_NAMESPACES}:{name}:1.0"' for name in ("office", "table", "text"))
+    content = (
+        f"<office:document-content {names}><office:body><office:spreadsheet><table:table table:name='Data'>"
+        f"{lines}{rest}</table:table></office:spreadsheet></office:body></office:document-content>"
+    )
+    kind = "application/vnd.oasis.opendocument.spreadsheet"
+    manifest = (
+        f'<manifest:manifest xmlns:manifest="{XML_NAMESPACES}:manifest:1.0"><manifest:file-entry '
+        f'manifest:full-path="/" manifest:media-type="{kind}"/></manifest:manifest>'
+    )
+    return archive({"mimetype": kind, "META-INF/manifest.xml": manifest, "content.xml": content})
+
+
+def ods_cell(value: Any) -> str:
+    kind = f'string"><text:p>{value}' if isinstance(value, str) else f'float" office:value="{value}"><text:p>'
+    return f'<table:table-cell office:value-type="{kind}</text:p></table:table-cell>'
+
+
+def archive(parts: dict[str, str]) -> bytes:
     file = io.BytesIO()
-    book.save(file)
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as made:
+        for name, content in parts.items():
+            made.writestr(name, content)
     return file.getvalue()
 
 
-def test_a_sheet_is_read_as_the_same_table_in_a_text(tmp_path: Path) -> None:
+XLS = (Path(__file__).parent / "plate.xls").read_bytes()
+"""The table of `test_reading`, as an .xls file."""
+
+
+@pytest.mark.parametrize("content", [spreadsheet(Table1=[NAMES, *ROWS]), open_document([NAMES, *ROWS]), XLS])
+def test_a_sheet_is_read_as_the_same_table_in_a_text(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "felt.XLSX"
-    path.write_bytes(spreadsheet(Table1=[NAMES, *ROWS]))
+    path.write_bytes(content)
     found, expected = read_measurement(path), parse_samples(table())
     assert isinstance(found, ScatteredSamples)
     np.testing.assert_allclose(found.values, expected.values, rtol=1e-8)
@@ -78,32 +137,26 @@ def changed(content: bytes, part: str, now: bytes | None) -> bytes:
 VALID_SPREADSHEET = spreadsheet(Data=[NAMES, *ROWS])
 
 
-NAMESPACE = b"http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+def with_sheet(rows: str) -> bytes:
+    return changed(VALID_SPREADSHEET, "xl/worksheets/sheet1.xml", sheet_of(rows).encode())
 
 
-def with_sheet(rows: bytes) -> bytes:
-    whole = b'<worksheet xmlns="%b"><sheetData>%b</sheetData></worksheet>' % (NAMESPACE, rows)
-    return changed(VALID_SPREADSHEET, "xl/worksheets/sheet1.xml", whole)
-
-
-def with_long_string(rows: bytes) -> bytes:
-    """The sheet, whose cells may share a string of 32,000 characters."""
-    kind = b"application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"
-    types = zipfile.ZipFile(io.BytesIO(VALID_SPREADSHEET)).read("[Content_Types].xml")
-    more = b'<Override PartName="/xl/sharedStrings.xml" ContentType="%b"/></Types>' % kind
-    content = changed(with_sheet(rows), "[Content_Types].xml", types.replace(b"</Types>", more))
-    strings = b'<sst xmlns="%b"><si><t>%b</t></si></sst>' % (NAMESPACE, b"x" * 32_000)
-    return changed(content, "xl/sharedStrings.xml", strings)
+EMPTY_ROWS = '<table:table-row table:number-rows-repeated="1048000"><table:table-cell/></table:table-row>'
 
 
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (lambda: with_sheet(b"<row>" + b"<c><v>1</v></c>" * 510_000 + b"</row>"), "has more than 500000 cells, or"),
-        (lambda: with_sheet(b" " * (1 << 26)), "or 67108864 bytes when it is unpacked; save its sheet as .csv."),
+        (lambda: with_sheet(" " * (1 << 26)), "more than 67108864 bytes when it is unpacked"),
         (
-            lambda: with_sheet(b'<row r="1"><c><v>1</v></c></row><row r="1048576000"><c><v>1</v></c></row>'),
-            "The sheet has more than 1048576 rows or 5000000 cells, empty ones between others included; save",
+            lambda: with_sheet('<row r="1"><c r="A1"><v>1</v></c></row><row r="1048576"><c r="XFD1048576"/></row>'),
+            "a sheet with more than 5000000 cells, empty ones between others included; save its sheet as .csv.",
+        ),
+        (
+            lambda: open_document(
+                [NAMES, *ROWS], f"{EMPTY_ROWS}<table:table-row>{ods_cell(1.0) * 7}</table:table-row>" + EMPTY_ROWS
+            ),
+            "a sheet with more than 5000000 cells",
         ),
         (
             lambda: changed(VALID_SPREADSHEET, "xl/_rels/workbook.xml.rels", None),
@@ -111,10 +164,7 @@ def with_long_string(rows: bytes) -> bytes:
         ),
         (lambda: changed(VALID_SPREADSHEET, "xl/workbook.xml", None), "write its samples as a table"),
         (lambda: VALID_SPREADSHEET[:2000], "write its samples as a table"),
-        (
-            lambda: with_long_string(b"<row>" + b'<c t="s"><v>0</v></c>' * 2100 + b"</row>"),
-            "The sheet has more than 67108864 characters",
-        ),
+        (lambda: XLS[:9000], "The spreadsheet cannot be read; save its sheet as .csv."),
         (lambda: spreadsheet(Data=[]), "The table is empty"),
     ],
 )
@@ -125,9 +175,10 @@ def test_a_spreadsheet_that_is_no_table_is_refused(content: Callable[[], bytes],
 
 
 def test_without_the_extra_the_way_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    monkeypatch.setitem(sys.modules, "python_calamine", None)
     with pytest.raises(MissingExtraError) as caught:
         parse_samples(VALID_SPREADSHEET)
     assert str(caught.value) == (
-        "openpyxl must be installed for spreadsheets, which can also be saved as .csv: pip install 'dsbrdf[xlsx]'"
+        "python_calamine must be installed for spreadsheets, which can also be saved as .csv: "
+        "pip install 'dsbrdf[xlsx]'"
     )

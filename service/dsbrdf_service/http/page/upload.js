@@ -2,7 +2,7 @@
 import { find, progressOf, request, root, say, sizeOf } from "./app.js";
 import { chosen, fitStored } from "./options.js";
 
-const TABLE = /\.(csv|tsv|txt|astm|xlsx)$/i;
+const TABLE = /\.(csv|tsv|txt|astm|xlsx|ods|xls)$/i;
 /** @type {AbortController | null} */
 let sending = null;
 addEventListener("beforeunload", (event) => sending && event.preventDefault());
