@@ -28,7 +28,7 @@ import numpy as np
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf import DSBRDF, ConvergenceWarning, Measurement, decompose, fit, render_sphere, save
 from dsbrdf.arrays import Array
-from dsbrdf.data import half_difference, interpolate
+from dsbrdf.data import half_difference
 from dsbrdf.extras import require
 from dsbrdf.output.export.materialx import fit_openpbr
 from dsbrdf.output.export.mitsuba_bsdf import register
@@ -109,7 +109,7 @@ def round_trips(measurement: Measurement, model: DSBRDF, files: Files) -> list[f
     """Figures of `HEADS` "values"."""
     wi, wo = pairs()
     angles = half_difference(wo, wi)
-    of_fit, of_data = model.evaluate(*angles), interpolate(measurement).evaluate(*angles)
+    of_fit, of_data = model.evaluate(*angles), measurement.interpolated.evaluate(*angles)
     mitsuba = variant("llvm_ad_spectral")
     basis = np.stack([np.interp(SPECTRAL_SAMPLES, WAVELENGTHS, row) for row in SPECTRA])
     spectral = errors(mitsuba, files.spectral, of_fit @ basis, wi, wo)

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf import ConvergenceWarning, FitResult, Measurement, ScatteredSamples, fit
 from dsbrdf.arrays import Array
-from dsbrdf.data import half_difference, interpolate, spherical
+from dsbrdf.data import half_difference, spherical
 
 Pairs = tuple[Array, Array]
 Truth = Callable[[Array, Array], Array]
@@ -104,7 +104,7 @@ def print_next(measurement: Measurement) -> None:
 
 def truth_of(measurement: Measurement) -> Truth:
     """The measurement's values at pairs of directions."""
-    data = interpolate(measurement)
+    data = measurement.interpolated
     return lambda omega_in, omega_out: np.maximum(data.evaluate(*half_difference(omega_in, omega_out)), 0.0)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.exports import MIN_REFERENCE_VALUE, pairs
 from dsbrdf import parse_merl
-from dsbrdf.data import encode_merl, half_difference, interpolate, parse_rgl, read_rgl
+from dsbrdf.data import encode_merl, half_difference, parse_rgl, read_rgl
 from dsbrdf.output.export.rgl import rgl_bsdf
 
 
@@ -30,7 +30,7 @@ def main(argv: Sequence[str]) -> int:
     for path in parser.parse_args(argv).files:
         material = read_rgl(path)
         table = parse_merl(encode_merl(material.measurement()))
-        of_table = interpolate(table).evaluate(*half_difference(first, second))
+        of_table = table.interpolated.evaluate(*half_difference(first, second))
         copies = (parse_rgl(rgl_bsdf(source)).evaluate_directions(first, second) for source in (table, material))
         expected = material.evaluate_directions(first, second).mean(axis=1)
         figures = [float(material.non_reciprocity())]

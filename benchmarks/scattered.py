@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf import DSBRDF, ConvergenceWarning, FitOptions, Measurement, ScatteredSamples, fit
-from dsbrdf.data import half_difference, interpolate
+from dsbrdf.data import half_difference
 from dsbrdf.samples.scattered_fit import scattered_metrics
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
@@ -67,6 +67,6 @@ def _errors(measurement: Measurement) -> list[float]:
 def _drawn(measurement: Measurement, where: DSBRDF, count: int, seed: int, noise: float) -> ScatteredSamples:
     """Samples of a measurement at directions that a model of it prefers, with relative noise."""
     omega_in, omega_out = scattered_directions(where, count, seed)
-    values = interpolate(measurement).evaluate(*half_difference(omega_in, omega_out))
+    values = measurement.interpolated.evaluate(*half_difference(omega_in, omega_out))
     values = values * (1.0 + noise * np.random.default_rng(seed).standard_normal(values.shape))
     return ScatteredSamples.from_arrays(omega_in, omega_out, np.maximum(values, 0.0))

@@ -7,7 +7,7 @@ from importlib.metadata import version
 
 __version__ = version("dsbrdf")
 
-ALGORITHM_VERSION = "10"
+ALGORITHM_VERSION = "11"
 """Changes whenever equal measurements and options may result in another model; part of the identity of a fit."""
 
 

@@ -132,7 +132,7 @@ def samples(measurement: Measurement, horizon_cutoff: float | None, stride: int)
         offset += row.size
         row, column = row[first::stride], column[first::stride]
         angles.append(np.stack([np.full(row.shape, THETA_HALF[i]), THETA_DIFF[row], PHI_DIFF[column]]))
-        values.append(measurement.stored[:, i][:, row, column] * measurement.scale[:, None])
+        values.append(measurement.values_at(i)[:, row, column])
     theta_half, theta_diff, phi_diff = np.concatenate(angles, axis=1)
     cos_in, cos_out = incident_cosines(theta_half, theta_diff, phi_diff)
     return Nodes(np.cos(theta_half), np.cos(theta_diff), cos_in, cos_out), np.concatenate(values, axis=1)

@@ -34,7 +34,7 @@ _COORDINATES = (THETA_HALF, np.arange(float(GRID_SHAPE[0])))  # the angle, or it
 
 def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
     """Nodes of the theta_half row ``i`` that count in every channel, shape (90 theta_diff, 180 phi_diff)."""
-    return np.asarray(used_samples(measurement, i, horizon_cutoff).all(axis=0))
+    return np.asarray(used_samples(measurement, i, horizon_cutoff))
 
 
 def thinned(measurement: Measurement, factor: int) -> Measurement:
@@ -98,7 +98,7 @@ def relative_rms(measurement: Measurement, predict: RowPredictor) -> float:
         used = used_nodes(measurement, i, DEFAULT_HORIZON_CUTOFF)
         if not used.any():
             continue
-        values = measurement.stored[:, i][:, used] * measurement.scale[:, None]
+        values = measurement.values_at(i)[:, used]
         error += float(np.sum((values - predict(i)[:, used]) ** 2))
         power += float(np.sum(values**2))
     return float(np.sqrt(error / power))

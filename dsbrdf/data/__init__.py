@@ -14,7 +14,7 @@ from dsbrdf.data.geometry import (
     nodes_above_horizon,
     spherical,
 )
-from dsbrdf.data.measurement import Measurement, interpolate
+from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import encode_merl, parse_merl, read_merl, write_merl
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.data.reduction import Profiles, profiles
@@ -36,7 +36,6 @@ __all__ = [
     "encode_merl",
     "half_difference",
     "incident_cosines",
-    "interpolate",
     "model_measurement",
     "nodes_above_horizon",
     "parse_merl",

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,37 +24,23 @@ from dsbrdf.data.merl_validation import HEADER, SCALE, SHAPE, checked_values
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 
 # This constant, far below any visible reflectance, is added to values before the logarithm, because log(0) is infinite.
-_LOG_OFFSET_PER_SR = 1e-6
+LOG_OFFSET_PER_SR = 1e-6
 # Points are evaluated in blocks of this size, because the arrays of a block stay in the processor's cache.
 _POINTS_PER_BLOCK = 65536
 
 
-class Grid(Protocol):
-    """Declare the attributes of `dsbrdf.Measurement` that the interpolation reads."""
-
-    @property
-    def stored(self) -> Array: ...  # noqa: D102
-    @property
-    def scale(self) -> Array: ...  # noqa: D102
-    @property
-    def valid(self) -> Mask: ...  # noqa: D102
-    @property
-    def known(self) -> Mask: ...  # noqa: D102
-
-
 @dataclass(frozen=True, eq=False)
 class InterpolatedMeasurement:
-    """Evaluate a measurement at any angles; `interpolate` makes an instance.
+    """Evaluate a measurement at any angles, see `Measurement.interpolated`.
 
     Every node has a source: the measured node whose value it takes, or the node itself if it was measured. The
     theta_diff index of the source is `diff`. The flat index of the node with theta_diff = 0 and the same theta_half and
-    phi_diff as the source is `start`. Both arrays have the axis C first, of length 3 if the channels are measured at
-    different nodes, otherwise 1.
+    phi_diff as the source is `start`.
     """
 
-    measurement: Grid
-    diff: NDArray[np.int8]  # theta_diff index of each node's source, axes (channel, theta_half, theta_diff, phi_diff)
-    start: NDArray[np.int32]  # flat index of the source's node at theta_diff = 0, axes (channel, theta_half, phi_diff)
+    measurement: Measurement
+    diff: NDArray[np.int8]  # theta_diff index of each node's source, axes (theta_half, theta_diff, phi_diff)
+    start: NDArray[np.int32]  # flat index of the source's node at theta_diff = 0, axes (theta_half, phi_diff)
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return values (..., 3) [1/sr] at half and difference angles (...) that broadcast [rad]; never negative.
@@ -76,8 +61,8 @@ class InterpolatedMeasurement:
 
     @property
     def source(self) -> NDArray[np.int32]:
-        """Flat index of the measured node whose value each node takes, (1 or 3 channels, 90, 90, 180)."""
-        return np.asarray(self.start[:, :, np.newaxis] + np.int32(GRID_SHAPE[2]) * self.diff)
+        """Flat index of the measured node whose value each node takes, (90, 90, 180)."""
+        return np.asarray(self.start[:, np.newaxis] + np.int32(GRID_SHAPE[2]) * self.diff)
 
     def is_measured(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Mask:
         """Return a mask (...) of the angles whose grid cell has a valid node with a positive interpolation weight."""
@@ -93,10 +78,9 @@ class InterpolatedMeasurement:
         scale = self.measurement.scale[:, np.newaxis]
         logarithm = np.zeros((3, theta_half.size))
         for weight, (row, diff, column) in _corners(theta_half, theta_diff, phi_diff):
-            nodes = self.start[:, row, column] + np.int32(GRID_SHAPE[2]) * self.diff[:, row, diff, column]
-            found = stored[:, nodes[0]] if len(nodes) == 1 else np.take_along_axis(stored, nodes, axis=1)
-            logarithm += weight * np.log(found * scale + _LOG_OFFSET_PER_SR)
-        return np.maximum(np.exp(logarithm) - _LOG_OFFSET_PER_SR, 0.0)
+            node = self.start[row, column] + np.int32(GRID_SHAPE[2]) * self.diff[row, diff, column]
+            logarithm += weight * np.log(np.maximum(stored[:, node] * scale, 0.0) + LOG_OFFSET_PER_SR)
+        return np.maximum(np.exp(logarithm) - LOG_OFFSET_PER_SR, 0.0)
 
 
 def _corners(
@@ -117,15 +101,6 @@ def _corners(
             * (column_share if c else 1.0 - column_share)
         )
         yield weight, (row + a, diff + b, (column + c) % GRID_SHAPE[2])
-
-
-def interpolate(measurement: Grid) -> InterpolatedMeasurement:
-    """Return a continuous function that equals the measurement at its valid nodes."""
-    if not measurement.valid.any():
-        raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")
-    sources = [_nearest_valid(channel) for channel in measurement.known]
-    diff, start = (np.stack(parts) for parts in zip(*sources, strict=True))
-    return InterpolatedMeasurement(measurement, diff, start)
 
 
 def _cells(position: Array, count: int) -> tuple[Indices, Array]:
@@ -166,8 +141,8 @@ class Measurement:
         Factor of each channel from ``stored`` to the BRDF in 1/sr.
     valid : ndarray of bool, shape (90, 90, 180)
         Nodes with both directions above the horizon and a stored number >= 0 in at least one channel, read-only. A
-        negative number marks a missing value in its own channel only: a saturated yellow can be darker than the noise
-        in blue, and still have values in red and green.
+        negative number in another channel of a valid node counts as 0: the colour is outside of the gamut of sRGB, or
+        darker than the noise.
     name : str
         The material's name, by default that of its file.
     sha256 : str
@@ -207,23 +182,26 @@ class Measurement:
 
     @cached_property
     def interpolated(self) -> InterpolatedMeasurement:
-        """The measurement as a function of continuous angles, extrapolated where nodes are not valid."""
-        return interpolate(self)
+        """The measurement as a function of continuous angles, extrapolated where nodes are not valid.
 
-    @cached_property
-    def known(self) -> Mask:
-        """Mask of measured values, (3, 90, 90, 180), or (1, 90, 90, 180) if all channels have the same mask."""
-        masks = [self.valid & (channel >= 0.0) for channel in self.stored]
-        alike = all(np.array_equal(mask, self.valid) for mask in masks)
-        return self.valid[np.newaxis] if alike else np.stack(masks)
+        Raises InvalidArgumentError if no node is valid.
+        """
+        if not self.valid.any():
+            raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")
+        return InterpolatedMeasurement(self, *_nearest_valid(self.valid))
+
+    def values_at(self, i: int) -> Array:
+        """Return the values (3, 90, 180) [1/sr] at the theta_half with index ``i``, none of which is negative."""
+        return np.maximum(self.stored[:, i] * self.scale[:, np.newaxis, np.newaxis], 0.0)
 
     @property
     def values(self) -> Array:
         """The BRDF in 1/sr, shape (3, 90, 90, 180); every access makes a new array of 35 MB.
 
-        A negative value is missing, and so are all values at nodes that are not in ``valid``.
+        At nodes that are not in ``valid``, values have no meaning; at all others, none is negative.
         """
-        return self.stored * self.scale[:, np.newaxis, np.newaxis, np.newaxis]
+        values = self.stored * self.scale[:, np.newaxis, np.newaxis, np.newaxis]
+        return np.maximum(values, 0.0, out=values, where=self.valid)
 
     @classmethod
     def from_values(cls, values: ArrayLike, valid: ArrayLike | None = None, name: str = "measurement") -> Measurement:
@@ -232,7 +210,8 @@ class Measurement:
         Parameters
         ----------
         values : array_like, shape (3, 90, 90, 180)
-            The BRDF in 1/sr, axes (channel, theta_half, theta_diff, phi_diff); a negative value is missing.
+            The BRDF in 1/sr, axes (channel, theta_half, theta_diff, phi_diff); a node with a negative value in each
+            channel is missing.
         valid : array_like of bool, shape (90, 90, 180), optional
             Nodes with a value; values at all other nodes are replaced by -1.
         name : str

@@ -156,9 +156,8 @@ def profiles(
     mean, weight, within = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     folded = FoldedProfiles(np.zeros((*shape, N_BINS)), np.zeros((*shape, N_BINS)), np.zeros((*shape[1:], N_BINS)))
     for i, theta_half in enumerate(THETA_HALF):
-        used, known = used_samples(measurement, i, horizon_cutoff), measurement.known[:, i]
-        samples = measurement.stored[:, i] * measurement.scale[:, None, None]
-        _fold(folded, i, samples, known, robust=robust)
+        used, samples = used_samples(measurement, i, horizon_cutoff), measurement.values_at(i)
+        _fold(folded, i, samples, measurement.valid[i], robust=robust)
         weights = used.astype(float)
         if robust:
             weights = weights * _outlier_weights(samples, used)
@@ -172,19 +171,14 @@ def profiles(
 
 
 def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
-    """Return the mask (channels, 90 theta_diff, 180 phi_diff) of the used samples at the theta_half with index ``i``.
-
-    The first axis has the length 1 if one mask is common to all channels, otherwise 3.
-    """
+    """Return the mask (90 theta_diff, 180 phi_diff) of the used samples at the theta_half with index ``i``."""
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
-    return measurement.known[:, i] & nodes_above_horizon(cutoff)[i]
+    return measurement.valid[i] & nodes_above_horizon(cutoff)[i]
 
 
-def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust: bool) -> None:
+def _fold(folded: FoldedProfiles, i: int, samples: Array, valid: Mask, *, robust: bool) -> None:
     """Write the means of the samples (3, 90, 180) at the theta_half with index ``i`` into the folded profiles."""
-    weights, valid = known.astype(float), known.any(axis=0)
-    if robust:
-        weights = _trusted_in_bins(samples, np.broadcast_to(known, samples.shape))
+    weights = _trusted_in_bins(samples, valid) if robust else valid.astype(float)
     total = weights @ IN_BIN
     folded.weight[:, :, i] = total
     folded.mean[:, :, i] = (weights * samples) @ IN_BIN / np.where(total > 0.0, total, 1.0)
@@ -192,21 +186,21 @@ def _fold(folded: FoldedProfiles, i: int, samples: Array, known: Mask, *, robust
     folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ IN_BIN / np.where(count > 0.0, count, 1.0)
 
 
-def _trusted_in_bins(samples: Array, known: Mask) -> Array:
+def _trusted_in_bins(samples: Array, valid: Mask) -> Array:
     """Return weights of samples (3, 90, 180), low for a sample far from the other samples of its bin.
 
     The samples of a bin that has too few to find outliers are also compared with those of the neighbouring bins.
     """
     weights = np.zeros(samples.shape)
     for members, beside in zip(_MEMBERS, _BESIDE, strict=True):
-        weights[..., members] = _outlier_weights(samples[..., members], known[..., members])
-        count = known[..., members].sum(axis=2)
-        few = np.flatnonzero(((count > 0) & (count < _MIN_SAMPLES_FOR_MEDIAN)).any(axis=0))
+        weights[..., members] = _outlier_weights(samples[..., members], valid[:, members])
+        count = valid[:, members].sum(axis=1)
+        few = np.flatnonzero((count > 0) & (count < _MIN_SAMPLES_FOR_MEDIAN))
         if few.size:
             around = np.concatenate([members, beside])
-            judged = _outlier_weights(samples[:, few[:, None], around], known[:, few[:, None], around])
+            judged = _outlier_weights(samples[:, few[:, None], around], valid[few[:, None], around])
             weights[:, few[:, None], members] = judged[..., : members.size]
-    return weights * known
+    return weights * valid
 
 
 def _summarize(samples: Array, weights: Array) -> tuple[Array, Array, Array]:
@@ -224,6 +218,7 @@ def _outlier_weights(samples: Array, used: Mask) -> Array:
     were compared with the median deviation, the smaller of both groups would be outliers; so they are compared with the
     third quartile of the deviations.
     """
+    used = np.broadcast_to(used, samples.shape)
     count = used.sum(axis=-1, keepdims=True)
     masked = np.where(used, samples, np.nan)
     # Unused samples are NaN, so that they are sorted behind all used samples.

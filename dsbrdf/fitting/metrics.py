@@ -128,7 +128,7 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
     for columns in np.array_split(np.flatnonzero(OUTSIDE_CENTER), COLUMN_GROUPS):
         masks = [used_samples(measurement, i, horizon_cutoff) for i in columns.tolist()]
         # Rows of theta_diff beyond the last used sample are skipped, which saves evaluations of the model.
-        rows = slice(0, 1 + int(np.flatnonzero(np.any(masks, axis=(0, 1, 3))).max(initial=-1)))
+        rows = slice(0, 1 + int(np.flatnonzero(np.any(masks, axis=(0, 2))).max(initial=-1)))
         grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF[rows], PHI_DIFF[:QUARTER])
         for i, used, values in zip(columns.tolist(), masks, grid, strict=True):
             # Only the cosine of omega_in to the normal is needed; `incident_cosines` computes both cosines.
@@ -136,10 +136,9 @@ def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float
             cosine = np.subtract(np.cos(THETA_HALF[i]) * np.cos(THETA_DIFF[rows, None]), swing, out=swing)
             # The model has equal values at phi_diff and at 180 degrees - phi_diff.
             folded = np.concatenate([values, values[:, :, -2:0:-1]], axis=2)
-            counted = np.broadcast_to(used[:, rows].astype(float), (3, *cosine.shape))
-            for channel, scale in enumerate(measurement.scale.tolist()):
-                samples = measurement.stored[channel, i, rows] * scale
-                sums[:, channel, rows] += _column_sums(samples, folded[channel], counted[channel], cosine)
+            counted, samples = used[rows].astype(float), measurement.values_at(i)[:, rows]
+            for channel in range(3):
+                sums[:, channel, rows] += _column_sums(samples[channel], folded[channel], counted, cosine)
     if not sums[0].any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
     return sums

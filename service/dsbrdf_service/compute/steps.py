@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from io import BytesIO
-from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from dsbrdf.components.component import Component
 from dsbrdf.components.layers import LayeredModel
-from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.measurement import LOG_OFFSET_PER_SR, Measurement
 from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.rgl import read_rgl
@@ -59,7 +58,6 @@ _SAMPLE_FIGURES: dict[str, Callable[[ScatteredSamples, DSBRDF], "Figure"]] = {
     "parameters": lambda samples, model: parameters_figure(model, title=samples.name),
     "residual": samples_residual_figure,
 }
-_MIN_LOGARITHM_VALUE = 1e-6  # [1/sr] `interpolate` too adds this to each value, so that 0 has a logarithm.
 
 
 @dataclass(frozen=True)
@@ -110,10 +108,10 @@ def table_step(stored: StoredMeasurement, path: Path, _: OnProgress) -> None:
 
     Linear interpolation of this table equals the library's interpolation of the measurement.
     """
-    known = stored.mapped().interpolated
-    channels = zip(known.measurement.stored, known.measurement.scale, cycle(known.source), strict=False)
-    tables = [np.log(values.ravel()[source] * scale + _MIN_LOGARITHM_VALUE) for values, scale, source in channels]
-    path.write_bytes(_npy(np.stack(tables, axis=-1).reshape(*known.measurement.stored.shape[1:], 3).astype("<f2")))
+    measurement = stored.mapped()
+    source, channels = measurement.interpolated.source, zip(measurement.stored, measurement.scale, strict=True)
+    values = [np.maximum(channel.ravel()[source] * scale, 0.0) for channel, scale in channels]
+    path.write_bytes(_npy(np.log(np.stack(values, axis=-1) + LOG_OFFSET_PER_SR).astype("<f2")))
 
 
 def _npy(array: NDArray[Any]) -> bytes:

@@ -51,7 +51,7 @@ def test_unusual_valid_bit_patterns_survive(data: bytes) -> None:
     measurement = parse_merl(changed)
     assert encode_merl(measurement) == changed
     assert measurement.valid[ABOVE]
-    assert not measurement.known[0, 0, 0, 0]
+    assert measurement.values[0, 0, 0, 0] == 0.0
 
 
 def test_immutable_bytes_are_shared_and_mutable_buffers_copied(data: bytes) -> None:
@@ -96,8 +96,7 @@ def test_valid_needs_a_channel_and_the_horizon(data: bytes) -> None:
     expected = nodes_above_horizon().copy()
     expected[1, 1, 1] = False
     np.testing.assert_array_equal(measurement.valid, expected)
-    for channel, known in enumerate(measurement.known):
-        np.testing.assert_array_equal(known[2, 2, 2], channel < 2)
+    assert measurement.values[2, 2, 2, 2] == 0.0
 
 
 def test_mapped_file_is_what_is_read(plastic_file: Path, tmp_path: Path) -> None:

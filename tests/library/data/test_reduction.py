@@ -186,14 +186,3 @@ def test_two_groups_of_samples_in_a_bin_are_no_outliers(matte: Measurement) -> N
 def test_options_out_of_range_are_refused(plastic: Measurement, options: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InvalidArgumentError, match=sentence):
         profiles(plastic, **options)
-
-
-def test_a_channel_counts_where_it_has_a_value(plastic: Measurement) -> None:
-    values = plastic.values.copy()
-    values[2, 5:] = -1e-3
-    whole, partly = profiles(plastic), profiles(Measurement.from_values(values, plastic.valid))
-    np.testing.assert_array_equal(partly.mean[:2], whole.mean[:2])
-    np.testing.assert_array_equal(partly.folded.weight[:2], whole.folded.weight[:2])
-    np.testing.assert_array_equal(partly.folded.cos2_phi, whole.folded.cos2_phi)
-    assert partly.weight[2, :, 5:].max() == partly.folded.weight[2, :, 5:].max() == partly.within[2, :, 5:].max() == 0.0
-    np.testing.assert_array_equal(partly.mean[2, :, :5], whole.mean[2, :, :5])

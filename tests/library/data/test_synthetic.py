@@ -7,7 +7,6 @@ from dsbrdf import InvalidArgumentError, Measurement
 from dsbrdf.data import (
     THETA_DIFF,
     THETA_HALF,
-    interpolate,
     model_measurement,
     nodes_above_horizon,
     synthetic_measurement,
@@ -17,10 +16,10 @@ from tests.support.random_models import random_model
 
 
 def test_albedo_is_that_of_the_material(matte: Measurement, metal: Measurement) -> None:
-    albedo = directional_albedo(interpolate(metal).evaluate, np.array(0.3))
+    albedo = directional_albedo(metal.interpolated.evaluate, np.array(0.3))
     np.testing.assert_allclose(albedo, [0.95, 0.64, 0.54], rtol=0.04)
     # Ashikhmin and Shirley: the diffuse albedo at normal incidence is close to diffuse (1 - F0).
-    albedo = directional_albedo(interpolate(matte).evaluate, np.array(0.05))
+    albedo = directional_albedo(matte.interpolated.evaluate, np.array(0.05))
     assert albedo == pytest.approx(np.array([0.6, 0.5, 0.4]) * 0.98, rel=0.1)
 
 

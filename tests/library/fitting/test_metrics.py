@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from dsbrdf import DSBRDF, InvalidArgumentError, Measurement
 from dsbrdf.arrays import Array
-from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF, interpolate, model_measurement
+from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF, model_measurement
 from dsbrdf.fitting import METRICS, relative_errors, sample_errors
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, RelativeErrors, error_tables, sample_metrics
 from dsbrdf.model import directional_albedo
@@ -123,7 +123,7 @@ def test_nothing_to_compare_with_is_said(plastic: Measurement) -> None:
 
 
 def test_albedo_error_is_the_mean_relative_distance_and_metrics_are_found_by_name(matte: Measurement) -> None:
-    data = directional_albedo(interpolate(matte).evaluate, ALBEDO_ANGLES)
+    data = directional_albedo(matte.interpolated.evaluate, ALBEDO_ANGLES)
     factor = np.array([1.1, 0.8, 1.0])
     model = some_model()
     metrics = sample_metrics(model, matte, sample_errors(model, matte, None), data * factor)

@@ -7,7 +7,7 @@ import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
 from dsbrdf import EnvironmentMap, ImageFormatError, InvalidArgumentError, Measurement, render_sphere
-from dsbrdf.data import half_difference, incident_cosines, interpolate
+from dsbrdf.data import half_difference, incident_cosines
 from dsbrdf.rendering import LIGHTINGS, THREE_LIGHTS, displayed, exposure, psnr, sphere_normals, ssim
 from dsbrdf.rendering.environment import SUN, Light, environment_radiance
 
@@ -110,7 +110,7 @@ def test_a_mirror_shows_the_environment(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.parametrize("lighting", LIGHTINGS)
 def test_measurement_model_and_function_are_taken_alike(plastic: Measurement, lighting: str) -> None:
-    interpolated = interpolate(plastic)
+    interpolated = plastic.interpolated
     image = render_sphere(plastic, lighting=lighting, size=17)
     np.testing.assert_array_equal(render_sphere(interpolated, lighting=lighting, size=17), image)
     np.testing.assert_array_equal(render_sphere(interpolated.evaluate, lighting=lighting, size=17), image)

@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 from dsbrdf import Measurement, parse_merl, render_sphere
-from dsbrdf.data import interpolate
 from dsbrdf.output import from_json
 from dsbrdf.rendering import displayed, exposure, sphere_normals
 from dsbrdf_service.http.static_files import STATIC_FILES
@@ -132,7 +131,7 @@ def test_table_is_the_measurement_without_gaps(server: Server, stored: str, plas
     assert table.dtype.name == "float16"
     i, j, k = (np.array(index) for index in ((0, 30, 60), (45, 10, 80), (0, 90, 179)))
     angles = np.radians(i**2 / 90.0), np.radians(j), np.radians(k)
-    expected = interpolate(plastic).evaluate(*angles)
+    expected = plastic.interpolated.evaluate(*angles)
     assert np.exp(table[i, j, k].astype(float)) - 1e-6 == pytest.approx(expected, rel=5e-3, abs=1e-6)
 
 

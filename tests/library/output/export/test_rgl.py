@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf import Measurement
-from dsbrdf.data import half_difference, interpolate
+from dsbrdf.data import half_difference
 from dsbrdf.data.rgl import parse_tensors
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from tests.support.known_models import pairs_of_directions
@@ -68,7 +68,7 @@ def test_mitsuba_gives_the_values_of_the_model(mitsuba: ModuleType, content: byt
 def test_mitsuba_gives_the_values_of_the_measurement(mitsuba: ModuleType, tmp_path: Path, metal: Measurement) -> None:
     first, second = pairs_of_directions(1000, spread=None)
     values = evaluated(mitsuba, loaded(mitsuba, rgl_bsdf(metal, metal.name), tmp_path), first, second)
-    expected = interpolate(metal).evaluate(*half_difference(first, second)) * second[:, 2:]
+    expected = metal.interpolated.evaluate(*half_difference(first, second)) * second[:, 2:]
     # A metal without a diffuse part is nearly black away from its highlight, where nodes are few.
     assert np.median(np.abs(values - expected) / np.maximum(expected, 1e-3)) < 0.02
 
