@@ -2,34 +2,30 @@
 
 Every fit is the default one of the same measurement, over HTTP with a mask so small that it masks nothing; the rate
 is that of so many fits begun at once, after two to warm up. Two workers need two idle cores. The cluster is started
-as docs/cluster.md says, and gets one fit more than it has workers. With --breaks, a service whose
-cluster loses workers and schedulers while it computes: every fit has to succeed. The exit code is 1 if a row
-is missed.
+as docs/cluster.md says, and gets one fit more than it has workers. ``--only workers schedulers`` kills those of a
+service's cluster while it computes, so many times: every fit has to succeed.
 """
 
-import argparse
 import os
-import random
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 
-import httpx
-
-from dsbrdf import FitOptions, write_merl
-from dsbrdf.data import synthetic_measurement
+from benchmarks.server.runner import Place, Row, Scenario, query_database, unfinished
+from benchmarks.server.runner import main as run_scenarios
+from dsbrdf import FitOptions
 from dsbrdf.engines import DaskEngine, Engine, Fault, FitTask, LocalEngine
 from tests.support.dask_cluster import DaskCluster
 from tests.support.processes import wait_until
 from tests.support.server import Server
 
-ASKED = 1.8
-PATIENCE = 600.0
+MIN_SPEEDUP = 1.8
+PATIENCE_S = 600.0
+N_FITS_AHEAD = 1  # A cluster gets more fits than it has workers, so that no worker waits.
 _HARMLESS = 1e-6  # times a number: a mask that makes another fit and masks nothing
-AHEAD = 1  # so many fits more than workers are sent to a cluster, so that no worker waits
 CALM = {
     "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
     "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false",
@@ -47,7 +43,7 @@ def cluster(folder: Path, workers: int) -> Iterator[DaskCluster]:
         running.start_scheduler()
         for _ in range(workers):
             running.add_worker()
-        wait_until(lambda: running.log().count("Registered to:") >= workers, PATIENCE)
+        wait_until(lambda: running.log().count("Registered to:") >= workers, PATIENCE_S)
         yield running
     finally:
         running.close()
@@ -69,122 +65,82 @@ def rate_of(engine: Engine, file: Path, count: int) -> float:
         return count / (time.perf_counter() - begin)
 
 
-def rate_over_http(folder: Path, file: Path, count: int, **settings: str) -> float:
+def rate_over_http(place: Place, folder: Path, **settings: str) -> float:
     """Return the fits per second of a service, from the first request to the last response."""
-    server = Server(folder / "data", **settings)
-    try:
+    with place.server(folder, **settings) as server:
         server.start()
-        sha256 = server.http.post("/v1/measurements", content=file.read_bytes()).json()["sha256"]
+        sha256 = server.http.post("/v1/measurements", content=place.measurement.read_bytes()).json()["sha256"]
         for number in (98, 99):
             _submit(server, sha256, mask=_HARMLESS * number)
-        wait_until(lambda: _unfinished(server) == 0, PATIENCE)
+        wait_until(lambda: unfinished(server) == 0, PATIENCE_S)
         begin = time.perf_counter()
-        asked = [_submit(server, sha256, mask=_HARMLESS * (100 + number)) for number in range(count)]
+        asked = [_submit(server, sha256, mask=_HARMLESS * (100 + number)) for number in range(place.times)]
         for fit_id in asked:  # a wait costs the cores nothing, asking again and again would
-            server.http.get(f"/v1/fits/{fit_id}", params={"wait": PATIENCE / 2}, timeout=PATIENCE)
+            server.http.get(f"/v1/fits/{fit_id}", params={"wait": PATIENCE_S / 2}, timeout=PATIENCE_S)
         seconds = time.perf_counter() - begin
-        if _states(server) != {"succeeded"}:
-            raise RuntimeError(f"fits have ended as {_states(server)}")
-        return count / seconds
-    finally:
-        server.close()
+        place.expect(_states(server) == {"succeeded"}, f"fits have ended as {_states(server)}")
+        return place.times / seconds
 
 
-def rates(file: Path, count: int) -> bool:
-    """Print a row for each engine; return whether all reach their targets."""
-    print(f"{count} default fits; {os.cpu_count()} cores\n")
-    print(f"| {'':24} | 1 worker [fits/s] | 2 workers | factor | asked |\n|---|---|---|---|---|")
-    good = True
-    for label, measure in _WAYS.items():
-        one, two = (_in_folder(measure, workers, file, count) for workers in (1, 2))
-        good &= two / one >= ASKED
-        print(f"| {label:24} | {one:.3f} | {two:.3f} | {two / one:.2f} | >= {ASKED} |", flush=True)
-    return good
+def speedup(measure: Callable[[Place, Path, int], float], place: Place) -> list[Row]:
+    """Compare the rates of one and of two workers."""
+    folders = [place.folder / name for name in ("one", "two")]
+    for folder in folders:
+        folder.mkdir()
+    one, two = (measure(place, folder, workers) for workers, folder in enumerate(folders, 1))
+    asked = f"{place.times} default fits on {os.cpu_count()} cores, two workers: >= {MIN_SPEEDUP} times the rate of one"
+    return [Row(asked, f"{one:.3f} and {two:.3f} fits/s: {two / one:.2f}", two / one >= MIN_SPEEDUP)]
 
 
-def _in_folder(measure: Callable[[Path, int, Path, int], float], workers: int, file: Path, count: int) -> float:
-    with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
-        return measure(Path(folder), workers, file, count)
+def _local(place: Place, _: Path, workers: int) -> float:
+    return rate_of(LocalEngine(workers), place.measurement, place.times)
 
 
-def _local(_: Path, workers: int, file: Path, count: int) -> float:
-    return rate_of(LocalEngine(workers), file, count)
+def _local_over_http(place: Place, folder: Path, workers: int) -> float:
+    return rate_over_http(place, folder, workers=str(workers))
 
 
-def _local_over_http(folder: Path, workers: int, file: Path, count: int) -> float:
-    return rate_over_http(folder, file, count, workers=str(workers))
-
-
-def _dask(folder: Path, workers: int, file: Path, count: int) -> float:
+def _dask(place: Place, folder: Path, workers: int) -> float:
     with cluster(folder, workers) as running:
-        return rate_of(DaskEngine(running.address, workers + AHEAD), file, count)
+        return rate_of(DaskEngine(running.address, workers + N_FITS_AHEAD), place.measurement, place.times)
 
 
-def _dask_over_http(folder: Path, workers: int, file: Path, count: int) -> float:
+def _dask_over_http(place: Place, folder: Path, workers: int) -> float:
     with cluster(folder, workers) as running:
-        sent = str(workers + AHEAD)
-        return rate_over_http(folder, file, count, engine="dask", scheduler=running.address, workers=sent)
+        sent = str(workers + N_FITS_AHEAD)
+        return rate_over_http(place, folder, engine="dask", scheduler=running.address, workers=sent)
 
 
-_WAYS = {
-    "local engine": _local,
-    "local, over HTTP": _local_over_http,
-    "Dask engine": _dask,
-    "Dask, over HTTP": _dask_over_http,
-}
-
-
-def breaks(file: Path, workers: int, schedulers: int, seed: int) -> bool:
-    """Kill workers and schedulers while a service computes; print a row for each, return whether nothing was lost."""
-    print("| killed | times | fits | lost | seconds |\n|---|---|---|---|---|")
-    good = True
-    for label, times, kill in (("worker", workers, _kill_worker), ("scheduler", schedulers, _kill_scheduler)):
-        begin = time.perf_counter()
-        with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder, cluster(Path(folder), 2) as running:
-            fits, lost = _break(Path(folder), running, file, times, kill, random.Random(seed))
-        good &= lost == 0
-        print(f"| {label} | {times} | {fits} | {lost} | {time.perf_counter() - begin:.0f} |", flush=True)
-    return good
-
-
-def _break(
-    folder: Path,
-    running: DaskCluster,
-    file: Path,
-    times: int,
-    kill: Callable[[DaskCluster, random.Random], None],
-    moments: random.Random,
-) -> tuple[int, int]:
-    """Return the number of requested fits, and of those that have not succeeded."""
-    server = Server(folder / "data", engine="dask", scheduler=running.address, workers="1")
-    try:
+def killed(kill: Callable[[DaskCluster, Place], None], place: Place) -> list[Row]:
+    """Kill workers or schedulers while a service computes: every requested fit has to succeed."""
+    with (
+        cluster(place.folder, 2) as running,
+        place.server(engine="dask", scheduler=running.address, workers="1") as server,
+    ):
         server.start()
-        sha256 = server.http.post("/v1/measurements", content=file.read_bytes()).json()["sha256"]
+        sha256 = server.http.post("/v1/measurements", content=place.measurement.read_bytes()).json()["sha256"]
         asked = 0
-        for _ in range(times):
-            while _unfinished(server) < 4:
+        for _ in range(place.times):
+            while unfinished(server) < 4:
                 _submit(server, sha256, **FOUR_LOBE_FIT, em_iterations=100 + asked)
                 asked += 1
-            wait_until(lambda: bool(running.fitting()), PATIENCE)
-            time.sleep(moments.uniform(0.0, 1.0))
-            kill(running, moments)
-        deadline = time.monotonic() + PATIENCE
-        while _unfinished(server) and time.monotonic() < deadline:
-            time.sleep(0.1)
-        return asked, asked - sum(fit["status"] == "succeeded" for fit in _fits(server))
-    finally:
-        server.close()
+            wait_until(lambda: bool(running.fitting()), PATIENCE_S)
+            time.sleep(place.random.uniform(0.0, 1.0))
+            kill(running, place)
+        place.expect_soon(lambda: unfinished(server) == 0, PATIENCE_S, "fits did not come to their end")
+        place.expect(_states(server) == {"succeeded"}, f"fits have ended as {_states(server)}")
+    return place.row(f"killed {place.times} times: no fit lost", f"{asked} fits")
 
 
-def _kill_worker(running: DaskCluster, moments: random.Random) -> None:
-    running.kill_worker(moments.choice(running.workers))
+def _kill_worker(running: DaskCluster, place: Place) -> None:
+    running.kill_worker(place.random.choice(running.workers))
     running.add_worker()
 
 
-def _kill_scheduler(running: DaskCluster, _: random.Random) -> None:
+def _kill_scheduler(running: DaskCluster, _: Place) -> None:
     running.kill_scheduler()
     for worker in list(running.workers):
-        worker.wait(PATIENCE)  # Dask's workers end when their scheduler is lost
+        worker.wait(PATIENCE_S)  # Dask's workers end when their scheduler is lost
         running.workers.remove(worker)
     running.start_scheduler()
     for _worker in range(2):
@@ -192,42 +148,25 @@ def _kill_scheduler(running: DaskCluster, _: random.Random) -> None:
 
 
 def _submit(server: Server, sha256: str, **options: object) -> str:
-    answer = server.http.post(
-        "/v1/fits", json={"measurement": sha256, "options": options}, headers={"Prefer": "respond-async"}
+    return str(
+        server.submit(sha256, "respond-async", **{"method": "global", **options}).raise_for_status().json()["id"]
     )
-    return str(answer.raise_for_status().json()["id"])
 
 
-def _fits(server: Server) -> list[dict[str, object]]:
-    found: list[dict[str, object]] = []
-    url: httpx.URL | str | None = "/v1/fits?limit=100"
-    while url is not None:
-        answer = server.http.get(url).raise_for_status()
-        found += answer.json()["items"]
-        url = answer.links.get("next", {}).get("url")
-    return found
+def _states(server: Server) -> set[str]:
+    return {status for (status,) in query_database(server, "SELECT DISTINCT status FROM fits")}
 
 
-def _states(server: Server) -> set[object]:
-    return {fit["status"] for fit in _fits(server)}
-
-
-def _unfinished(server: Server) -> int:
-    return sum(fit["status"] in ("accepted", "running") for fit in _fits(server))
+SCENARIOS = {
+    "local": Scenario(partial(speedup, _local), 24),
+    "local-http": Scenario(partial(speedup, _local_over_http), 24),
+    "dask": Scenario(partial(speedup, _dask), 24),
+    "dask-http": Scenario(partial(speedup, _dask_over_http), 24),
+    "workers": Scenario(partial(killed, _kill_worker), 20, by_name_only=True),
+    "schedulers": Scenario(partial(killed, _kill_scheduler), 10, by_name_only=True),
+}
 
 
 def main(argv: Sequence[str]) -> int:
     """Print one table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks engines", description=__doc__)
-    parser.add_argument("--fits", type=int, default=24, metavar="N", help="fits for each rate, even (default: 24)")
-    parser.add_argument("--breaks", action="store_true", help="break a cluster instead")
-    parser.add_argument("--workers", type=int, default=20, metavar="N", help="workers to kill (default: 20)")
-    parser.add_argument("--schedulers", type=int, default=10, metavar="N", help="schedulers to kill (default: 10)")
-    parser.add_argument("--seed", type=int, default=0, help="of the moments (default: 0)")
-    arguments = parser.parse_args(argv)
-    with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
-        file = Path(folder) / "paint.binary"
-        write_merl(file, synthetic_measurement(roughness=0.06, noise=0.02))
-        if arguments.breaks:
-            return int(not breaks(file, arguments.workers, arguments.schedulers, arguments.seed))
-        return int(not rates(file, arguments.fits))
+    return run_scenarios("engines", __doc__, SCENARIOS, argv)

@@ -2,31 +2,26 @@
 
 One key sends tables that take long to read, HEAD requests, exports and tables that it does not read, or uploads that it
 does not end. Meanwhile another key asks for values, the document of its fit and what is understood of a table of 400
-rows, one after the other. The exit code is 1 if a row is missed; other work on the machine makes rows miss.
+rows, one after the other. Other work on the machine makes rows miss.
 """
 
-import argparse
-import random
 import socket
 import statistics
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import httpx
 
-from benchmarks.durability_series.harness import Harness
-from benchmarks.http_load import PeakMemory, Row
-from dsbrdf.data import synthetic_measurement, write_merl
+from benchmarks.server.load import PeakMemory
+from benchmarks.server.runner import Place, Row, Scenario
+from benchmarks.server.runner import main as run_scenarios
 from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf_service.storage.database import Database
 from dsbrdf_service.storage.keys import add_key
-from tests.support.processes import wait_until
 from tests.support.server import QUICK, Server
 
 CONNECTIONS = 240
@@ -47,7 +42,7 @@ _ROW = b"%d,0,%d,180,0.1,0.1,0.1\n"
 _SMALL_TABLE = _NAMES + b"".join(_ROW % (1 + i % 80, 1 + i // 5) for i in range(400))
 
 
-class Place(NamedTuple):
+class Neighbours(NamedTuple):
     """A service with two keys, each of which has a measurement and a fit."""
 
     server: Server
@@ -61,11 +56,15 @@ def _headers(key: str, **more: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {key}", **more}
 
 
-def _repeatedly(place: Place, ask: Callable[[httpx.Client, int], object], threads: int, end: threading.Event) -> None:
+def _repeatedly(
+    neighbours: Neighbours, ask: Callable[[httpx.Client, int], object], threads: int, end: threading.Event
+) -> None:
     """Ask again and again in some threads until the end."""
 
     def run(number: int) -> None:
-        with httpx.Client(base_url=place.server.http.base_url, headers=_headers(place.attacker), timeout=120) as client:
+        with httpx.Client(
+            base_url=neighbours.server.http.base_url, headers=_headers(neighbours.attacker), timeout=120
+        ) as client:
             try:
                 while not end.is_set():
                     ask(client, number)
@@ -79,7 +78,7 @@ def _repeatedly(place: Place, ask: Callable[[httpx.Client, int], object], thread
 
 
 @contextmanager
-def tables(place: Place) -> Iterator[None]:
+def tables(neighbours: Neighbours) -> Iterator[None]:
     """Send tables that take long to read, two at a time."""
 
     def ask(client: httpx.Client, number: int) -> object:
@@ -87,24 +86,24 @@ def tables(place: Place) -> Iterator[None]:
         return client.post("/v1/measurements", content=body, headers={"Content-Type": "text/csv"})
 
     end = threading.Event()
-    _repeatedly(place, ask, 2, end)
+    _repeatedly(neighbours, ask, 2, end)
     yield
     end.set()
 
 
 @contextmanager
-def heads(place: Place) -> Iterator[None]:
+def heads(neighbours: Neighbours) -> Iterator[None]:
     """Ask whether the measurement is stored, on 16 connections."""
-    end, url = threading.Event(), f"/v1/measurements/{place.measurement}/content"
-    _repeatedly(place, lambda client, _: client.head(url), 16, end)
+    end, url = threading.Event(), f"/v1/measurements/{neighbours.measurement}/content"
+    _repeatedly(neighbours, lambda client, _: client.head(url), 16, end)
     yield
     end.set()
 
 
-def _unread(place: Place, head: str, body: bytes = b"") -> Callable[[], socket.socket]:
-    lines = f"{head} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {place.attacker}\r\n"
+def _unread(neighbours: Neighbours, head: str, body: bytes = b"") -> Callable[[], socket.socket]:
+    lines = f"{head} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {neighbours.attacker}\r\n"
     length = f"Content-Length: {FILE_SIZE}\r\n" if body else ""
-    return partial(place.server.connection, f"{lines}{length}\r\n".encode() + body)
+    return partial(neighbours.server.connection, f"{lines}{length}\r\n".encode() + body)
 
 
 @contextmanager
@@ -116,23 +115,25 @@ def _open(connect: Callable[[], socket.socket]) -> Iterator[None]:
         yield
 
 
-def exports(place: Place) -> AbstractContextManager[None]:
+def exports(neighbours: Neighbours) -> AbstractContextManager[None]:
     """Ask for MERL files of the fit, and do not read them."""
-    return _open(_unread(place, f"GET /v1/fits/{place.fit}/export?format=merl"))
+    return _open(_unread(neighbours, f"GET /v1/fits/{neighbours.fit}/export?format=merl"))
 
 
-def unread(place: Place) -> AbstractContextManager[None]:
+def unread(neighbours: Neighbours) -> AbstractContextManager[None]:
     """Ask for tables of the measurement, and do not read them."""
-    return _open(_unread(place, f"GET /v1/measurements/{place.measurement}/table.npy"))
+    return _open(_unread(neighbours, f"GET /v1/measurements/{neighbours.measurement}/table.npy"))
 
 
-def uploads(place: Place) -> AbstractContextManager[None]:
+def uploads(neighbours: Neighbours) -> AbstractContextManager[None]:
     """Begin uploads, and do not end them."""
-    begin = (place.server.data_dir.parent / "plastic.binary").read_bytes()[:1_000_000]
-    return _open(_unread(place, "POST /v1/measurements", begin))
+    begin = neighbours.server.http.get(
+        f"/v1/measurements/{neighbours.measurement}/content", headers=_headers(neighbours.attacker)
+    )
+    return _open(_unread(neighbours, "POST /v1/measurements", begin.content[:1_000_000]))
 
 
-ATTACKS: dict[str, Callable[[Place], AbstractContextManager[None]]] = {
+ATTACKS: dict[str, Callable[[Neighbours], AbstractContextManager[None]]] = {
     "tables": tables,
     "heads": heads,
     "exports": exports,
@@ -141,16 +142,40 @@ ATTACKS: dict[str, Callable[[Place], AbstractContextManager[None]]] = {
 }
 
 
-def measure(place: Place, attack: str, seconds: float) -> list[Row]:
+@contextmanager
+def two_keys(place: Place) -> Iterator[Neighbours]:
+    """Start a service in which two keys have fitted the same measurement."""
+    with closing(Database(place.folder / "data", exclusive=False)) as database:
+        keys = [add_key(database, name, requests_per_second=1e6)[1] for name in ("attacker", "neighbour")]
+    with place.server(require_keys="true", workers="1") as server:
+        server.start()
+        for key in keys:
+            headers = _headers(key, **{"Content-Type": "application/octet-stream", "Prefer": "wait=300"})
+            answer = server.http.post(
+                "/v1/fits", params=QUICK, content=place.measurement.read_bytes(), headers=headers, timeout=300
+            )
+            document = answer.raise_for_status().json()
+        yield Neighbours(server, keys[0], keys[1], document["measurement"], document["id"])
+
+
+def measure(attack: str, place: Place) -> list[Row]:
     """Measure the waits of the neighbour during an attack."""
+    with two_keys(place) as neighbours:
+        return _measured(neighbours, attack, place.amount)
+
+
+def _measured(neighbours: Neighbours, attack: str, seconds: float) -> list[Row]:
     probes: dict[str, Callable[[httpx.Client], httpx.Response]] = {
-        "values": lambda client: client.get(f"/v1/fits/{place.fit}/brdf?theta_half_deg=1&theta_diff_deg=2"),
-        "document": lambda client: client.get(f"/v1/fits/{place.fit}"),
+        "values": lambda client: client.get(f"/v1/fits/{neighbours.fit}/brdf?theta_half_deg=1&theta_diff_deg=2"),
+        "document": lambda client: client.get(f"/v1/fits/{neighbours.fit}"),
         "table": lambda client: client.post("/v1/tables", content=_SMALL_TABLE, headers={"Content-Type": "text/csv"}),
     }
     waits: dict[str, list[float]] = {name: [] for name in probes}
-    refused, memory, base = 0, PeakMemory(place.server.process.pid), place.server.http.base_url
-    with ATTACKS[attack](place), httpx.Client(base_url=base, headers=_headers(place.neighbour), timeout=60) as client:
+    refused, memory, base = 0, PeakMemory(neighbours.server.process.pid), neighbours.server.http.base_url
+    with (
+        ATTACKS[attack](neighbours),
+        httpx.Client(base_url=base, headers=_headers(neighbours.neighbour), timeout=60) as client,
+    ):
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             for name, probe in probes.items():
@@ -179,34 +204,5 @@ def measure(place: Place, attack: str, seconds: float) -> list[Row]:
 
 def main(argv: Sequence[str]) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks neighbours", description=__doc__)
-    parser.add_argument("--only", nargs="+", choices=ATTACKS, metavar="ATTACK", help=f"some of: {', '.join(ATTACKS)}")
-    parser.add_argument("--seconds", type=float, default=15.0, help="time of each attack (default: 15)")
-    arguments = parser.parse_args(argv)
-    print("| asked | median / largest | |\n|---|---|---|", flush=True)
-    missed = False
-    with tempfile.TemporaryDirectory(prefix="dsbrdf-") as name:
-        folder, data = Path(name), Path(name) / "data"
-        file = folder / "plastic.binary"
-        write_merl(file, synthetic_measurement(noise=0.02, seed=1))
-        harness = Harness(folder, file, random.Random(0), own_interpreter=True)
-        with closing(Database(data, exclusive=False)) as database:
-            keys = [add_key(database, name, requests_per_second=1e6)[1] for name in ("attacker", "neighbour")]
-        with harness.server(require_keys="true", workers="1") as server:
-            server.start()
-            for key in keys:
-                answer = httpx.post(
-                    f"{server.http.base_url}/v1/fits",
-                    params=QUICK,
-                    content=file.read_bytes(),
-                    headers=_headers(key, **{"Content-Type": "application/octet-stream", "Prefer": "wait=300"}),
-                    timeout=300,
-                )
-                document = answer.raise_for_status().json()
-            place = Place(server, keys[0], keys[1], document["measurement"], document["id"])
-            for attack in arguments.only or ATTACKS:
-                for row in measure(place, attack, arguments.seconds):
-                    print(f"| {row.asked} | {row.measured} | {'ok' if row.holds else 'missed'} |", flush=True)
-                    missed |= not row.holds
-                wait_until(lambda: server.http.get("/health/ready").is_success, 60.0)
-    return int(missed)
+    scenarios = {attack: Scenario(partial(measure, attack), 15.0) for attack in ATTACKS}
+    return run_scenarios("neighbours", __doc__, scenarios, argv, unit="seconds", own_interpreter=True)

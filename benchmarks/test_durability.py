@@ -1,31 +1,20 @@
 """The durability series that have no shorter test run once; ``make soak`` runs all of them, as often as is asked."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from benchmarks.durability import SERIES, run
-from benchmarks.durability_series.harness import end_fitting_process
-from dsbrdf import write_merl
-from tests.support.materials import glossy_plastic
+from benchmarks.durability import SERIES
+from benchmarks.server.runner import run
+from dsbrdf import Measurement, write_merl
 from tests.support.soak import SOAK
 
-ROUNDS_OF_SERIES = (
-    {name: one.times for name, one in SERIES.items()} if SOAK else {"server-kill": 1, "uploads": 1, "disk": 1}
-)
+SHORT = {"server-kill": 1, "uploads": 3, "disk": 1}
+REPEATS = {name: one.amount for name, one in SERIES.items()} if SOAK else SHORT
 
 
-@pytest.fixture(scope="module")
-def measurement(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A file for all series, and the end of the process that fits for them."""
-    path = tmp_path_factory.mktemp("durability") / "plastic.binary"
-    write_merl(path, glossy_plastic())
-    yield path
-    end_fitting_process()
-
-
-@pytest.mark.parametrize("name", ROUNDS_OF_SERIES)
-def test_series_loses_nothing_and_leaves_nothing_behind(name: str, measurement: Path) -> None:
-    measured, faults = run(name, ROUNDS_OF_SERIES[name], 1, measurement)
-    assert not faults, f"{measured}: {faults}"
+@pytest.mark.parametrize("name", REPEATS)
+def test_series_loses_nothing_and_leaves_nothing_behind(name: str, plastic: Measurement, tmp_path: Path) -> None:
+    write_merl(tmp_path / "plastic.binary", plastic)
+    (row,) = run(SERIES[name], REPEATS[name], 1, tmp_path / "plastic.binary")
+    assert row.holds, row.measured

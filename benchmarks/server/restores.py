@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 
-from benchmarks.durability_series.harness import Harness
+from benchmarks.server.runner import Place, Row
 from dsbrdf_service.storage.database import FILE_NAME
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
@@ -24,13 +24,13 @@ _PAGE = 4096
 class _Original:
     """A folder in which everything is right, an older copy of its database, and what a server says of it."""
 
-    def __init__(self, harness: Harness) -> None:
-        folder = harness.folder / "original"
+    def __init__(self, place: Place) -> None:
+        folder = place.folder / "original"
         folder.mkdir()
         self.folder, self.older = folder / "data", folder / "older"
-        self.bodies = {hashlib.sha256(body).hexdigest(): body for body in map(harness.variant, range(3))}
+        self.bodies = {hashlib.sha256(body).hexdigest(): body for body in map(place.variant, range(3))}
         self.models: dict[str, bytes] = {}
-        with harness.server(folder, workers="2") as server:
+        with place.server(folder, workers="2") as server:
             for number, body in enumerate(self.bodies.values()):
                 server.start()
                 for options in _FITS:
@@ -48,33 +48,34 @@ class _Original:
             os.link(path, folder / path.relative_to(self.folder))
 
 
-def restored(harness: Harness, times: int) -> str:
+def restored(place: Place) -> list[Row]:
     """Damage copies of a folder at random, and look at what a server makes of each."""
-    original = _Original(harness)
+    original = _Original(place)
     ends: Counter[str] = Counter()
-    for number in range(times):
-        folder = harness.folder / f"copy{number}"
+    for number in range(place.times):
+        folder = place.folder / f"copy{number}"
         folder.mkdir()
         original.copy(folder / "data")
-        done = [_damage_database(harness, original, folder / "data")]
-        done += [_damage_file(harness, folder / "data") for _ in range(harness.random.randrange(3))]
-        found = len(harness.faults)
-        with harness.server(folder) as server:
+        done = [_damage_database(place, original, folder / "data")]
+        done += [_damage_file(place, folder / "data") for _ in range(place.random.randrange(3))]
+        found = len(place.faults)
+        with place.server(folder) as server:
             server.fits = False
             before = _contents(folder)
-            ends[_look(harness, original, server)] += 1
+            ends[_look(place, original, server)] += 1
             after = _contents(folder)
             for path, digest in before.items():
                 kept = after.get(path) in (digest, path.stem)  # as it was, or mended by an upload
-                harness.expect(kept, f"the file {path.name} is gone, or is another one")
-        harness.faults[found:] = [f"restore {number} ({', '.join(done)}): {fault}" for fault in harness.faults[found:]]
+                place.expect(kept, f"the file {path.name} is gone, or is another one")
+        place.faults[found:] = [f"restore {number} ({', '.join(done)}): {fault}" for fault in place.faults[found:]]
         shutil.rmtree(folder)
-    return f"{times} restores, {ends['working']} working, {ends['refused']} refused: {len(harness.faults)} faults"
+    asked = f"{place.times} damaged folders: no file gone, no wrong byte, one sentence or a working service"
+    return place.row(asked, f"{ends['working']} working, {ends['refused']} refused")
 
 
-def _damage_database(harness: Harness, original: _Original, folder: Path) -> str:
+def _damage_database(place: Place, original: _Original, folder: Path) -> str:
     """Put an older database in its place, or damage it; return what was done."""
-    path, random = folder / FILE_NAME, harness.random
+    path, random = folder / FILE_NAME, place.random
     kind = random.choice(("nothing", "older", "older and zeroed", "zeroed", "swapped", "swapped", "cut"))
     if kind.startswith("older"):
         shutil.copy(original.older, path)
@@ -92,9 +93,9 @@ def _damage_database(harness: Harness, original: _Original, folder: Path) -> str
     return f"database {kind}"
 
 
-def _damage_file(harness: Harness, folder: Path) -> str:
+def _damage_file(place: Place, folder: Path) -> str:
     """Damage a measurement's file; return what was done."""
-    random = harness.random
+    random = place.random
     files = sorted(folder.glob("blobs/*/*.binary"))
     path, other = random.choice(files), random.choice(files)
     kind = random.choice(("cut", "flipped", "names swapped", "renamed", "linked", "removed"))
@@ -117,41 +118,41 @@ def _damage_file(harness: Harness, folder: Path) -> str:
     return f"file {kind}"
 
 
-def _look(harness: Harness, original: _Original, server: Server) -> str:
+def _look(place: Place, original: _Original, server: Server) -> str:
     """Start the server; it works or refuses to; return which."""
     begin = server.launch()
     wait_until(lambda: server.process.poll() is not None or b"Uvicorn running on" in server.log.read_bytes()[begin:])
     if server.process.poll() is not None:
         said = server.log.read_text()
         one_sentence = said.startswith("dsbrdf: ") and said.count("\n") == 1
-        harness.expect(server.process.poll() == _REFUSED and one_sentence, f"the server did not start: {said[-500:]}")
+        place.expect(server.process.poll() == _REFUSED and one_sentence, f"the server did not start: {said[-500:]}")
         return "refused"
     server.connect(begin)
     for sha256, body in original.bodies.items():
-        _read(harness, server.http, f"/v1/measurements/{sha256}/content", body)
+        _read(place, server.http, f"/v1/measurements/{sha256}/content", body)
     for fit, model in original.models.items():
-        _read(harness, server.http, f"/v1/fits/{fit}/export?format=json", model)
-        harness.expect(server.http.get(f"/v1/fits/{fit}").status_code < 500, "a fit cannot be shown")
+        _read(place, server.http, f"/v1/fits/{fit}/export?format=json", model)
+        place.expect(server.http.get(f"/v1/fits/{fit}").status_code < 500, "a fit cannot be shown")
     for sha256, body in original.bodies.items():
         answer = server.http.post("/v1/measurements", content=body)
-        harness.expect(answer.is_success, f"an upload: {answer.status_code} {answer.text}")
-        harness.expect(
+        place.expect(answer.is_success, f"an upload: {answer.status_code} {answer.text}")
+        place.expect(
             server.http.get(f"/v1/measurements/{sha256}/content").content == body, "an upload has mended nothing"
         )
-    harness.expect(server.stop() == 0, "the server did not end well")
-    harness.expect("Traceback" not in server.log.read_text(), f"a traceback: {server.log.read_text()[-1000:]}")
+    place.expect(server.stop() == 0, "the server did not end well")
+    place.expect("Traceback" not in server.log.read_text(), f"a traceback: {server.log.read_text()[-1000:]}")
     return "working"
 
 
-def _read(harness: Harness, http: httpx.Client, url: str, right: bytes) -> None:
+def _read(place: Place, http: httpx.Client, url: str, right: bytes) -> None:
     """Expect the right bytes, or a problem that is no fault of the service's code; HEAD says the same."""
     answer, head = http.get(url), http.head(url)
     if answer.is_success:
-        harness.expect(_lasting(answer.content) == _lasting(right), f"{url}: wrong bytes")
+        place.expect(_lasting(answer.content) == _lasting(right), f"{url}: wrong bytes")
     else:
         problem = answer.headers["content-type"] == "application/problem+json" and answer.status_code in (404, 409)
-        harness.expect(problem, f"{url}: {answer.status_code} {answer.text}")
-    harness.expect(head.is_success == answer.is_success, f"HEAD {url} says {head.status_code}, not as GET")
+        place.expect(problem, f"{url}: {answer.status_code} {answer.text}")
+    place.expect(head.is_success == answer.is_success, f"HEAD {url} says {head.status_code}, not as GET")
 
 
 def _lasting(content: bytes) -> bytes:

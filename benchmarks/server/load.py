@@ -1,14 +1,12 @@
 """Light load on a server: many requests on a few connections, large bodies at once, and a process's memory meanwhile.
 
-Requests are sent by ``wrk`` where it is installed (Debian has it), else by a program of raw sockets in a process of its
-own: ``python -m benchmarks.http_load URL CONNECTIONS SECONDS``.
+Requests of a rate are sent by a process of its own: ``python -m benchmarks.server.load URL CONNECTIONS SECONDS``.
 """
 
 import asyncio
 import json
 import os
 import re
-import shutil
 import socket
 import subprocess
 import sys
@@ -17,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import NamedTuple
@@ -25,12 +22,9 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-_UNITS = {"us": 1e-3, "ms": 1.0, "s": 1e3}
 
-
-@dataclass(frozen=True)
-class Rate:
-    """Hold the rate of answers, the median and the 99th percentile of their times [ms], and the server's time [us].
+class Rate(NamedTuple):
+    """Answers per second, the median and the 99th percentile of their times [ms], and the server's time [us].
 
     The server's time is its processor time for one answer, which other work on the machine hardly changes.
     """
@@ -38,59 +32,28 @@ class Rate:
     per_second: float
     p50: float
     p99: float
-    processor_us: float = 0.0
-
-
-class Row(NamedTuple):
-    """One line of a table."""
-
-    asked: str
-    measured: str
-    holds: bool
-
-
-def load_generator() -> str:
-    """Name of what sends requests."""
-    return "wrk" if shutil.which("wrk") else "raw sockets"
+    processor_us: float
 
 
 def get_repeatedly(url: str, connections: int, seconds: float, server: int) -> Rate:
     """Ask the process `server` for a page again and again on so many connections; every answer has to be 200."""
-    before, seconds = processor_seconds(server), max(round(seconds), 1)
-    if shutil.which("wrk"):
-        command = ["wrk", "--latency", "-t1", f"-c{connections}", f"-d{seconds}s", url]
-        text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-        if "Non-2xx" in text or "Socket errors" in text:
-            raise SystemExit(f"{url} did not answer every request with 200:\n{text}")
-        rate = _read_wrk(text)
-    else:
-        command = [sys.executable, "-m", "benchmarks.http_load", url, str(connections), str(seconds)]
-        run = subprocess.run(command, check=False, capture_output=True, text=True)
-        if run.returncode:
-            raise SystemExit(f"{url} did not answer every request with 200:\n{run.stderr}")
-        rate = Rate(*json.loads(run.stdout))
-    used = processor_seconds(server) - before
-    return replace(rate, processor_us=1e6 * used / (rate.per_second * seconds))
+    before = processor_seconds(server)
+    command = [sys.executable, "-m", "benchmarks.server.load", url, str(connections), str(seconds)]
+    run = subprocess.run(command, check=False, capture_output=True, text=True)
+    if run.returncode:
+        raise SystemExit(f"{url} did not answer every request with 200:\n{run.stderr}")
+    n_answers, elapsed, p50, p99 = json.loads(run.stdout)
+    return Rate(n_answers / elapsed, p50, p99, 1e6 * (processor_seconds(server) - before) / n_answers)
 
 
-def processor_seconds(pid: int) -> float:
-    """Return the processor time that a process has used [s]."""
+def processor_seconds(pid: int, *, with_children: bool = False) -> float:
+    """Return the processor time that a process has used, or it and its children that have ended [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return sum(map(int, fields[11 : 15 if with_children else 13])) / os.sysconf("SC_CLK_TCK")
 
 
-def _read_wrk(text: str) -> Rate:
-    def latency(share: str) -> float:
-        found = re.search(rf"{share}%\s+([\d.]+)(us|ms|s)\b", text)
-        assert found, text
-        return float(found[1]) * _UNITS[found[2]]
-
-    per_second = re.search(r"Requests/sec:\s+([\d.]+)", text)
-    assert per_second, text
-    return Rate(float(per_second[1]), latency("50"), latency("99"))
-
-
-async def _get_from_here(url: str, connections: int, seconds: float) -> Rate:
+async def _get_from_here(url: str, connections: int, seconds: float) -> list[float]:
+    """Return the number of answers, the time that they took [s], and the median and 99th percentile of one [ms]."""
     parts = urlsplit(url)
     head = f"GET {parts.path}?{parts.query} HTTP/1.1\r\nHost: {parts.netloc}\r\n\r\n".encode()
     loop = asyncio.get_running_loop()
@@ -111,8 +74,7 @@ async def _get_from_here(url: str, connections: int, seconds: float) -> Rate:
 
     begin = loop.time()
     await asyncio.gather(*(ask() for _ in range(connections)))
-    p50, p99 = 1e3 * np.quantile(times, [0.5, 0.99])
-    return Rate(len(times) / (loop.time() - begin), float(p50), float(p99))
+    return [len(times), loop.time() - begin, *(1e3 * np.quantile(times, [0.5, 0.99])).tolist()]
 
 
 def post(url: str, body: Sequence[bytes | memoryview], headers: dict[str, str]) -> tuple[int, bytes]:
@@ -186,5 +148,4 @@ def program(command: Sequence[str], log: Path) -> Iterator[tuple[str, int]]:
 
 
 if __name__ == "__main__":
-    figures = asyncio.run(_get_from_here(sys.argv[1], int(sys.argv[2]), float(sys.argv[3])))
-    print(json.dumps([figures.per_second, figures.p50, figures.p99]))
+    print(json.dumps(asyncio.run(_get_from_here(sys.argv[1], int(sys.argv[2]), float(sys.argv[3])))))

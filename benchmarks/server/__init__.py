@@ -1,0 +1,1 @@
+"""Scenarios of a real server: a runner, a load generator, programs as clients, and series of crashes and restores."""
