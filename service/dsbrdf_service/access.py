@@ -10,7 +10,6 @@ import hmac
 import math
 import re
 from collections import Counter
-from collections.abc import Callable
 from time import monotonic
 
 from prometheus_client import Gauge
@@ -32,6 +31,8 @@ CALLER = "dsbrdf.caller"
 """Member of the ASGI scope: the `Caller`, whose measurements and fits the request may use."""
 CALLER_NAME = "dsbrdf.caller_name"
 """Member of the ASGI scope: the key or the address under which the request is counted."""
+# The web page and the documentation need no key, because they show no data of a caller.
+_OPEN = re.compile(r"/(compare|docs|openapi\.json)?|/(fits|measurements|page|docs)/[0-9A-Za-z._-]{1,100}")
 _LOCAL = Caller()
 # Host names without a dot are allowed, because only the local network can make such a name resolve to this machine.
 _LOCAL_NAME = re.compile(rb"([a-z0-9-]+|127(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
@@ -84,14 +85,10 @@ class Keys:
 
 
 class Access:
-    """Admit or refuse requests; a single caller can have at most half of the allowed requests in progress.
+    """Admit or refuse requests; a single caller can have at most half of the allowed requests in progress."""
 
-    `is_open` tells whether a path needs no key, because it shows no data of a caller.
-    """
-
-    def __init__(self, settings: Settings, keys: Keys, in_progress: Gauge, is_open: Callable[[str], bool]) -> None:
+    def __init__(self, settings: Settings, keys: Keys, in_progress: Gauge) -> None:
         self._keys = keys
-        self._is_open = is_open
         self._needs_key = settings.require_keys or not (settings.loopback or settings.insecure)
         self._local_only = settings.loopback and not settings.insecure
         self._free = self._places = settings.limit_concurrency
@@ -111,7 +108,7 @@ class Access:
             detail = f"{self._places} requests are in progress, which is the limit; try again later."
             raise ProblemError("overloaded", detail)
         caller = str((scope.get("client") or ("",))[0])
-        if not self._is_open(path):
+        if not _OPEN.fullmatch(path):
             scope[CALLER] = _LOCAL
             if b"authorization" in headers:
                 scope[CALLER] = self._owner(scope)

@@ -30,7 +30,6 @@ from .http import openapi
 from .http.messages import Bodies
 from .http.middleware import RequestLogMiddleware
 from .http.monitoring import Metrics, Readiness
-from .http.static_files import is_open
 from .queue import FitQueue
 from .settings import Settings
 from .storage.store import Store
@@ -104,7 +103,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
         version=dsbrdf.__version__,
         description=_DESCRIPTION,
         lifespan=_lifespan,
-        openapi_url=None,  # `api.about` sends the OpenAPI document as a static file.
+        openapi_url=None,  # `api.about` sends the OpenAPI document.
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,  # Every resource has one path, without a slash at its end.
@@ -113,7 +112,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     metrics, keys = Metrics(), Keys(settings)
     app.state.settings, app.state.store, app.state.metrics, app.state.keys = settings, store, metrics, keys
     app.openapi = cache(partial(openapi.document_of, app, _REFERENCED))  # type: ignore[method-assign]
-    access = Access(settings, keys, metrics.requests_in_progress, is_open)
+    access = Access(settings, keys, metrics.requests_in_progress)
     # This is the complete middleware stack: the usual stack of Starlette and FastAPI would answer errors a second time.
     stack = AsyncExitStackMiddleware(app.router)  # FastAPI's routes need this middleware.
     app.middleware_stack = RequestLogMiddleware(stack, access, settings, metrics)

@@ -1,22 +1,26 @@
-"""Describe the service itself: liveness, readiness, metrics, the OpenAPI document and the files of the web page."""
+"""Describe the service itself: liveness, readiness, metrics, the OpenAPI document and the web page.
+
+The pages load nothing from the internet, and need no API key. Addresses in them are relative, so that they work behind
+a proxy that adds a prefix.
+"""
 
 import json
+from importlib.resources import files
 from typing import Literal
 
 from fastapi import APIRouter
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
-from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
+from starlette.staticfiles import StaticFiles
 
 import dsbrdf
 
 from ..errors import ProblemError
 from ..http import openapi
-from ..http.messages import JSON
-from ..http.static_files import StaticFile, file_at
+from ..http.messages import JSON, tagged_reply
 from .context import CHECKED_QUERY, TheCaller, TheContext
 
 
@@ -29,6 +33,15 @@ class Health(BaseModel):
 
 router = APIRouter(tags=["health"], dependencies=CHECKED_QUERY)
 page = APIRouter(include_in_schema=False)
+# The page loads its own scripts and styles, answers of the service, and pictures that it makes.
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+_PACKAGE = "dsbrdf_service.http"
+_PAGE, _DOCS = ((files(_PACKAGE) / "page" / name).read_text() for name in ("index.html", "docs.html"))
+_PAGE_FILES = StaticFiles(packages=[(_PACKAGE, "page")])
+_DOCS_FILES = StaticFiles(packages=[("fastapi_offline", "static")])
 
 
 @router.get("/health/live", responses=openapi.problems(behind_a_key=False))
@@ -63,14 +76,25 @@ async def get_metrics(context: TheContext, caller: TheCaller) -> Response:
 @page.get("/fits/{name}")
 @page.get("/measurements/{name}")
 @page.get("/docs")
-@page.get("/docs/{name}")
+async def get_page(request: Request) -> Response:
+    """Return the web page, which requests all data from ``/v1``, or the page that shows the OpenAPI document."""
+    path = request.scope["path"]
+    content = _DOCS if path == "/docs" else _PAGE
+    if path.count("/") > 1:  # The relative addresses must fit the depth of the path.
+        content = content.replace('="./', '="../')
+    return tagged_reply(request, content.encode(), "text/html; charset=utf-8", {"Content-Security-Policy": _POLICY})
+
+
 @page.get("/page/{name}")
-async def get_file(request: Request) -> Response:
-    """Return the web page or another static file; the page requests all data from ``/v1``."""
-    file = file_at(request.scope["path"])
-    if file is None:
-        raise HTTPException(404)
-    return await run_in_threadpool(file.reply, request)
+async def get_page_file(request: Request, name: str) -> Response:
+    """Return a script or the style sheet of the web page."""
+    return await _PAGE_FILES.get_response(name, request.scope)
+
+
+@page.get("/docs/{name}")
+async def get_docs_file(request: Request, name: str) -> Response:
+    """Return a file of Swagger UI, which shows the OpenAPI document."""
+    return await _DOCS_FILES.get_response(name, request.scope)
 
 
 @page.get("/openapi.json")
@@ -78,5 +102,5 @@ async def get_openapi(request: Request) -> Response:
     """Return the OpenAPI document."""
     state = request.app.state
     if not hasattr(state, "openapi"):
-        state.openapi = StaticFile(json.dumps(request.app.openapi()).encode(), JSON)
-    return await run_in_threadpool(state.openapi.reply, request)
+        state.openapi = json.dumps(request.app.openapi()).encode()
+    return tagged_reply(request, state.openapi, JSON)

@@ -15,7 +15,7 @@ import dsbrdf
 from dsbrdf.extras import require
 from dsbrdf.rendering.sphere import LIGHTINGS
 
-from ..compute.steps import FIGURES, figure_step, samples_step, sphere_step, table_step
+from ..compute.steps import figure_step, samples_step, sphere_step, table_step
 from ..http import openapi
 from ..http.messages import NPY, OpenFileResponse, long_reply, media_type_of, not_modified, tag_of, tagged_reply
 from ..wire import from_wire
@@ -37,12 +37,8 @@ _Lighting = Annotated[
 ]
 _Component = Annotated[Label | None, Query(description="One component instead of the whole fit.")]
 _Most = Annotated[int, Query(ge=1, le=100_000, description="Maximum number of samples."), PLAIN]
-_Figure = Annotated[
-    Literal[*FIGURES],  # type: ignore[valid-type]
-    Path(description=f"One of {', '.join(FIGURES)}.", examples=["components"]),
-]
+_Figure = Annotated[Literal["parameters", "residual"], Path(examples=["parameters"])]
 _SphereFormat = Annotated[Literal["png", "npy"], Path(description="`png` or `npy`.", examples=["png"])]
-_ImageFormat = Annotated[Literal["png", "svg"], Path(description="`png` or `svg`.", examples=["svg"])]
 
 
 def _draws(
@@ -144,26 +140,23 @@ async def draw_sphere_in_panorama(
     return await draw(sphere_step, file_format, fit.model, fit.part(component), pixels, size, of=digest)
 
 
-@_draws("/fits/{fit_id}/figures/{figure}.{image_format}", "fit-not-finished", "not-installed", formats=("png", "svg"))
+@_draws("/fits/{fit_id}/figures/{figure}.svg", "fit-not-finished", "not-installed", formats=("svg",))
 async def draw_figure(
     draw: Draw,
     context: TheContext,
     fit: TheLoadedFit,
     row: TheRow,
     figure: _Figure,
-    image_format: _ImageFormat,
     dark: Annotated[bool, Query(description="For a dark background, which is seen through it.")] = False,
 ) -> Response:
     """Return a figure of the fit and its measurement, which must still be stored.
 
-    `profiles` shows measured and fitted values over theta_half; `components` shows the components and their layers in
-    the red channel; `lobes` shows the lobes of the model in the red channel; `parameters` shows the components' values
-    at theta_half = 0 and directional albedos; `residual` shows the relative difference over theta_half and theta_diff.
-    For a table of samples, `profiles` and `residual` show the samples, and there are no `components` and `lobes`.
+    `parameters` shows the components' values at theta_half = 0 and directional albedos; `residual` shows the relative
+    difference over theta_half and theta_diff, for a table of samples at the samples.
     """
     stored = await context.stored_measurement(row.owner, row.measurement, row.name, "any")
     require("plot", "matplotlib", purpose="figures")
-    return await draw(figure_step, figure, image_format, fit.model, stored, from_wire(row.options), dark, of=row.name)
+    return await draw(figure_step, figure, fit.model, stored, from_wire(row.options), dark, of=row.name)
 
 
 @_draws_sphere("/measurements/{sha256}/figures/sphere.{file_format}")

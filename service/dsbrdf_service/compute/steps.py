@@ -6,12 +6,10 @@ measurements are checked before their paths are passed to these functions.
 
 import hashlib
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,44 +18,26 @@ from dsbrdf.components.component import Component
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.measurement import LOG_OFFSET_PER_SR, Measurement
 from dsbrdf.data.merl import encode_merl, map_merl
-from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.reduction import profiles
 from dsbrdf.data.rgl import read_rgl
 from dsbrdf.engines.engine import OnProgress
-from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.export import export_model
 from dsbrdf.output.figure_parts import encode_figure
-from dsbrdf.output.figures import lobes_figure, profiles_figure, residual_figure
+from dsbrdf.output.figures import residual_figure
 from dsbrdf.output.parameter_figures import parameters_figure
-from dsbrdf.output.sample_figures import samples_figure, samples_residual_figure
+from dsbrdf.output.sample_figures import samples_residual_figure
 from dsbrdf.output.sphere_panels import encode_png
 from dsbrdf.output.table_summary import summary_of_table
 from dsbrdf.rendering.environment import EnvironmentMap
 from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import render_sphere, sphere_normals
 from dsbrdf.samples.reading import kind_of_file, open_checked, parse_samples, read_table
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import TableOptions
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Array = NDArray[np.float64]
-
-FIGURES: dict[str, Callable[[Profiles, DSBRDF], "Figure"]] = {
-    "profiles": profiles_figure,
-    "components": lobes_figure,
-    "lobes": partial(lobes_figure, model_lobes=True),
-    "parameters": lambda reduced, model: parameters_figure(model, title=reduced.name),
-    "residual": residual_figure,
-}
-_SAMPLE_FIGURES: dict[str, Callable[[ScatteredSamples, DSBRDF], "Figure"]] = {
-    "profiles": samples_figure,
-    "parameters": lambda samples, model: parameters_figure(model, title=samples.name),
-    "residual": samples_residual_figure,
-}
 
 
 @dataclass(frozen=True)
@@ -121,37 +101,23 @@ def _npy(array: NDArray[Any]) -> bytes:
 
 
 def figure_step(
-    figure: str,
-    image_format: str,
-    model: DSBRDF,
-    stored: StoredMeasurement,
-    options: FitOptions,
-    dark: bool,
-    _: OnProgress,
+    figure: str, model: DSBRDF, stored: StoredMeasurement, options: FitOptions, dark: bool, _: OnProgress
 ) -> bytes:
-    """Return one of `FIGURES` as an image file, optionally for a dark background.
-
-    Raises InvalidArgumentError if there is no such figure for scattered samples.
-    """
+    """Return the figure `parameters` or `residual` of a fit as SVG, optionally for a dark background."""
     import matplotlib as mpl
     import matplotlib.style
 
     mpl.style.use("dark_background" if dark else "default")
     mpl.rcParams["savefig.transparent"] = dark  # The page shows through, because few dark pages are black.
-    mpl.rcParams["svg.hashsalt"] = (
-        "dsbrdf"  # A fixed salt gives equal figures equal bytes, as their equal ETags promise.
-    )
-    measured = open_checked(stored.path, stored.sha256)
-    name = stored.name or stored.sha256[:12]
-    if isinstance(measured, Measurement):
-        reduced = profiles(replace(measured, name=name), horizon_cutoff=options.horizon_cutoff)
-        drawn = FIGURES[figure](reduced, model)
-    elif figure in _SAMPLE_FIGURES:
-        drawn = _SAMPLE_FIGURES[figure](replace(measured, name=name), model)
+    mpl.rcParams["svg.hashsalt"] = "dsbrdf"  # Equal figures get equal bytes, as their equal ETags promise.
+    measured = replace(open_checked(stored.path, stored.sha256), name=stored.name or stored.sha256[:12])
+    if figure == "parameters":
+        drawn = parameters_figure(model, title=measured.name)
+    elif isinstance(measured, Measurement):
+        drawn = residual_figure(profiles(measured, horizon_cutoff=options.horizon_cutoff), model)
     else:
-        known = ", ".join(_SAMPLE_FIGURES)
-        raise InvalidArgumentError(f"there is no figure {figure} of scattered samples; there is {known}")
-    return encode_figure(drawn, image_format)
+        drawn = samples_residual_figure(measured, model)
+    return encode_figure(drawn, "svg")
 
 
 def samples_step(stored: StoredMeasurement, most: int, _: OnProgress) -> bytes:

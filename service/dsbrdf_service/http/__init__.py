@@ -2,5 +2,5 @@
 
 `middleware` bounds connections, request heads and bodies, and logs requests; `messages` reads bodies and makes answers,
 and `problems` makes answers from exceptions; `monitoring` is for an operator; `openapi` describes routes;
-`static_files` sends the web page, which is in `page/`.
+the web page is in `page/`.
 """

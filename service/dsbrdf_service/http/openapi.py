@@ -124,6 +124,7 @@ def document_of(app: FastAPI, referenced: Sequence[type[BaseModel]]) -> dict[str
     document["components"]["schemas"].update(described["$defs"])
     document["components"]["securitySchemes"] = {"key": _KEY}
     document["security"] = [{}, {"key": []}]
+    document["servers"] = [{"url": "."}]  # This is relative to the document, which a proxy may show below a prefix.
     document["tags"] = [{"name": name} for name in _TAGS]
     for methods in document["paths"].values():
         for operation in methods.values():

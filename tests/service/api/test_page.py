@@ -2,21 +2,23 @@
 
 import io
 import re
+from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
 from PIL import Image
 
+import dsbrdf_service
 from dsbrdf import Measurement, parse_merl, render_sphere
 from dsbrdf.output import from_json
 from dsbrdf.rendering import displayed, exposure, sphere_normals
-from dsbrdf_service.http.static_files import STATIC_FILES
 from tests.support.guarded import Guarded
 from tests.support.points import npy
 from tests.support.server import QUICK, Server, assert_problem
 
 NPY = {"Content-Type": "application/x-npy", "Accept": "application/x-npy"}
+PAGE = Path(dsbrdf_service.__file__).parent / "http" / "page"
 PAGES = ("/", "/compare?fit=a&fit=b", f"/fits/{'0' * 32}", "/fits/unknown", f"/measurements/{'0' * 64}", "/docs")
 
 
@@ -61,26 +63,16 @@ def test_documentation_page_shows_the_openapi_document(server: Server) -> None:
     assert f'id="{call[3]}"' in page.text
 
 
-def test_every_static_file_is_there_compressed_and_ours_are_small(server: Server) -> None:
-    for path, file in STATIC_FILES.items():
+def test_static_files_are_small_guarded_and_cached(server: Server) -> None:
+    paths = [f"/page/{file.name}" for file in PAGE.iterdir() if file.suffix in (".js", ".css")]
+    for path in (*paths, "/docs/swagger-ui-bundle.js", "/docs/swagger-ui.css"):
         answer = server.http.get(path)
-        assert answer.headers["content-type"].partition(";")[0] == file.media_type.partition(";")[0]
-        assert answer.headers["content-encoding"] == "gzip"
-        known = server.http.get(path, headers={"If-None-Match": answer.headers["etag"]})
-        assert known.status_code == 304
-        for coding in ("identity", "br"):
-            whole = server.http.get(path, headers={"Accept-Encoding": coding})
-            assert "content-encoding" not in whole.headers
-            assert whole.content == answer.content == file.content
-    assert sum(len(file.compressed) for path, file in STATIC_FILES.items() if path.startswith("/page/")) < 50_000
-    for path in (
-        "/page/index.html",
-        "/docs/redoc.standalone.js",
-        "/docs/..%2fcore.py",
-        "/docs/",
-        "/fits/",
-        "/fits/a/b",
-    ):
+        kind = "text/css" if path.endswith("css") else "javascript"
+        assert (answer.status_code, answer.headers["x-content-type-options"]) == (200, "nosniff"), path
+        assert kind in answer.headers["content-type"]
+        assert server.http.get(path, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+    assert sum((PAGE / path.rpartition("/")[2]).stat().st_size for path in paths) < 150_000
+    for path in ("/page/none.js", "/page/..%2fopenapi.py", "/docs/..%2fcore.py", "/docs/", "/fits/", "/fits/a/b"):
         assert_problem(server.http.get(path), 404, "not-found")
 
 

@@ -29,7 +29,7 @@ TARGETS += [
     ("{fit}/figures/sphere.png?lighting=moon", "'environment'"),
     ("{fit}/figures/sphere.png?component=ring", "'diffuse'"),
     ("{fit}/figures/sphere.png?hue=1", "hue"),
-    ("{fit}/figures/profiles.svg?hue=1", "'hue'"),
+    ("{fit}/figures/residual.svg?hue=1", "'hue'"),
     ("/v1/fits?limit=1&limit=2", "'limit' & more than once"),
     ("{fit}?wait=0&wait=1", "'wait' & more than once"),
     ("{fit}/export?format=csv&format=json", "'format' & more than once"),

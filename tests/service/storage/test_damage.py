@@ -45,7 +45,7 @@ def test_every_reader_refuses_a_damaged_file_in_the_same_way(
     stored = f"/v1/measurements/{sha256}"
     url = f"{stored}/content"
     senders, drawers = [{}, {"If-None-Match": f'"{sha256}"'}], [f"{stored}/figures/sphere.png"]
-    drawers += [f"/v1/fits/{fit}/figures/{figure}" for figure in ("profiles.png", "residual.svg")]
+    drawers += [f"/v1/fits/{fit}/figures/{figure}" for figure in ("parameters.svg", "residual.svg")]
     drawers += [f"{stored}/{array}.npy" for array in ("table", "figures/sphere")]
     assert server.http.get(url).content == data  # so it was right not long ago
     (path,) = server.files()
