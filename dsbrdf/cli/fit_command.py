@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -30,7 +31,7 @@ from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.component_table import COLUMNS, component_rows, table_csv
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
-from dsbrdf.samples.reading import read_measurement, read_samples
+from dsbrdf.samples.reading import read_measurement, read_samples, samples_in
 from dsbrdf.samples.table_options import TableOptions
 
 _FILES = (".json", ".png", ".svg", ".pdf", ".csv", ".binary")
@@ -164,7 +165,7 @@ def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work
         options,
         work.engine(),
         work.output,
-        table=table,
+        samples_of=partial(samples_in, options=table),
         force=work.force,
         progress=lambda finished: bar.update(task, completed=finished, done=int(finished)),
     )

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import closing
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from threading import Lock
 from dsbrdf.data.files import write_atomically
 from dsbrdf.engines.engine import Engine, Fault, FitTask, OnProgress, Outcome, run_step
 from dsbrdf.engines.local import LocalEngine, compute
-from dsbrdf.errors import WRONG_PATH_ERRORS, DSBRDFError, InvalidArgumentError, ModelFormatError
+from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import result_from_json
-from dsbrdf.samples.reading import read_samples
-from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
+from dsbrdf.samples.reading import samples_in
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.version import ALGORITHM_VERSION
 
 _CLUSTER_TIMEOUT_S = 15.0  # A cluster without a usable worker for this time is refused.
@@ -53,7 +53,7 @@ def fit_files(
     engine: Engine,
     folder: Path | None = None,
     *,
-    table: TableOptions = AS_WRITTEN,
+    samples_of: Callable[[Path], ScatteredSamples | None] = samples_in,
     force: bool = False,
     progress: OnProgress = lambda _: None,
 ) -> Generator[FileFit, None, None]:
@@ -61,9 +61,10 @@ def fit_files(
 
     A single file is fitted in this process if the engine is a `LocalEngine`. Each model is written atomically to
     ``NAME.json`` in the `folder`, or, if the folder is None, beside its measurement, where a file that is not a fit is
-    never replaced. Tables are read with the options in `table`. Without `force`, an earlier fit is kept if the fit is
-    newer than its measurement, and has equal samples, options and algorithm version. `progress` is called, also in
-    other threads, with the number of finished files, including fractions of unfinished files.
+    never replaced. The function `samples_of` reads a table, and returns None for a measurement on a grid. Without
+    `force`, an earlier fit is kept if the fit is newer than its measurement, and has equal samples, options and
+    algorithm version. `progress` is called, also in other threads, with the number of finished files, including
+    fractions of unfinished files.
 
     Raises InvalidArgumentError if two files would have the same output, and OSError if an output cannot be written or
     no worker of the cluster can be reached.
@@ -81,10 +82,12 @@ def fit_files(
     with closing(engine):
         outputs = _outputs(files, folder)
         for number, (file, output) in enumerate(zip(files, outputs, strict=True)):
-            found = _unreadable(file)
+            found, samples = _unreadable(file), None
+            if found is None and isinstance(samples := run_step(samples_of, file), Fault):
+                found = _file_fit(file, output, samples)
             if found is None and not force:
-                found = _earlier_fit(file, output, options, table)
-            task, on_progress = FitTask(file.stem, file, options, table), partial(tell, number)
+                found = _earlier_fit(file, output, options, samples)
+            task, on_progress = FitTask(file.stem, file, options, samples), partial(tell, number)
             if found is None and is_single:
                 found = _file_fit(file, output, run_step(compute, task, on_progress))
             if found is None:
@@ -156,7 +159,7 @@ def _is_fit(file: Path) -> bool:
     return True
 
 
-def _earlier_fit(file: Path, output: Path, options: FitOptions, table: TableOptions) -> FileFit | None:
+def _earlier_fit(file: Path, output: Path, options: FitOptions, samples: ScatteredSamples | None) -> FileFit | None:
     """Return the fit in the file ``output`` if a new fit would give an equal result, otherwise None."""
     try:
         if output.stat().st_mtime < file.stat().st_mtime:
@@ -166,14 +169,6 @@ def _earlier_fit(file: Path, output: Path, options: FitOptions, table: TableOpti
         return None
     if result.report.options != options or result.report.versions.algorithm != ALGORITHM_VERSION:
         return None
-    if result.report.samples is not None and result.report.samples != _digest(file, table):
+    if result.report.samples != (None if samples is None else samples.sha256):
         return None
     return FileFit(file, output, result, resumed=True)
-
-
-def _digest(file: Path, table: TableOptions) -> str | None:
-    """Return the digest of the samples in a file; None if the file is unreadable, so that a new fit says why."""
-    try:
-        return read_samples(file, table).sha256
-    except DSBRDFError:
-        return None

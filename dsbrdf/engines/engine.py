@@ -16,7 +16,7 @@ from typing import Any, Literal, Protocol
 
 from dsbrdf.errors import DSBRDFError
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 logger = logging.getLogger(__name__)
 
@@ -49,7 +49,7 @@ class FitTask:
     fit_id: str  # identifier of the fit for names and logs
     path: Path  # file of the measurement
     options: FitOptions
-    table: TableOptions = AS_WRITTEN  # options for reading the file if it is a table of samples
+    samples: ScatteredSamples | None = None  # the samples in the file, if it is a table that was read already
     sha256: str | None = None  # digest of the file, if the file was checked before, so that it is not checked again
     with_thumbnail: bool = False
 

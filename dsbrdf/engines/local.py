@@ -27,10 +27,10 @@ def compute(task: FitTask, on_progress: OnProgress) -> FitDocument:
 
 
 def measurement_of(task: FitTask) -> Measurement | ScatteredSamples:
-    """Read the measurement in the file of a task."""
-    if task.sha256 is None:
-        return read_measurement(task.path, task.table)
-    return open_checked(task.path, task.sha256)
+    """Return the samples of a task, or read the measurement in its file."""
+    if task.samples is not None:
+        return task.samples
+    return read_measurement(task.path) if task.sha256 is None else open_checked(task.path, task.sha256)
 
 
 def fit_quietly(

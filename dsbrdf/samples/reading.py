@@ -84,12 +84,19 @@ def read_measurement(
     OSError
         If the file does not exist or cannot be read.
     """
-    options = TableOptions.chosen(options, choices)
+    samples = samples_in(Path(path), TableOptions.chosen(options, choices))
+    if samples is not None:
+        return samples
+    return read_rgl(path).measurement() if kind_of_file(path) == "rgl" else read_merl(path)
+
+
+def samples_in(path: Path, options: TableOptions = AS_WRITTEN) -> ScatteredSamples | None:
+    """Return the samples in a file; None for a measurement on a grid. Raises as `read_measurement`."""
     kind = kind_of_file(path)
     if kind == "samples":
         return read_samples(path, options)
     options.refuse(_NAMES[kind])
-    return read_rgl(path).measurement() if kind == "rgl" else read_merl(path)
+    return None
 
 
 def open_checked(path: str | os.PathLike[str], sha256: str) -> Measurement | ScatteredSamples:
@@ -135,7 +142,8 @@ def read_samples(
     ----------
     path : path-like, or several
         A text, a ``.bsdf`` file of Zemax and others that `docs/formats.md` lists, or, with the extra ``xlsx``, a
-        spreadsheet (``.xlsx``, ``.ods``, ``.xls``). Several files of one material become one measurement. The stem of the first file becomes the name.
+        spreadsheet (``.xlsx``, ``.ods``, ``.xls``). Several files of one material become one measurement. The stem of
+        the first file becomes the name.
     options : TableOptions, optional
         Options for reading the table.
     **choices

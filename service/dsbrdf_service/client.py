@@ -20,12 +20,13 @@ from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measur
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl import read_rgl
 from dsbrdf.output.serialize import result_from_json
-from dsbrdf.samples.reading import kind_of_file, read_samples
+from dsbrdf.samples.reading import kind_of_file, samples_in
+from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 from .wire import check_name, to_wire
 
-Source = str | os.PathLike[str] | bytes | Measurement
+Source = str | os.PathLike[str] | bytes | Measurement | ScatteredSamples
 Document = dict[str, Any]
 """JSON document of a fit, as ``GET /v1/fits/{id}`` returns it."""
 
@@ -105,7 +106,7 @@ class Client:
 
         Parameters
         ----------
-        measurement : path-like, bytes or Measurement
+        measurement : path-like, bytes, Measurement or ScatteredSamples
             A file as for `dsbrdf.fit`, the bytes of a MERL file, or a measurement. The measurement is sent only if the
             service does not have it.
         options : FitOptions, optional
@@ -181,13 +182,14 @@ class Client:
         headers, own_name = {"Content-Type": "application/octet-stream"}, None
         if isinstance(measurement, str | os.PathLike):
             path = Path(measurement)
-            own_name, kind = path.stem, kind_of_file(path)
-            if kind == "samples":
-                headers = {"Content-Type": "text/csv"}
-                measurement = read_samples(path, options).encode()
+            own_name, samples = path.stem, samples_in(path, options)
+            if samples is not None:
+                measurement = samples
             else:
-                options.refuse("a measurement on a grid")
-                measurement = read_rgl(path).measurement() if kind == "rgl" else path.read_bytes()
+                measurement = read_rgl(path).measurement() if kind_of_file(path) == "rgl" else path.read_bytes()
+        if isinstance(measurement, ScatteredSamples):
+            headers = {"Content-Type": "text/csv"}
+            own_name, measurement = measurement.name, measurement.encode()
         if isinstance(measurement, Measurement):
             own_name, measurement = measurement.name, encode_merl(measurement)
         sha256 = hashlib.sha256(measurement).hexdigest()

@@ -39,7 +39,8 @@ class ClientEngine:
 
     def _fit(self, task: FitTask, on_progress: OnProgress) -> Outcome:
         try:
-            fit = self._client.wait(self._client.submit(task.path, task.options, table=task.table), on_progress)
+            measurement = task.path if task.samples is None else task.samples
+            fit = self._client.wait(self._client.submit(measurement, task.options), on_progress)
             return FitDocument(self._client.document(fit["id"]), fit["metrics"])
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))

@@ -19,7 +19,6 @@ from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.measurement import LOG_OFFSET_PER_SR, Measurement
 from dsbrdf.data.merl import encode_merl, map_merl
 from dsbrdf.data.reduction import profiles
-from dsbrdf.data.rgl import read_rgl
 from dsbrdf.engines.engine import OnProgress
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -34,7 +33,7 @@ from dsbrdf.output.table_summary import summary_of_table
 from dsbrdf.rendering.environment import EnvironmentMap
 from dsbrdf.rendering.image_metrics import displayed, exposure
 from dsbrdf.rendering.sphere import render_sphere, sphere_normals
-from dsbrdf.samples.reading import kind_of_file, open_checked, parse_samples, read_table
+from dsbrdf.samples.reading import open_checked, parse_samples, read_measurement, read_table
 from dsbrdf.samples.table_options import TableOptions
 
 Array = NDArray[np.float64]
@@ -151,12 +150,11 @@ def conversion_step(path: Path, options: TableOptions, _: OnProgress) -> tuple[s
 
     Raises MeasurementFormatError if the file is wrong, and InvalidArgumentError for options of a table if it is none.
     """
-    if kind_of_file(path) == "samples":
-        content, valid_nodes = parse_samples(path.read_bytes(), options=options).encode(), 0
+    measured = read_measurement(path, options)
+    if isinstance(measured, Measurement):
+        content, valid_nodes = encode_merl(measured), int(measured.valid.sum())
     else:
-        options.refuse("an RGL file")
-        measurement = read_rgl(path).measurement()
-        content, valid_nodes = encode_merl(measurement), int(measurement.valid.sum())
+        content, valid_nodes = measured.encode(), 0
     with path.open("wb") as file:
         file.write(content)
         file.flush()
