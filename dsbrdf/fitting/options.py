@@ -1,7 +1,5 @@
 """Define the options of a fit: a frozen dataclass whose fields have a sentence, bounds and a default."""
 
-from __future__ import annotations
-
 import inspect
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
