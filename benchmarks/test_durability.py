@@ -9,8 +9,8 @@ from benchmarks.server.runner import run
 from dsbrdf import Measurement, write_merl
 from tests.support.soak import SOAK
 
-SHORT = {"server-kill": 1, "uploads": 3, "disk": 1}
-REPEATS = {name: one.amount for name, one in SERIES.items()} if SOAK else SHORT
+REPEATS_OF_A_SHORT_RUN = {"server-kill": 1, "uploads": 3, "disk": 1}
+REPEATS = {name: one.amount for name, one in SERIES.items()} if SOAK else REPEATS_OF_A_SHORT_RUN
 
 
 @pytest.mark.parametrize("name", REPEATS)
