@@ -11,8 +11,8 @@ from tests.support.processes import ONE_CORE
 
 MAIN = "def main("
 """Modules of this package that contain this text are benchmarks; the others are helpers."""
-BY_NAME_ONLY = ("durability", "installation", "soak")
-"""Benchmarks that take half an hour, or install all packages; they are run only by name."""
+BY_NAME_ONLY = ("durability", "faults", "installation", "soak")
+"""Benchmarks that take half an hour, or install all packages; they are run by name only."""
 
 
 def known() -> list[str]:

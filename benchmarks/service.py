@@ -50,7 +50,7 @@ def running(place: Place) -> Iterator[tuple[Server, str]]:
     """Start a service; yield it with the path of a default fit of the measurement."""
     with place.server() as server:
         server.start()
-        status, body = post(_url(server, "/v1/fits?"), [place.measurement.read_bytes()], _RAW)
+        status, body = post(_url(server, "/v1/fits?"), [place.measurement.read_bytes()], _RAW | {"Prefer": "wait=300"})
         assert status in (200, 201), body
         yield server, f"/v1/fits/{json.loads(body)['id']}"
 

@@ -1,0 +1,266 @@
+"""Plants one-line faults, runs the tests that cover the line, and prints each fault that no test has noticed.
+
+A fault changes one operator, bound, constant or branch, or leaves out one statement; they are drawn at random, equally
+often from each wing and of each kind. Calls of the logger are left alone. Which tests cover a line and how long they
+take is found once and kept in out/faults (ten minutes); remove the folder after larger changes. The tests run in a copy
+of the committed and changed files, the quickest first, until one fails.
+"""
+
+import argparse
+import ast
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import coverage
+import pytest
+
+ROOT = Path(__file__).parents[1]
+KEPT = Path("out/faults")
+SERVICE = "service/dsbrdf_service"
+WINGS = (
+    *(f"dsbrdf/{wing}" for wing in ("model", "fitting", "components", "samples")),
+    *(f"{SERVICE}/{wing}" for wing in ("storage", "queue.py", "access.py")),
+)
+MAX_TEST_SECONDS = 120.0  # A fault that survives the quickest tests of this time counts as not noticed.
+MAX_RUN_SECONDS = 400.0  # A fault may cause an endless loop, which counts as noticed.
+OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*"}
+BOUNDS = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">"}
+OPPOSITES = {ast.Eq: "!=", ast.NotEq: "==", ast.Is: "is not", ast.IsNot: "is", ast.In: "not in", ast.NotIn: "in"}
+
+
+class Fault(NamedTuple):
+    """A place in a line of a file, what replaces it, and the kind of the fault."""
+
+    path: str
+    line: int
+    begin: int
+    end: int
+    text: str
+    kind: str
+
+
+def faults_of(path: str) -> Iterator[Fault]:
+    """Yield every fault that can be planted in a file."""
+    source = (ROOT / path).read_text()
+    lines, tree = source.splitlines(), ast.parse(source)
+    skipped = {
+        inside
+        for node in ast.walk(tree)
+        for part in (*_annotations(node), *([node] if isinstance(node, ast.JoinedStr | ast.Raise) else []))
+        for inside in ast.walk(part)
+    }
+    for node in ast.walk(tree):
+        if node in skipped:
+            continue
+        for begin, end, text, kind in _changes(node, lines):
+            if begin[0] == end[0] and not lines[begin[0] - 1].lstrip().startswith("logger."):
+                yield Fault(path, begin[0], begin[1], end[1], text, kind)
+
+
+def _annotations(node: ast.AST) -> list[ast.expr]:
+    found = [getattr(node, name, None) for name in ("annotation", "returns")]
+    return [one for one in found if isinstance(one, ast.expr)]
+
+
+Place = tuple[int, int]
+
+
+def _changes(node: ast.AST, lines: Sequence[str]) -> Iterator[tuple[Place, Place, str, str]]:
+    """Yield the begin and end of what one node has replaced, its new text, and the kind."""
+    match node:
+        case ast.BinOp(left, operator, right) if type(operator) in OPERATORS:
+            yield *_between(left, right, lines), f" {OPERATORS[type(operator)]} ", "operator"
+        case ast.UnaryOp(ast.USub(), operand) if not isinstance(operand, ast.Constant):
+            yield _begin(node), _begin(operand), "", "operator"
+        case ast.Compare(left, [operator], [right]):
+            kinds = (("bound", BOUNDS), ("branch", OPPOSITES))
+            for kind, texts in kinds:
+                if type(operator) in texts:
+                    yield *_between(left, right, lines), f" {texts[type(operator)]} ", kind
+        case ast.Constant(bool(value)):
+            yield _begin(node), _end(node), str(not value), "constant"
+        case ast.Constant(int(value)):
+            yield _begin(node), _end(node), str(value + 1 if value < 5 else 3 * value), "constant"
+        case ast.Constant(float(value)):
+            yield _begin(node), _end(node), repr(4.0 * value or 1.0), "constant"
+        case ast.If(test) | ast.IfExp(test) | ast.While(test) | ast.comprehension(ifs=[test]):
+            yield (
+                _begin(test),
+                _end(test),
+                f"(not ({lines[test.lineno - 1][test.col_offset : test.end_col_offset]}))",
+                "branch",
+            )
+        case ast.BoolOp(operator, [first, second, *_]):
+            text = " or " if isinstance(operator, ast.And) else " and "
+            yield *_between(first, second, lines), text, "branch"
+        case ast.Expr(ast.Call()) | ast.AugAssign() | ast.Continue() | ast.Break():
+            yield _begin(node), _end(node), "pass", "left out"
+
+
+def _begin(node: ast.expr | ast.stmt) -> Place:
+    return node.lineno, node.col_offset
+
+
+def _end(node: ast.expr | ast.stmt) -> Place:
+    return node.end_lineno or 0, node.end_col_offset or 0
+
+
+def _between(left: ast.expr, right: ast.expr, lines: Sequence[str]) -> tuple[Place, Place]:
+    """Return where an operator stands, without the parentheses of its operands; nowhere if lines end there."""
+    (line, begin), (last, end) = _end(left), _begin(right)
+    gap = lines[line - 1][begin:end] if line == last else "("
+    begin += len(gap) - len(gap.lstrip(") "))
+    end -= len(gap) - len(gap.rstrip("( "))
+    return (line, begin), (last if begin < end else 0, end)
+
+
+def planted(fault: Fault) -> str:
+    """Return the source of a file with a fault."""
+    lines = (ROOT / fault.path).read_text().splitlines(keepends=True)
+    line = lines[fault.line - 1].encode()
+    lines[fault.line - 1] = (line[: fault.begin] + fault.text.encode() + line[fault.end :]).decode()
+    return "".join(lines)
+
+
+def drawn(number: int, seed: int, wings: Sequence[str]) -> list[Fault]:
+    """Draw faults, equally often from each wing and of each kind; every one can be compiled."""
+    generator, found = random.Random(seed), dict[Fault, None]()
+    pools: dict[tuple[str, str], list[Fault]] = {}
+    for wing in wings:
+        for path in sorted((ROOT / wing).rglob("*.py")) or [ROOT / wing]:
+            for fault in faults_of(str(path.relative_to(ROOT))):
+                pools.setdefault((wing, fault.kind), []).append(fault)
+    keys = sorted(pools)
+    while len(found) < number:
+        fault = generator.choice(pools[generator.choice(keys)])
+        try:
+            compile(planted(fault), fault.path, "exec")
+        except SyntaxError:
+            continue
+        found[fault] = None
+    return list(found)
+
+
+class Recorder:
+    """Records for a run of pytest which tests cover which lines, how long each takes, and which fail."""
+
+    def __init__(self) -> None:
+        self.coverage = coverage.Coverage(
+            data_file=str(KEPT / "coverage"), source=["dsbrdf", SERVICE], config_file=False
+        )
+        self.seconds: dict[str, float] = {}
+        self.failed: set[str] = set()
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """Count what follows for this test."""
+        self.coverage.switch_context(nodeid)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Add up the time of a test."""
+        self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
+        if not report.passed:
+            self.failed.add(report.nodeid)
+
+    def save(self) -> None:
+        """Write the map of lines to tests and the times."""
+        self.coverage.stop()
+        self.coverage.save()
+        good = {test: seconds for test, seconds in self.seconds.items() if test not in self.failed}
+        (KEPT / "seconds.json").write_text(json.dumps(good))
+
+
+def covering(fault: Fault, seconds: dict[str, float]) -> list[str]:
+    """Return tests that cover the line of a fault, or that use the constant which it defines, the quickest first.
+
+    The tests of the same wing count as well: what a fixture has computed for many tests is recorded for the first.
+    """
+    data = coverage.CoverageData(str(KEPT / "coverage"))
+    data.read()
+    contexts = data.contexts_by_lineno(str(ROOT / fault.path))
+    lines = (ROOT / fault.path).read_text().splitlines()
+    name = lines[fault.line - 1].partition(" ")[0].rstrip(":")
+    used = [fault.line, *(n for n, line in enumerate(lines, 1) if name.isidentifier() and name in line)]
+    wing = fault.path.replace(SERVICE, "tests/service").replace("dsbrdf/", "tests/library/").removesuffix(".py")
+    wing = wing if (ROOT / wing).is_dir() else wing.rpartition("/")[0]
+    tests = {test for line in used for test in contexts.get(line, ())} | {
+        test for test in seconds if test.startswith(wing)
+    }
+    chosen, total = [], 0.0
+    for test in sorted(tests & set(seconds), key=seconds.__getitem__):
+        total += seconds[test]
+        if total <= MAX_TEST_SECONDS:
+            chosen.append(test)
+    return chosen
+
+
+def is_noticed(fault: Fault, tests: Sequence[str], copy: Path) -> bool:
+    """Run tests with a fault in the copy; return whether one fails."""
+    path = copy / fault.path
+    original = path.read_text()
+    path.write_text(planted(fault))
+    try:
+        return bool(_pytest(copy, "-x", *tests).wait(MAX_RUN_SECONDS))
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        path.write_text(original)
+
+
+def _pytest(copy: Path, *arguments: str) -> "subprocess.Popen[bytes]":
+    environment = os.environ | {"PYTHONPATH": f"{copy}:{copy / 'service'}", "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments]
+    return subprocess.Popen(command, cwd=copy, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def record() -> None:
+    """Run all tests of the library and of the service, and keep what they cover."""
+    KEPT.mkdir(parents=True, exist_ok=True)
+    recorder = Recorder()
+    recorder.coverage.start()
+    pytest.main(["-q", "-p", "no:cacheprovider", "tests/library", "tests/service"], plugins=[recorder])
+    recorder.save()
+
+
+def main(argv: Sequence[str]) -> int:
+    """Print each fault that is not noticed, and how many are."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks faults", description=__doc__)
+    parser.add_argument("--number", type=int, default=150, metavar="N", help="faults (default: 150)")
+    parser.add_argument("--seed", type=int, default=1, help="of the choice (default: 1)")
+    parser.add_argument("--only", nargs="+", default=WINGS, metavar="WING", help=f"some of: {', '.join(WINGS)}")
+    parser.add_argument("--show", action="store_true", help="print the faults, and run no test")
+    arguments = parser.parse_args(argv)
+    faults = drawn(arguments.number, arguments.seed, arguments.only)
+    if not arguments.show and not (KEPT / "seconds.json").exists():
+        record()
+    seconds: dict[str, float] = {} if arguments.show else json.loads((KEPT / "seconds.json").read_text())
+    n_noticed = 0
+    with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
+        copy = Path(folder) / "copy"
+        names = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+        for name in names.splitlines():
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, copy / name)
+        for number, fault in enumerate(faults, 1):
+            begin = time.monotonic()
+            tests = covering(fault, seconds) if seconds else []
+            noticed = not arguments.show and is_noticed(fault, tests, copy)
+            n_noticed += noticed
+            line, after = ((ROOT / fault.path).read_text(), planted(fault))
+            before, after = (text.splitlines()[fault.line - 1].strip() for text in (line, after))
+            verdict = "planted" if arguments.show else "noticed" if noticed else "NOT NOTICED"
+            where = f"{number:3} {fault.path}:{fault.line} {fault.kind}"
+            print(
+                f"{where}: {verdict} ({len(tests)} tests, {time.monotonic() - begin:.0f} s)\n    {before}\n    {after}",
+                flush=True,
+            )
+    print(f"{n_noticed} of {len(faults)} faults noticed")
+    return 0
