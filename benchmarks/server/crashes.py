@@ -24,7 +24,7 @@ from benchmarks.server.runner import (
     temporary_files,
 )
 from dsbrdf.data import FILE_SIZE
-from dsbrdf_service.storage.maintenance import purge
+from dsbrdf_service.storage.maintenance import purge_folder
 from tests.support.server import Server
 
 _CLIENTS = 4
@@ -46,7 +46,7 @@ def server_killed(place: Place) -> list[Row]:
         promised = sum(client.settle(server.http) for client in clients)
         accepted = sum(client.accepted for client in clients)
         # A kill between the end of a row and that of its file leaves the file.
-        files = purge(server.data_dir, None, files_without_rows=True)["files_without_rows"]
+        files = purge_folder(server.data_dir, None, files_without_rows=True)["files_without_rows"]
         _end(place, server)
     measured = (
         f"{times} kills, {_answers(clients)} requests, {accepted} fits accepted, {promised} of them due at the end, "

@@ -7,11 +7,10 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from contextlib import redirect_stdout
-from importlib import import_module
 from typing import Any
 from unittest import mock
 
-from dsbrdf.cli.arguments import SERVICE_COMMANDS
+from dsbrdf.cli.arguments import SERVICE_COMMANDS, entry_point
 from dsbrdf.cli.commands import command_names
 from dsbrdf.cli.main import main
 from dsbrdf_service.app import create_app
@@ -36,7 +35,7 @@ def command_line() -> str:
 
 
 def _service_main(command: str) -> Callable[[Sequence[str]], int]:
-    found: Callable[[Sequence[str]], int] = import_module(f"dsbrdf_service.admin.{command}").main
+    found: Callable[[Sequence[str]], int] = entry_point("commands", command).load()
     return found
 
 

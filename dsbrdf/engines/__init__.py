@@ -3,8 +3,7 @@
 from dsbrdf.engines.batch import FileFit, fit_files
 from dsbrdf.engines.dask import DaskEngine
 from dsbrdf.engines.engine import Engine, Fault, FitDocument, FitLimits, FitTask, OnProgress, Outcome
-from dsbrdf.engines.local import LocalEngine
-from dsbrdf.engines.processes import Processes
+from dsbrdf.engines.local import LocalEngine, Processes
 
 __all__ = [
     "DaskEngine",

@@ -22,9 +22,7 @@ from typing import Any
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles
 from dsbrdf.engines.engine import MIN_FIT_MEMORY_MB, NO_LIMITS, Fault, FitLimits, FitTask, OnProgress, Outcome
-from dsbrdf.engines.fork_server import start_fork_server
-from dsbrdf.engines.local import document_of, fit_quietly, measurement_of
-from dsbrdf.engines.processes import Processes
+from dsbrdf.engines.local import Processes, document_of, fit_quietly, measurement_of, preload, start_fork_server
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
@@ -53,6 +51,7 @@ class DaskEngine(Processes):
 
     def __init__(self, scheduler: str, count: int, limits: FitLimits = NO_LIMITS) -> None:
         require("dask", "distributed", purpose="fits on a Dask cluster")
+        preload("distributed")
         super().__init__(count)  # The processes of this machine have no time limit, because they wait for the cluster.
         self._scheduler, self._fit_limits = scheduler, limits
         self._good_at = float("-inf")

@@ -1,4 +1,4 @@
-"""Use the service from Python, with the objects and errors of the library.
+"""Use the service from Python, with the objects and errors of the library; `dsbrdf fit --url` uses it as an engine.
 
 with Client("http://127.0.0.1:8000") as client:
     result = client.fit("nickel.binary")  # Like dsbrdf.fit.
@@ -10,6 +10,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ import httpx
 from dsbrdf import FitError, FitOptions, FitResult, InvalidArgumentError, Measurement, MeasurementFormatError
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.rgl import read_rgl
+from dsbrdf.engines.engine import Fault, FitDocument, FitTask, OnProgress, Outcome
+from dsbrdf.errors import DSBRDFError
 from dsbrdf.output.serialize import result_from_json
 from dsbrdf.samples.reading import kind_of_file, samples_in
 from dsbrdf.samples.scattered_samples import ScatteredSamples
@@ -234,3 +237,43 @@ def _error(answer: httpx.Response) -> Exception:
         problem |= answer.json()
     kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
     return ServiceError(problem) if kind is None else kind(problem["detail"])
+
+
+class ClientEngine:
+    """Request at most `count` fits at once from the service at `url`.
+
+    The environment variable ``DSBRDF_KEY`` contains the API key, if the service needs a key.
+    """
+
+    def __init__(self, url: str, count: int) -> None:
+        self._url, self._client = url, Client(url)
+        self._threads = ThreadPoolExecutor(count)
+
+    def submit(self, task: FitTask, on_progress: OnProgress) -> "Future[Outcome]":
+        """Request a fit.
+
+        The future raises ConnectionError if the service cannot be reached, or fails for another reason than the
+        measurement or the options. The future raises InvalidArgumentError if the service needs another API key.
+        """
+        return self._threads.submit(self._fit, task, on_progress)
+
+    def check(self) -> None:
+        """Do nothing, because the first fit shows whether the service answers."""
+
+    def close(self) -> None:
+        """Stop waiting for the requested fits, and close the connections."""
+        self._client.close()
+        self._threads.shutdown(cancel_futures=True)
+
+    def _fit(self, task: FitTask, on_progress: OnProgress) -> Outcome:
+        try:
+            measurement = task.path if task.samples is None else task.samples
+            fit = self._client.wait(self._client.submit(measurement, task.options), on_progress)
+            return FitDocument(self._client.document(fit["id"]), fit["metrics"])
+        except DSBRDFError as error:
+            return Fault("input", type(error).__name__, str(error))
+        except (ServiceError, httpx.TransportError) as error:
+            if isinstance(error, ServiceError) and error.problem.get("status") == 401:
+                advice = "the environment variable DSBRDF_KEY gives the key"
+                raise InvalidArgumentError(f"{self._url}: {error}; {advice}") from error
+            raise ConnectionError(f"{self._url}: {error}") from error

@@ -13,8 +13,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf.engines import FitTask
-from dsbrdf_service.client import Client, ServiceError
-from dsbrdf_service.client_engine import ClientEngine
+from dsbrdf_service.client import Client, ClientEngine, ServiceError
 from dsbrdf_service.wire import canonical
 from tests.support import endless_fit
 from tests.support.guarded import Guarded

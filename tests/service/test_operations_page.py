@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf_service.admin import doctor
+from dsbrdf_service.admin.commands import doctor
 from dsbrdf_service.settings import PREFIX, Settings
 from tests.support.commands import run_main
 from tests.support.server import QUICK, Server
@@ -51,7 +51,7 @@ def test_backup_of_a_running_service_can_be_restored(
         database.execute(command.replace("/backup", str(copy)))
     shutil.copytree(server.data_dir / "blobs", copy / "blobs")
     server.http.delete(f"/v1/fits/{fit['id']}")  # after the backup
-    assert run_main(doctor.main, "--data-dir", str(copy)).returncode == 0
+    assert run_main(doctor, "--data-dir", str(copy)).returncode == 0
     server.stop()
     server.data_dir = copy
     restored = server.start().http

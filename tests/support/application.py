@@ -18,7 +18,7 @@ from fastapi import FastAPI
 from starlette.types import Message
 
 import dsbrdf
-from dsbrdf.engines import OnProgress, Processes, processes
+from dsbrdf.engines import OnProgress, Processes, local
 from dsbrdf.engines.engine import run_step
 from dsbrdf.output import to_json
 from dsbrdf_service.app import create_app
@@ -161,8 +161,8 @@ def _call_in_thread(
 @asynccontextmanager
 async def application(folder: Path, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> AsyncIterator[Application]:
     """Run the application during the block, without other processes: steps are called in threads."""
-    monkeypatch.setattr(processes, "start_fork_server", lambda: None)
-    monkeypatch.setattr(processes.Processes, "call", _call_in_thread)
+    monkeypatch.setattr(local, "start_fork_server", lambda: None)
+    monkeypatch.setattr(Processes, "call", _call_in_thread)
     store = Store(folder)
     app = create_app(Settings(data_dir=folder, workers=1, require_keys=True, **settings), store)
     async with app.router.lifespan_context(app):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from subprocess import CompletedProcess
 from typing import Any
 
-from dsbrdf_service.admin import keys
+from dsbrdf_service.admin.commands import keys
 from dsbrdf_service.storage.database import Database
 from dsbrdf_service.storage.keys import add_key
 from tests.support.commands import run_main
@@ -36,4 +36,4 @@ def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, st
 
 def keys_command(*words: str) -> "CompletedProcess[str]":
     """Run ``dsbrdf keys`` without a process of its own."""
-    return run_main(keys.main, *words)
+    return run_main(keys, *words)

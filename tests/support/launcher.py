@@ -194,7 +194,7 @@ def _become(program: str, request: dict[str, Any]) -> NoReturn:
         assert constant in vars(import_module(module))
         vars(import_module(module))[constant] = value
     if not request["fits"]:
-        vars(import_module("dsbrdf.engines.processes"))["start_fork_server"] = lambda: None
+        vars(import_module("dsbrdf.engines.local"))["start_fork_server"] = lambda: None
     else:
         _prepare_fork_server()
     sys.argv = [program, *request["arguments"]]

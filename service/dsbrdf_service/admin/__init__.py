@@ -1,5 +1,5 @@
-"""Define the commands ``dsbrdf serve``, ``keys``, ``purge`` and ``doctor``, each in a module with a function `main`.
+"""Define the commands of an operator: `serve` has ``dsbrdf serve``, `commands` has ``keys``, ``purge`` and ``doctor``.
 
-All commands except `serve` may be used while a server runs. These commands import neither NumPy nor
-pydantic nor FastAPI, so that they start at once.
+The latter may be used while a server runs. They import neither NumPy nor pydantic nor FastAPI, so that they start at
+once.
 """

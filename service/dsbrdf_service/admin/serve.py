@@ -31,7 +31,7 @@ from ..log import configure
 from ..settings import Settings
 from ..storage.keys import has_active_key
 from ..storage.store import Store
-from .data_folder import refuse
+from .commands import refuse
 
 # More connections than requests are allowed, because most connections are idle; beyond this limit, requests get 503.
 _CONNECTIONS_PER_REQUEST = 8

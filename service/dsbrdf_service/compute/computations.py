@@ -22,7 +22,7 @@ from starlette.requests import ClientDisconnect, Request
 from dsbrdf import DSBRDF, Component, Decomposition, FitReport
 from dsbrdf.arrays import Array
 from dsbrdf.engines.engine import DISK_FULL, Fault, FitLimits
-from dsbrdf.engines.processes import Processes
+from dsbrdf.engines.local import Processes, preload
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.output.serialize import fit_from_json
 
@@ -32,6 +32,7 @@ from ..queue import FairTurns, result_of
 from ..storage.files import OpenFile, Writing
 from ..storage.schema import FitKey
 from ..storage.store import Store
+from . import steps
 
 T = TypeVar("T")
 
@@ -61,6 +62,7 @@ class Computations:
     """
 
     def __init__(self, limits: FitLimits) -> None:
+        preload(steps.__name__)
         self._turns = {place: FairTurns() for place in get_args(Place)}
         self._limits = limits
         at_once = replace(limits, niceness=0)

@@ -61,7 +61,7 @@ def _has_row(db: sqlite3.Connection, sha256: str) -> bool:
     return db.execute("SELECT 1 FROM measurements WHERE sha256 = ?", (sha256,)).fetchone() is not None
 
 
-def purge(folder: Path, before: float | None, *, files_without_rows: bool = False) -> dict[str, int]:
+def purge_folder(folder: Path, before: float | None, *, files_without_rows: bool = False) -> dict[str, int]:
     """Remove fits and measurements older than `before` [s since 1970], and optionally the files without rows.
 
     Return the numbers of removed fits, measurements and files without rows, and the bytes of all removed files.

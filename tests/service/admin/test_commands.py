@@ -15,7 +15,7 @@ import pytest
 
 from dsbrdf.cli.main import main
 from dsbrdf.data import FILE_SIZE
-from dsbrdf_service.admin import doctor, purge
+from dsbrdf_service.admin.commands import doctor, purge
 from dsbrdf_service.storage.database import FILE_NAME, Database, read_only
 from dsbrdf_service.storage.files import Blobs
 from dsbrdf_service.storage.keys import add_key, revoke_key
@@ -121,7 +121,7 @@ def test_service_on_a_public_address_requires_an_active_key(tmp_path: Path) -> N
 
 
 def purged(folder: Path, *words: str) -> dict[str, Any]:
-    done = run_main(purge.main, "--data-dir", str(folder), "--json", *words)
+    done = run_main(purge, "--data-dir", str(folder), "--json", *words)
     assert done.returncode == 0, done.stderr
     document: dict[str, Any] = json.loads(done.stdout)
     return document
@@ -168,7 +168,7 @@ def test_file_is_removed_with_its_last_row(tmp_path: Path) -> None:
         add(store, b"content", Caller("other"))
         with store.database.transaction() as db:
             db.execute("UPDATE measurements SET created = 0 WHERE owner = 'other'")
-        told = run_main(purge.main, "--data-dir", str(tmp_path), "--older-than", "1d").stdout
+        told = run_main(purge, "--data-dir", str(tmp_path), "--older-than", "1d").stdout
         assert told == "0 fits, 1 measurements and 0 files without rows removed, 0.0 MB of files\n"
         assert path.exists()
         assert purged(tmp_path, "--older-than", "0s")["bytes"] == len(b"content")
@@ -209,14 +209,14 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 def examine(folder: Path) -> dict[str, str]:
     """Return what each check finds; what is wrong begins with a mark."""
-    done = run_main(doctor.main, "--data-dir", str(folder), "--json")
+    done = run_main(doctor, "--data-dir", str(folder), "--json")
     items = json.loads(done.stdout)["items"]
     assert done.returncode == (0 if all(item["fine"] for item in items) else 1)
     return {item["check"]: ("" if item["fine"] else "WRONG ") + item["detail"] for item in items}
 
 
 def test_healthy_folder_of_a_running_server_passes_and_is_not_changed(folder: Path) -> None:
-    done = run_main(doctor.main, "--data-dir", str(folder))
+    done = run_main(doctor, "--data-dir", str(folder))
     assert (done.returncode, done.stdout.splitlines()) == (
         0,
         [
@@ -235,7 +235,7 @@ def test_a_reader_that_has_read_enough_is_no_fault_of_the_folder(folder: Path, m
 
     monkeypatch.setattr("builtins.print", end)
     with pytest.raises(BrokenPipeError):  # for `dsbrdf`, which says nothing of it
-        doctor.main(["--data-dir", str(folder)])
+        doctor(["--data-dir", str(folder)])
 
 
 def test_damaged_and_missing_files_are_found(folder: Path) -> None:

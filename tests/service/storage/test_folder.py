@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from dsbrdf_service.admin import doctor
+from dsbrdf_service.admin.commands import doctor
 from dsbrdf_service.admin.serve import main
 from dsbrdf_service.errors import DataFolderError, MeasurementDamagedError
 from dsbrdf_service.storage.database import FILE_NAME, Database
 from dsbrdf_service.storage.files import Incoming
 from dsbrdf_service.storage.keys import add_key
-from dsbrdf_service.storage.maintenance import purge
+from dsbrdf_service.storage.maintenance import purge_folder
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.commands import run_main
@@ -171,23 +171,23 @@ def test_older_database_loses_no_file_and_an_upload_makes_its_row_again(
     before = server.files()
     server.start()
     assert_problem(server.http.get(f"/v1/measurements/{sha256}"), 404, "not-found")
-    examined = run_main(doctor.main, "--data-dir", str(server.data_dir))
+    examined = run_main(doctor, "--data-dir", str(server.data_dir))
     assert examined.returncode == 1
     assert "WRONG  files:          1 of 1 files have no row" in examined.stdout
     assert server.files() == before
     assert server.http.post("/v1/measurements", content=data).status_code == 201
     assert server.http.get(f"/v1/measurements/{sha256}/content").content == data
     assert server.files() == before
-    assert run_main(doctor.main, "--data-dir", str(server.data_dir)).returncode == 0
+    assert run_main(doctor, "--data-dir", str(server.data_dir)).returncode == 0
 
 
 def test_files_without_rows_go_only_when_that_is_asked_for(store: Store, tmp_path: Path) -> None:
     first, second = add(store, b"first"), add(store, b"second")
     with store.database.transaction() as db:
         db.execute("DELETE FROM measurements WHERE sha256 = ?", (second,))
-    assert purge(tmp_path, 0.0) == {"fits": 0, "measurements": 0, "files_without_rows": 0, "bytes": 0}
+    assert purge_folder(tmp_path, 0.0) == {"fits": 0, "measurements": 0, "files_without_rows": 0, "bytes": 0}
     assert store.blobs.path(second).exists()
-    purged = purge(tmp_path, None, files_without_rows=True)
+    purged = purge_folder(tmp_path, None, files_without_rows=True)
     assert purged == {"fits": 0, "measurements": 0, "files_without_rows": 1, "bytes": len(b"second")}
     assert not store.blobs.path(second).exists()
     assert store.measurement_file("", first).read_bytes() == b"first"
@@ -224,8 +224,8 @@ def test_damaged_table_or_index_is_refused_in_one_sentence(
     before = (tmp_path / FILE_NAME).read_bytes()
     assert "restore the folder from a copy" in refused(tmp_path, "--host", host)
     with pytest.raises(DataFolderError, match="restore the folder from a copy"):
-        purge(tmp_path, 1e12)
-    assert "WRONG  database: " in run_main(doctor.main, "--data-dir", str(tmp_path)).stdout
+        purge_folder(tmp_path, 1e12)
+    assert "WRONG  database: " in run_main(doctor, "--data-dir", str(tmp_path)).stdout
     assert (tmp_path / FILE_NAME).read_bytes() == before
     assert stored(tmp_path) == {b"content"}
 
@@ -243,7 +243,7 @@ def test_what_the_user_may_not_do_is_no_damage(refused: Callable[..., str]) -> N
         try:
             said = [refused(folder), refused(folder, "--host", "0.0.0.0")]
             with pytest.raises(DataFolderError) as raised:
-                purge(folder, 1e12)
+                purge_folder(folder, 1e12)
         finally:
             os.seteuid(user)
             folder.chmod(0o755)
