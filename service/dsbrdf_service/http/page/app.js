@@ -219,20 +219,54 @@ export function stateOf({ status, progress, likeness, metrics }) {
   return text.replace(/ (?=dB|%)/g, "\u00a0");
 }
 export const sizeOf = (/** @type {{size: number}} */ { size }) => (size < 1e6 ? `${(size / 1e3).toPrecision(3)} kB` : `${(size / 1e6).toPrecision(3)} MB`);
+/** Labels of components, in the order of the weights in GLSL. */
+export const LABELS = ["specular_spike", "specular_lobe", "diffuse"];
 export const words = (/** @type {string} */ label) => label.replace("_", " ");
 export const dateOf = (/** @type {string} */ created) => `${created.slice(0, 16).replace("T", " ")} UTC`;
 export const setTitle = (/** @type {string} */ name) => { document.title = `${name} – dsbrdf`; };
+
+const fields = () => /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("main :is(input, select)[name]")]).filter((field) => !field.closest(".options, dialog"));
+
+/** Sets the fields from the address. */
+export function readAddress() {
+  const given = new URLSearchParams(location.hash.slice(1));
+  for (const field of fields()) {
+    const value = given.get(field.name);
+    if (value === null) continue;
+    if (field.type === "checkbox") field.checked = value === "1";
+    else if (!(field instanceof HTMLSelectElement) || field.querySelector(`[value=${CSS.escape(value)}]`)) field.value = value;
+  }
+}
+
+function write() {
+  const changed = new URLSearchParams();
+  for (const field of fields()) {
+    const usual = field instanceof HTMLSelectElement ? field.options[0].value : field.defaultValue;
+    if (field.type === "checkbox" && field.checked !== field.defaultChecked) changed.set(field.name, String(Number(field.checked)));
+    else if (field.type !== "checkbox" && field.value !== usual) changed.set(field.name, field.value);
+  }
+  const hash = changed.size ? `#${changed.toString().replaceAll("%2C", ",")}` : "";
+  history.replaceState(null, "", location.pathname + location.search + hash);
+}
+
+let later = 0;
+for (const kind of ["input", "change"]) {
+  document.addEventListener(kind, () => {
+    clearTimeout(later);
+    later = setTimeout(write, 200); // Browsers refuse more than a few changes a second.
+  });
+}
 
 /** Shows the view of the address, or an error in its place. */
 export async function open() {
   const main = find(document, "main");
   const [name, id = ""] = location.pathname.slice(root.pathname.length).split("/");
-  const view = { "": "list", fits: "fit", measurements: "measurement", compare: "compare" }[name];
+  const [module, view] = { "": ["list", "show"], fits: ["fit", "show"], measurements: ["measurement", "show"], compare: ["fit", "compare"] }[name] ?? [];
   try {
     // All modules of these views are fetched in parallel.
-    if (name) for (const part of ["address", "light", "said", "sphere", "shader"]) document.head.append(make("link", { rel: "modulepreload", href: new URL(`page/${part}.js`, root) }));
-    if (!view) throw new Problem(`The service has no page at ${location.pathname}. Start from the list of fits.`, "This page does not exist", 404);
-    await (await import(`./${view}.js`)).show(main, id);
+    if (name) for (const part of ["result", "plots", "sphere", "shader"]) document.head.append(make("link", { rel: "modulepreload", href: new URL(`page/${part}.js`, root) }));
+    if (!module || !view) throw new Problem(`The service has no page at ${location.pathname}. Start from the list of fits.`, "This page does not exist", 404);
+    await (await import(`./${module}.js`))[view](main, id);
   } catch (error) {
     const { title, message } = error instanceof Problem ? error : { title: "Something is wrong with this page", message: String(error) };
     main.replaceChildren(template("problem", { title, detail: message }));

@@ -1,8 +1,8 @@
-// Shows one fit: its progress, its failure or its result.
-import { act, dateOf, fill, find, follow, json, make, nameOf, progressOf, removeFit, request, root, say, setTitle, share, showPicture, template, whenOpened, whenSeen } from "./app.js";
-import { showComponents } from "./components.js";
-import { showDownloads } from "./downloads.js";
-import { place, showSide, showSpheres, storedOf, subjectOf } from "./said.js";
+// Shows one fit (its progress, its failure or its result with downloads), or two fits side by side under one light.
+import { act, dateOf, download, fill, find, follow, json, make, nameOf, openapi, Problem, progressOf, removeFit, request, root, say, setTitle, share, showPicture, template, whenOpened, whenSeen } from "./app.js";
+import { place, showComponents, showSide, showSpheres, storedOf, subjectOf } from "./result.js";
+import { colourOf } from "./shader.js";
+import { running } from "./sphere.js";
 
 const FAULTS = {
   input: "The measurement or the options do not allow a fit.",
@@ -38,7 +38,6 @@ function showResult(main, fit, stored) {
   find(main, "a[data-link=measurement]").hidden = find(main, "#figures").hidden = !stored;
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   for (const image of find(main, "#figures").querySelectorAll("img")) whenOpened(image, () => showPicture(image, `v1/fits/${fit.id}/figures/${image.id}.svg?dark=${dark}`));
-  if (!stored?.valid_nodes) find(main, "#lobes").closest("figure")?.remove(); // Only a gridded measurement has a figure of lobes.
 }
 
 /** Gives the buttons their actions before the fit has arrived, so that no click is lost. @param {HTMLElement} main @param {string} path @param {Promise<Fit>} asked */
@@ -89,4 +88,86 @@ async function watch(main, fit) {
     fill(main, { state: status === "running" ? words(progress) : STATES[status] ?? "", note: error ? FAULTS[error.origin] : note }, { measurement: `measurements/${fit.measurement}` });
     if (status === "succeeded") await show(main, fit.id);
   }
+}
+
+const COLOURS = Array.from({ length: 256 }, (_, level) => colourOf(level / 255).map((value) => 255 * value));
+
+/** Shows two fits side by side, under one light. @param {HTMLElement} main */
+export async function compare(main) {
+  const ids = new URLSearchParams(location.search).getAll("fit");
+  if (ids.length !== 2) throw new Problem(`Two fits can be compared at a time, but this address names ${ids.length}. Tick two fits in the list.`, "Nothing to compare");
+  main.replaceChildren(template("compare", { names: "Two fits" }));
+  /** @type {Fit[]} */
+  const fits = await Promise.all(ids.map((id) => json(`v1/fits/${id}`)));
+  const unfinished = fits.find((fit) => fit.status !== "succeeded");
+  if (unfinished) throw new Problem(`The fit of ${nameOf(unfinished)} is ${unfinished.status}: there is nothing to compare yet.`, "Nothing to compare");
+  const names = fits.map(nameOf).join(" and ");
+  setTitle(names);
+  fill(main, { names });
+  const stored = await Promise.all(fits.map(storedOf));
+  const figures = fits.map((fit) => {
+    const made = find(template("compared", { name: nameOf(fit), about: dateOf(fit.created) }, { fit: `fits/${fit.id}` }), "section");
+    find(main, ".two").append(made);
+    showSide(find(made, ".side"), fit);
+    return place(made);
+  });
+  showComponents(find(main, ".both"), fits);
+  const subjects = fits.map((fit, i) => subjectOf(fit, stored[i]));
+  await showSpheres(main, figures, subjects);
+  find(main, "#between").hidden = running.length < 2;
+  if (running.length === 2) showDifference(running);
+}
+
+/** Computes the difference of two displayed spheres, and its peak signal-to-noise ratio. @param {import("./sphere.js").Sphere[]} spheres */
+function showDifference([first, second]) {
+  const canvas = find(document, "#between canvas", HTMLCanvasElement);
+  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { willReadFrequently: true }));
+  first.onpaint = second.onpaint = () => {
+    const size = first.canvas.width;
+    if (second.canvas.width !== size) return;
+    canvas.width = canvas.height = size;
+    context.drawImage(first.canvas, 0, 0);
+    context.globalCompositeOperation = "difference";
+    context.drawImage(second.canvas, 0, 0);
+    context.globalCompositeOperation = "source-over";
+    const picture = context.getImageData(0, 0, size, size);
+    const { data } = picture;
+    const seen = data.filter((_, i) => i % 4 < 3 && data[i - (i % 4) + 3] === 255);
+    const sum = seen.reduce((total, value) => total + value * value, 0);
+    const text = sum ? `${(10 * Math.log10((255 * 255 * seen.length) / sum)).toFixed(1)} dB` : "no difference";
+    find(document, "#likeness").textContent = `Difference of the two spheres above: ${text}${sum ? " peak signal-to-noise ratio" : ""}.`;
+    for (let i = 0; i < data.length; i += 4) data.set(COLOURS[Math.max(data[i], data[i + 1], data[i + 2])], i);
+    context.putImageData(picture, 0, 0);
+  };
+  first.onpaint();
+}
+
+const PROGRAMS = /** @type {Record<string, string>} */ ({
+  bsdf: "Mitsuba 3", materialx: "Blender, Arnold, Maya", glsl: "three.js and other shaders", brdf: "BRDF Explorer", python: "NumPy, PyTorch, JAX",
+  "bsdf-spectral": "pbrt-v4, spectral Mitsuba", merl: "Programs that read MERL files", components: "A spreadsheet: components", csv: "A spreadsheet: lobes", json: "dsbrdf itself, Mitsuba's plugin",
+});
+
+/** Fills the list of downloads from the formats that the API has. @param {HTMLElement} list @param {string} path of the fit */
+async function showDownloads(list, path) {
+  /** @type {any[]} */
+  const known = (await openapi()).paths["/v1/fits/{fit_id}/export"].get.parameters;
+  const described = (/** @type {string} */ name) => String(known.find((one) => one.name === name)?.schema.description);
+  const purposes = new Map([...described("format").matchAll(/`([\w-]+)`: (.*?)(?=; `|\.$)/g)].map(([, format, purpose]) => [format, purpose]));
+  const formats = [...new Set([...Object.keys(PROGRAMS), ...purposes.keys()])].filter((format) => purposes.has(format));
+  list.replaceChildren(...formats.map((format) => {
+    const program = PROGRAMS[format] ?? format;
+    const hasExample = described("example").includes(`\`${format}\``);
+    const about = make("span", {}, make("strong", {}, program), make("small", {}, purposes.get(format) ?? ""));
+    return make("li", {}, about, button(format, `${path}/export?format=${format}`), ...(hasExample ? [button("example scene", `${path}/export?format=${format}&example=true`, ` for ${program}`)] : []));
+  }));
+}
+
+/** Makes a button that downloads a file. @param {string} text @param {string} path @param {string} [more] additional words for screen readers */
+function button(text, path, more = "") {
+  const made = make("button", { className: "button", type: "button" }, text, make("span", { className: "sr" }, more));
+  made.onclick = () => {
+    made.disabled = true;
+    return download(path).finally(() => { made.disabled = false; });
+  };
+  return made;
 }

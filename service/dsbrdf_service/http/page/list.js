@@ -1,5 +1,7 @@
-// Shows the list of all fits, and the area where files are dropped.
-import { act, fill, find, follow, make, nameOf, removeFit, request, root, showPicture, stateOf, template, whenOpened, whenSeen } from "./app.js";
+// Shows the list of all fits and the area where files are dropped, and sends the files.
+import { act, fill, find, follow, make, nameOf, progressOf, removeFit, request, root, say, showPicture, sizeOf, stateOf, template, whenOpened, whenSeen } from "./app.js";
+import { chosen, fitStored, showForm, showTable } from "./options.js";
+import { cosines } from "./plots.js";
 
 /** @param {HTMLElement} main */
 export async function show(main) {
@@ -59,14 +61,11 @@ function takeFiles(main) {
   const [form, chosen, options] = [find(main, "#upload"), find(main, "#file", HTMLInputElement), find(main, ".options")];
   /** @param {File[]} files */
   const take = async (files) => {
-    if (files.length && !find(main, ".drop-main").hidden) await (await import("./upload.js")).take(main, files);
+    if (files.length && !find(main, ".drop-main").hidden) await takeOrShow(main, files);
   };
-  whenOpened(options, async () => (await import("./options.js")).showForm(options));
+  whenOpened(options, () => showForm(options));
   chosen.onchange = () => take([...(chosen.files ?? [])]);
-  find(main, "#example").onclick = async () => {
-    const [{ sendAll }, { examplePaint }] = await Promise.all([import("./upload.js"), import("./example.js")]);
-    await sendAll(main, [examplePaint()], options);
-  };
+  find(main, "#example").onclick = () => sendAll(main, [examplePaint()], options);
   for (const kind of ["dragover", "dragleave", "drop"]) {
     addEventListener(kind, async (event) => {
       const { relatedTarget, dataTransfer } = /** @type {DragEvent} */ (event);
@@ -104,4 +103,104 @@ function compare(main, cards) {
   for (const box of boxes) box.onchange = change;
   change();
   button.onclick = () => location.assign(new URL(`compare?${new URLSearchParams(ticked().map((box) => ["fit", box.value]))}`, root));
+}
+
+const TABLE = /\.(csv|tsv|txt|astm|xlsx|ods|xls)$/i;
+/** @type {AbortController | null} */
+let sending = null;
+addEventListener("beforeunload", (event) => sending && event.preventDefault());
+
+/** Shows a single table, and sends all other files. @param {HTMLElement} main @param {File[]} files */
+async function takeOrShow(main, files) {
+  const [box, options] = [find(main, "#table"), find(main, ".options")];
+  say("");
+  box.replaceChildren();
+  const send = () => sendAll(main, files, options);
+  if (files.length > 1 || !TABLE.test(files[0].name)) return send();
+  return showTable(box, files[0], options, { fit: send });
+}
+
+/** Shows the progress of a file, or the drop area again. @param {HTMLElement} main @param {string} text */
+function tell(main, text) {
+  find(main, ".drop-main").hidden = Boolean(text);
+  find(main, "#sending").hidden = !text;
+  find(main, "#sending-title").textContent = text;
+}
+
+/** Sends files in turn, then opens the fit, or the list for several files; a faulty file does not stop the others. @param {HTMLElement} main @param {File[]} files @param {HTMLElement} options the form */
+async function sendAll(main, files, options) {
+  const fits = [];
+  const faults = [];
+  for (const file of files) {
+    const { signal } = sending = new AbortController();
+    find(main, "#cancel-upload").onclick = () => sending?.abort();
+    try {
+      fits.push((await submit(main, file, options, signal)).id);
+    } catch (error) {
+      const { message } = /** @type {Error} */ (error);
+      faults.push(files.length > 1 ? `${file.name}: ${message}` : message);
+    }
+  }
+  sending = null;
+  if (!faults.length) return location.assign(new URL(files.length > 1 ? "." : `fits/${fits[0]}`, root));
+  tell(main, "");
+  find(main, "#file", HTMLInputElement).value = "";
+  return say([...faults, ...(fits.length ? [`Sent: ${fits.length} of ${files.length}.`] : [])].join(" "), true);
+}
+
+/** @param {HTMLElement} main @param {File} file @param {HTMLElement} options the form @param {AbortSignal} signal @returns {Promise<Fit>} */
+async function submit(main, file, options, signal) {
+  tell(main, `Reading ${file.name}`);
+  const bar = find(main, "progress", HTMLProgressElement);
+  bar.removeAttribute("value");
+  const measurement = await sha256(file);
+  const known = measurement && await fitStored(file.name.replace(/(?<=.)\.\w+$/, ""), measurement, chosen(options, "[name]:not(.of-table)")).catch((error) => {
+    if (error.status !== 404) throw error;
+  });
+  if (known) return known;
+  const words = progressOf(`Sending ${file.name}, ${sizeOf(file)}`);
+  tell(main, words(0));
+  const query = new URLSearchParams([["name", file.name.replace(/\.binary$/, "") || file.name], ...chosen(options)]);
+  const headers = { "Content-Type": "application/octet-stream", Prefer: "respond-async" };
+  return (await request(`v1/fits?${query}`, { method: "POST", headers, body: file, signal }, uploading((done) => {
+    bar.value = done;
+    tell(main, done < 1 ? words(done) : `Checking ${file.name}`);
+  }))).json();
+}
+
+/** Sends a request as fetch does, but with the progress of the upload. @param {(done: number) => void} onProgress @returns {typeof fetch} */
+const uploading = (onProgress) => (address, { method = "POST", headers, body, signal } = {}) => new Promise((resolve, reject) => {
+  const sent = new XMLHttpRequest();
+  sent.open(method, String(address));
+  for (const [name, value] of Object.entries(headers ?? {})) sent.setRequestHeader(name, value);
+  sent.upload.onprogress = ({ loaded, total }) => onProgress(loaded / total);
+  sent.onload = () => resolve(new Response(sent.responseText, { status: sent.status, headers: { "Retry-After": sent.getResponseHeader("Retry-After") ?? "1" } }));
+  sent.onerror = sent.onabort = reject;
+  signal?.addEventListener("abort", () => sent.abort());
+  sent.send(/** @type {File} */ (body));
+});
+
+/** @param {File} file */
+async function sha256(file) {
+  if (!globalThis.crypto?.subtle) return null; // Browsers hash only on https and localhost.
+  const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
+  return Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
+const [ALPHA, F0, COLOUR] = [0.15, 0.045, [0.08, 0.16, 0.42]];
+
+/** Returns the value of the highlight [1/sr]. @param {number[]} point half and difference angles [degrees] */
+function highlight(point) {
+  const [half, diff] = point.map((degrees) => Math.cos((degrees * Math.PI) / 180));
+  const distribution = ALPHA ** 2 / (Math.PI * (half ** 2 * (ALPHA ** 2 - 1) + 1) ** 2);
+  const [inward, outward] = cosines(point).map((cosine) => cosine + Math.sqrt(ALPHA ** 2 + (1 - ALPHA ** 2) * cosine ** 2)); // cosines with masking and shadowing
+  return (distribution * (F0 + (1 - F0) * (1 - diff) ** 5)) / (inward * outward);
+}
+
+/** Makes the table as a file. */
+function examplePaint() {
+  const halves = Array.from({ length: 27 }, (_, step) => step ** 2 / 8);
+  const points = halves.flatMap((half) => [0, 10, 20, 30, 40, 50, 60, 65, 70, 75].flatMap((diff) => [15, 45, 75, 105, 135, 165].map((phi) => [half, diff, phi])));
+  const rows = points.filter((point) => Math.min(...cosines(point)) >= 0.1).map((point) => [...point, ...COLOUR.map((albedo) => albedo / Math.PI + highlight(point))].join());
+  return new File([["theta_half,theta_diff,phi_diff,red,green,blue", ...rows].join("\n")], "example paint.csv", { type: "text/csv" });
 }

@@ -1,7 +1,8 @@
 // Shows a measurement (sphere, plots and values, or the summary of a table), its fits, and a form to fit it.
 import { act, dateOf, download, find, json, make, remove, request, root, setTitle, share, sizeOf, stateOf, template, whenOpened } from "./app.js";
-import { chosen, fitStored, showForm } from "./options.js";
-import { place, showPlots, showSpheres } from "./said.js";
+import { chosen, fitStored, showForm, showTable } from "./options.js";
+import { showPlots } from "./plots.js";
+import { place, showSpheres } from "./result.js";
 
 /** @param {HTMLElement} main @param {string} sha256 */
 export async function show(main, sha256) {
@@ -27,7 +28,6 @@ export async function show(main, sha256) {
   const subject = { name, fit: null, measured: onGrid ? sha256 : null, samples: null, parts: [] };
   if (onGrid) return showSpheres(main, [place(main, path)], [subject]);
   const file = new File([await (await request(`${path}/content`)).blob()], name);
-  const { showTable } = await import("./table.js");
   await showForm(options, true); // The samples are stored, so options of a table no longer apply.
   return showTable(find(main, "#seen"), file, options, { understood: () => showPlots(main, [{ ...subject, samples: `${path}/samples.npy?` }]) });
 }

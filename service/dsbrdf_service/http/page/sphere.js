@@ -1,10 +1,9 @@
-// Draws the lit sphere of a fit, of its measurement, or of both, under a light that the user moves. The form of controls
-// applies to all spheres of a view.
-import { askArray, find, make, request, words } from "./app.js";
+// Draws lit spheres of a fit, of its measurement, or of both, under a light that pointer and keyboard move; shows the
+// values at the point below the pointer. The form of controls applies to all spheres of a view.
+import { askArray, find, LABELS, make, request, say, showPicture, words } from "./app.js";
 import { exposureOf, finished, programOf, setTexture } from "./shader.js";
 
 const SHOWN = ["fit", "measured", "half", "difference"];
-export const LABELS = ["specular_spike", "specular_lobe", "diffuse"]; // The order is that of the weights in GLSL.
 const ENVIRONMENT_PICTURE_PX = 256; // Size of pictures under environment light.
 const EXPOSURE_PICTURE_PX = 64; // Size of the pictures that determine the exposure.
 const FIRST_PICTURE_PX = 128; // Size of the first picture, and minimum size of later pictures.
@@ -205,4 +204,132 @@ export class Sphere {
     this.onpaint();
     if (size < full && !moving) this.draw();
   }
+}
+
+const MAX_GRIP_DISTANCE_PX = 14; // A pointer closer to the line between measurement and fit drags the line, otherwise the light.
+const STEPS = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] });
+
+/** Starts spheres under one light; without WebGL 2, the service draws them. @param {Sphere[]} spheres */
+export async function startSpheres(spheres) {
+  await Promise.all(spheres.map((sphere) => sphere.start().then(() => running.push(sphere), async (error) => {
+    sphere.hint.textContent = error.message;
+    find(sphere.figure, ".toggles").hidden = true;
+    await showPicture(find(sphere.figure, ".fallback", HTMLImageElement), `${sphere.path}/figures/sphere.png?size=256`).catch(() => undefined);
+  })));
+  for (const sphere of running) listen(sphere);
+  if (running.length) control();
+}
+
+/** @param {string} name @param {string} value */
+function set(name, value) {
+  find(controls(), `[name=${name}]`, HTMLInputElement).value = value;
+  controls().dispatchEvent(new Event("input", { bubbles: true }));
+}
+
+/** @param {number[]} point */
+function aim([x, y]) {
+  const shrink = Math.min(1, 0.97 / Math.hypot(x, y));
+  set("highlight", [x * shrink, y * shrink].map((value) => value.toFixed(4)).join());
+}
+
+/** @param {Sphere} sphere */
+function listen(sphere) {
+  const { canvas, hint } = sphere;
+  let asked = 0;
+  let wiping = false;
+  /** Returns the point of the picture below a pointer, from -1 to 1, and whether the line is there. @param {PointerEvent} event */
+  const at = ({ clientX, clientY }) => {
+    const { left, top, width, height } = canvas.getBoundingClientRect();
+    const x = ((clientX - left) / width) * 2 - 1;
+    return { point: [x, 1 - ((clientY - top) / height) * 2], isLine: sphere.hasBoth && look().show === "half" && Math.abs(x - look().wipe) * width < 2 * MAX_GRIP_DISTANCE_PX };
+  };
+  /** @param {PointerEvent} event */
+  const follow = (event) => {
+    const { point } = at(event);
+    if (wiping) set("wipe", Math.min(Math.max(point[0], -1), 1).toFixed(2));
+    else aim(point);
+  };
+  canvas.onpointerdown = (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    wiping = at(event).isLine;
+    follow(event);
+  };
+  canvas.onpointermove = (event) => {
+    if (event.buttons) return follow(event);
+    const { point, isLine } = at(event);
+    canvas.style.cursor = isLine ? "ew-resize" : "";
+    clearTimeout(asked);
+    asked = setTimeout(async () => {
+      const { highlight, zoom } = look();
+      const onSphere = point.map((value, i) => highlight[i] + (value - highlight[i]) / zoom);
+      hint.textContent = await (await import("./plots.js")).valuesBelow(sphere.subject, onSphere, lightAt(highlight));
+    }, 150);
+    return undefined;
+  };
+  canvas.onpointerleave = () => {
+    clearTimeout(asked);
+    hint.textContent = USUAL;
+  };
+  canvas.onkeydown = (event) => {
+    const { stops, wipe, highlight } = look();
+    const key = event.key.toLowerCase();
+    if (STEPS[event.key]) aim(highlight.map((value, i) => value + 0.05 * STEPS[event.key][i]));
+    else if (key === "r") controls().reset();
+    else if (key === "[" || key === "]") set("wipe", (wipe + (key === "[" ? -0.05 : 0.05)).toFixed(2));
+    else if ("+-=".includes(key)) set("exposure", String(stops + (key === "-" ? -0.5 : 0.5)));
+    else return;
+    event.preventDefault();
+  };
+  for (const box of sphere.boxes) box.onchange = () => { // Two spheres always show the same components.
+    for (const same of running.flatMap((other) => other.boxes)) if (same.value === box.value) same.checked = box.checked;
+    for (const other of running) other.draw();
+  };
+}
+
+function control() {
+  const form = controls();
+  const own = find(form, "#panorama", HTMLInputElement);
+  const hasBoth = running.some((sphere) => sphere.hasBoth);
+  /** @param {string} name @param {string} text */
+  const write = (name, text) => { find(form, `[name=${name}] + output`).textContent = text; };
+  /** @param {boolean} moving */
+  const change = (moving) => {
+    const { stops, zoom, show, lighting } = look();
+    write("exposure", `${stops > 0 ? "+" : ""}${stops} EV`);
+    write("zoom", `${zoom.toPrecision(2)}×`);
+    find(form, ".wipe").hidden = show !== "half" || !hasBoth;
+    find(form, ".panorama").hidden = lighting !== "environment";
+    if (!own.value) panorama.file = null;
+    for (const sphere of running) sphere.draw(moving);
+  };
+  form.oninput = () => change(true);
+  form.onchange = () => change(false);
+  own.oninput = (event) => event.stopPropagation(); // Spheres are drawn after the file has been read.
+  own.onchange = async (event) => {
+    event.stopPropagation();
+    panorama.file = (own.files?.length && await readPanorama(own.files[0])) || null;
+    panorama.number += 1;
+    if (!panorama.file) own.value = "";
+    change(false);
+  };
+  form.onsubmit = (event) => event.preventDefault();
+  form.onreset = () => setTimeout(() => form.dispatchEvent(new Event("change", { bubbles: true }))); // The event must follow the reset of the fields.
+  find(form, "#show").hidden = !hasBoth;
+  form.hidden = false;
+  change(false);
+}
+
+const [WIDTH, HEIGHT] = [256, 128]; // Size of the sent picture in pixels.
+const HEAD = `{'descr': '<f4', 'fortran_order': False, 'shape': (${HEIGHT}, ${WIDTH}, 3)}\n`; // This is the header of a .npy file.
+
+/** Converts a picture to linear RGB in a .npy file for the service; throws if it is not a panorama. @param {File} file */
+async function readPanorama(file) {
+  const { width, height } = await createImageBitmap(file).catch(() => ({ width: 0, height: 0 }));
+  if (!width || width !== 2 * height) return say(`${file.name} is no panorama: choose a .png or .jpg picture twice as wide as high, 360 by 180 degrees.`, true);
+  const small = await createImageBitmap(file, { resizeWidth: WIDTH, resizeHeight: HEIGHT, resizeQuality: "high" });
+  const context = /** @type {OffscreenCanvasRenderingContext2D} */ (new OffscreenCanvas(WIDTH, HEIGHT).getContext("2d"));
+  context.drawImage(small, 0, 0);
+  const levels = context.getImageData(0, 0, WIDTH, HEIGHT).data.filter((_, i) => i % 4 < 3);
+  const linear = Float32Array.from(levels, (level) => (level > 10 ? ((level / 255 + 0.055) / 1.055) ** 2.4 : level / 255 / 12.92));
+  return new Blob([Uint8Array.of(0x93), `NUMPY\x01\0${String.fromCharCode(HEAD.length)}\0${HEAD}`, linear]);
 }
