@@ -2,66 +2,53 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.paper.materials import STAND_INS, Failure, find_materials
-from benchmarks.paper.paper_figure import make
-from benchmarks.paper.report import FIGURES, write_report
-from dsbrdf import DSBRDFError
+from benchmarks.paper import figure1, figure2, figure3, figure4, figure5, figure6
+from benchmarks.paper.base import PaperFigure, compute, find_materials, save
 from dsbrdf.process_settings import core_count
 
-_REPORT = "report"
+FIGURES: tuple[PaperFigure, ...] = (figure1, figure2, figure3, figure4, figure5, figure6)
+STAND_INS = """Materials with an asterisk are stand-ins, not measurements: tables decoded from another program's
+description of the MERL materials, smooth, without the noise, the outliers and the scatter at the rim of the
+measurements, and least reliable at grazing angles. Judgements that rest on them need not hold for measurements."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Make one figure, or a page with all of them; return 0, or 2 if a material could not be computed."""
-    arguments = _parser().parse_args(words)
-    output: Path = arguments.output
-    try:
-        found = find_materials(
-            arguments.data,
-            output / "kept" / "fits",
-            names=arguments.materials,
-            stand_ins=arguments.stand_ins,
-        )
-        output.mkdir(parents=True, exist_ok=True)
-        if arguments.what == _REPORT:
-            failures = write_report(found, output, jobs=arguments.jobs, progress=_progress("figures"))
-            print(output / "report.html")
-        else:
-            (figure,) = (figure for figure in FIGURES if figure.name == arguments.what)
-            chosen = list(found) if arguments.materials else figure.choose(found)
-            made = make(figure, chosen, output, jobs=arguments.jobs, progress=_progress("materials"))
-            failures = made.failures
-            for claim in figure.claims(made.computed):
-                print(f"{claim.verdict}: {claim.paper}\n  {claim.found}")
-            print(f"{output / figure.name}.png, .svg, .csv")
-    except DSBRDFError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return _tell(failures)
-
-
-def _tell(failures: Sequence[Failure]) -> int:
-    for failure in failures:
-        print(f"{failure.file}: {failure.message}", file=sys.stderr)
-    return 2 if failures else 0
-
-
-def _progress(unit: str) -> Callable[[float], None]:
-    return lambda done: print(f"{done:.4g} {unit}", file=sys.stderr)
-
-
-def _parser() -> argparse.ArgumentParser:
+    """Make one figure and print its claims, or all figures and ``report.md``."""
+    names = {figure.__name__.rpartition(".")[2]: figure for figure in FIGURES}
     parser = argparse.ArgumentParser(prog="python -m benchmarks.paper", description=__doc__)
-    parser.add_argument("what", choices=[*(figure.name for figure in FIGURES), _REPORT], help="a figure, or all")
+    parser.add_argument("what", choices=[*names, "report"], help="a figure, or all")
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="a folder of MERL .binary files")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="results are kept there too")
     parser.add_argument("--materials", nargs="+", default=(), metavar="NAME", help="by default what suits each figure")
-    parser.add_argument("--stand-ins", default=STAND_INS, metavar="PATTERN", help="files that are no measurements")
+    parser.add_argument("--stand-ins", default="merl_*", metavar="PATTERN", help="files that are no measurements")
     parser.add_argument("--jobs", type=int, default=core_count(), metavar="N", help="processes")
-    return parser
+    arguments = parser.parse_args(words)
+    output: Path = arguments.output
+    output.mkdir(parents=True, exist_ok=True)
+    found = find_materials(arguments.data, output / "kept" / "fits", arguments.materials, arguments.stand_ins)
+    report = ["# Nishino 2009, reproduced", STAND_INS]
+    for name, figure in names.items():
+        if arguments.what not in (name, "report"):
+            continue
+        chosen = found if arguments.materials else figure.choose(found)
+        computed = compute(figure, chosen, output / "kept" / name, arguments.jobs)
+        if not computed:
+            raise SystemExit(f"{name} has no material")
+        save(figure, computed, output)
+        claims = [f"- {verdict}: {paper}\n  {said}" for paper, verdict, said in figure.claims(computed)]
+        report += [
+            f"## {name}",
+            sys.modules[figure.__name__].__doc__ or "",
+            f"![{name}]({name}.png)",
+            "\n".join(claims),
+        ]
+        print("\n".join(claims))
+    if arguments.what == "report":
+        (output / "report.md").write_text("\n\n".join(report) + "\n")
+    return 0
 
 
 if __name__ == "__main__":

@@ -1,4 +1,9 @@
-"""Figure 1: slices at theta_diff = 0 in the incident plane, a fit of 3 lobes, and the lobes of it."""
+"""Figure 1: slices at theta_diff = 0 in the incident plane, a fit of 3 lobes, and the lobes of it.
+
+Row (a): measured values (squares) at phi_diff = 0 (right) and 90 degrees (left) and 3 lobes fitted by the paper's
+procedure, for each colour channel. Row (b): its three lobes (red, green, blue), their sum and the data of the red
+channel (black). Last row: the default fit. The axis is logarithmic, the paper's is linear.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,14 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from benchmarks.paper.materials import Computed, Material, Numbers, choose
-from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure
+from benchmarks.paper.base import Claim, Computed, Material, Numbers, Row, new_figure, preferred
 from dsbrdf.data import CHANNELS, THETA_HALF
 from dsbrdf.fitting import OUTSIDE_CENTER
 from dsbrdf.output.figure_parts import CHANNEL_COLOURS
-
-__all__ = ["FIGURE"]
-
 
 PREFERRED = ("nickel", "specular-blue-phenolic", "satin_purple", "ilm_l3_37_matte", "acrylic_felt_pink")
 SIDES = ((-1.0, 90), (1.0, 0))  # sign of theta_half and phi_diff [degrees], which is also the column, as in the paper
@@ -24,11 +25,12 @@ _N_LOBES = 3
 _DATA = "measured"
 
 
-def _choose(materials: Sequence[Material]) -> list[Material]:
-    return choose(materials, PREFERRED, 5)
+def choose(materials: Sequence[Material]) -> list[Material]:
+    """Choose the materials of the figure."""
+    return preferred(materials, PREFERRED, 5)
 
 
-def _measure(material: Material) -> Numbers:
+def measure(material: Material) -> Numbers:
     """Values (2 sides, 3, 90) of the data and the fits, and (lobes, 3, 90) of each lobe [1/sr]; which are valid."""
     measurement = material.measurement
     paper, default = material.fit(method="paper", n_lobes=_N_LOBES).model, material.fit().model
@@ -43,7 +45,8 @@ def _measure(material: Material) -> Numbers:
     }
 
 
-def _table(computed: Sequence[Computed]) -> list[Row]:
+def table(computed: Sequence[Computed]) -> list[Row]:
+    """Return the rows of the table."""
     rows: list[Row] = []
     for one in computed:
         for side, (sign, phi) in enumerate(SIDES):
@@ -57,7 +60,8 @@ def _table(computed: Sequence[Computed]) -> list[Row]:
     return rows
 
 
-def _draw(computed: Sequence[Computed]) -> Figure:
+def draw(computed: Sequence[Computed]) -> Figure:
+    """Draw the figure."""
     figure = new_figure("Figure 1: slices at theta_diff = 0 in the incident plane", 3.1 * len(computed), 8.4)
     axes = figure.subplots(3, len(computed), squeeze=False)
     for column, one in zip(axes.T, computed, strict=True):
@@ -126,7 +130,8 @@ def _half_widths(one: Computed) -> list[float]:
     return [float(np.degrees(THETA_HALF[node])) for node in last]
 
 
-def _claims(computed: Sequence[Computed]) -> list[Claim]:
+def claims(computed: Sequence[Computed]) -> list[Claim]:
+    """Judge the sentences of the paper."""
     paper, default = ([relative_rms(one, key) for one in computed] for key in ("paper", "default"))
     sides = [asymmetry(one) for one in computed]
     widths = [_half_widths(one) for one in computed]
@@ -156,19 +161,3 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             f"Half widths of the three lobes, red channel [degrees]: {shown}.",
         ),
     ]
-
-
-FIGURE = PaperFigure(
-    name="figure1",
-    title="Slices at theta_diff = 0 and their lobes",
-    shows=(
-        "Row (a): measured values (squares) at phi_diff = 0 (right) and 90 degrees (left) and 3 lobes fitted by the"
-        " paper's procedure, for each colour channel. Row (b): its three lobes (red, green, blue), their sum and the"
-        " data of the red channel (black). Last row: the default fit. The axis is logarithmic, the paper's is linear."
-    ),
-    choose=_choose,
-    measure=_measure,
-    table=_table,
-    draw=_draw,
-    claims=_claims,
-)

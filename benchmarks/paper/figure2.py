@@ -1,16 +1,29 @@
-"""Figure 2: lit spheres of the data, of fits with 1 to 5 lobes, and the number of lobes that Williams' test chooses."""
+"""Figure 2: lit spheres of the data, of fits with 1 to 5 lobes, and the number of lobes that Williams' test chooses.
+
+Each row: the data, then fits of the paper's procedure with 1 to 5 lobes, the number that Williams' test chooses in a
+frame, and the default fit. PSNR against the data above each sphere. The light is a sky with sun and window, not the
+paper's light probe.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.paper.materials import Computed, Material, Numbers, choose
-from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
+from benchmarks.paper.base import (
+    Claim,
+    Computed,
+    Material,
+    Numbers,
+    Row,
+    draw_sphere,
+    new_figure,
+    preferred,
+    sphere,
+    to_bytes,
+)
 from dsbrdf.paper.paper_method import MAX_AUTOMATIC_LOBES
 from dsbrdf.rendering import exposure, sphere_likeness, sphere_normals
-
-__all__ = ["FIGURE"]
 
 PREFERRED = ("nickel", "specular-blue-phenolic", "orange-paint", "satin_purple", "vch_golden_yellow")
 PAPERS_CHOICE = {"nickel": 5, "specular-blue-phenolic": 4, "orange-paint": 2}
@@ -18,11 +31,12 @@ _SIZE = 128
 _MAX_INVISIBLE_PSNR_GAIN = 1.0  # dB
 
 
-def _choose(materials: Sequence[Material]) -> list[Material]:
-    return choose(materials, PREFERRED, 5)
+def choose(materials: Sequence[Material]) -> list[Material]:
+    """Choose the materials of the figure."""
+    return preferred(materials, PREFERRED, 5)
 
 
-def _measure(material: Material) -> Numbers:
+def measure(material: Material) -> Numbers:
     """Spheres and errors of the fits with 1 to 5 lobes and, last, of the default fit; which number was chosen."""
     fits = [material.fit(method="paper", n_lobes=count) for count in range(1, MAX_AUTOMATIC_LOBES + 1)]
     chosen = material.fit(method="paper").model.n_lobes
@@ -44,7 +58,8 @@ def _names() -> list[str]:
     return [*lobes, "default fit"]
 
 
-def _table(computed: Sequence[Computed]) -> list[Row]:
+def table(computed: Sequence[Computed]) -> list[Row]:
+    """Return the rows of the table."""
     return [
         {
             "material": one.name,
@@ -61,7 +76,8 @@ def _table(computed: Sequence[Computed]) -> list[Row]:
     ]
 
 
-def _draw(computed: Sequence[Computed]) -> Figure:
+def draw(computed: Sequence[Computed]) -> Figure:
+    """Draw the figure."""
     figure = new_figure(
         "Figure 2: spheres with 1 to 5 lobes (framed: Williams' test)", 11.0, 1.75 * len(computed) + 0.4
     )
@@ -76,7 +92,8 @@ def _draw(computed: Sequence[Computed]) -> Figure:
     return figure
 
 
-def _claims(computed: Sequence[Computed]) -> list[Claim]:
+def claims(computed: Sequence[Computed]) -> list[Claim]:
+    """Judge the sentences of the paper."""
     chosen = {one.label: int(one["chosen"]) for one in computed}
     papers = {one.label: PAPERS_CHOICE.get(one.name.partition("_")[2] or one.name) for one in computed}
     told = {label: count for label, count in papers.items() if count is not None}
@@ -110,19 +127,3 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             f" {min(numbers)} to {max(numbers)} on these materials.",
         ),
     ]
-
-
-FIGURE = PaperFigure(
-    name="figure2",
-    title="Spheres with 1 to 5 lobes",
-    shows=(
-        "Each row: the data, then fits of the paper's procedure with 1 to 5 lobes, the number that Williams' test"
-        " chooses in a frame, and the default fit. PSNR against the data above each sphere. The light is a sky with sun"
-        " and window, not the paper's light probe."
-    ),
-    choose=_choose,
-    measure=_measure,
-    table=_table,
-    draw=_draw,
-    claims=_claims,
-)

@@ -1,4 +1,8 @@
-"""Figure 3: a sphere taken apart into the lobes of a 3-lobe fit, beside the components of the default fit."""
+"""Figure 3: a sphere taken apart into the lobes of a 3-lobe fit, beside the components of the default fit.
+
+Each row: the data; the paper's procedure with 3 lobes and its lobes by falling kappa (the delta term is shown with the
+first); the default fit and those of specular spike, specular lobe and diffuse part that it has. One exposure a row.
+"""
 
 from collections.abc import Sequence
 
@@ -6,13 +10,21 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from benchmarks.paper.materials import Computed, Material, Numbers, choose
-from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, draw_sphere, new_figure, sphere, to_bytes
+from benchmarks.paper.base import (
+    Claim,
+    Computed,
+    Material,
+    Numbers,
+    Row,
+    draw_sphere,
+    new_figure,
+    preferred,
+    sphere,
+    to_bytes,
+)
 from dsbrdf import DSBRDF, Component, decompose
 from dsbrdf.components import LABELS
 from dsbrdf.rendering import exposure, sphere_normals
-
-__all__ = ["FIGURE", "saturation"]
 
 PREFERRED = (
     "nickel",
@@ -32,11 +44,12 @@ _MIN_SATURATION_OF_COLOURED = 0.4
 _MAX_SATURATION_OF_GREY = 0.2
 
 
-def _choose(materials: Sequence[Material]) -> list[Material]:
-    return choose(materials, PREFERRED, _N_MATERIALS)
+def choose(materials: Sequence[Material]) -> list[Material]:
+    """Choose the materials of the figure."""
+    return preferred(materials, PREFERRED, _N_MATERIALS)
 
 
-def _measure(material: Material) -> Numbers:
+def measure(material: Material) -> Numbers:
     """Spheres and albedo at 30 degrees of the data, both fits and their parts, in the order of the picture."""
     paper, default = material.fit(method="paper", n_lobes=3).model, material.fit().model
     lobes = [paper.select((k,), with_delta=k == 0) for k in range(paper.n_lobes)]
@@ -71,7 +84,8 @@ def _parts(one: Computed) -> dict[str, NDArray[np.float64]]:
     return {name: values for name, values in parts if values.any()}
 
 
-def _table(computed: Sequence[Computed]) -> list[Row]:
+def table(computed: Sequence[Computed]) -> list[Row]:
+    """Return the rows of the table."""
     rows: list[Row] = []
     for one in computed:
         for name, albedo in _parts(one).items():
@@ -83,7 +97,8 @@ def _table(computed: Sequence[Computed]) -> list[Row]:
     return rows
 
 
-def _draw(computed: Sequence[Computed]) -> Figure:
+def draw(computed: Sequence[Computed]) -> Figure:
+    """Draw the figure."""
     figure = new_figure("Figure 3: parts of a sphere", 13.0, 1.6 * len(computed) + 0.5)
     names = ("data", "paper, 3 lobes", *PARTS[:3], "default fit", *PARTS[3:])
     axes = figure.subplots(len(computed), len(names), squeeze=False)
@@ -119,7 +134,8 @@ def _count(computed: Sequence[Computed], bright: Sequence[str], coloured: str) -
     return answers.count(True), len(answers) - answers.count(None)
 
 
-def _claims(computed: Sequence[Computed]) -> list[Claim]:
+def claims(computed: Sequence[Computed]) -> list[Claim]:
+    """Judge the sentences of the paper."""
     split, of = _count(computed, PARTS[:2], PARTS[2])
     split_default, of_default = _count(computed, PARTS[3:5], PARTS[5])
     listed = "; ".join(
@@ -144,19 +160,3 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
             " values, a sum of components; the parts are non-negative and add up to the fit exactly.",
         ),
     ]
-
-
-FIGURE = PaperFigure(
-    name="figure3",
-    title="Parts of a sphere",
-    shows=(
-        "Each row: the data; the paper's procedure with 3 lobes and its lobes by falling kappa (the delta term is shown"
-        " with the first); the default fit and those of specular spike, specular lobe and diffuse part that it has. One"
-        " exposure a row."
-    ),
-    choose=_choose,
-    measure=_measure,
-    table=_table,
-    draw=_draw,
-    claims=_claims,
-)

@@ -1,4 +1,9 @@
-"""Figure 4: relative RMS of every material, for the paper's procedure, the default fit and the floor."""
+"""Figure 4: relative RMS of every material, for the paper's procedure, the default fit and the floor.
+
+Above: relative_rms of every material, sorted by that of the paper's procedure, on a logarithmic axis; the default fit
+and the floor beside it. Below: spheres of the largest and the smallest of its errors, from top to bottom the paper's
+procedure, the default fit and the data.
+"""
 
 from collections.abc import Sequence
 
@@ -7,13 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from benchmarks.paper.materials import Computed, Material, Numbers
-from benchmarks.paper.paper_figure import (
+from benchmarks.paper.base import (
     DEFAULT_COLOUR,
     FLOOR_COLOUR,
     PAPER_COLOUR,
     Claim,
-    PaperFigure,
+    Computed,
+    Material,
+    Numbers,
     Row,
     draw_sphere,
     new_figure,
@@ -25,8 +31,6 @@ from dsbrdf.data import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.fitting import relative_errors, sample_errors
 from dsbrdf.rendering import exposure, sphere_normals
 
-__all__ = ["FIGURE"]
-
 ERRORS = ("paper", "default", "floor", "symmetric_floor")
 INNER_ROWS = 76
 """Rows of theta_diff, 0 to 75 degrees: of the paper's slices the last with data within the horizon cutoff is at 75."""
@@ -36,7 +40,12 @@ _N_WORST_SHOWN = 5
 _N_BEST_SHOWN = 3
 
 
-def _measure(material: Material) -> Numbers:
+def choose(materials: Sequence[Material]) -> list[Material]:
+    """Choose all materials."""
+    return list(materials)
+
+
+def measure(material: Material) -> Numbers:
     """Errors of both fits, their sizes, and spheres of the paper's procedure, the default fit and the data."""
     paper, default = material.fit(method="paper"), material.fit()
     metrics = default.report.metrics
@@ -70,7 +79,8 @@ def _sorted(computed: Sequence[Computed]) -> list[Computed]:
     return sorted(computed, key=lambda one: -float(one["paper"]))
 
 
-def _table(computed: Sequence[Computed]) -> list[Row]:
+def table(computed: Sequence[Computed]) -> list[Row]:
+    """Return the rows of the table."""
     rows: list[Row] = []
     for one in _sorted(computed):
         names = (*ERRORS, *INNER)
@@ -84,7 +94,8 @@ def _table(computed: Sequence[Computed]) -> list[Row]:
     return rows
 
 
-def _draw(computed: Sequence[Computed]) -> Figure:
+def draw(computed: Sequence[Computed]) -> Figure:
+    """Draw the figure."""
     ordered = _sorted(computed)
     shown = list(range(len(ordered)))
     if len(shown) > _N_WORST_SHOWN + _N_BEST_SHOWN:
@@ -122,7 +133,8 @@ def _draw_errors(ax: Axes, ordered: Sequence[Computed]) -> None:
     ax.legend(fontsize=8, ncols=2, loc="upper right")
 
 
-def _claims(computed: Sequence[Computed]) -> list[Claim]:
+def claims(computed: Sequence[Computed]) -> list[Claim]:
+    """Judge the sentences of the paper."""
     paper, default, floor = (np.array([float(one[name]) for one in computed]) for name in ERRORS[:3])
     inner, inner_default, inner_floor = (np.array([float(one[name]) for one in computed]) for name in INNER)
     count = len(computed)
@@ -165,20 +177,3 @@ def _claims(computed: Sequence[Computed]) -> list[Claim]:
 
 def _spread(values: NDArray[np.float64]) -> str:
     return f"median {np.median(values):.3f}, {values.min():.3f} to {values.max():.3f}"
-
-
-FIGURE = PaperFigure(
-    name="figure4",
-    title="Relative RMS of every material",
-    shows=(
-        "Above: relative_rms of every material, sorted by that of the paper's procedure, on a logarithmic axis; the"
-        " default fit and the floor beside it. Below: spheres of the largest and the smallest of its errors,"
-        " from top to bottom the paper's procedure, the default fit and the data."
-    ),
-    choose=list,
-    settings=f"{_SIZE} pixels, {INNER_ROWS} rows",
-    measure=_measure,
-    table=_table,
-    draw=_draw,
-    claims=_claims,
-)

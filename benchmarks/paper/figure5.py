@@ -1,21 +1,36 @@
-"""Figure 5: error against subsampling of theta_half, the model against linear interpolation of the table."""
+"""Figure 5: error against subsampling of theta_half, the model against linear interpolation of the table.
+
+relative_rms on all data after every n-th row of theta_half was kept. Solid: the default fit (blue) and the paper's
+procedure (red). Dashed: the table, interpolated linearly in theta_half or in its square root, whichever is better, with
+all its values over phi_diff (blue) and with means over phi_diff (red), which have the same information as the paper's
+lobes. Dotted blue: the default fit, and the table of what it leaves at the kept rows. Dotted black: the floor of models
+without phi_diff.
+"""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.paper.materials import Computed, Material, Numbers, choose, fit_quietly
-from benchmarks.paper.paper_figure import DEFAULT_COLOUR, PAPER_COLOUR, Claim, PaperFigure, Row, Verdict, new_figure
+from benchmarks.paper.base import (
+    DEFAULT_COLOUR,
+    PAPER_COLOUR,
+    Claim,
+    Computed,
+    Material,
+    Numbers,
+    Row,
+    fit_quietly,
+    new_figure,
+    preferred,
+)
 from benchmarks.paper.table_interpolation import guided_table_error, means_over_phi, table_error, thinned
 from dsbrdf import DSBRDF, FitError, FitOptions, Measurement
 from dsbrdf.arrays import Array
 from dsbrdf.data import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.fitting import relative_errors, sample_errors
 from dsbrdf.pipeline import profiles_for
-
-__all__ = ["FACTORS", "FIGURE", "won"]
-
 
 FACTORS = (1, 2, 4, 8, 12, 16, 24)
 WAYS = ("default", "table", "paper", "table_of_means", "guided_table")
@@ -26,14 +41,14 @@ _MODERATE_FACTOR = 4
 _ROUNDING = 1e-9  # an error below is that of a table with all rows
 
 
-def _choose(materials: Sequence[Material]) -> list[Material]:
+def choose(materials: Sequence[Material]) -> list[Material]:
     """Up to 8 measurements, then stand-ins of the materials that the paper shows elsewhere."""
-    measured = choose([material for material in materials if material.measured], (), _N_MEASURED)
+    measured = preferred([material for material in materials if material.measured], (), _N_MEASURED)
     others = [material for material in materials if material not in measured]
-    return measured + choose(others, PREFERRED, min(_N_MATERIALS - len(measured), len(PREFERRED)))
+    return measured + preferred(others, PREFERRED, min(_N_MATERIALS - len(measured), len(PREFERRED)))
 
 
-def _measure(material: Material) -> Numbers:
+def measure(material: Material) -> Numbers:
     """relative_rms on the full data of each way after each factor, shape (ways, factors); the floor."""
     errors = [_errors(material, factor) for factor in FACTORS]
     return {"errors": np.array(errors).T, "floor": np.array(material.fit().report.metrics.floor)}
@@ -81,7 +96,8 @@ def won(model: Array, table: Array) -> list[int]:
     return [factor for factor, better in zip(FACTORS, model <= table, strict=True) if better]
 
 
-def _table(computed: Sequence[Computed]) -> list[Row]:
+def table(computed: Sequence[Computed]) -> list[Row]:
+    """Return the rows of the table."""
     return [
         {
             "material": one.name,
@@ -95,7 +111,8 @@ def _table(computed: Sequence[Computed]) -> list[Row]:
     ]
 
 
-def _draw(computed: Sequence[Computed]) -> Figure:
+def draw(computed: Sequence[Computed]) -> Figure:
+    """Draw the figure."""
     columns = min(4, len(computed))
     lines = -(-len(computed) // columns)
     figure = new_figure("Figure 5: fewer rows of theta_half", 3.3 * columns, 2.6 * lines + 1.0)
@@ -125,7 +142,8 @@ def _draw(computed: Sequence[Computed]) -> Figure:
     return figure
 
 
-def _claims(computed: Sequence[Computed]) -> list[Claim]:
+def claims(computed: Sequence[Computed]) -> list[Claim]:
+    """Judge the sentences of the paper."""
     default, table, paper, means, guided = np.moveaxis(np.array([one["errors"] for one in computed]), 1, 0)
     guided = np.where(guided > _ROUNDING, guided, 0.0)
     of_paper = [won(*pair) for pair in zip(paper, means, strict=True)]
@@ -182,7 +200,7 @@ def _moderate_claim(computed: Sequence[Computed], default: Array, table: Array) 
     )
 
 
-def _verdict(found: Sequence[Sequence[int]]) -> Verdict:
+def _verdict(found: Sequence[Sequence[int]]) -> Literal["agrees", "agrees in part", "differs"]:
     """Agreement where the model wins at a moderate factor on most materials."""
     share = np.mean([_MODERATE_FACTOR in factors for factors in found])
     if share > 0.8:
@@ -193,22 +211,3 @@ def _verdict(found: Sequence[Sequence[int]]) -> Verdict:
 def _counts(found: Sequence[Sequence[int]]) -> str:
     """Tell on how many materials the model wins at each factor."""
     return ", ".join(f"{factor}: {sum(factor in factors for factors in found)}" for factor in FACTORS)
-
-
-FIGURE = PaperFigure(
-    name="figure5",
-    title="Fewer rows of theta_half",
-    shows=(
-        "relative_rms on all data after every n-th row of theta_half was kept. Solid: the default fit (blue) and the"
-        " paper's procedure (red). Dashed: the table, interpolated linearly in theta_half or in its square root,"
-        " whichever is better, with all its values over phi_diff (blue) and with means over phi_diff (red), which have"
-        " the same information as the paper's lobes. Dotted blue: the default fit, and the table of what it leaves at"
-        " the kept rows. Dotted black: the floor of models without phi_diff."
-    ),
-    choose=_choose,
-    measure=_measure,
-    table=_table,
-    draw=_draw,
-    claims=_claims,
-    settings=f"{FACTORS} {WAYS}",
-)

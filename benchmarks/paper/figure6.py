@@ -3,6 +3,10 @@
 The coordinates of a material are log(kappa) and log(gamma) of the three lobes of each channel, at theta_diff = 0 (18
 numbers, the paper's figure) or at all slices (324 numbers). Logarithms, because both run over orders of magnitude;
 every coordinate is divided by its standard deviation over the materials.
+
+Isomap embeddings of the parameters of the paper's procedure with 3 lobes, a sphere of the data at the place of each
+material. Above: parameters at theta_diff = 0, as in the paper. Below: those of all slices. Glossier materials are to
+the right.
 """
 
 from collections.abc import Sequence
@@ -14,13 +18,18 @@ from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from scipy.spatial.distance import cdist
 
-from benchmarks.paper.materials import Computed, Material, Numbers
-from benchmarks.paper.paper_figure import Claim, PaperFigure, Row, new_figure, sphere, to_bytes
+from benchmarks.paper.base import (
+    Claim,
+    Computed,
+    Material,
+    Numbers,
+    Row,
+    new_figure,
+    sphere,
+    to_bytes,
+)
 from dsbrdf.arrays import Array
 from dsbrdf.rendering import exposure, sphere_normals
-
-__all__ = ["FIGURE", "embedding", "features", "nearest"]
-
 
 SPACES = ("theta_diff_0", "all_slices")
 _N_LOBES = 3
@@ -32,7 +41,12 @@ _KAPPA_RANGE = (1e-3, 20.0)
 _GAMMA_RANGE = (1e-2, 1e5)
 
 
-def _measure(material: Material) -> Numbers:
+def choose(materials: Sequence[Material]) -> list[Material]:
+    """Choose all materials."""
+    return list(materials)
+
+
+def measure(material: Material) -> Numbers:
     """Log kappa and log gamma (3, 18, K, 2), a sphere, and how glossy and how bright the material is."""
     model = material.fit(method="paper", n_lobes=_N_LOBES).model
     kappa, gamma = np.clip(model.kappa, *_KAPPA_RANGE), np.clip(model.gamma, *_GAMMA_RANGE)
@@ -55,7 +69,7 @@ def features(computed: Sequence[Computed], space: str) -> Array:
 
 def embedding(computed: Sequence[Computed], space: str) -> Array:
     """Isomap embedding (materials, 2); the first axis points to the glossier materials."""
-    from sklearn.manifold import Isomap  # type: ignore[import-untyped]  # of the extra `heavy`; ships no types
+    from sklearn.manifold import Isomap  # type: ignore[import-untyped]  # takes a second to import
 
     neighbors = min(_NEIGHBORS, len(computed) - 1)
     places: Array = Isomap(n_neighbors=neighbors, n_components=2).fit_transform(features(computed, space))
@@ -77,7 +91,8 @@ def _gloss(computed: Sequence[Computed]) -> Array:
     return gloss - gloss.mean()
 
 
-def _table(computed: Sequence[Computed]) -> list[Row]:
+def table(computed: Sequence[Computed]) -> list[Row]:
+    """Return the rows of the table."""
     places = {space: embedding(computed, space) for space in SPACES}
     near = {space: nearest(computed, space) for space in SPACES}
     return [
@@ -96,7 +111,8 @@ def _table(computed: Sequence[Computed]) -> list[Row]:
     ]
 
 
-def _draw(computed: Sequence[Computed]) -> Figure:
+def draw(computed: Sequence[Computed]) -> Figure:
+    """Draw the figure."""
     figure = new_figure("Figure 6: the space of materials (Isomap of 3-lobe parameters)", 12.0, 13.5)
     titles = ("theta_diff = 0: 18 numbers a material", "all slices: 324 numbers a material")
     for ax, space, title in zip(figure.subplots(2, 1), SPACES, titles, strict=True):
@@ -117,7 +133,8 @@ def _draw_space(ax: Axes, computed: Sequence[Computed], places: Array) -> None:
     ax.tick_params(labelsize=7)
 
 
-def _claims(computed: Sequence[Computed]) -> list[Claim]:
+def claims(computed: Sequence[Computed]) -> list[Claim]:
+    """Judge the sentences of the paper."""
     gloss = _gloss(computed)
     found: dict[str, Any] = {}
     for space in SPACES:
@@ -159,20 +176,3 @@ def _rank_correlation(first: Array, second: Array) -> float:
 def _share_alike(computed: Sequence[Computed], near: list[list[int]]) -> float:
     gloss = _gloss(computed)
     return float(np.mean([abs(gloss[own] - gloss[others[0]]) < 0.25 for own, others in enumerate(near)]))
-
-
-FIGURE = PaperFigure(
-    name="figure6",
-    title="The space of materials",
-    shows=(
-        "Isomap embeddings of the parameters of the paper's procedure with 3 lobes, a sphere of the data at the place"
-        " of each material. Above: parameters at theta_diff = 0, as in the paper. Below: those of all slices. Glossier"
-        " materials are to the right."
-    ),
-    choose=list,
-    measure=_measure,
-    table=_table,
-    draw=_draw,
-    claims=_claims,
-    at_least=4,
-)
