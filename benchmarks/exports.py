@@ -31,7 +31,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data import half_difference
 from dsbrdf.extras import require
 from dsbrdf.output.export.materialx import fit_openpbr
-from dsbrdf.output.export.mitsuba_bsdf import register
+from dsbrdf.output.export.mitsuba import register
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from dsbrdf.rendering import THREE_LIGHTS, displayed, exposure, psnr, sphere_normals
 from dsbrdf.rendering.sphere import Source

@@ -29,14 +29,19 @@ The mixtures are tabulated at the angles theta_out in `ANGLES`. Both `sample` an
 angle, so that their densities agree to rounding.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dsbrdf.arrays import Array, Evaluate, Indices
 from dsbrdf.data.geometry import spherical
 from dsbrdf.model.albedo import half_vector_rule
+
+Vector = Sequence[Any] | Array
+"""Three components of directions."""
 
 ANGLES = np.radians(np.arange(0.0, 90.5, 1.5))
 """Angles theta_out to the normal at which the mixture is tabulated [rad]."""
@@ -79,13 +84,12 @@ class DirectionSampler:
         chosen = np.sum(self.cumulative[row] <= rng.random(row.size)[:, None], axis=1)
         uniform = rng.random((2, row.size))
         cosine = chosen >= self.along.shape[1]
+        turn = np.array([np.cos(2.0 * np.pi * uniform[1]), np.sin(2.0 * np.pi * uniform[1])])
         omega_in = np.empty_like(omega_out)
-        radius, turn = np.sqrt(uniform[0, cosine]), 2.0 * np.pi * uniform[1, cosine]
-        up = np.sqrt(1.0 - uniform[0, cosine])
-        omega_in[cosine] = np.stack([radius * np.cos(turn), radius * np.sin(turn), up], axis=-1)
-        row, chosen, omega_out = row[~cosine], chosen[~cosine], omega_out[~cosine]
-        half = _visible_normals(omega_out, self.along[row, chosen], self.across[row, chosen], uniform[:, ~cosine])
-        omega_in[~cosine] = 2.0 * np.einsum("ni,ni->n", half, omega_out)[:, None] * half - omega_out
+        omega_in[cosine] = np.stack([*np.sqrt(uniform[0]) * turn, np.sqrt(1.0 - uniform[0])], axis=-1)[cosine]
+        row, chosen, uniform, turn = row[~cosine], chosen[~cosine], uniform[0, ~cosine], turn[:, ~cosine]
+        along, across = self.along[row, chosen], self.across[row, chosen]
+        omega_in[~cosine] = np.stack(mirrored(omega_out[~cosine].T, along, across, uniform, turn), axis=-1)
         return omega_in
 
     def pdf(self, omega_in: Array, omega_out: Array) -> Array:
@@ -95,9 +99,9 @@ class DirectionSampler:
         first, second = omega_in[above], omega_out[above]
         row = _row(second)
         share = np.diff(self.cumulative, axis=1, prepend=0.0)[row].T
-        density, seen = share[-1] * first[:, 2] / np.pi, _in_plane_of_incidence(first, second)
+        density, seen = share[-1] * first[:, 2] / np.pi, in_plane_of_incidence(first.T, second.T)
         for part in range(self.along.shape[1]):
-            density += share[part] * _mirrored_density(seen, self.along[row, part], self.across[row, part])
+            density += share[part] * mirrored_density(seen, self.along[row, part], self.across[row, part])
         result[above] = density
         return result
 
@@ -122,9 +126,9 @@ def _mixture(theta_out: float, evaluate: Evaluate) -> tuple[list[int], Array]:
     half, omega_out = spherical(theta_half, azimuth), spherical([theta_out], 0.0)
     omega_in = 2.0 * (half @ omega_out[0])[:, None] * half - omega_out
     densities = np.empty((len(_CANDIDATE_ROUGHNESSES) + 1, cos_in.size))
-    seen = _in_plane_of_incidence(omega_in, omega_out)
+    seen = in_plane_of_incidence(omega_in.T, omega_out.T)
     for density, (along, across) in zip(densities[:-1], _CANDIDATE_ROUGHNESSES, strict=True):
-        density[:] = _mirrored_density(seen, along, across)
+        density[:] = mirrored_density(seen, along, across)
     densities[-1] = cos_in / np.pi
     reflected = evaluate(theta_half, rule.theta_diff[used], rule.phi_diff[used]).mean(axis=1) * cos_in
     squared = reflected**2 * rule.weight[used] / cos_in
@@ -153,51 +157,56 @@ def _improved(share: Array, densities: Array, squared: Array) -> Array:
     return share
 
 
-def _in_plane_of_incidence(omega_in: Array, omega_out: Array) -> tuple[Array, ...]:
-    """Return the six terms by which the density of a mirrored direction depends on both directions, each (n,).
+def in_plane_of_incidence(omega_in: Vector, omega_out: Vector, xp: Any = np) -> tuple[Any, ...]:
+    """Return the six terms by which the density of a mirrored direction depends on both directions.
 
-    In the formula of the module's docstring, the terms are T_x, T_y, T_z**2, L**2, o_z and o_x.
+    In the formula of the module's docstring, the terms are T_x, T_y, T_z**2, L**2, o_z and o_x. Shaders and renderers
+    run this function, `mirrored_density` and `mirrored` on numbers of their own, with `xp` for NumPy.
     """
-    total = omega_in + omega_out
-    x, y = _heading(omega_out)
-    toward, aside = total[:, 0] * x + total[:, 1] * y, total[:, 1] * x - total[:, 0] * y
-    radius = np.hypot(omega_out[:, 0], omega_out[:, 1])
-    return toward, aside, total[:, 2] ** 2, np.einsum("ni,ni->n", total, total), omega_out[:, 2], radius
+    total = [first + second for first, second in zip(omega_in, omega_out, strict=True)]
+    x, y, radius = _heading(omega_out, xp)
+    toward, aside = total[0] * x + total[1] * y, total[1] * x - total[0] * y
+    return toward, aside, total[2] ** 2, _dot(total, total), omega_out[2], radius
 
 
-def _mirrored_density(seen: tuple[Array, ...], along: Array, across: Array) -> Array:
+def mirrored_density(seen: tuple[Any, ...], along: Any, across: Any, xp: Any = np) -> Any:
     """Return the density per solid angle of mirrored directions, by the formula of the module's docstring."""
     toward, aside, squared_up, squared_length, height, radius = seen
     slopes = squared_up + (toward / along) ** 2 + (aside / across) ** 2
-    visible = height + np.sqrt(height**2 + (along * radius) ** 2)
-    return np.asarray((squared_length / slopes) ** 2 / (2.0 * np.pi * along * across * visible))
+    visible = height + xp.sqrt(height**2 + (along * radius) ** 2)
+    return (squared_length / slopes) ** 2 / (2.0 * math.pi * along * across * visible)
 
 
-def _visible_normals(omega_out: Array, along: Array, across: Array, uniform: Array) -> Array:
-    """Draw a normal of a rough surface visible from each direction (n, 3), from uniform numbers (2, n).
+def mirrored(omega_out: Vector, along: Any, across: Any, uniform: Any, turn: Vector, xp: Any = np) -> list[Any]:
+    """Mirror directions at normals of a rough surface that are drawn from those visible from the directions.
 
-    The method is from Dupuy and Benyoub (2023).
-    After the surface is stretched to roughness 1, a normal is the half vector of omega_out and of a point drawn
-    uniformly from a spherical cap.
+    The method is from Dupuy and Benyoub (2023). After the surface is stretched to roughness 1, a normal is the half
+    vector of omega_out and of a point drawn uniformly from a spherical cap: the height of the point is uniform, and
+    `turn` is the cosine and sine of a uniform azimuth.
     """
-    x, y = _heading(omega_out)
-    seen = np.stack([along * np.hypot(omega_out[:, 0], omega_out[:, 1]), omega_out[:, 2]])
-    seen /= np.hypot(*seen)
-    z = (1.0 - uniform[0]) * (1.0 + seen[1]) - seen[1]
-    radius, turn = np.sqrt(np.maximum(1.0 - z * z, 0.0)), 2.0 * np.pi * uniform[1]
-    toward, aside = along * (radius * np.cos(turn) + seen[0]), across * radius * np.sin(turn)
-    half = np.stack([toward * x - aside * y, toward * y + aside * x, z + seen[1]], axis=-1)
-    return np.asarray(half / np.sqrt(np.einsum("ni,ni->n", half, half))[:, None])
+    x, y, radius = _heading(omega_out, xp)
+    length = xp.sqrt((along * radius) ** 2 + omega_out[2] ** 2)
+    seen_x, seen_z = along * radius / length, omega_out[2] / length
+    z = (1.0 - uniform) * (1.0 + seen_z) - seen_z
+    ring = xp.sqrt(xp.maximum(1.0 - z * z, 0.0))
+    toward, aside = along * (ring * turn[0] + seen_x), across * ring * turn[1]
+    normal = toward * x - aside * y, toward * y + aside * x, z + seen_z
+    scale = 2.0 * _dot(normal, omega_out) / _dot(normal, normal)
+    return [scale * one - other for one, other in zip(normal, omega_out, strict=True)]
+
+
+def _dot(first: Vector, second: Vector) -> Any:
+    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+
+
+def _heading(omega: Vector, xp: Any) -> tuple[Any, Any, Any]:
+    """Return cosine and sine of the azimuth, and sine of the angle to the normal, whose azimuth is taken as 0."""
+    radius2 = xp.maximum(omega[0] ** 2 + omega[1] ** 2, 1e-30)  # The root of 0 would have no derivative.
+    radius, has_azimuth = xp.sqrt(radius2), radius2 > 1e-30
+    return xp.where(has_azimuth, omega[0] / radius, 1.0), xp.where(has_azimuth, omega[1] / radius, 0.0), radius
 
 
 def _row(omega_out: Array) -> Indices:
     """Return the index in `ANGLES` of the angle nearest to each direction."""
     theta = np.arctan2(np.hypot(omega_out[:, 0], omega_out[:, 1]), omega_out[:, 2])
     return np.clip(np.rint(theta / ANGLES[1]), 0, ANGLES.size - 1).astype(np.intp)
-
-
-def _heading(omega: Array) -> tuple[Array, Array]:
-    """Return cosine and sine of the azimuth of directions; 1 and 0 for the normal, which has no azimuth."""
-    radius = np.hypot(omega[:, 0], omega[:, 1])
-    safe = np.where(radius > 0.0, radius, 1.0)
-    return np.where(radius > 0.0, omega[:, 0] / safe, 1.0), omega[:, 1] / safe

@@ -17,9 +17,9 @@ from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.component_documents import component_documents
 from dsbrdf.output.component_table import component_rows, table_csv
+from dsbrdf.output.export.formula import python_file
 from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
-from dsbrdf.output.export.python_file import python_file
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.export.templates import filled, template
 from dsbrdf.output.report_text import layers_csv, parameters_csv

@@ -1,6 +1,7 @@
 """Files for other programs, and the surface of MaterialX: it is what the library's own shaders compute."""
 
 import importlib.util
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from dsbrdf.components import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.data import half_difference
 from dsbrdf.output import FORMATS, export_model
 from dsbrdf.output.export import materialx
+from dsbrdf.output.export.glsl import glsl_function
 from dsbrdf.output.export.materialx import FoundSurface, fit_openpbr
 from dsbrdf.output.export.openpbr import OpenPBR
 from dsbrdf.rendering import LIGHTINGS, displayed, exposure, sphere_likeness, sphere_normals
@@ -181,3 +183,26 @@ def test_a_format_of_lobes_refuses_a_component() -> None:
         said = rf"^the format {name} cannot contain .* merl, glsl, python, brdf, bsdf or bsdf-spectral, or export"
         with pytest.raises(InvalidArgumentError, match=said):
             export_model(part, name)
+
+
+@pytest.mark.parametrize("name", ["", "2nd", "gl_paint", "a__b", "paint_", "flat", "mix", "a-b", "é", "p" * 65])
+def test_a_name_that_no_function_can_have_is_refused(name: str) -> None:
+    with pytest.raises(InvalidArgumentError, match="must begin with a letter, have at most 64 letters and digits"):
+        export_model(MODEL, "glsl", name=name)
+
+
+def test_every_name_begins_with_that_of_the_function() -> None:
+    for source in (
+        export_model(MODEL, "glsl", name="paint", sampling=True).decode(),
+        glsl_function(decompose(MODEL)["diffuse"], "paint", sampling=True),
+        glsl_function(decompose(MODEL).layers, "paint", sampling=True),
+    ):
+        declared = re.findall(r"^(?:const )?(?:void|int|float|vec[234]|struct|paint\w+) (\w+)", source, re.MULTILINE)
+        assert len(declared) > 8
+        assert all(re.match(r"paint(_|$)", name) for name in declared)
+        assert "dsbrdf" not in source.partition("\n")[2]
+
+
+def test_a_parameter_too_large_for_single_precision_is_refused() -> None:
+    with pytest.raises(InvalidArgumentError, match="too large for GLSL"):
+        glsl_function(single_lobe(1.0, 1.0, 1e39))

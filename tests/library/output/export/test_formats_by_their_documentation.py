@@ -140,41 +140,6 @@ def test_csv(kind: str) -> None:
     assert_is(brdf(model.lobe, at), model)
 
 
-def constants(source: str, name: str) -> Array:
-    """Numbers (n, k) of a constant array in GLSL."""
-    items = re.search(rf"{name}\[\d+\] = \w+\[\d+\]\((.*?)\);\n", source, re.DOTALL)
-    assert items is not None
-    return np.array([[float(number) for number in one.split(",")] for one in re.findall(r"\(([^()]+)\)", items[1])])
-
-
-@pytest.mark.parametrize("kind", MODELS)
-@pytest.mark.parametrize("file_format", ["glsl", "brdf"])
-def test_constants_of_glsl_and_brdf_explorer(kind: str, file_format: str) -> None:
-    model = MODELS[kind]
-    source = export_model(model, file_format).decode()
-    if file_format == "brdf":
-        source = source.partition("::begin shader\n")[2].partition("::end shader")[0]
-    breaks = constants(source, "dsbrdf_BREAKS")[:, 0]
-    terms = constants(source, "dsbrdf_TERMS").reshape(-1, breaks.size - 1, 4)
-    is_paper = kind == "paper"
-    k = model.n_lobes
-
-    def at(theta_diff: float) -> Parameters:
-        held = np.clip(theta_diff, breaks[0], breaks[-1])
-        piece = int(np.clip(breaks.searchsorted(held, side="right") - 1, 0, breaks.size - 2))
-        t = (held - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
-        rows = terms[:, piece] @ [(1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3]
-        channels = 3 if is_paper else 1
-        amplitude, kappa, gamma, elongation, rest = np.split(rows, np.cumsum([3 * k, channels * k, channels * k, k]))
-        delta = rest if is_paper else np.zeros(3)
-        center = np.zeros((1, k)) if is_paper else rest.reshape(1, k)
-        level, back = (np.expm1, np.asarray) if is_paper else (np.exp, np.exp)
-        kappa, gamma = (back(part).reshape(channels, k) for part in (kappa, gamma))
-        return Parameters(level(amplitude).reshape(3, k), kappa, gamma, center, elongation, delta)
-
-    assert_is(brdf(model.lobe, at), model)
-
-
 LAYERS = LayeredModel(
     (
         SpecularLayer((0.03, 0.04, 0.05), 0.8, 0.08, 2.5, (0.2, -0.3), 0.3, 0.0),

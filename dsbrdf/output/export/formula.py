@@ -1,22 +1,29 @@
-"""Define the functions of an exported Python file; `dsbrdf.output.export.python_file` copies their source.
+"""Define the formula of exported models, and write it as a Python file for NumPy, PyTorch and JAX.
 
-The functions use the common interface `xp` of NumPy, PyTorch and JAX. Derivatives are finite wherever values are
-finite, because arguments of roots and denominators are kept above 0. Parameters and formulas are as in
-`dsbrdf.model.dsbrdf`, `dsbrdf.components.layers` and `dsbrdf.components.shares`. An exported file has at most 150
-lines.
+An exported file has exact numbers, copies of the functions of this module that its model needs, and at most 150 lines.
+The functions use the common interface `xp` of the three libraries. Derivatives are finite wherever values are finite,
+because arguments of roots and denominators are kept above 0. Parameters and formulas are as in `dsbrdf.model.dsbrdf`,
+`dsbrdf.components.layers` and `dsbrdf.components.shares`. Other targets run the file, see `run_file`.
 """
 
+import inspect
 import itertools
 import math
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy
 
+from dsbrdf.components.component import Component
 from dsbrdf.components.layer_data import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
-from dsbrdf.components.shares import EXCESS_HALO, HALO, SPIKE_HALO
+from dsbrdf.components.layers import Layer, LayeredModel
+from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS, SPIKE_HALO
 from dsbrdf.data.geometry import CENTER_CUTOFF
-from dsbrdf.model.lobes import GRAZING_COSINE
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.lobes import FAMILIES, GRAZING_COSINE
+from dsbrdf.output.export.templates import filled, sections
+from dsbrdf.version import __version__
 
 
 def _arrays(parameters: dict[str, Any], *directions: Any) -> tuple[Any, Any, Any, dict[str, Any]]:
@@ -33,12 +40,12 @@ def _arrays(parameters: dict[str, Any], *directions: Any) -> tuple[Any, Any, Any
 
 def _angles(xp: Any, first: Any, second: Any) -> tuple[Any, Any, Any, Any]:
     """Return for pairs of directions: whether both are above the horizon, and the angles that the model needs."""
-    total, difference = first + second, first - second
-    sum2, difference2, radius2 = (xp.clip((v * v).sum(-1), 1e-30, None) for v in (total, difference, total[..., :2]))
-    (x, y, z), (dx, dy, dz) = ([v[..., i] for i in range(3)] for v in (total, difference))
-    along2, across2 = (z * (x * dx + y * dy) - radius2 * dz) ** 2 + 1e-30, sum2 * (x * dy - y * dx) ** 2
-    above, tan_diff = (first[..., 2] >= -1e-12) & (second[..., 2] >= -1e-12), xp.sqrt(difference2 / sum2)
-    return above[..., None], xp.arctan(tan_diff), radius2 / xp.clip(z * z, 1e-18, None), along2 / (along2 + across2)
+    total, difference, low = first + second, first - second, math.sqrt(xp.finfo(first.dtype).tiny)
+    sum2, gap2, radius2 = (xp.clip((v * v).sum(-1), low, None) for v in (total, difference, total[..., :2]))
+    x, y, z, dx, dy, dz = (v[..., i] for v in (total, difference) for i in range(3))
+    along2, across2 = (z * (x * dx + y * dy) - radius2 * dz) ** 2 + low, sum2 * (x * dy - y * dx) ** 2
+    lowest, diff = xp.minimum(first[..., 2], second[..., 2]), (xp.arctan(xp.sqrt(gap2 / sum2)), gap2 / (sum2 + gap2))
+    return (lowest >= -1e-12)[..., None], diff, radius2 / xp.clip(z * z, 1e-18, None), along2 / (along2 + across2)
 
 
 def _spline(xp: Any, knots: list[float], values: Any, at: Any, degree: int) -> Any:
@@ -55,14 +62,14 @@ def _spline(xp: Any, knots: list[float], values: Any, at: Any, degree: int) -> A
     return base + sum(w[..., None, None] * (values[:, i, :] - base) for i, w in enumerate(weights))
 
 
-def _model(xp: Any, theta_diff: Any, tan2: Any, cos2_phi: Any, p: dict[str, Any]) -> Any:
+def _model(xp: Any, diff: tuple[Any, Any], tan2: Any, cos2_phi: Any, p: dict[str, Any]) -> Any:
     """Return the RGB values (..., 3) of the model: the sum of the lobes and the delta term of the paper."""
-    degree, log, exp = (3, xp.log, xp.exp) if IS_SPLINE else (1, xp.positive, xp.positive)
+    theta_diff, (degree, log, exp) = diff[0], (3, xp.log, xp.exp) if IS_SPLINE else (1, xp.positive, xp.positive)
     kappa, gamma = (exp(_spline(xp, KNOTS[1], log(p[name]), theta_diff, degree)) for name in ("kappa", "gamma"))
     tangent = xp.tan(_spline(xp, KNOTS[1], p["center"], theta_diff, degree))
     log, exp = (xp.log, xp.exp) if IS_SPLINE else (xp.log1p, xp.expm1)
     amplitude = exp(_spline(xp, KNOTS[0], log(p["amplitude"]), theta_diff, degree))
-    cosine4 = GRAZING_COSINE**4 + (1.0 - GRAZING_COSINE**4) * xp.cos(theta_diff) ** 4
+    cosine4 = GRAZING_COSINE**4 + (1.0 - GRAZING_COSINE**4) * (1.0 - diff[1]) ** 2
     log_cosine, tan2, cos2 = (one[..., None, None] for one in (xp.log(cosine4) / 4.0, tan2, cos2_phi))
     ratio = xp.exp(_spline(xp, KNOTS[2], p["elongation"][None], theta_diff, degree) * log_cosine)
     root = xp.sqrt(xp.clip(tan2 * (cos2 / ratio + (1.0 - cos2) * ratio), 1e-30, None))
@@ -103,10 +110,10 @@ def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, alpha: Any, tail: Any
     return tails + masking * xp.log(2.0 * seen / both) - xp.log(2.0 * math.pi * square * seen)
 
 
-def _layers(xp: Any, pair: tuple[Any, Any], theta_diff: Any, tan2: Any, parameters: dict[str, Any], names: Any) -> Any:
+def _layers(xp: Any, pair: tuple[Any, Any], diff: Any, tan2: Any, parameters: dict[str, Any], names: Any) -> Any:
     """Return the logarithm of the sum of the layers with the given names (..., 3)."""
     cos_in, cos_out = (xp.clip(omega[..., 2], MIN_COSINE, 1.0) for omega in pair)
-    u, sin2, tan2 = 2.0 * xp.sin(theta_diff / 2.0) ** 2, xp.sin(theta_diff) ** 2, xp.clip(tan2, None, MAX_TAN2)
+    u, sin2, tan2 = diff[1] / (1.0 + xp.sqrt(1.0 - diff[1])), diff[1], xp.clip(tan2, None, MAX_TAN2)
     to_in, to_out, fresnel = (_rise(xp, cosine) for cosine in (cos_in, cos_out, 1.0 - u))
     passed, sin2_half, rise = xp.log((1.0 - to_in) * (1.0 - to_out)), tan2 / (1.0 + tan2), fresnel[..., None]
     total = 0.0 * rise - 1e4  # The logarithm -1e4 stands for a sum without layers, because exp(-1e4) is 0.
@@ -152,3 +159,104 @@ IS_SPLINE = True
 KNOTS = [[0.0]]
 MAX_TANGENT = 1e12
 _lobe = _hemi_epd
+
+_Numbers = dict[str, Any]
+_Functions = tuple[Callable[..., Any], ...]
+_TEMPLATES = sections("python_file.txt")
+_LOBE_FUNCTIONS: dict[str, Callable[..., Any]] = {"hemi_epd": _hemi_epd, "student": _student}
+_LAYER_FUNCTIONS: _Functions = (_rise, _facets, _layers)
+_CONSTANTS = (
+    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO", "EXCESS_HALO", "SPIKE_HALO"),
+    *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE"),
+)
+
+
+def python_file(source: DSBRDF | LayeredModel | Component) -> str:
+    """Return Python source with ``evaluate(omega_in, omega_out, parameters=PARAMETERS)``, independent of dsbrdf."""
+    if isinstance(source, LayeredModel):
+        layers = _layer_parameters(source.layers, "")
+        return _file("its physical layers", "layers", layers, {"LAYERS": tuple(layers)}, _LAYER_FUNCTIONS)
+    if isinstance(source, DSBRDF):
+        return _model_file("all of it", source)
+    whole, part = source.whole, f"its {source.label.replace('_', ' ')}"
+    if len(whole.labels) < 2:  # If the model has a single component, this component equals the whole model.
+        return _model_file(part, whole.model)
+    numbers: _Numbers = {}
+    structures = []
+    for number, structure in enumerate(whole.structures, 1):
+        layers = _layer_parameters(structure.model.layers, f"structure_{number}.")
+        numbers |= {f"structure_{number}.weight": structure.weight}
+        numbers |= {name: value for line in layers.values() for name, value in line.items()}
+        named = [*zip(layers, structure.labels, strict=True)]
+        structures.append(tuple(tuple(name for name, own in named if own == label) for label in LABELS))
+    shown = tuple(float(whole.receiver(label) == source.label) for label in LABELS)
+    fixed = {"SHOWN": shown, "STRUCTURES": tuple(structures)}
+    return _model_file(part, whole.model, "component", {"structures": numbers}, fixed, (*_LAYER_FUNCTIONS, _divided))
+
+
+def _model_file(
+    part: str,
+    model: DSBRDF,
+    evaluate: str = "model",
+    more_parameters: dict[str, _Numbers] | None = None,
+    more_constants: _Numbers | None = None,
+    more_functions: _Functions = (),
+) -> str:
+    """Return a file with the parameters, constants and functions of a model, and more of each."""
+    names = ("amplitude", "kappa", "gamma", "center", "elongation")
+    parameters = {name: {name: getattr(model, name).tolist()} for name in names}
+    if model.delta.any():
+        parameters["delta"] = {"delta": model.delta[..., numpy.newaxis].tolist()}
+    knots = [one.tolist() for one in (model.theta_diff, model.shape_theta_diff, model.elongation_theta_diff)]
+    constants = {"KNOTS": knots, "IS_SPLINE": model.interpolation == "spline"}
+    constants |= {"MAX_TANGENT": FAMILIES[model.lobe].largest_tangent} | (more_constants or {})
+    functions: _Functions = (_spline, _LOBE_FUNCTIONS[model.lobe], _model, *more_functions)
+    return _file(part, evaluate, parameters | (more_parameters or {}), constants, functions)
+
+
+def _layer_parameters(layers: tuple[Layer, ...], lead: str) -> dict[str, _Numbers]:
+    """Return the parameters of layers by name, such as ``specular_1.alpha``; the exported file has a line per layer."""
+    named = {f"{lead}{type(one).__name__.removesuffix('Layer').lower()}_{n}": one for n, one in enumerate(layers, 1)}
+    return {
+        name: {f"{name}.{parameter}": numpy.asarray(value).tolist() for parameter, value in vars(layer).items()}
+        for name, layer in named.items()
+    }
+
+
+def _file(
+    part: str,
+    evaluate: str,
+    parameters: dict[str, _Numbers],
+    constants: _Numbers,
+    functions: _Functions,
+) -> str:
+    """Return the whole file; the template's section `evaluate` becomes the last function of the file."""
+    used: _Functions = (_arrays, _angles, *functions)
+    body = "\n".join([*map(inspect.getsource, used), _TEMPLATES[evaluate]])
+    for name in _LOBE_FUNCTIONS:
+        body = body.replace(f"_{name}(", "_lobe(")
+    numbers = [" ".join(f'"{name}": {value!r},' for name, value in line.items()) for line in parameters.values()]
+    lines = [filled(_TEMPLATES["head"], {"VERSION": __version__, "PART": part}), "PARAMETERS: dict[str, Any] = {"]
+    lines += [f"    {line}" for line in numbers] + ["}"]
+    lines += [f"{name} = {constants.pop(name)!r}" for name in ("KNOTS", "STRUCTURES") if name in constants]
+    constants |= {name: globals()[name] for name in _CONSTANTS if name in body}
+    lines += [f"{', '.join(constants)} = {', '.join(map(repr, constants.values()))}", "", body]
+    return "\n".join(lines)
+
+
+def compiled(source: DSBRDF | LayeredModel | Component, xp: Any) -> Callable[..., Any]:
+    """Return ``evaluate`` of the exported file as a function that computes with the array library `xp`.
+
+    The function takes arrays (..., 3) of directions, then ``shown`` and parameters that replace others by their names.
+    """
+    file: dict[str, Any] = {}
+    exec(python_file(source), file)  # noqa: S102 (the file has just been written) # nosec B102
+    numbers = {name: numpy.asarray(value) for name, value in file["PARAMETERS"].items()}
+    file["_arrays"] = lambda parameters, *directions: (xp, *directions, parameters)
+
+    def evaluate(*directions: Any, shown: Any = None, **changed: Any) -> Any:
+        weights = {} if shown is None or "SHOWN" not in file else {"shown": shown}
+        with numpy.errstate(all="ignore"):  # Other libraries leave marks of invalid numbers, which NumPy would report.
+            return file["evaluate"](*directions, numbers | changed, **weights)
+
+    return evaluate
