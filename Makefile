@@ -35,6 +35,7 @@ $(READY): .ci/installer.lock service/requirements.lock pyproject.toml
 # Tests and checks need three times as many packages as the service.
 $(TESTS_READY): $(READY) requirements.lock
 	@$(UV) pip install $(CHECKED) -r requirements.lock
+	@$(BIN)/python -m pytest --collect-only --quiet >/dev/null # else each worker would compile all tests
 	@touch $@
 
 $(DOCS_READY): $(READY) docs/requirements.lock

@@ -49,11 +49,14 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Begin with files that have slow tests, so that the quick ones fill the end of all workers.
 
     The files of a group go to one worker, which starts a program or computes fits once; any other file is a group.
     """
+    if not SOAK and (left := [item for item in items if item.get_closest_marker("soak")]):
+        config.hook.pytest_deselected(items=left)
+        items[:] = [item for item in items if item not in left]
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
     used = ((item.path, name) for item in items for name in getattr(item, "fixturenames", ()))

@@ -36,6 +36,7 @@ def test_first_release_of_this_major_version_is_there() -> None:
     assert f"{dsbrdf.__version__.partition('.')[0]}.0" in [folder.name for folder in STORED]
 
 
+@pytest.mark.soak
 def test_source_distribution_makes_a_wheel_whose_service_works(tmp_path: Path) -> None:
     def build(target: str, folder: Path) -> Path:
         command = [sys.executable, "-m", "hatchling", "build", "--target", target, "--directory", str(tmp_path)]

@@ -19,6 +19,7 @@ def serve(own_server: Callable[..., Server]) -> Callable[[DaskCluster], Server]:
     return lambda cluster: own_server(engine="dask", scheduler=cluster.address, workers="1")
 
 
+@pytest.mark.soak
 def test_killed_server_leaves_no_fit_and_resumes_it(
     serve: Callable[[DaskCluster], Server], cluster: DaskCluster, data: bytes
 ) -> None:

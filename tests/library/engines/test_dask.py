@@ -80,6 +80,7 @@ def test_fits_wait_for_the_cluster_and_go_to_a_worker_that_comes_later(
         assert all(isinstance(fit.result(PATIENCE), FitDocument) for fit in fits)
 
 
+@pytest.mark.soak
 def test_fit_that_loses_four_workers_fails_and_they_leave_nothing(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     for _ in range(4):
@@ -96,6 +97,7 @@ def test_fit_that_loses_four_workers_fails_and_they_leave_nothing(own_cluster: D
     wait_until(lambda: not list(own_cluster.folder.glob("pymp-*")), PATIENCE)
 
 
+@pytest.mark.soak
 def test_fit_survives_the_loss_of_the_scheduler_and_of_its_only_worker(
     own_cluster: DaskCluster, plastic_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,6 +122,7 @@ def test_fit_survives_the_loss_of_the_scheduler_and_of_its_only_worker(
     assert shares == sorted(set(shares))
 
 
+@pytest.mark.soak
 def test_worker_without_permission_for_child_processes_is_not_used(
     own_cluster: DaskCluster, plastic_file: Path
 ) -> None:
@@ -133,6 +136,7 @@ def test_worker_without_permission_for_child_processes_is_not_used(
         assert isinstance(fit.result(PATIENCE), FitDocument)
 
 
+@pytest.mark.soak
 def test_worker_with_too_little_memory_is_not_used(own_cluster: DaskCluster) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker("--memory-limit", "200MiB")
@@ -158,6 +162,7 @@ def test_unreachable_scheduler_is_reported_in_one_sentence(address: str, words: 
     assert "\n" not in fault
 
 
+@pytest.mark.soak
 def test_scheduler_that_hangs_is_a_fault_until_it_answers(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker()
@@ -189,6 +194,7 @@ def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatc
         until(lambda: fault_of(engine), lambda fault: fault is None)
 
 
+@pytest.mark.soak
 def test_fit_is_cancelled_at_any_moment(cluster: DaskCluster, plastic_file: Path) -> None:
     stage, moments = Stage(cluster), random.Random(4)
     with started(DaskEngine(cluster.address, 2, LIMITS)) as engine:

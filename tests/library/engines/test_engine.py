@@ -45,7 +45,7 @@ pytestmark = [
 NO_DATA_LEFT = FitOptions(method="paper", n_lobes=8, mask=10.0, horizon_cutoff_deg=1.7)
 
 
-@pytest.fixture(params=["local", "dask"])
+@pytest.fixture(params=["local", pytest.param("dask", marks=pytest.mark.soak)])
 def stage(request: pytest.FixtureRequest) -> Stage:
     return Stage(None if request.param == "local" else request.getfixturevalue("cluster"))
 
@@ -57,6 +57,7 @@ def samples_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.parametrize("stage", ["local", "dask"], indirect=True)
 @pytest.mark.parametrize(
     ("data", "options"),
     [
@@ -191,6 +192,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.soak
 def test_no_process_outlives_a_killed_program(cluster: DaskCluster, plastic_file: Path, tmp_path: Path) -> None:
     """The program reads in a process of its own and fits on the cluster."""
     program = tmp_path / "program.py"
