@@ -27,8 +27,10 @@ MIN_LIGHT_OF_UNLIKELY_COMPONENT = 0.02
 """An unlikely component is left out if it reflects a smaller fraction of all reflected light at every angle."""
 _MIN_REMARKED_LIGHT = 0.02
 """A remark tells of sheen or retro-reflection that has a larger fraction of all reflected light."""
-_MAX_CERTAIN_WIDTH = 0.2
+_MAX_CERTAIN_WIDTH = 0.16
 """If the range of the diffuse fraction is wider, a remark says that this fraction is not determined."""
+_ROUGH_METAL_WIDTH = 0.5
+"""If the range of the diffuse fraction is wider and there is no spike, a remark says that rough metal looks alike."""
 _RECEIVERS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
 """Indices in `LABELS`, in order of preference, of the component that receives the values of an absent component."""
 
@@ -215,6 +217,10 @@ class Decomposition:
         """Return the label of the component to which layers with some label belong, also if theirs is left out."""
         return next(one for one in (label, *(LABELS[heir] for heir in _RECEIVERS[label])) if one in self.labels)
 
+    def received(self, label: str) -> tuple[str, ...]:
+        """Return the labels of all layers that belong to the component with a label."""
+        return tuple(one for one in LABELS if self.receiver(one) == label)
+
     def split_at(self, rule: LightRule) -> Array:
         """Return the values of all components at the n nodes of a quadrature [1/sr], (components, 3, n)."""
         return self._split(self.model.evaluate_unmasked(*rule.angles).T, rule.points)
@@ -267,7 +273,13 @@ class Decomposition:
             yield (
                 f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to "
                 f"{high:.0%}. Probable structures: {names}."
+                + (" A metal rougher than alpha 0.6 would look alike." if self._may_be_rough_metal else "")
             )
+
+    @property
+    def _may_be_rough_metal(self) -> bool:
+        low, high = self.diffuse_range
+        return high - low > _ROUGH_METAL_WIDTH and self.specular_spike is None
 
     def _other_light(self) -> Iterator[str]:
         kinds = (

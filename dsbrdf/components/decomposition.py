@@ -12,6 +12,7 @@ these layers describe the component.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -20,11 +21,18 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.component import MIN_COMPONENT_LIGHT, MIN_LIGHT_OF_UNLIKELY_COMPONENT, Decomposition
-from dsbrdf.components.description import describe
+from dsbrdf.components.description import Description, describe
 from dsbrdf.components.layer_data import grid_values, material_data
-from dsbrdf.components.layer_fit import fit_structures, structure_weights
+from dsbrdf.components.layer_fit import fit_structures
 from dsbrdf.components.layers import RetroLayer
-from dsbrdf.components.shares import LABELS, DrawnLayers, LightRule, WeightedLayers, light_rules
+from dsbrdf.components.shares import (
+    LABELS,
+    SPIKE_HALF_WIDTH,
+    DrawnLayers,
+    LightRule,
+    WeightedLayers,
+    light_rules,
+)
 from dsbrdf.components.structures import RARE_STRUCTURES, STRUCTURES
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -34,9 +42,10 @@ from dsbrdf.process_settings import one_blas_thread
 if TYPE_CHECKING:
     from dsbrdf.fitting.report import FitResult
 
-_MIN_WEIGHT = 0.01  # A structure of layers with a smaller weight is dropped.
 _LIKELY_WEIGHT = 0.5
 """A component is likely if the weights of the structures with this component have a larger sum."""
+
+_MIN_WIDTH_RATIO = 1.7  # Two highlights with a smaller ratio of half widths are one component.
 
 
 def decompose(model: DSBRDF | FitResult) -> Decomposition:
@@ -71,40 +80,61 @@ def _decompose(model: DSBRDF) -> Decomposition:
     if data is None:
         return Decomposition(model, (), (), (), (), (0.0, 0.0))
     found = fit_structures(data, (*STRUCTURES, *RARE_STRUCTURES), quick=True)
-    kept = [one for one, weight in zip(found, structure_weights(found), strict=True) if weight >= _MIN_WEIGHT]
-    structures = tuple(
-        WeightedLayers(one.structure.name, float(weight), one.model, one.structure.is_diffuse)
-        for one, weight in zip(kept, structure_weights(kept), strict=True)
-    )
-    reflected = [_reflected(model, structures, rule) for rule in light_rules()]
+    drawn = DrawnLayers.of(model, found)
+    reflected = [_reflected(model, drawn.fitted, rule) for rule in light_rules()]
     light = np.max([one.sum(axis=1) / max(float(one.sum()), 1e-300) for one in reflected], axis=0)
     shares = dict(zip(LABELS, light.tolist(), strict=True))
-    labels = tuple(label for label in LABELS if _is_there(label, shares[label], structures))
+    labels = tuple(label for label in LABELS if _is_there(label, shares[label], drawn.fitted))
     # If no component reflects enough light, the last layer of the best structure gives the label of a single component.
-    labels = labels or (structures[0].labels[-1],)
-    drawn = DrawnLayers.of(model, kept)
-    split = Decomposition(model, structures, labels, tuple(map(drawn.ranges, labels)), (), drawn.light_range(LABELS[2]))
-    descriptions = tuple(
+    split = _described(model, drawn, labels or (drawn.fitted[0].labels[-1],), reflected)
+    if _are_one_highlight(split.descriptions[: -1 if LABELS[2] in split.labels else None]):
+        split = _described(model, drawn, split.labels[1:], reflected)
+    return _labelled_by_width(split)
+
+
+def _described(model: DSBRDF, drawn: DrawnLayers, labels: tuple[str, ...], reflected: Sequence[Array]) -> Decomposition:
+    """Divide a model among components with labels, and describe each component."""
+    split = Decomposition(model, tuple(drawn.fitted), labels, (), (), drawn.light_range(LABELS[2:]))
+    descriptions = (
         describe(
             own,
-            drawn.surface_spread(label),
+            drawn.surface_spread(split.received(label)),
             is_diffuse=label == LABELS[2],
-            has_retro=any(RetroLayer in one.kinds_of(label) for one in structures),
+            has_retro=any(RetroLayer in one.kinds_of(label) for one in drawn.fitted),
             has_ground=LABELS[2] not in labels,
         )
         for label, own in zip(labels, split.own_values(reflected), strict=True)
     )
-    return replace(split, descriptions=descriptions)
+    ranges = (drawn.ranges(split.received(label)) for label in labels)
+    return replace(split, ranges=tuple(ranges), descriptions=tuple(descriptions))
 
 
-def _is_there(label: str, share: float, structures: tuple[WeightedLayers, ...]) -> bool:
+def _are_one_highlight(highlights: Sequence[Description]) -> bool:
+    """Tell whether two highlights are one, because they are of nearly one width, or both spikes, or both lobes."""
+    widths = [one.surface_half_width for one in highlights]
+    if len(widths) < 2 or None in widths:
+        return False
+    narrow, wide = sorted(width for width in widths if width is not None)
+    return wide < _MIN_WIDTH_RATIO * narrow or (narrow < SPIKE_HALF_WIDTH) == (wide < SPIKE_HALF_WIDTH)
+
+
+def _labelled_by_width(split: Decomposition) -> Decomposition:
+    """Return a decomposition in which the label of a single highlight follows the half width of the highlight."""
+    labels = [label for label in split.labels if label != LABELS[2]]
+    width = split.descriptions[0].surface_half_width
+    if len(labels) != 1 or width is None:
+        return split
+    return replace(split, labels=(LABELS[0 if width < SPIKE_HALF_WIDTH else 1], *split.labels[1:]))
+
+
+def _is_there(label: str, share: float, structures: Sequence[WeightedLayers]) -> bool:
     """Tell whether a component reflects enough light to be kept; an unlikely component must reflect more light."""
     probability = sum(structure.weight for structure in structures if label in structure.labels)
     least = MIN_COMPONENT_LIGHT if probability > _LIKELY_WEIGHT else MIN_LIGHT_OF_UNLIKELY_COMPONENT
     return probability > 0.0 and share > least
 
 
-def _reflected(model: DSBRDF, structures: tuple[WeightedLayers, ...], rule: LightRule) -> Array:
+def _reflected(model: DSBRDF, structures: Sequence[WeightedLayers], rule: LightRule) -> Array:
     """Return the directional albedo of each label at the angle of a quadrature, (labels, channels)."""
     values = model.evaluate_unmasked(*rule.angles).T
     parts = np.sum([one.weight * one.split(values, rule.points) for one in structures], axis=0)

@@ -43,8 +43,11 @@ class Description:
     @property
     def half_width(self) -> float | None:
         """Half width [rad] of the distribution of slopes of all surfaces; None if the misfit is too large."""
-        if self.misfit.half_width is None or self.misfit.withholds_roughness:
-            return None
+        return None if self.misfit.half_width is None or self.misfit.withholds_roughness else self.surface_half_width
+
+    @property
+    def surface_half_width(self) -> float | None:
+        """Half width [rad] of the distribution of slopes of all surfaces, whatever the misfit is."""
         return half_width_of([layer for layer in self.layers.layers if isinstance(layer, (SpecularLayer, RetroLayer))])
 
     def remarks(self, label: str) -> tuple[str, ...]:

@@ -13,8 +13,8 @@ structure is Laplace's approximation,
     E + log det A - log det A_prior + price,
 
 where A is the matrix of the normal equations at the minimum. Each structure is fitted from several starts. Structures
-whose cost stays far behind the best are dropped early. The weight of a structure is proportional to
-``exp(-evidence / 4)``.
+whose cost stays far behind the best are dropped early. The weight of a structure is proportional to ``exp(-evidence /
+4)``.
 """
 
 from collections.abc import Sequence
@@ -244,7 +244,8 @@ def fit_structures(
         if descent.prospect > best + _MAX_COST_LEAD * unit:
             continue
         descent.run(_MAX_STEPS)
-        best = min(best, descent.prospect)
+        if not trial.structure.only_in_ranges:
+            best = min(best, descent.prospect)
         found.append(descent.fitted())
     return sorted(found, key=lambda fitted: fitted.evidence)
 
@@ -256,10 +257,15 @@ def refined(data: LayerData, structure: LayerStructure, unknowns: Array) -> Fitt
     return descent.fitted()
 
 
-def structure_weights(found: Sequence[FittedStructure]) -> Array:
-    """Return the weights of fitted structures, which sum to 1 and follow from the evidence."""
-    evidence = np.array([fitted.evidence for fitted in found])
-    weights = np.exp((evidence.min() - evidence) / EVIDENCE_SCALE)
+def structure_weights(found: Sequence[FittedStructure], scale: float = EVIDENCE_SCALE) -> Array:
+    """Return the weights of fitted structures, which sum to 1 and follow from the evidence.
+
+    The weight falls by the factor e where the evidence rises by `scale`. A structure that is only in ranges has at most
+    the weight of the best other structure.
+    """
+    usual = min(fitted.evidence for fitted in found if not fitted.structure.only_in_ranges)
+    evidence = np.maximum([fitted.evidence for fitted in found], usual)
+    weights = np.exp((evidence.min() - evidence) / scale)
     return np.asarray(weights / weights.sum())
 
 

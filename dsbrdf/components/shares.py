@@ -1,8 +1,9 @@
 """Divide the values of a model among its components by structures of layers, and estimate the uncertainty.
 
-The uncertainty is the spread of the components' parameters over probable layers. Layers are drawn from every structure
-that explains the model's values, in proportion to the weight of the structure. Within a structure, layers are drawn
-from the Gaussian that the normal equations of the structure's fit define.
+The uncertainty is the spread of the components' parameters over probable layers. Some light may count as specular or as
+diffuse, such as the light of fibres, and half of the draws count it on the other side. Layers are drawn from every
+structure that explains the model's values, in proportion to the weight of the structure. Within a structure, layers are
+drawn from the Gaussian that the normal equations of the structure's fit define.
 
 The draws do not cover the difference between the model and the layers, although this light may belong to any component.
 At a pair of directions where a component reflects the fraction p of the light of all layers, 4 p (1 - p) of the
@@ -132,12 +133,11 @@ class WeightedLayers:
         lobe = np.minimum(rest, wide * (1.0 + missed * (wide / specular) ** _DIFFERENCE_POWER))
         return np.stack([rest - lobe, lobe, ground])
 
-    def doubtful(self, values: Array, points: Points) -> Array:
-        """Return the part of the values that the layers miss and that may belong to each component, (labels, 3, N)."""
+    def doubtful(self, values: Array, points: Points, labels: Sequence[str]) -> Array:
+        """Return the part of the values that the layers miss and that may belong to layers with labels, (3, N)."""
         layers = self.model.layer_values(points)
-        place = np.array([LABELS.index(label) for label in self.labels])
         total = layers.sum(axis=0) + _MIN_LAYER_LIGHT
-        fraction = np.array([layers[place == number].sum(axis=0) / total for number in range(len(LABELS))])
+        fraction = layers[[label in labels for label in self.labels]].sum(axis=0) / total
         return np.asarray(np.abs(values - total) * 4.0 * fraction * (1.0 - fraction))
 
     def kinds_of(self, label: str) -> set[type[Layer]]:
@@ -177,6 +177,9 @@ PROBABILITY = 0.9
 """Probability with which a parameter lies in its range."""
 _POSTERIOR_FACTOR = float(np.sqrt(2.0 / EVIDENCE_SCALE))
 """Ratio of the posterior's standard deviation to the standard deviation of draws, which `EVIDENCE_SCALE` widens."""
+_RANGE_EVIDENCE_SCALE = 6.0
+"""Ranges use this larger scale instead of `EVIDENCE_SCALE`, because the priors of structures are uncertain too."""
+_MIN_WEIGHT = 0.01  # A structure of layers with a smaller weight is dropped.
 _MIN_DRAWS = 4  # The layers of every structure are drawn at least this number of times.
 _N_SHARED_DRAWS = 40  # This number of further draws is divided among structures by weight.
 
@@ -220,54 +223,71 @@ class DrawnLayers(NamedTuple):
         Weights of the draws (D,).
     albedos : Array
         Albedo of each component by channel, (D, 3, 3).
-    doubtful : Array
-        Doubtful light of each component by channel, (3, 3).
+    fitted : sequence of WeightedLayers
+        The fitted layers of each structure, around which the layers are drawn.
+    values : Array
+        Values of the model at the nodes of `NORMAL`, (3, n) [1/sr].
     """
 
     layers: Sequence[WeightedLayers]
     weight: Array
     albedos: Array
-    doubtful: Array
+    fitted: Sequence[WeightedLayers]
+    values: Array
 
     @classmethod
     def of(cls, model: ReflectanceModel, found: Sequence[FittedStructure]) -> "DrawnLayers":
-        """Draw layers from structures fitted to a model; the best structure is the first."""
+        """Draw layers from structures fitted to a model, the best structure first; improbable ones are left out."""
         generator = np.random.default_rng(7)
         values = model.evaluate_unmasked(*NORMAL.angles).T
-        drawn, doubtful = [], np.zeros((len(LABELS), 3))
-        for one, weight in zip(found, structure_weights(found), strict=True):
-            count = _MIN_DRAWS + int(_N_SHARED_DRAWS * weight)
-            own = (one.model, *one.draw(generator, count))
-            is_diffuse, each = one.structure.is_diffuse, float(weight) / len(own)
-            drawn += [WeightedLayers(one.structure.name, each, layers, is_diffuse) for layers in own]
-            doubtful += weight * (drawn[-len(own)].doubtful(values, NORMAL.points) @ NORMAL.weight)
+        found = [one for one in found if not _misses_highlight(one, values)] or found
+        usual = _probable([one for one in found if not one.structure.only_in_ranges], EVIDENCE_SCALE)
+        fitted = [
+            WeightedLayers(one.structure.name, weight, one.model, one.structure.is_diffuse) for one, weight in usual
+        ]
+        drawn = []
+        for one, weight in _probable(found, _RANGE_EVIDENCE_SCALE):
+            own = (one.model, *one.draw(generator, _MIN_DRAWS + int(_N_SHARED_DRAWS * weight)))
+            sides = one.structure.is_diffuse, one.structure.other_sides or one.structure.is_diffuse
+            drawn += [
+                WeightedLayers(one.structure.name, weight / len(own), layers, sides[number % 2])
+                for number, layers in enumerate(own)
+            ]
         albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])
-        return cls(drawn, np.array([one.weight for one in drawn]), albedos, doubtful)
+        return cls(drawn, np.array([one.weight for one in drawn]), albedos, fitted, values)
 
-    def ranges(self, label: str) -> ComponentRanges:
-        """Return the ranges of the component with a label."""
-        number = LABELS.index(label)
-        albedo = self.albedos[:, number]
+    def ranges(self, labels: Sequence[str]) -> ComponentRanges:
+        """Return the ranges of the component to which layers with some labels belong."""
+        albedo, doubtful = self._albedo(labels), self._doubtful(labels)
         there = albedo.sum(axis=1) > 0.0
         color = albedo[there] / albedo[there].max(axis=1, keepdims=True)
-        of_albedo = _channels(albedo, self.weight, self.doubtful[number])
-        return ComponentRanges(self.light_range(label), of_albedo, _channels(color, self.weight[there], np.zeros(3)))
+        of_albedo = _channels(albedo, self.weight, doubtful)
+        return ComponentRanges(self.light_range(labels), of_albedo, _channels(color, self.weight[there], np.zeros(3)))
 
-    def light_range(self, label: str) -> Range:
+    def light_range(self, labels: Sequence[str]) -> Range:
         """Return the range of a component's fraction of the light at normal incidence."""
-        number, every = LABELS.index(label), self.albedos.sum(axis=(1, 2))
+        every = self.albedos.sum(axis=(1, 2))
         low, high = _range(
-            self.albedos[:, number].sum(axis=1) / every, self.weight, self.doubtful[number].sum() / every[0]
+            self._albedo(labels).sum(axis=1) / every, self.weight, self._doubtful(labels).sum() / every[0]
         )
         return low, min(high, 1.0)
 
-    def surface_spread(self, label: str) -> SurfaceSpread:
+    def _albedo(self, labels: Sequence[str]) -> Array:
+        """Return the albedo of layers with some labels in each draw, (D, 3)."""
+        return self.albedos[:, [LABELS.index(label) for label in labels]].sum(axis=1)
+
+    def _doubtful(self, labels: Sequence[str]) -> Array:
+        """Return the doubtful light of layers with some labels by channel, (3,)."""
+        each = [one.weight * one.doubtful(self.values, NORMAL.points, labels) for one in self.fitted]
+        return np.asarray(np.sum(each, axis=0) @ NORMAL.weight)
+
+    def surface_spread(self, labels: Sequence[str]) -> SurfaceSpread:
         """Return the standard deviations, over all draws, of the logarithms of roughness, F0 and F70.
 
         The roughness is the one of the brightest surface; F0 and F70 are summed over all surfaces.
         """
         own = [
-            [layer for layer, found in zip(one.model.layers, one.labels, strict=True) if found == label]
+            [layer for layer, found in zip(one.model.layers, one.labels, strict=True) if found in labels]
             for one in self.layers
         ]
         surfaces = [[layer for layer in layers if isinstance(layer, SpecularLayer)] for layers in own]
@@ -283,6 +303,21 @@ class DrawnLayers(NamedTuple):
         variance = np.average((logs - np.average(logs, axis=0, weights=weight)) ** 2, axis=0, weights=weight)
         spread = _POSTERIOR_FACTOR * np.sqrt(variance)
         return SurfaceSpread(float(spread[0]), spread[1:4], spread[4:])
+
+
+def _probable(found: Sequence[FittedStructure], scale: float) -> list[tuple[FittedStructure, float]]:
+    """Return fitted structures with their weights at a scale of the evidence, without those of small weight."""
+    kept = [one for one, weight in zip(found, structure_weights(found, scale), strict=True) if weight >= _MIN_WEIGHT]
+    return list(zip(kept, structure_weights(kept, scale).tolist(), strict=True))
+
+
+def _misses_highlight(found: FittedStructure, values: Array) -> bool:
+    """Tell whether no layer is a surface although most of the values at the nodes of `NORMAL` are a highlight."""
+    if not (all(found.structure.is_diffuse) or all(found.structure.other_sides or (False,))):
+        return False
+    split = WeightedLayers(found.structure.name, 1.0, found.model, found.structure.is_diffuse)
+    spike, lobe, diffuse = (split.split(values, NORMAL.points) @ NORMAL.weight).sum(axis=1)
+    return bool(spike + lobe > diffuse)
 
 
 def _channels(values: Array, weight: Array, doubtful: Array) -> RgbRange:

@@ -113,6 +113,12 @@ _COAT = _specular((np.log(0.045), 0.35), 0.03)  # The bounds of F0 include the p
 _CLEAR_COAT = replace(_COAT, upper=np.where(np.arange(_COAT.upper.size) == 6, np.log(0.08), _COAT.upper))
 """Prior of a clear coat whose alpha is at most 0.08, so that the coat is smoother than the layer below it."""
 _METAL = _specular((np.log(0.6), 0.6), 1.0)
+_VERY_ROUGH_METAL = replace(
+    _METAL,
+    lower=np.where(np.arange(_METAL.lower.size) == 6, np.log(0.6), _METAL.lower),
+    upper=np.where(np.arange(_METAL.upper.size) == 6, 0.0, _METAL.upper),
+)
+"""Prior of a metal whose alpha is between 0.6 and 1, which looks like a matte ground."""
 _METAL_UNDER_COAT = _specular((np.log(0.6), 0.6), 1.0, under_coat=True)
 _HIGHLIGHT = _specular((np.log(0.5), 0.8), 0.7)
 _HIGHLIGHT_UNDER_COAT = _specular((np.log(0.15), 1.2), 0.7, under_coat=True)
@@ -192,6 +198,10 @@ class LayerStructure:
         Name of a structure that is fitted before; a fit starts from the half widths of its layers.
     start_factors : tuple of tuple
         For each specular layer, the index of the parent's specular layer and the factor of its half width.
+    only_in_ranges : bool
+        Whether the structure widens the ranges without taking part in the split, because it is too rare.
+    other_sides : tuple of bool or None
+        Another answer to `is_diffuse`, for light that may count as specular or as diffuse; half of the draws use it.
     """
 
     name: str
@@ -201,6 +211,8 @@ class LayerStructure:
     interreflects: bool = False
     parent: str | None = None
     start_factors: tuple[tuple[int, float], ...] = ((0, 1.0),)
+    only_in_ranges: bool = False
+    other_sides: tuple[bool, ...] | None = None
 
     def started_from(self, parent: LayeredModel) -> "LayerStructure":
         """Return the structure with a start at the half widths of its parent's layers."""
@@ -289,8 +301,8 @@ _TWO_SURFACE_STARTS_DEG = ((0.15, 12.0), (1.0, 6.0), (1.0, 16.0), (4.0, 16.0))
 STRUCTURES = (
     LayerStructure("diffuse", (_GROUND,)),
     LayerStructure("diffuse with sheen", (_GROUND, _SHEEN), 2.0),
-    LayerStructure("diffuse with retro-reflection", (_RETRO, _GROUND), 6.0),
-    LayerStructure("fibres", (_FIBRES, _YARN), 5.0),
+    LayerStructure("diffuse with retro-reflection", (_RETRO, _GROUND), 6.0, other_sides=(True, True)),
+    LayerStructure("fibres", (_FIBRES, _YARN), 5.0, other_sides=(False, True)),
     LayerStructure("dielectric over diffuse", (_DIELECTRIC, _GROUND), 0.0, _ONE_SURFACE_STARTS_DEG),
     LayerStructure("metal", (_METAL,), 0.0, _ONE_SURFACE_STARTS_DEG),
     LayerStructure("dielectric", (_DIELECTRIC,), 0.0, _ONE_SURFACE_STARTS_DEG, parent="metal"),
@@ -323,7 +335,22 @@ RARE_STRUCTURES = (
         parent="dielectric over diffuse",
     ),
     LayerStructure("metal with interreflection", (_METAL, _INTERREFLECTION), 2.0, interreflects=True, parent="metal"),
+    LayerStructure(
+        "very rough metal",
+        (_VERY_ROUGH_METAL, _INTERREFLECTION),
+        6.0,
+        interreflects=True,
+        parent="metal",
+        only_in_ranges=True,
+    ),
     LayerStructure("metal of two roughnesses", (_METAL, _METAL), 4.0, ((1.0, 8.0), (4.0, 16.0))),
+    LayerStructure(
+        "two coloured highlights over diffuse",
+        (_HIGHLIGHT, _HIGHLIGHT, _GROUND),
+        12.0,
+        parent="metal of two roughnesses",
+        start_factors=((0, 1.0), (1, 1.0)),
+    ),
     LayerStructure(
         "coat over flakes of two scales over diffuse",
         (_CLEAR_COAT, _HIGHLIGHT_UNDER_COAT, _HIGHLIGHT_UNDER_COAT, _GROUND),

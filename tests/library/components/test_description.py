@@ -1,14 +1,17 @@
 """What a component says describes it: its surfaces are those of its own values, or are withheld."""
 
+from collections.abc import Iterator
 from typing import cast
 
 import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.components import Component, DiffuseLayer, Layer, LayeredModel, SpecularLayer
+from dsbrdf.arrays import Array
+from dsbrdf.components import LABELS, Component, DiffuseLayer, Layer, LayeredModel, SpecularLayer
 from dsbrdf.components.description import Description
 from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, Misfit, Surface
+from dsbrdf.model import ReflectanceModel
 from tests.support.random_models import random_model
 
 GREEN = (0.02, 0.14, 0.08)
@@ -31,6 +34,41 @@ def test_a_highlight_keeps_its_colour() -> None:
     np.testing.assert_allclose(np.array(found.f0) / max(found.f0), np.array(GREEN) / max(GREEN), atol=0.05)
     assert lobe.half_width == pytest.approx(surface(GREEN, 0.12).half_width, rel=0.03)
     assert lobe.remarks == ()
+
+
+def test_two_highlights_of_nearly_one_width_are_one_component() -> None:
+    """Both sides of 3 degrees, 2.6 and 3.9 degrees; a cut between them would show colours that the material has not."""
+    pair = surface((0.10, 0.04, 0.12), 0.07), surface((0.13, 0.08, 0.02), 0.105)
+    parts = decomposed(*pair, GROUND)
+    assert len(parts) == 2
+    lobe, _ = parts
+    assert (lobe.label == "specular_spike") == (lobe.half_width is not None and lobe.half_width < np.radians(3.0))
+    low, high = np.sort([np.divide(one.f0, one.f0[0]) for one in pair], axis=0)
+    peak = lobe.evaluate(0.0, np.radians([0.0, 30.0, 50.0]))
+    hue = peak / peak[:, :1]
+    assert np.all((0.9 * low < hue) & (hue < 1.1 * high))
+    apart = decomposed(surface((0.10, 0.04, 0.12), 0.03), surface((0.13, 0.08, 0.02), 0.12), GROUND)
+    assert apart.labels == LABELS
+
+
+class Rings(ReflectanceModel):
+    """A mirror highlight 0.29 degrees wide with rings that no layer has."""
+
+    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        peak = 400.0 * (1.0 + (theta_half / np.radians(0.45)) ** 2) ** -2.0
+        off = np.degrees(theta_half)[:, np.newaxis] - (15.0, 25.0, 40.0)
+        rings = np.exp(-((off / 2.0) ** 2)).sum(axis=1, keepdims=True)
+        return np.asarray(0.02 + peak[:, np.newaxis] * (0.01, 1.0, 0.7) + 0.05 * rings)
+
+    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
+        raise NotImplementedError
+
+
+def test_a_mirror_highlight_that_no_layer_has_is_a_spike_and_not_diffuse() -> None:
+    parts = dsbrdf.decompose(cast(dsbrdf.DSBRDF, Rings()))
+    assert parts.labels == ("specular_spike", "diffuse")
+    assert parts["specular_spike"].light_share > 0.6
+    assert "diffuse" not in {one.name for one in parts.structures}
 
 
 def test_a_peak_with_haze_has_two_surfaces() -> None:

@@ -17,9 +17,9 @@ from dsbrdf.arrays import Array
 from dsbrdf.components import LABELS
 from dsbrdf.data import directions
 from dsbrdf.model import ReflectanceModel
-from tests.support.foreign_bsdfs import conductor
-from tests.support.foreign_kinds import KINDS
-from tests.support.foreign_materials import CATALOGUE, Material
+from tests.support.foreign_bsdfs import conductor, lambert
+from tests.support.foreign_kinds import KINDS, compensation
+from tests.support.foreign_materials import CATALOGUE, Material, plastic_material
 from tests.support.foreign_truth import Judgement, Truth, judged
 
 pytestmark = pytest.mark.slow
@@ -115,12 +115,28 @@ def test_metal_and_flakes_give_their_highlight_their_colour_and_a_coat_none(
     np.testing.assert_allclose(known(name)[0][label].color, color, atol=0.1 if label == SPIKE else 0.04)
 
 
-def test_what_an_open_split_is_worth_is_said() -> None:
-    """A black dielectric of alpha 0.55, half as wide as a matte surface: its light may as well be diffuse."""
-    black = Material((conductor(0.55, color=(0.04, 0.04, 0.04)),))
-    found = judged(decomposed(black), Truth.of(black))
+WHITE = (0.95, 0.95, 0.95)
+GOLD = (0.95, 0.72, 0.30)
+LOOK_DIFFUSE = {
+    "black dielectric": lambda: Material((conductor(0.55, color=(0.04, 0.04, 0.04)),)),
+    "white metal": lambda: Material((conductor(0.8, color=WHITE), compensation(0.8, WHITE))),
+    "gold": lambda: Material((conductor(0.75, color=GOLD), compensation(0.75, GOLD))),
+    "plastic": lambda: plastic_material(0.8, (0.3, 0.1, 0.05)),
+}
+
+
+@pytest.mark.parametrize("name", LOOK_DIFFUSE)
+def test_it_is_said_that_nobody_can_part_very_rough_surfaces_and_diffuse_layers(name: str) -> None:
+    material = LOOK_DIFFUSE[name]()
+    found = judged(decomposed(material), Truth.of(material))
     assert found.inside
     assert found.is_warned
+
+
+def test_two_coloured_highlights_over_grey_are_not_a_metal() -> None:
+    first, second = conductor(0.15, color=(0.2, 0.05, 0.12)), conductor(0.4, color=(0.08, 0.15, 0.2))
+    material = Material((first, second), (lambert((0.06, 0.06, 0.06)),))
+    assert judged(decomposed(material), Truth.of(material)).moved.mean() < 0.03
 
 
 @pytest.mark.parametrize("kind", KINDS)

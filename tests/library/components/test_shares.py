@@ -5,7 +5,7 @@ import pytest
 
 from dsbrdf.components import LABELS, DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.components.layer_data import Points
-from dsbrdf.components.shares import DrawnLayers, WeightedLayers
+from dsbrdf.components.shares import NORMAL, DrawnLayers, WeightedLayers
 
 SURFACE = SpecularLayer((0.04, 0.05, 0.06), 0.9, 0.3, 2.0, (0.0, 0.0), 0.5, 0.0)
 GROUND = DiffuseLayer((0.3, 0.2, 0.1), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -15,19 +15,21 @@ LAYERS = WeightedLayers("dielectric over diffuse", 1.0, LayeredModel((SURFACE, G
 def test_missed_light_is_doubtful_where_both_sides_have_light() -> None:
     points = Points.at(np.radians([0.0, 20.0, 50.0]), np.radians([30.0, 30.0, 10.0]), np.radians([90.0, 90.0, 40.0]))
     surface, ground = LAYERS.model.layer_values(points)
-    doubtful = LAYERS.doubtful(0.8 * (surface + ground), points)
     expected = 0.2 * 4.0 * surface * ground / (surface + ground)  # the sum of both times the product of both fractions
-    np.testing.assert_allclose(doubtful, [np.zeros_like(expected), expected, expected], rtol=1e-9)
+    for labels in (LABELS[:2], LABELS[2:]):
+        np.testing.assert_allclose(LAYERS.doubtful(0.8 * (surface + ground), points, labels), expected, rtol=1e-9)
+    np.testing.assert_allclose(LAYERS.doubtful(0.8 * (surface + ground), points, LABELS), 0.0, atol=1e-12)
 
 
 def test_a_range_has_the_spread_of_the_draws_and_the_doubtful_light() -> None:
     share = np.linspace(0.5, 0.7, 201)  # The central 90 % are 0.51 to 0.69, that is 0.6 +- 0.09.
     albedos = np.stack([np.zeros_like(share), 1.0 - share, share], axis=1)[..., np.newaxis] * np.full(3, 0.4)
-    for doubtful in (0.0, 0.12, 2.0):
-        drawn = DrawnLayers([LAYERS] * 201, np.full(201, 1 / 201), albedos, np.full((3, 3), 0.4 * doubtful))
-        half = np.hypot(0.09, doubtful)
+    exact = LAYERS.model.layer_values(NORMAL.points).sum(axis=0)
+    for missed in (0.0, 0.3, 5.0):
+        drawn = DrawnLayers([LAYERS] * 201, np.full(201, 1 / 201), albedos, [LAYERS], (1.0 + missed) * exact)
+        doubtful = LAYERS.doubtful(drawn.values, NORMAL.points, LABELS[2:]) @ NORMAL.weight
+        half = np.hypot(0.09, doubtful.sum() / 1.2)
         expected = max(0.6 - half, 0.0), min(0.6 + half, 1.0)
-        assert drawn.light_range(LABELS[2]) == pytest.approx(expected, abs=1e-3)
-        assert drawn.ranges(LABELS[2]).albedo[0] == pytest.approx(
-            (max(0.24 - 0.4 * half, 0.0), 0.24 + 0.4 * half), abs=1e-3
-        )
+        assert drawn.light_range(LABELS[2:]) == pytest.approx(expected, abs=1e-3)
+        half = np.hypot(0.09 * 0.4, doubtful[0])
+        assert drawn.ranges(LABELS[2:]).albedo[0] == pytest.approx((max(0.24 - half, 0.0), 0.24 + half), abs=1e-3)
