@@ -21,7 +21,7 @@ import dsbrdf
 from dsbrdf.data.geometry import CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.data.synthetic import synthetic_measurement
-from dsbrdf.output.figure_parts import encode_figure
+from dsbrdf.output.figure_panels import encode_figure
 from dsbrdf.output.figures import overview_figure
 from dsbrdf.output.report_text import component_surfaces_table, components_table, metrics_lines
 from dsbrdf.output.serialize import from_json

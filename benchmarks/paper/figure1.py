@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.paper.base import Claim, Computed, Material, Numbers, Row, new_figure, preferred
 from dsbrdf.data import CHANNELS, THETA_HALF
 from dsbrdf.fitting import OUTSIDE_CENTER
-from dsbrdf.output.figure_parts import CHANNEL_COLOURS
+from dsbrdf.output.figure_panels import CHANNEL_COLOURS
 
 PREFERRED = ("nickel", "specular-blue-phenolic", "satin_purple", "ilm_l3_37_matte", "acrylic_felt_pink")
 SIDES = ((-1.0, 90), (1.0, 0))  # sign of theta_half and phi_diff [degrees], which is also the column, as in the paper

@@ -27,8 +27,7 @@ from dsbrdf.extras import require
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import SuggestedPair
-from dsbrdf.output.component_documents import component_documents
-from dsbrdf.output.component_table import COLUMNS, component_rows, table_csv
+from dsbrdf.output.documents import COLUMNS, component_documents, component_rows, table_csv
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
 from dsbrdf.samples.reading import read_measurement, read_samples, samples_in
@@ -184,7 +183,7 @@ def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work
 
 def _plot(items: list[FileFit], table: TableOptions) -> Iterator[str]:
     """Write a figure of each fit beside the file of its model, and yield a message on each figure."""
-    from dsbrdf.output.figure_parts import encode_figure
+    from dsbrdf.output.figure_panels import encode_figure
     from dsbrdf.output.plots import plot
 
     for item in items:

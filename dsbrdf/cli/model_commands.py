@@ -31,10 +31,9 @@ from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.component_documents import component_documents
-from dsbrdf.output.component_table import component_rows, table_csv, table_latex
+from dsbrdf.output.documents import component_documents, component_rows, table_csv, table_latex
 from dsbrdf.output.export import FORMATS, export_model, format_of
-from dsbrdf.output.export.examples import example as example_of
+from dsbrdf.output.export import example as example_of
 from dsbrdf.output.export.glsl import NAME
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import lobes_phrase, model_text, result_document, result_text

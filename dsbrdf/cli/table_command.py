@@ -8,7 +8,7 @@ from dsbrdf.cli.arguments import BAD_INPUT, print_json
 from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, RequiredFiles, named_in_errors
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
-from dsbrdf.output.table_summary import ANGLE_NAMES, summary_of_table
+from dsbrdf.output.documents import ANGLE_NAMES, summary_of_table
 from dsbrdf.samples.reading import ReadTable, kind_of_file, read_table
 from dsbrdf.samples.table_options import TableOptions
 

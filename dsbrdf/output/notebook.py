@@ -17,8 +17,7 @@ from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sphere_panels import cut_out, encode_png
-from dsbrdf.rendering.image_metrics import displayed, exposure
-from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from dsbrdf.rendering.sphere import displayed, exposure, render_sphere, sphere_normals
 
 _THUMBNAIL_SIZE_PX = 96
 

@@ -22,7 +22,7 @@ from dsbrdf.fitting.metrics import Metrics, RelativeErrors
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width
-from dsbrdf.output.component_documents import component_documents
+from dsbrdf.output.documents import component_documents
 from dsbrdf.output.serialize import to_json
 
 _TEXT_WIDTH = 60  # maximum length of the lines of a report [characters]

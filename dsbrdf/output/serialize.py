@@ -24,8 +24,7 @@ from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
-from dsbrdf.output.component_documents import component_document, description_in, ranges_in
-from dsbrdf.output.typed_json import check_keys, typed
+from dsbrdf.output.documents import check_keys, component_document, description_in, ranges_in, typed
 
 FORMAT = "dsbrdf"
 LAYERS_FORMAT = "dsbrdf-layers"

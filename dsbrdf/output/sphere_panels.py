@@ -1,15 +1,17 @@
-"""Draw lit spheres side by side: a measurement, its fit, the difference and the components.
+"""Draw lit spheres: a measurement, its fit, the difference and the components side by side, or a map of materials.
 
 By default, all spheres have the exposure that scales the 99th percentile of the measurement's sphere to 1. Radiance is
 multiplied by the exposure, clipped to [0, 1] and shown with the sRGB curve.
 """
+
+from __future__ import annotations
 
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,10 +19,16 @@ from dsbrdf.arrays import Array
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.figure_panels import empty_figure
 from dsbrdf.rendering.environment import EnvironmentMap
-from dsbrdf.rendering.image_metrics import displayed, exposure
-from dsbrdf.rendering.sphere import render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.rendering.sphere import Source, displayed, exposure, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.samples.scattered_samples import ScatteredSamples
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from dsbrdf.rendering.space import MaterialSpace
+
 
 DIFFERENCE_GAIN = 4.0
 """The panel of the difference shows the difference between two spheres multiplied by this gain."""
@@ -157,3 +165,30 @@ def encode_png(image: Array) -> bytes:
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
     )
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+_FIGURE_HEIGHT_IN = 8.0
+_SPHERE_SIZE_PX = 64
+_SPHERE_ZOOM = 0.38
+
+
+def space_figure(found: MaterialSpace, models: Mapping[str, Source]) -> Figure:
+    """Draw a map: at the coordinates of each material, its sphere under three lights, with an exposure of its own."""
+    from matplotlib.offsetbox import AnnotationBbox, OffsetImage
+
+    figure = empty_figure(
+        "materials by likeness of their lit spheres, glossy ones to the right", 2, height=_FIGURE_HEIGHT_IN
+    )
+    ax = figure.subplots()
+    ax.plot(*found.places.T, ".", color="0.8", markersize=1.0)  # Matplotlib sets the axis limits by these points.
+    ax.margins(0.06)
+    ax.set(aspect="equal", adjustable="datalim", xticks=[], yticks=[])
+    mask = sphere_normals(_SPHERE_SIZE_PX)[1]
+    for name, place in zip(found.names, found.places, strict=True):
+        sphere = render_sphere(models[name], size=_SPHERE_SIZE_PX)
+        picture = cut_out(displayed(sphere, exposure(sphere, mask)))
+        ax.add_artist(AnnotationBbox(OffsetImage(picture, zoom=_SPHERE_ZOOM), place, frameon=False))
+        ax.annotate(
+            name, place, (0, -14), textcoords="offset points", ha="center", va="top", fontsize=4.5, parse_math=False
+        )
+    return figure

@@ -1,9 +1,18 @@
 """Render lit spheres, read environments, compare images, and map the space of materials."""
 
-from dsbrdf.rendering.environment import THREE_LIGHTS, EnvironmentMap, read_environment
-from dsbrdf.rendering.image_metrics import displayed, exposure, psnr, ssim
+from dsbrdf.rendering.environment import EnvironmentMap, read_environment
 from dsbrdf.rendering.space import MaterialSpace, space
-from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.rendering.sphere import (
+    LIGHTINGS,
+    THREE_LIGHTS,
+    displayed,
+    exposure,
+    psnr,
+    render_sphere,
+    sphere_likeness,
+    sphere_normals,
+    ssim,
+)
 
 __all__ = [
     "LIGHTINGS",

@@ -1,4 +1,7 @@
-"""Render a lit unit sphere of one material, seen along -z in parallel projection, x to the right and y up.
+"""Render a lit unit sphere of one material, and compare two images by exposure, tone curve, PSNR and SSIM.
+
+The sphere is seen along -z in parallel projection, x to the right and y up. Images (height, width, 3) have linear RGB
+radiance, which `displayed` converts to values of a screen.
 
 The direction to the viewer is (0, 0, 1) at every pixel. The angles at which the material is evaluated depend only on
 lighting and size and are cached, so that an image needs one call of ``evaluate`` and sparse matrix products.
@@ -12,14 +15,134 @@ from functools import lru_cache
 
 import numpy as np
 from scipy import sparse
+from scipy.ndimage import gaussian_filter
 
 from dsbrdf.arrays import Array, Evaluate, Indices, Mask
+from dsbrdf.data.geometry import spherical
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import Reflectance
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.rendering.environment import SUN, THREE_LIGHTS, EnvironmentMap, Light, averaged, environment_radiance
-from dsbrdf.rendering.environment_rings import environment_rings, map_directions, map_shape
-from dsbrdf.rendering.image_metrics import displayed, exposure, psnr, ssim
+from dsbrdf.rendering.environment import (
+    EnvironmentMap,
+    Light,
+    averaged,
+    environment_rings,
+    map_directions,
+    map_shape,
+)
+
+
+def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
+    """Make a white light at an angle to the viewer's direction and an azimuth from the x axis [degrees]."""
+    return Light(tuple(spherical(*np.radians((from_view, azimuth))).tolist()), (irradiance,) * 3)
+
+
+THREE_LIGHTS = (_light(40.0, 125.0, np.pi), _light(80.0, -20.0, 0.5 * np.pi), _light(140.0, 70.0, 0.5 * np.pi))
+"""Key light from the upper left, fill light from the right, rim light from behind (theta_diff 20, 40, 70 degrees)."""
+SUN = _light(55.0, 132.0, 3.0 * np.pi)
+"""Sun of the built-in environment; it is a distant light, because it is narrower than any measurable lobe."""
+
+
+def _axes(towards: Array) -> Array:
+    """Return a frame of unit vectors (3, 3), in rows: to the right, up, and along the given direction."""
+    towards = towards / np.sqrt(towards @ towards)
+    across = np.cross(towards, (0.0, 1.0, 0.0))
+    across /= np.linalg.norm(across)
+    return np.array([across, np.cross(across, towards), towards])
+
+
+# The widths of edges, in radians or slopes, exceed the spacing of the map of directions, so that it resolves edges.
+_ZENITH_COLOR = np.array([0.25, 0.45, 0.9])
+_HORIZON_COLOR = np.array([0.9, 0.95, 1.0])
+_GROUND_COLOR = np.array([0.22, 0.19, 0.16])
+_HORIZON_WIDTH = 0.02
+_WINDOW_COLOR = np.array([3.0, 3.0, 3.0])
+_WINDOW_AXES = _axes(np.array([0.87, 0.13, 0.5]))
+_WINDOW_HALF_SIZE = np.array([0.35, 0.5])
+_WINDOW_EDGE_WIDTH = 0.02
+
+
+def environment_radiance(direction: Array) -> Array:
+    """Return the linear RGB radiance (..., 3) of sky, ground and window of the built-in environment.
+
+    The directions (..., 3) are unit vectors towards the light; y is up.
+    """
+    up = direction[..., 1]
+    sky = _HORIZON_COLOR + (_ZENITH_COLOR - _HORIZON_COLOR) * np.clip(up, 0.0, 1.0)[..., np.newaxis] ** 0.6
+    above = _logistic(up / _HORIZON_WIDTH)
+    radiance = above * sky + (1.0 - above) * _GROUND_COLOR
+    # The window is a rectangle in a plane at distance 1, whose normal points to the sphere.
+    across, upward, along = np.moveaxis(direction @ _WINDOW_AXES.T, -1, 0)
+    ahead = np.maximum(along, 1e-3)
+    window = np.where(along > 0.0, 1.0, 0.0)[..., np.newaxis]
+    for position, half in zip((across / ahead, upward / ahead), _WINDOW_HALF_SIZE, strict=True):
+        window = window * _logistic((half - np.abs(position)) / _WINDOW_EDGE_WIDTH)
+    return radiance + window * _WINDOW_COLOR
+
+
+def _logistic(x: Array) -> Array:
+    """Return a smooth step from 0 to 1, with an additional last axis for the channels."""
+    return (0.5 + 0.5 * np.tanh(0.5 * x))[..., np.newaxis]
+
+
+_EXPOSURE_QUANTILE = 0.99  # An exposure scales this quantile of the pixels to 1.
+# The window of SSIM has 11 x 11 pixels (Wang, Bovik, Sheikh and Simoncelli 2004).
+_SSIM_SIGMA_PX = 1.5
+_SSIM_RADIUS_PX = 5
+_C1, _C2 = 0.01**2, 0.03**2
+
+
+def exposure(image: Array, mask: Mask) -> float:
+    """Return the factor that scales the 99th percentile of the masked values of all channels to 1, or 1 if all are 0.
+
+    The image usually shows a measurement; images that are compared with this image are scaled by the factor as well.
+    """
+    bright = float(np.quantile(image[mask], _EXPOSURE_QUANTILE))
+    return 1.0 / bright if bright > 0.0 else 1.0
+
+
+def displayed(image: Array, factor: float = 1.0) -> Array:
+    """Convert radiance (..., 3) to values of a screen: multiply by `factor`, clip to [0, 1], apply the sRGB curve."""
+    linear = np.clip(image * factor, 0.0, 1.0)
+    curve = 1.055 * np.maximum(linear, 0.0031308) ** (1.0 / 2.4) - 0.055
+    return np.where(linear <= 0.0031308, 12.92 * linear, curve)
+
+
+def psnr(reference: Array, image: Array, mask: Mask) -> float:
+    """Return the peak signal-to-noise ratio [dB] of two displayed images with peak 1; infinite for equal images.
+
+    The squared error is averaged over the pixels of the mask and the three channels.
+    """
+    error = float(np.mean((reference[mask] - image[mask]) ** 2))
+    return float("inf") if error == 0.0 else float(-10.0 * np.log10(error))
+
+
+def ssim(reference: Array, image: Array, mask: Mask) -> float:
+    """Return the structural similarity (Wang and others 2004) of two displayed images; 1 for equal images.
+
+    Means, variances and covariance are weighted by a Gaussian window of 11 x 11 pixels, sigma 1.5, in each channel,
+    with the constants 0.01**2 and 0.03**2. The result is the mean over all windows whose centre is in the mask. An
+    image is continued in black beyond its border.
+    """
+    mean_a, mean_b = _windowed(reference), _windowed(image)
+    variances = _windowed(reference**2) + _windowed(image**2) - mean_a**2 - mean_b**2
+    covariance = _windowed(reference * image) - mean_a * mean_b
+    likeness = (2.0 * mean_a * mean_b + _C1) * (2.0 * covariance + _C2)
+    likeness /= (mean_a**2 + mean_b**2 + _C1) * (variances + _C2)
+    return float(np.mean(likeness[mask]))
+
+
+def _windowed(image: Array) -> Array:
+    """Return the mean over the Gaussian window about each pixel."""
+    return np.asarray(
+        gaussian_filter(
+            image,
+            (_SSIM_SIGMA_PX, _SSIM_SIGMA_PX, 0.0),
+            mode="constant",
+            radius=(_SSIM_RADIUS_PX, _SSIM_RADIUS_PX, 0),
+        )
+    )
+
 
 LIGHTINGS = ("three_lights", "environment")
 SIZES = (8, 1024)
@@ -49,7 +172,7 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
     -------
     ndarray, shape (size, size, 3)
         Linear RGB radiance, with the first row at the top; 0 beside the sphere. The functions
-        `dsbrdf.rendering.image_metrics.exposure` and `displayed` convert it to values of a screen.
+        `dsbrdf.rendering.sphere.exposure` and `displayed` convert it to values of a screen.
 
     Raises
     ------
@@ -81,7 +204,7 @@ def render_sphere(source: Source, *, lighting: str | EnvironmentMap = "three_lig
 def sphere_likeness(reference: Array, image: Array) -> tuple[float, float]:
     """Return PSNR [dB] and SSIM of two displayed spheres of `render_sphere`; PSNR is infinite for equal spheres.
 
-    Both spheres are scaled by the exposure of the reference and displayed, see `dsbrdf.rendering.image_metrics`. Pixels
+    Both spheres are scaled by the exposure of the reference and displayed, see `dsbrdf.rendering.sphere`. Pixels
     beside the spheres do not count.
     """
     _, mask = sphere_normals(len(reference))

@@ -1,8 +1,14 @@
-"""Export models and components to other programs: a table of formats, and a module for each format."""
+"""Export models and components to other programs: a table of formats, and a module for each format.
+
+An example beside an exported file is a scene, a page or a script that shows the material on a sphere under lights. In
+its template, ``FILE`` stands for the name of the exported file, and ``SELF`` for the name of the example.
+"""
 
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from html import escape
+from json import dumps
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -15,8 +21,7 @@ from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.output.component_documents import component_documents
-from dsbrdf.output.component_table import component_rows, table_csv
+from dsbrdf.output.documents import component_documents, component_rows, table_csv
 from dsbrdf.output.export.formula import python_file
 from dsbrdf.output.export.glsl import NAME, glsl_function
 from dsbrdf.output.export.materialx import materialx_document
@@ -32,7 +37,7 @@ PARTS = (*LABELS, LAYERS)
 
 
 class Extras(NamedTuple):
-    """Hold optional inputs that only some formats use."""
+    """Optional inputs that only some formats use."""
 
     report: FitReport | None = None
     name: str | None = None
@@ -227,3 +232,27 @@ def format_of(path: str | os.PathLike[str]) -> str:
         known = ", ".join(dict.fromkeys(f".{kind.suffix}" for kind in FORMATS.values()))
         raise InvalidArgumentError(f"{path}: the file must end in one of {known}, or the format must be named")
     return names[0]
+
+
+EXAMPLES = {
+    "glsl": (".html", "three.html"),
+    "bsdf": (".xml", "mitsuba.xml"),
+    "bsdf-spectral": (".pbrt", "scene.pbrt"),
+    "materialx": ("_blender.py", "blender.txt"),
+}
+"""For each exported format that has an example: the end of the example's file name, and the example's template."""
+
+
+def example(path: Path, file_format: str, content: bytes, name: str) -> tuple[Path, bytes]:
+    """Return the path and the text of an example that shows an exported file; `name` is the GLSL function in the file.
+
+    Raises InvalidArgumentError if the format has no example.
+    """
+    if file_format not in EXAMPLES:
+        raise InvalidArgumentError(f"there is an example for {one_of(list(EXAMPLES))}, not for {file_format}")
+    end, file = EXAMPLES[file_format]
+    beside = path.with_name(path.stem + end)
+    words = {"SELF": beside.name, "STEM": path.stem, "FILE": path.name}
+    quoted = {word: escape(one) if end in (".html", ".xml") else dumps(one)[1:-1] for word, one in words.items()}
+    shader = content.decode() if file_format == "glsl" else ""
+    return beside, filled(template(file), quoted | {"FUNCTION": name, "SHADER": shader}).encode()

@@ -23,8 +23,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.openpbr import OpenPBR
 from dsbrdf.output.export.templates import filled, template
-from dsbrdf.rendering.image_metrics import displayed, exposure
-from dsbrdf.rendering.sphere import LIGHTINGS, render_sphere, sphere_likeness, sphere_normals
+from dsbrdf.rendering.sphere import LIGHTINGS, displayed, exposure, render_sphere, sphere_likeness, sphere_normals
 from dsbrdf.version import __version__
 
 # A fit compares spheres of these diameters, by lighting.

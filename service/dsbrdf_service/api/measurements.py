@@ -28,7 +28,7 @@ from dsbrdf.data.merl_validation import (
     check_values,
 )
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
-from dsbrdf.output.table_summary import ANGLE_NAMES
+from dsbrdf.output.documents import ANGLE_NAMES
 from dsbrdf.samples.reading import START_BYTES, measurement_kind
 from dsbrdf.samples.table_options import TableOptions
 

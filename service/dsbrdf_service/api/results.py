@@ -13,8 +13,16 @@ from starlette.responses import Response
 from dsbrdf.components.shares import ComponentRanges, RgbRange
 from dsbrdf.components.surfaces import Misfit
 from dsbrdf.data.merl_validation import FILE_SIZE
-from dsbrdf.output.export import FORMATS, LAYERS, PARTS, check_holds_component, check_shader_options, export_model
-from dsbrdf.output.export.examples import EXAMPLES, example
+from dsbrdf.output.export import (
+    EXAMPLES,
+    FORMATS,
+    LAYERS,
+    PARTS,
+    check_holds_component,
+    check_shader_options,
+    example,
+    export_model,
+)
 from dsbrdf.output.export.glsl import NAME
 
 from ..compute.steps import export_step

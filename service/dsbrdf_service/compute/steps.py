@@ -23,16 +23,14 @@ from dsbrdf.engines.engine import OnProgress
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.reflectance import ReflectanceModel
+from dsbrdf.output.documents import summary_of_table
 from dsbrdf.output.export import export_model
-from dsbrdf.output.figure_parts import encode_figure
-from dsbrdf.output.figures import residual_figure
-from dsbrdf.output.parameter_figures import parameters_figure
-from dsbrdf.output.sample_figures import samples_residual_figure
+from dsbrdf.output.figure_panels import encode_figure
+from dsbrdf.output.figures import parameters_figure, residual_figure
+from dsbrdf.output.plots import samples_residual_figure
 from dsbrdf.output.sphere_panels import encode_png
-from dsbrdf.output.table_summary import summary_of_table
 from dsbrdf.rendering.environment import EnvironmentMap
-from dsbrdf.rendering.image_metrics import displayed, exposure
-from dsbrdf.rendering.sphere import render_sphere, sphere_normals
+from dsbrdf.rendering.sphere import displayed, exposure, render_sphere, sphere_normals
 from dsbrdf.samples.reading import open_checked, parse_samples, read_measurement, read_table
 from dsbrdf.samples.table_options import TableOptions
 

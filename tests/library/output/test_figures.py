@@ -19,9 +19,8 @@ from PIL import Image
 from dsbrdf import InvalidArgumentError, Measurement, Profiles, decompose, extras, render_sphere
 from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon
 from dsbrdf.output import encode_figure
-from dsbrdf.output.figure_parts import log_ticks
-from dsbrdf.output.figures import lobes_figure, overview_figure, profiles_figure
-from dsbrdf.output.parameter_figures import parameters_figure
+from dsbrdf.output.figure_panels import log_ticks
+from dsbrdf.output.figures import lobes_figure, overview_figure, parameters_figure, profiles_figure
 from dsbrdf.output.report_text import lobes_in_channel
 from dsbrdf.output.sphere_panels import (
     DIFFERENCE_GAIN,

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 import dsbrdf
 from dsbrdf import FitResult, ScatteredSamples
 from dsbrdf.data import half_difference, spherical
-from dsbrdf.output.sample_figures import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
+from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from dsbrdf import EnvironmentMap, ImageFormatError, InvalidArgumentError, Measurement, render_sphere
 from dsbrdf.data import half_difference, incident_cosines
 from dsbrdf.rendering import LIGHTINGS, THREE_LIGHTS, displayed, exposure, psnr, sphere_normals, ssim
-from dsbrdf.rendering.environment import SUN, Light, environment_radiance
+from dsbrdf.rendering.environment import Light
+from dsbrdf.rendering.sphere import SUN, environment_radiance
 
 ALBEDO = np.array([0.8, 0.5, 0.2])
 Evaluate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]

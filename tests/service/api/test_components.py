@@ -8,7 +8,7 @@ import pytest
 import dsbrdf
 from dsbrdf.components import LABELS
 from dsbrdf.output import fit_from_json, to_json
-from dsbrdf.output.component_documents import component_documents
+from dsbrdf.output.documents import component_documents
 from dsbrdf.output.serialize import layers_to_json
 from dsbrdf_service.compute.computations import LoadedFit
 from dsbrdf_service.errors import ProblemError

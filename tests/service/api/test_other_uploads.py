@@ -12,7 +12,7 @@ import dsbrdf
 from dsbrdf import TableOptions
 from dsbrdf.data import encode_merl, parse_rgl
 from dsbrdf.output import export_model, from_json
-from dsbrdf.output.table_summary import summary_of_table
+from dsbrdf.output.documents import summary_of_table
 from dsbrdf.samples.reading import parse_samples, read_table
 from tests.library.samples.test_spreadsheet import spreadsheet
 from tests.support.mixtures import mixture, samples_table, scattered_samples

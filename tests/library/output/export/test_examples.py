@@ -13,7 +13,7 @@ import pytest
 from dsbrdf import InvalidArgumentError, decompose
 from dsbrdf.data import half_difference
 from dsbrdf.output import export_model
-from dsbrdf.output.export.examples import example
+from dsbrdf.output.export import example
 from dsbrdf.rendering import displayed
 from tests.support.known_models import MODELS, pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant

@@ -1,0 +1,265 @@
+"""Convert components to JSON documents, CSV and LaTeX, summarise a table of samples, and read JSON by annotations.
+
+The command line, stored fits and the HTTP service have the same documents; their angles are in degrees. A table of
+components has a row for each surface, and for each component without surfaces.
+"""
+
+import csv
+import io
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from functools import cache
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from dsbrdf.arrays import Array
+from dsbrdf.components.component import Component
+from dsbrdf.components.decomposition import decompose
+from dsbrdf.components.description import Description
+from dsbrdf.components.shares import ComponentRanges
+from dsbrdf.data.geometry import CHANNELS
+from dsbrdf.errors import ModelFormatError
+from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.samples.doubts import sample_doubts
+from dsbrdf.samples.reading import ReadTable
+from dsbrdf.samples.scattered_samples import ScatteredSamples
+
+LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
+"""Angles theta_diff [degrees] for which a document lists the component's values at theta_half = 0."""
+
+
+def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
+    """Return the JSON documents of a model's components, the narrowest component first."""
+    return [component_document(component) for component in decompose(model)]
+
+
+def component_document(component: Component) -> dict[str, Any]:
+    """Return the JSON document of one component: its fraction of the light, layers, surfaces, misfit and ranges."""
+    width = component.half_width
+    return {
+        "label": component.label,
+        "structure": component.structure,
+        "light_share": component.light_share,
+        "albedo": component.albedo.tolist(),
+        "color": component.color.tolist(),
+        "half_width_deg": None if width is None else float(np.degrees(width)),
+        "layers": asdict(component.layers)["layers"],
+        "surfaces": [asdict(surface) for surface in component.surfaces],
+        "misfit": asdict(component.misfit),
+        "remarks": list(component.remarks),
+        "lobe": {
+            "theta_diff_deg": list(LOBE_THETA_DIFF),
+            "height": component.height(np.radians(LOBE_THETA_DIFF)).tolist(),
+        },
+        "ranges": asdict(component.ranges),
+    }
+
+
+def ranges_in(document: Mapping[str, Any]) -> ComponentRanges:
+    """Read the 90 % ranges from a component's document.
+
+    Raises ModelFormatError if the ranges are damaged, KeyError if the document has no ranges, and TypeError if the
+    document is no mapping.
+    """
+    ranges: ComponentRanges = typed(ComponentRanges, document["ranges"], "ranges")
+    return ranges
+
+
+def description_in(document: Mapping[str, Any]) -> Description:
+    """Read layers, surfaces and misfit from a component's document; raise the same errors as `ranges_in`."""
+    parts = {name: document[name] for name in ("surfaces", "misfit")} | {"layers": {"layers": document["layers"]}}
+    description: Description = typed(Description, parts, "description")
+    return description
+
+
+_RANGES = ("", "_low", "_high")
+COLUMNS = (
+    *("material", "component", "surface"),
+    *(f"light_share{end}" for end in _RANGES),
+    *(f"alpha{end}" for end in _RANGES),
+    "tail_exponent",
+    *(f"{name}_{channel}{end}" for name in ("f0", "f70", "albedo") for channel in CHANNELS for end in _RANGES),
+    *("half_width_deg", "psnr"),
+)
+"""Columns of the table; the columns ``_low`` and ``_high`` have the ends of the 90 % range of a parameter."""
+
+
+def component_rows(
+    material: str, components: Sequence[Mapping[str, Any]], psnr: float | None
+) -> Iterator[dict[str, Any]]:
+    """Yield the table rows of a material, from the documents of its components and the PSNR of its fit [dB]."""
+    for part in components:
+        own = {"material": material, "component": part["label"], "half_width_deg": part["half_width_deg"], "psnr": psnr}
+        own |= _with_range("light_share", part["light_share"], part["ranges"]["light_share"])
+        own |= _by_channel("albedo", part["albedo"], part["ranges"]["albedo"])
+        for number, surface in enumerate(part["surfaces"], 1):
+            row = own | {"surface": number, "tail_exponent": surface["tail_exponent"]}
+            row |= _with_range("alpha", surface["alpha"], surface["alpha_range"])
+            for name in ("f0", "f70"):
+                row |= _by_channel(name, surface[name], surface[f"{name}_range"])
+            yield row
+        if not part["surfaces"]:
+            yield own
+
+
+def _with_range(name: str, value: float | None, spread: Sequence[float] | None) -> dict[str, Any]:
+    return dict(zip((f"{name}{end}" for end in _RANGES), (value, *(spread or (None, None))), strict=True))
+
+
+def _by_channel(name: str, values: Sequence[float] | None, spreads: Sequence[Sequence[float]] | None) -> dict[str, Any]:
+    cells: dict[str, Any] = {}
+    for index, channel in enumerate(CHANNELS):
+        spread = None if spreads is None else spreads[index]
+        cells |= _with_range(f"{name}_{channel}", None if values is None else values[index], spread)
+    return cells
+
+
+def table_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMNS) -> bytes:
+    """Return rows as CSV with a header line; a cell without a value is empty."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, columns, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue().encode()
+
+
+_LATEX = {
+    "material": "material",
+    "part": "part",
+    "light_share": "light [\\%]",
+    "alpha": "$\\alpha$",
+    "tail_exponent": "tail",
+    "f0": "$F_0$ (r, g, b)",
+    "f70": "$F_{70}$ (r, g, b)",
+    "albedo": "albedo (r, g, b)",
+    "psnr": "dB",
+}
+
+
+def table_latex(rows: Iterable[Mapping[str, Any]]) -> bytes:
+    """Return rows as a LaTeX table for the package booktabs; subscript and superscript of a value give its range."""
+    lines = [f"\\begin{{tabular}}{{ll{'r' * (len(_LATEX) - 2)}}}", "\\toprule"]
+    lines += [" & ".join(_LATEX.values()) + r" \\", "\\midrule"]
+    for row in rows:
+        surface = f" {row['surface']}" if row.get("surface") else ""
+        cells = [row["material"], row["component"].replace("_", " ") + surface]
+        cells = [re.sub(r"([&%#$_{}])", r"\\\1", cell) for cell in cells]
+        cells += [_latex_range(row, "light_share", "{:.0f}", 100.0), _latex_range(row, "alpha", "{:.3g}", 1.0)]
+        cells += [_number(row.get("tail_exponent")), *(_rgb(row, name) for name in ("f0", "f70", "albedo"))]
+        cells.append(_number(row["psnr"]))
+        lines.append(" & ".join(cells) + r" \\")
+    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""]).encode()
+
+
+def _latex_range(row: Mapping[str, Any], name: str, form: str, factor: float) -> str:
+    if row.get(name) is None:
+        return ""
+    value, low, high = (form.format(factor * row[f"{name}{end}"]) for end in _RANGES)
+    return f"${value}_{{{low}}}^{{{high}}}$"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
+
+
+def _rgb(row: Mapping[str, Any], name: str) -> str:
+    values = [row.get(f"{name}_{channel}") for channel in CHANNELS]
+    return "" if values[0] is None else ", ".join(map(_number, values))
+
+
+ANGLE_NAMES = ("theta_in_deg", "theta_out_deg", "phi_deg")
+"""Names of the angles of a sample in a summary; phi is the azimuth from omega_in to omega_out, 0 to 360 degrees."""
+_N_SHOWN_SAMPLES = 5
+_MAX_LISTED_ANGLES = 12  # A summary lists the angles of incidence only if there are at most this many.
+_MAX_IN_PLANE_DISTANCE_DEG = 0.5  # A sample at most this far from the plane of incidence counts as in the plane.
+
+
+def summary_of_table(found: ReadTable) -> dict[str, Any]:
+    """Return columns, ranges, warnings and the first samples of a table as JSON content.
+
+    A row of ``first`` has the angles `ANGLE_NAMES`, then red, green and blue [1/sr] of one sample. The object
+    ``ranges`` has the minimum and maximum over all samples of each of these columns.
+    """
+    samples = found.samples
+    angles = _angles(samples)
+    incidence = np.unique(angles[:, 0].round(1))
+    rows = np.column_stack([angles, samples.values])
+    aside = np.abs(np.sin(np.radians(angles[:, 2]))) * np.sin(np.radians(angles[:, 1]))
+    return {
+        "n_rows": found.n_rows,
+        "n_samples": len(samples.values),
+        "columns": [{"name": name, "read_as": meaning or None, "unit": unit} for name, meaning, unit in found.columns],
+        "ranges": {
+            name: [float(column.min()), float(column.max())]
+            for name, column in zip((*ANGLE_NAMES, *CHANNELS), rows.T, strict=True)
+        },
+        "angles_of_incidence_deg": incidence.tolist() if incidence.size <= _MAX_LISTED_ANGLES else None,
+        "in_plane_of_incidence": float(np.mean(aside <= np.sin(np.radians(_MAX_IN_PLANE_DISTANCE_DEG)))),
+        "warnings": [*samples.notes, *sample_doubts(samples).sentences],
+        "first": rows[:_N_SHOWN_SAMPLES].tolist(),
+    }
+
+
+def _angles(samples: ScatteredSamples) -> Array:
+    """Return the angles of samples [degrees], shape (n, 3), in the order of `ANGLE_NAMES`."""
+    first, second = samples.omega_in, samples.omega_out
+    phi_in, phi_out = (np.arctan2(side[:, 1], side[:, 0]) for side in (first, second))
+    theta_in, theta_out = (np.arccos(np.clip(side[:, 2], -1.0, 1.0)) for side in (first, second))
+    difference = np.degrees(phi_out - phi_in).round(9) % 360.0
+    return np.column_stack([np.degrees(theta_in), np.degrees(theta_out), difference])
+
+
+def typed(kind: Any, value: Any, place: str) -> Any:
+    """Convert a JSON value to the type of an annotation: a mapping to a dataclass, a list to a tuple."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = _hints(kind)
+        check_keys(place, value, tuple(hints))
+        return kind(**{name: typed(hint, value[name], f"{place}.{name}") for name, hint in hints.items()})
+    if origin in (Union, UnionType):
+        return typed(next((choice for choice in arguments if _fits(choice, value)), arguments[0]), value, place)
+    if not _fits(kind, value):
+        raise ModelFormatError(f"The stored {place} is of the wrong kind, {type(value).__name__}.")
+    if origin is tuple:
+        kinds = arguments[:1] * len(value) if arguments[-1] is ... else arguments
+        if len(kinds) != len(value):
+            raise ModelFormatError(f"The stored {place} has {len(value)} values, not {len(kinds)}.")
+        return tuple(typed(item, part, place) for item, part in zip(kinds, value, strict=True))
+    if origin is dict:
+        return {name: typed(arguments[1], part, f"{place}.{name}") for name, part in value.items()}
+    return value
+
+
+def _fits(kind: Any, value: Any) -> bool:
+    """Return whether a JSON value can be converted to a type; the elements of a list or mapping are not checked."""
+    origin = get_origin(kind)
+    if is_dataclass(kind) and isinstance(kind, type):
+        return isinstance(value, Mapping) and set(value) == set(_hints(kind))
+    if origin is Literal:
+        return isinstance(value, str) and value in get_args(kind)
+    if origin is tuple:
+        return isinstance(value, list)
+    if origin is dict:
+        return isinstance(value, dict)
+    if kind is float:  # JSON may write 1 for 1.0, and a number with too large an exponent is read as infinity.
+        return type(value) in (int, float) and abs(value) <= sys.float_info.max
+    return type(value) is kind
+
+
+_hints = cache(get_type_hints)
+
+
+def check_keys(what: str, content: Any, wanted: tuple[str, ...]) -> None:
+    """Raise ModelFormatError unless a JSON value is a mapping with exactly the wanted keys."""
+    if not isinstance(content, Mapping):
+        raise ModelFormatError(f"The stored {what} must be a mapping of names to values.")
+    missing = [key for key in wanted if key not in content]
+    if missing:
+        raise ModelFormatError(f"The stored {what} lacks the key {missing[0]!r}.")
+    unknown = [key for key in content if key not in wanted]
+    if unknown:
+        raise ModelFormatError(f"The stored {what} has the unknown key {unknown[0]!r}.")
