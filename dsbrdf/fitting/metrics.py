@@ -1,7 +1,7 @@
 """Measure how far a model is from the measurement to which it was fitted.
 
 For a measurement f on a grid, all channels and nodes have equal weights. Nodes count if they are valid, both directions
-are within the horizon cutoff of the normal, and theta_half is at least 1 degree:
+are within the horizon cutoff of the normal, theta_half is at least 1 degree, and phi_diff is an even number of degrees:
 
     relative_rms    = sqrt( sum (f - fit)**2 / sum f**2 )
     floor           = relative_rms of the mean of f over phi_diff, the minimum for models that ignore phi_diff
@@ -20,13 +20,15 @@ For light and visible differences, over all directions:
     psnr, ssim   = of a lit sphere, see `dsbrdf.rendering.sphere`
 """
 
+import math
 from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_samples
 from dsbrdf.errors import InvalidArgumentError
@@ -40,12 +42,15 @@ OUTSIDE_CENTER = THETA_HALF >= CENTER_CUTOFF
 """Nodes of the theta_half axis that the first five metrics, and the paper's procedure, use; shape (90,)."""
 ALBEDO_ANGLES = np.radians([0.0, 30.0, 60.0, 75.0])
 """Angles to the normal at which albedos are compared [rad]."""
-MIN_FLOOR = 1e-12
+MIN_FLOOR = 1e-6
 """With a smaller `floor`, data do not depend on phi_diff; `excess` is None, as it would divide by rounding errors."""
 MIN_ALBEDO = 1e-9
 """A channel with a smaller albedo is black up to rounding, so its relative albedo error counts as 0."""
 SPHERE_PIXELS = 64
 COLUMN_GROUPS = 9
+SINGLE: Any = np.float32
+PHI_STEP = 2
+"""Every second phi_diff is enough: the errors of 71 materials differ by at most 1 % from those at every phi_diff."""
 
 
 @dataclass(frozen=True)
@@ -118,53 +123,55 @@ METRICS = tuple(field.name for field in fields(Metrics))
 def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> Array:
     """Compare a model with all samples whose directions are within the cutoff of the normal [rad].
 
+    Every `PHI_STEP`-th phi_diff counts, in single precision.
+
     Returns sums of shape (6, 3 channels, 90 theta_diff): of f**2, of (f - fit)**2, of the squared deviations from the
     means of `floor` and `symmetric_floor`, of |log(1 + f cos_in) - log(1 + fit cos_in)|, and the number of samples.
     Without a cutoff (None), all samples above the horizon count.
 
     Raises InvalidArgumentError if there is nothing but zeros to compare with.
     """
-    sums = np.zeros((6, 3, THETA_DIFF.size))
+    sums, phi_diff = np.zeros((6, 3, THETA_DIFF.size)), PHI_DIFF[::PHI_STEP].astype(SINGLE)
     for columns in np.array_split(np.flatnonzero(OUTSIDE_CENTER), COLUMN_GROUPS):
-        masks = [used_samples(measurement, i, horizon_cutoff) for i in columns.tolist()]
+        masks = [used_samples(measurement, i, horizon_cutoff)[..., ::PHI_STEP] for i in columns.tolist()]
         # Rows of theta_diff beyond the last used sample are skipped, which saves evaluations of the model.
         rows = slice(0, 1 + int(np.flatnonzero(np.any(masks, axis=(0, 2))).max(initial=-1)))
-        grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF[rows], PHI_DIFF[:QUARTER])
+        cos_diff, sin_diff = (part(THETA_DIFF[rows, None]).astype(SINGLE) for part in (np.cos, np.sin))
+        grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF[rows], phi_diff[: phi_diff.size // 2 + 1])
         for i, used, values in zip(columns.tolist(), masks, grid, strict=True):
             # Only the cosine of omega_in to the normal is needed; `incident_cosines` computes both cosines.
-            swing = (np.sin(THETA_HALF[i]) * np.sin(THETA_DIFF[rows, None])) * np.cos(PHI_DIFF)
-            cosine = np.subtract(np.cos(THETA_HALF[i]) * np.cos(THETA_DIFF[rows, None]), swing, out=swing)
+            cosine = math.cos(THETA_HALF[i]) * cos_diff - (math.sin(THETA_HALF[i]) * sin_diff) * np.cos(phi_diff)
             # The model has equal values at phi_diff and at 180 degrees - phi_diff.
-            folded = np.concatenate([values, values[:, :, -2:0:-1]], axis=2)
-            counted, samples = used[rows].astype(float), measurement.values_at(i)[:, rows]
-            for channel in range(3):
-                sums[:, channel, rows] += _column_sums(samples[channel], folded[channel], counted, cosine)
+            fit = np.concatenate([values, values[:, :, -2:0:-1]], axis=2)
+            samples = measurement.values_at(i)[:, rows, ::PHI_STEP].astype(SINGLE)
+            sums[:, :, rows] += _column_sums(samples, fit, used[rows].astype(SINGLE), cosine)
     if not sums[0].any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
     return sums
 
 
 def _column_sums(samples: Array, fit: Array, counted: Array, cosine: Array) -> Array:
-    """Return the six sums over phi_diff of `sample_errors` for one theta_half and channel, (6, rows).
+    """Return the six sums over phi_diff of `sample_errors` for one theta_half, (6, 3, rows).
 
     `counted` is 1 for samples that are used, and otherwise 0.
     """
     count, samples = counted.sum(axis=1), samples * counted
-    mean = np.sum(samples, axis=1) / np.maximum(count, 1.0)
-    deviation = samples - mean[:, None]
+    mean = np.sum(samples, axis=2) / np.maximum(count, 1.0)
+    deviation = samples - mean[..., None]
     deviation *= counted
     # Samples at phi_diff and 180 degrees - phi_diff deviate from their mean by half of the difference between both.
-    one, partner = slice(1, QUARTER - 1), slice(None, QUARTER - 1, -1)
-    step = samples[:, one] - samples[:, partner]
-    step *= np.sqrt(0.5) * counted[:, one] * counted[:, partner]
+    half = samples.shape[2] // 2
+    one, partner = slice(1, half), slice(None, half, -1)
+    step = samples[..., one] - samples[..., partner]
+    step *= math.sqrt(0.5) * counted[..., one] * counted[..., partner]
     error = samples - fit
     error *= counted
-    squares = [np.einsum("rp,rp->r", part, part) for part in (samples, error, deviation, step)]
+    squares = [np.einsum("crp,crp->cr", part, part) for part in (samples, error, deviation, step)]
     # The difference of logarithms is log(1 + (f - fit) cos_in / (1 + fit cos_in)), which is accurate for small errors.
     error *= cosine
     error /= 1.0 + fit * cosine
-    log_error = np.sum(np.abs(np.log1p(error, out=error), out=error), axis=1)
-    return np.stack([*squares, log_error, count])
+    log_error = np.sum(np.abs(np.log1p(error, out=error), out=error), axis=2)
+    return np.stack([*squares, log_error, np.broadcast_to(count, mean.shape)])
 
 
 def relative_errors(sums: Array, channels: slice = slice(None), rows: slice = slice(None)) -> RelativeErrors | None:
