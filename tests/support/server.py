@@ -157,6 +157,12 @@ class Server:
         assert self.status(fit_id) == "running"
 
 
+def in_progress(server: Server) -> float:
+    found = re.search(r"^dsbrdf_requests_in_progress (\S+)$", server.http.get("/metrics").text, re.MULTILINE)
+    assert found is not None
+    return float(found[1])
+
+
 def assert_problem(response: httpx.Response, status: int, kind: str | None = None) -> str:
     """Check a problem document (RFC 9457) and return its sentence."""
     assert response.status_code == status, response.text

@@ -1,27 +1,22 @@
-"""Compression bombs and hostile requests against one server: refused at once, at no cost, no leak.
+"""Hostile requests against one server: refused at once, at no cost, no leak.
 
 How long an answer takes is bounded by the processor time that it costs, compared with that of a measurement that is
 accepted: the machine that tests run on may be slow or busy.
 """
 
-import gzip
 import json
 import time
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from http.client import HTTPResponse
-from itertools import repeat
 
 import pytest
 
-from tests.support.merl_files import HEADER
 from tests.support.server import QUICK, Server
 
 UPLOADS = 6.0
 PATIENCE = 60.0
 MEGABYTES = 64.0
-MEGABYTES_OF_UPLOADS = 24.0
 NOT_HTTP = b"Invalid HTTP request received."  # what the server says of it
 LEAKS = ("Traceback", 'File "', "site-packages", ".py", "sqlite3.", "root:x:0")
 
@@ -78,50 +73,20 @@ def target(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[Ta
         yield Target(server, data)
 
 
-MEASUREMENT = "application/octet-stream"
-JSON = "application/json"
-NPY = "application/x-npy"
-STORED_BLOCK = b"\0\0\0\xff\xff"  # It continues a gzip member, without content.
-GZIP_HEAD = b"\x1f\x8b\x08%c\0\0\0\0\0\xff"
-
-
-def packed(*parts: bytes) -> bytes:
-    packer = zlib.compressobj(1, wbits=31)
-    return b"".join([*map(packer.compress, parts), packer.flush()])
-
-
-def nested(levels: int) -> bytes:
-    body = packed(HEADER, *repeat(bytes(1 << 20), 64))
-    for _ in range(levels):
-        body = gzip.compress(body)
-    return body
-
-
-# name -> (type of the body, its encoding, what makes it)
-BOMBS: dict[str, tuple[str, str, Callable[[], bytes]]] = {
-    "gzip zeros": (MEASUREMENT, "gzip", lambda: packed(HEADER, *repeat(bytes(1 << 20), 100))),
-    "gzip in gzip, and says so": (MEASUREMENT, "gzip, gzip, gzip", lambda: nested(3)),
-    "endless empty gzip blocks": (MEASUREMENT, "gzip", lambda: GZIP_HEAD % 0 + STORED_BLOCK * 8_000_000),
-    "endless gzip name": (MEASUREMENT, "gzip", lambda: GZIP_HEAD % 8 + b"a" * 40_000_000),
-    "deep JSON of points": (JSON, "gzip", lambda: packed(b"[" * 30_000_000)),
-    "many JSON numbers": (JSON, "gzip", lambda: packed(b'{"theta_half_deg": [', *repeat(b"0," * (1 << 20), 50))),
-    "endless empty gzip blocks of points": (NPY, "gzip", lambda: GZIP_HEAD % 0 + STORED_BLOCK * 4_000_000),
-    "many JSON names": (JSON, "identity", lambda: json.dumps({f"n{i}": i for i in range(4000)}).encode()),
-    "a long JSON number": (JSON, "identity", lambda: b'{"theta_half_deg": [' + b"9" * 1_000_000 + b"]}"),
+BOMBS = {
+    "deep JSON": b"[" * 16_000_000,
+    "many JSON numbers": b'{"theta_half_deg": [' + b"0," * 7_900_000,
+    "many JSON names": json.dumps({f"n{i}": i for i in range(4000)}).encode(),
+    "a long JSON number": b'{"theta_half_deg": [' + b"9" * 1_000_000 + b"]}",
 }
 
 
-def test_decompression_bombs_are_refused_cheaply(target: Target) -> None:
-    values = f"/v1/fits/{target.fit}/brdf"
-    paths = {MEASUREMENT: ["/v1/measurements"], JSON: ["/v1/fits", values], NPY: [values]}
-    for name, (media_type, encoding, make) in BOMBS.items():
-        bomb, headers = make(), {"Content-Type": media_type, "Content-Encoding": encoding}
+def test_hostile_json_is_refused_cheaply(target: Target) -> None:
+    for name, bomb in BOMBS.items():
         target.spent, target.begin = target.server.cpu_seconds(), time.monotonic()
-        for path in paths[media_type]:
-            answer = target.server.http.post(path, content=bomb, headers=headers)
+        for path in ("/v1/fits", f"/v1/fits/{target.fit}/brdf"):
+            answer = target.server.http.post(path, content=bomb, headers={"Content-Type": "application/json"})
             target.check(name, answer.status_code, answer.headers["content-type"], answer.content)
-        if media_type == MEASUREMENT:  # batches of points are kept whole
-            assert target.grown() <= MEGABYTES_OF_UPLOADS, name
     target.close()
 
 

@@ -1,6 +1,7 @@
 """Define ``dsbrdf serve``, which runs the HTTP service, with some of the settings as flags."""
 
 import asyncio
+import errno
 import faulthandler
 import logging
 import os
@@ -35,6 +36,7 @@ from .commands import refuse
 
 # More connections than requests are allowed, because most connections are idle; beyond this limit, requests get 503.
 _CONNECTIONS_PER_REQUEST = 8
+_BACKLOG = 128  # asyncio tries so many accepts at once, and reports each that fails.
 _CLEANUP_TIMEOUT_S = 5.0  # The process ends if its queue, processes and database are not closed within this time.
 _INTERPRETER_EXIT_TIMEOUT_S = (
     60.0  # When the server has stopped, the process ends within this time, even if a thread hangs.
@@ -110,6 +112,7 @@ def _run(settings: Settings, store: Store) -> int:
         # X-Forwarded-For is trusted only if the operator names the proxies, because any client can send this header.
         proxy_headers="FORWARDED_ALLOW_IPS" in os.environ,
         ws="none",
+        backlog=_BACKLOG,
         log_config=None,
         log_level=settings.log_level,
         access_log=False,
@@ -141,6 +144,7 @@ class _Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start the server, and print its address if stdout is a terminal."""
+        asyncio.get_running_loop().set_exception_handler(_Reports())
         await super().startup(sockets)
         if self.started and sys.stdout.isatty():
             host, port = self.servers[0].sockets[0].getsockname()[:2]
@@ -156,6 +160,21 @@ class _Server(uvicorn.Server):
         context.readiness.stop()
         context.queue.release_waiters()
         await super().shutdown(sockets)
+
+
+class _Reports:
+    """Log the errors of the event loop, at most one each second if too many files are open for a new connection."""
+
+    def __init__(self) -> None:
+        self._next_at = 0.0
+
+    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        if not isinstance(error, OSError) or error.errno not in (errno.EMFILE, errno.ENFILE):
+            loop.default_exception_handler(context)
+        elif loop.time() >= self._next_at:
+            self._next_at = loop.time() + 1.0
+            logger.error("no connection can be accepted: %s", error.strerror)
 
 
 def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:

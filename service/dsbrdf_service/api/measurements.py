@@ -41,10 +41,10 @@ from ..http.messages import (
     JSON,
     OpenFileResponse,
     content_disposition,
-    decoded,
     given_name,
     media_type_of,
     not_modified,
+    pieces_of,
     prefers,
     prefix_of,
     tagged_reply,
@@ -75,7 +75,6 @@ PARAMETERS = [
         "schema": {"type": "string", "minLength": 1, "maxLength": MAX_NAME_LENGTH},
     },
     openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),
-    openapi.ENCODING,
 ]
 OPTION_PARAMETERS, TABLE_PARAMETERS = (
     [openapi.option_parameter(name, declared) for name, declared in schema["properties"].items()]
@@ -99,7 +98,7 @@ async def receive_upload(
     options, and its samples are stored.
 
     Raises InvalidArgumentError if options are given for another file than a table, MeasurementFormatError if the file
-    is not a measurement, and ProblemError if the body is too long, cannot be decoded, or exceeds the caller's quota.
+    is not a measurement, and ProblemError if the body is too long or encoded, or exceeds the caller's quota.
     """
     if name is not None and Path(name).suffix.lower() in _SUFFIXES:
         name = Path(name).stem
@@ -124,7 +123,7 @@ async def _receive_merl(request: Request, start: bytes, pieces: AsyncIterator[by
     Values are checked when all have arrived, so that an unfinished upload needs no memory for this check.
     """
     declared = request.headers.get("content-length", "")
-    length = int(declared) if declared.isdecimal() and "content-encoding" not in request.headers else FILE_SIZE
+    length = int(declared) if declared.isdecimal() else FILE_SIZE
     try:
         check_header(start)
         check_length(length)
@@ -174,9 +173,9 @@ async def _read_table(request: Request, context: Context, *arguments: Any, **nam
 
 
 async def _pieces(request: Request) -> AsyncIterator[bytes]:
-    """Yield the decoded body: first enough bytes to recognise the kind of the file, then further pieces."""
+    """Yield the body: first enough bytes to recognise the kind of the file, then further pieces."""
     piece, begun = b"", False
-    async for part in decoded(request, FILE_SIZE):
+    async for part in pieces_of(request):
         piece += part
         if not begun and (len(piece) >= START_BYTES or piece.startswith(HEADER)):
             yield piece[:START_BYTES]
@@ -215,7 +214,7 @@ class TableDocument(BaseModel):
     "/tables",
     responses=openapi.problems("too-large", "measurement-format", *openapi.BODY_PROBLEMS),
     openapi_extra={
-        "parameters": [*TABLE_PARAMETERS, openapi.ENCODING],
+        "parameters": TABLE_PARAMETERS,
         **openapi.body("A table of scattered samples.", CONTENT),
     },
 )

@@ -6,7 +6,6 @@ measurement: a measurement that is sent again under another name is renamed.
 
 import hashlib
 import re
-import zlib
 from collections import Counter
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
@@ -14,7 +13,6 @@ from functools import partial
 from urllib.parse import quote, unquote_to_bytes
 
 from anyio import CapacityLimiter, to_thread
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
@@ -30,7 +28,6 @@ from ..wire import check_name
 _SUFFIX = ".binary"
 _MAX_HEADER_LENGTH = 1024  # [characters] A longer Content-Disposition is refused.
 _PARAMETER = re.compile(r';\s*([^\s=;"]+)\s*=\s*("(?:[^"\\]|\\.)*"|[^\s;"]+)\s*')
-PIECE = 1 << 16
 _MAX_BODIES_BYTES = 64_000_000  # If unanswered bodies of a caller exceed this size, the next body is refused.
 BINARY = "application/octet-stream"
 JSON = "application/json"
@@ -111,15 +108,16 @@ class Bodies:
 
     @asynccontextmanager
     async def received(self, request: Request, limit: int) -> AsyncIterator[bytes]:
-        """Yield the decoded body of a request, of at most `limit` bytes.
+        """Yield the body of a request.
 
-        Raises the errors of `decoded`, and ProblemError if the caller's bodies together take too much memory.
+        Raises ProblemError as `pieces_of`, if the body is longer than `limit` bytes, or if the caller's bodies together
+        take too much memory.
         """
         caller, content = request.scope[CALLER_NAME], bytearray()
         try:
-            async for piece in decoded(request, limit):
+            async for piece in pieces_of(request):
                 if len(content) + len(piece) > limit:
-                    raise _too_large(limit)
+                    raise ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
                 if self._held[caller] + len(piece) > _MAX_BODIES_BYTES:
                     most = f"{_MAX_BODIES_BYTES // 10**6} MB, the most allowed"
                     detail = f"The bodies of your requests take {most}; wait until some are answered."
@@ -132,44 +130,14 @@ class Bodies:
             self._held += Counter()  # Adding a counter removes callers with 0 bytes.
 
 
-async def decoded(request: Request, limit: int) -> AsyncIterator[bytes]:
-    """Yield the decoded body in pieces; a piece of a compressed body has at most `PIECE` bytes.
-
-    Raises ProblemError if the encoding is unknown, if the body is damaged, or if it is longer than any encoding of
-    `limit` bytes. The caller must bound the length of the decoded body, which can be much longer.
-    """
-    names = ",".join(request.headers.getlist("content-encoding")).lower().split(",")
-    encoding = ", ".join(name for part in names if (name := part.strip()) not in ("", "identity"))
-    if encoding not in ("", "gzip", "x-gzip"):
-        detail = f"The content encoding {encoding[:40]!r} is not supported; send the body uncompressed or as gzip."
-        raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": "gzip"})
-    member, left = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS), limit + limit // 64 + 1024
+async def pieces_of(request: Request) -> AsyncIterator[bytes]:
+    """Yield the body in pieces as they come; raise ProblemError if the body is encoded."""
+    encoding = request.headers.get("content-encoding", "").strip().lower()
+    if encoding not in ("", "identity"):
+        detail = f"The content encoding {encoding[:40]!r} is not supported; send the body without one."
+        raise ProblemError("unsupported-media-type", detail, {"Accept-Encoding": "identity"})
     async for piece in request.stream():
-        left -= len(piece)
-        if left < 0:  # The encoded length is limited too, because an endless gzip body can decode to nothing.
-            raise _too_large(limit)
-        if not encoding:
-            yield piece
-            continue
-        while piece:
-            if member.eof:
-                raise _damaged("it goes on after its end")
-            try:
-                content = await run_in_threadpool(member.decompress, piece, PIECE)
-            except zlib.error as error:
-                raise _damaged(str(error)) from None
-            yield content
-            piece = member.unconsumed_tail or member.unused_data
-    if encoding and not member.eof:
-        raise _damaged("it is cut off")
-
-
-def _too_large(limit: int) -> ProblemError:
-    return ProblemError("too-large", f"The body is longer than the {limit} bytes that it may have here.")
-
-
-def _damaged(reason: str) -> ProblemError:
-    return ProblemError("bad-encoding", f"The body is not valid gzip: {reason[:200]}.")
+        yield piece
 
 
 def prefix_of(request: Request) -> str:

@@ -7,8 +7,10 @@ import asyncio
 import logging
 import re
 import secrets
+from collections.abc import Awaitable, Callable
+from functools import partial
 from time import perf_counter
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -25,9 +27,16 @@ from .problems import problem_of, problem_response
 _READ_BYTES = 1 << 16
 _MAX_LINE_BYTES = 8192  # Longer headers and addresses are refused.
 _MAX_HEADERS = 100
+_MAX_HEAD_BYTES = 1 << 16
+_MAX_PIPELINED_REQUESTS = 64  # A client that sends more requests without reading answers is disconnected.
+_LAST_LOOK_S = 0.05  # After a time limit, a process that was stopped finds what arrived meanwhile.
 # A request may have each of these headers only once, because it would be unclear which one counts.
 _SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")
 _CLOSE_HEADERS = {"Connection": "close"}
+_HEAD_TOO_LONG = (
+    f"The address has more than {_MAX_LINE_BYTES} bytes, or there are more than {_MAX_HEADERS} headers, "
+    f"of {_MAX_LINE_BYTES} bytes each and {_MAX_HEAD_BYTES} together; send many points with POST."
+)
 ABORT = "dsbrdf.abort"
 """Member of the ASGI scope: a function that closes the connection at once, without sending buffered data."""
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
@@ -46,30 +55,59 @@ _SECURITY_HEADERS = (
 _POLICY = b"content-security-policy"  # The web pages set their own policy instead of `_STRICT`.
 _STRICT = b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 logger = logging.getLogger(__name__)
+T = TypeVar("T")
 
 
 class Connection(HttpToolsProtocol, asyncio.BufferedProtocol):
-    """Receive requests in small pieces, and keep trailers out of a request's headers, to which uvicorn adds them.
+    """Receive requests in small pieces, and bound what an unread answer or an unfinished head takes.
 
-    Without a buffer, asyncio would read 256 kB at a time, which every slow upload would keep in memory.
+    Without a buffer, asyncio would read 256 kB at a time, which every slow upload would keep in memory. Trailers after
+    a body, which uvicorn adds to the headers of the request, do not change the headers that its answer reads.
     """
 
     # All connections can share one buffer, because its content is parsed before the next read.
     _received = memoryview(bytearray(_READ_BYTES))
+    _n_head_bytes = 0  # Bytes of a head, or of the trailers after a body, that have come so far.
 
     def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 (asyncio's signature)
         """Return the buffer for the next bytes."""
         return self._received
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Parse the bytes in the buffer."""
+        """Parse the bytes in the buffer; refuse a head that is too long before it is complete."""
+        self._n_head_bytes += nbytes
         self.data_received(bytes(self._received[:nbytes]))
+        if self._n_head_bytes > _MAX_HEAD_BYTES and not self.transport.is_closing():
+            if self.cycle is None or self.cycle.response_complete:
+                refused = problem_response(ProblemError("head-too-long", _HEAD_TOO_LONG, _CLOSE_HEADERS), "")
+                lines = [b"HTTP/1.1 431 ", *(b"%b: %b" % header for header in refused.raw_headers), b"", refused.body]
+                self.transport.write(b"\r\n".join(lines))
+            self.transport.close()
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """Keep a header, unless there are too many headers, which `check_head` refuses."""
+        if len(self.headers) <= _MAX_HEADERS:
+            super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Start to answer the request with a copy of its headers, which trailers after the body do not change."""
+        """Start to answer the request, or close the connection if too many requests wait on it."""
+        self._n_head_bytes = 0
+        if len(self.pipeline) >= _MAX_PIPELINED_REQUESTS:
+            self.transport.abort()
+            return
         super().on_headers_complete()
         self.headers = self.headers.copy()
         cast(dict[str, Any], self.scope)[ABORT] = self.transport.abort
+
+    def on_body(self, body: bytes) -> None:
+        """Pass on a piece of the body."""
+        super().on_body(body)
+        self._n_head_bytes = 0
+
+    def on_message_complete(self) -> None:
+        """End a request; the next bytes belong to another one."""
+        super().on_message_complete()
+        self._n_head_bytes = 0
 
 
 def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
@@ -78,14 +116,9 @@ def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
     `headers` has the headers in `scope` by name.
     """
     sent = scope["headers"]
-    too_long = len(sent) > _MAX_HEADERS or len(scope["path"]) + len(scope["query_string"]) > _MAX_LINE_BYTES
-    for name, value in sent:
-        too_long = too_long or len(name) + len(value) > _MAX_LINE_BYTES
-    if too_long:
-        limits = f"an address of {_MAX_LINE_BYTES} bytes, and {_MAX_HEADERS} headers of {_MAX_LINE_BYTES} bytes each"
-        raise ProblemError(
-            "head-too-long", f"The request is longer than {limits}; send many points with POST.", _CLOSE_HEADERS
-        )
+    lengths = [len(scope["path"]) + len(scope["query_string"]), *(len(name) + len(value) for name, value in sent)]
+    if len(sent) > _MAX_HEADERS or max(lengths) > _MAX_LINE_BYTES or sum(lengths) > _MAX_HEAD_BYTES:
+        raise ProblemError("head-too-long", _HEAD_TOO_LONG, _CLOSE_HEADERS)
     twice = len(headers) < len(sent) and any(sum(name == once for name, _ in sent) > 1 for once in _SINGLE_HEADERS)
     if twice or (b"host" not in headers and scope["http_version"] == "1.1"):
         raise ProblemError(
@@ -93,6 +126,16 @@ def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
             "The request must have exactly one header Host, and at most one header Origin.",
             _CLOSE_HEADERS,
         )
+
+
+async def _within(timeout: float, call: Callable[[], Awaitable[T]]) -> T:
+    """Await `call` for `timeout` seconds, then look once more, because this process itself may have been stopped."""
+    try:
+        async with asyncio.timeout(timeout):
+            return await call()
+    except TimeoutError:
+        async with asyncio.timeout(_LAST_LOOK_S):
+            return await call()
 
 
 class BodyTimeout:
@@ -116,20 +159,17 @@ class BodyTimeout:
         """Return the next message of the body; raise ProblemError if the message takes too long."""
         if self._ended:  # The next message is the end of the connection, for which there is no time limit.
             return await self._receive()
-        loop = asyncio.get_running_loop()
-        begin = loop.time()
-        timeout = self._idle_timeout
+        begin, timeout = perf_counter(), self._idle_timeout
         if self._min_rate:
             timeout = min(timeout, self._idle_timeout + self.n_bytes / self._min_rate - self._waited)
         try:
-            async with asyncio.timeout(timeout):
-                message = await self._receive()
+            message = await _within(timeout, self._receive)
         except TimeoutError:
             self._ended = True
             rate = f", or came at less than {self._min_rate:g} bytes a second" if self._min_rate else ""
             detail = f"The body stopped for {self._idle_timeout:g} s{rate}; {self.n_bytes} bytes had arrived."
             raise ProblemError("request-timeout", detail, _CLOSE_HEADERS) from None
-        self._waited += loop.time() - begin
+        self._waited += min(perf_counter() - begin, timeout)
         self.n_bytes += len(message.get("body", b""))
         self._ended = not message.get("more_body", False)
         return message
@@ -250,8 +290,7 @@ class _Exchange:
             if self._min_rate:
                 timeout = min(timeout, timeout + self._n_sent / self._min_rate - self._waited)
             try:
-                async with asyncio.timeout(timeout):
-                    await self._send({**message, "body": piece, "more_body": not is_last})
+                await _within(timeout, partial(self._send, {**message, "body": piece, "more_body": not is_last}))
             except TimeoutError:
                 self.given_up = True
                 logger.info("gave up a client that does not read its answer")
@@ -259,6 +298,6 @@ class _Exchange:
                 await asyncio.sleep(0)  # In this pause, the server closes the aborted connection.
                 raise ClientDisconnect from None
             self._n_sent += len(piece)
-            self._waited += perf_counter() - begin
+            self._waited += min(perf_counter() - begin, timeout)
             begin = perf_counter()
         self.complete = not message.get("more_body", False)

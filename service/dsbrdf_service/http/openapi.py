@@ -28,7 +28,7 @@ _KEY = {
 }
 _EVERYWHERE = ("bad-request", "head-too-long", "invalid-argument", "internal", "overloaded", "shutting-down")
 _BEHIND_A_KEY = ("unauthorized", "foreign-origin", "misdirected", "rate-limited", "too-many-at-once")
-BODY_PROBLEMS = ("request-timeout", "bad-encoding", "unsupported-media-type")
+BODY_PROBLEMS = ("request-timeout", "unsupported-media-type")
 UPLOAD_PROBLEMS = ("storage-quota", "measurement-too-large", "measurement-format", "disk-full", *BODY_PROBLEMS)
 
 _HEADERS = {
@@ -100,7 +100,6 @@ TAGGED: Responses = {
     304: {"description": "What the client has, by its `If-None-Match`, is current.", **headers("ETag")},
 }
 """The answers of a resource that has an ETag."""
-ENCODING = header_parameter("Content-Encoding", "The body may be compressed.", enum=["identity", "gzip", "x-gzip"])
 
 
 def reference(model: type[BaseModel]) -> dict[str, str]:

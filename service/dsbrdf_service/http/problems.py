@@ -48,7 +48,6 @@ _FULL = "The disk of the service is too full for this request; delete measuremen
 _BROKEN = "The service failed at this request; its log says why."
 KINDS: dict[str, Kind] = {
     "bad-request": Kind(400, "The request cannot be understood"),
-    "bad-encoding": Kind(400, "The body cannot be decoded"),
     "unauthorized": Kind(401, "A valid API key is needed"),
     "foreign-origin": Kind(403, "The request comes from another site"),
     "storage-quota": Kind(403, "The key's storage is full"),

@@ -2,7 +2,10 @@
 
 import asyncio
 import json
+import resource
+import signal
 import socket
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, closing, suppress
 
@@ -12,7 +15,7 @@ import pytest
 from dsbrdf.data import FILE_SIZE
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, Server, assert_problem
+from tests.support.server import ENDLESS, Server, assert_problem, in_progress
 
 pytestmark = pytest.mark.slow
 
@@ -165,6 +168,65 @@ def test_head_that_is_too_long_or_not_clear_is_refused(
     longest = ["Host: x", f"X-Long: {'x' * 8186}", *(f"X-{number}: y" for number in range(97)), "Connection: close"]
     with impatient.connection("\r\n".join(["GET /health/live HTTP/1.1", *longest, "", ""]).encode()) as connection:
         assert rest(connection).startswith(b"HTTP/1.1 200 ")
+
+
+IN_CHUNKS = b"POST /v1/fits HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nTransfer-Encoding: chunked\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    ("begin", "rest_of_head"),
+    [
+        (b"GET / HTTP/1.1\r\n", b"a:b\r\n" * 600_000),
+        (b"GET / HTTP/1.1\r\na: ", b"x" * 3_000_000),
+        (b"GET /", b"x" * 3_000_000),
+        (IN_CHUNKS + b"2\r\n{}\r\n0\r\na: ", b"x" * 3_000_000),
+    ],
+    ids=["short lines", "one line", "address", "trailer"],
+)
+def test_endless_head_is_refused_while_it_arrives(impatient: Server, begin: bytes, rest_of_head: bytes) -> None:
+    before = impatient.memory()
+    with impatient.connection(begin, 20.0) as connection, suppress(ConnectionError):
+        connection.sendall(rest_of_head)
+        answer = rest(connection)
+        assert not answer or problem(answer)[0] in (422, 431)
+    assert impatient.memory() - before < 4
+
+
+def test_client_that_sends_many_requests_and_reads_no_answer_is_disconnected(impatient: Server) -> None:
+    before = impatient.memory()
+    requests = b"GET /v1/fits HTTP/1.1\r\nHost: x\r\n\r\n" * 20_000
+    with impatient.connection() as connection, suppress(ConnectionError):
+        connection.sendall(requests)
+        assert rest(connection).count(b"HTTP/1.1 200") < 1000
+    assert impatient.memory() - before < 16
+
+
+def test_process_that_was_stopped_refuses_no_body_that_came_meanwhile(own_server: Callable[..., Server]) -> None:
+    server = own_server(fits=False, idle_timeout="1")
+    body = b'{"measurement": "%s"}' % (b"0" * 64)
+    head = b"POST /v1/fits HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: %d\r\n\r\n" % len(
+        body
+    )
+    with server.connection(head + body[:40]) as connection:
+        wait_until(lambda: in_progress(server) == 2)
+        server.process.send_signal(signal.SIGSTOP)
+        connection.sendall(body[40:])
+        time.sleep(1.2)
+        server.process.send_signal(signal.SIGCONT)
+        assert connection.recv(12) == b"HTTP/1.1 404"
+
+
+def test_too_many_open_files_take_one_line_of_the_log_each_second(own_server: Callable[..., Server]) -> None:
+    server, begin = own_server(fits=False), time.monotonic()
+    resource.prlimit(server.process.pid, resource.RLIMIT_NOFILE, (48, 48))
+    with ExitStack() as stack:
+        for _ in range(60):
+            stack.enter_context(server.connection())
+        wait_until(lambda: "no connection can be accepted" in server.log.read_text())
+    n_lines, seconds = server.log.read_text().count("no connection can be accepted"), time.monotonic() - begin
+    assert n_lines <= 1 + seconds
+    assert "Traceback" not in server.log.read_text()
+    assert server.http.get("/health/live", timeout=30).status_code == 200
 
 
 def test_fields_behind_a_body_are_no_headers(own_server: Callable[..., Server]) -> None:
