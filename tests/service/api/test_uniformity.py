@@ -52,7 +52,7 @@ def test_headers_of_answers_are_declared(server: Server, stored: str, fitted: st
     templates += ["/v1/measurements/{sha256}", "/v1/measurements/{sha256}/content"]
     addresses = [template.format(fit_id=fitted, sha256=stored, file_format="png") for template in templates]
     answers = [server.http.get(address) for address in addresses]
-    answers += [server.http.get("/v1/fits?limit=1"), server.submit(stored, prefer="respond-async", mask=0.17)]
+    answers += [server.submit(stored, prefer="respond-async", mask=0.17), server.http.get("/v1/fits?limit=1")]
     seen = set()
     for template, answer in zip([*templates, "/v1/fits", "/v1/fits"], answers, strict=True):
         operation = paths[template][answer.request.method.lower()]
