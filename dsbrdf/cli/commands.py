@@ -51,6 +51,7 @@ _COMMANDS = {
         "fit": ("fit_command:fit", "Fit models to measurements."),
         "show": ("model_commands:show", "Print the report of a fit again."),
         "eval": ("model_commands:evaluate", "Print values of a model."),
+        "materials": ("model_commands:print_materials", "List measured materials whose fits come with the package."),
         "decompose": ("model_commands:print_components", "Print the specular spike, specular lobe and diffuse part."),
     },
     "Pictures": {

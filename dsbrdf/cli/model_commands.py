@@ -31,12 +31,14 @@ from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.output.atlas import load_material, materials
 from dsbrdf.output.documents import component_documents, component_rows, table_csv, table_latex
 from dsbrdf.output.export import FORMATS, export_model, format_of
 from dsbrdf.output.export import example as example_of
 from dsbrdf.output.export.glsl import NAME
 from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import lobes_phrase, model_text, result_document, result_text
+from dsbrdf.output.serialize import save
 from dsbrdf.pipeline import fit
 from dsbrdf.samples.reading import kind_of_file, read_samples
 from dsbrdf.samples.table_options import TableOptions
@@ -109,6 +111,37 @@ def show(*models: RequiredFiles, json: Json = False) -> None:
             print(f"{model.stem}: {lobes_phrase(found)}", "", *model_text(found), sep="\n")
         else:
             print(*result_text(model, FitResult(found, report)), sep="\n")
+
+
+def print_materials(
+    name: Annotated[str | None, Parameter(metavar="MATERIAL")] = None,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"), metavar="FILE")] = None,
+    json: Json = False,
+) -> None:
+    """Print the measured materials whose fits come with the package, or write the fit of one to a file.
+
+    Parameters
+    ----------
+    name
+        One of the materials.
+    output
+        The .json file of the fit.
+    """
+    if (name is None) != (output is None):
+        raise InvalidArgumentError("to write the fit of a material, give its name and --output FILE")
+    if name is not None and output is not None:
+        save(load_material(name), output)
+        print_written(output, f"fit of {name}", "json", json=json)
+        return
+    fits = {one: load_material(one) for one in materials()}
+    if json:
+        print_json({"items": [{"name": one, "psnr": fit.report.metrics.psnr} for one, fit in fits.items()]})
+        return
+    print(f"{'material':<20}{'PSNR':>8}   {'model'}")
+    for one, found in fits.items():
+        print(f"{one:<20}{found.report.metrics.psnr:>5.1f} dB   {lobes_phrase(found.model)}")
 
 
 def print_components(

@@ -51,6 +51,7 @@ def test_source_distribution_makes_a_wheel_whose_service_works(tmp_path: Path) -
         wheel.extractall(tmp_path / "installed")
     packages = {path.name for path in (tmp_path / "installed").iterdir() if path.suffix != ".dist-info"}
     assert packages == {"dsbrdf", "dsbrdf_service"}
+    assert (tmp_path / "installed/dsbrdf/output/atlas/aurora_white.json").is_file()
     code = "from dsbrdf_service import app, settings; app.create_app(settings.Settings()).openapi();print(app.__file__)"
     environment = os.environ | {"PYTHONPATH": str(tmp_path / "installed")}
     command = [sys.executable, "-P", "-c", code]
