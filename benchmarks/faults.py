@@ -2,8 +2,8 @@
 
 A fault changes one operator, bound, constant or branch, or leaves out one statement; they are drawn at random, equally
 often from each wing and of each kind. Calls of the logger are left alone. Which tests cover a line and how long they
-take is found once and kept in out/faults (ten minutes); remove the folder after larger changes. The tests run in a copy
-of the committed and changed files, the quickest first, until one fails.
+take is found once and kept in out/faults; remove the folder after larger changes. The wing's own tests run in a copy of
+the committed and changed files, the quickest first, until one fails.
 """
 
 import argparse
@@ -12,13 +12,15 @@ import json
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import coverage
 import pytest
@@ -30,6 +32,16 @@ WINGS = (
     *(f"dsbrdf/{wing}" for wing in ("model", "fitting", "components", "samples")),
     *(f"{SERVICE}/{wing}" for wing in ("storage", "queue.py", "access.py")),
 )
+PRELOADED = (
+    "fastapi",
+    "httpx",
+    "hypothesis",
+    "matplotlib.figure",
+    "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.optimize",
+)
+"""Packages that take most of the time of a run's start; forks have imported them."""
 MAX_TEST_SECONDS = 120.0  # A fault that survives the quickest tests of this time counts as not noticed.
 MAX_RUN_SECONDS = 400.0  # A fault may cause an endless loop, which counts as noticed.
 OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*"}
@@ -178,6 +190,11 @@ class Recorder:
         (KEPT / "seconds.json").write_text(json.dumps(good))
 
 
+def tests_of(wing: str) -> str:
+    """Return the folder of a wing's tests."""
+    return wing.replace(SERVICE, "tests/service").replace("dsbrdf/", "tests/library/").removesuffix(".py")
+
+
 def covering(fault: Fault, seconds: dict[str, float]) -> list[str]:
     """Return tests that cover the line of a fault, or that use the constant which it defines, the quickest first.
 
@@ -189,8 +206,7 @@ def covering(fault: Fault, seconds: dict[str, float]) -> list[str]:
     lines = (ROOT / fault.path).read_text().splitlines()
     name = lines[fault.line - 1].partition(" ")[0].rstrip(":")
     used = [fault.line, *(n for n, line in enumerate(lines, 1) if name.isidentifier() and name in line)]
-    wing = fault.path.replace(SERVICE, "tests/service").replace("dsbrdf/", "tests/library/").removesuffix(".py")
-    wing = wing if (ROOT / wing).is_dir() else wing.rpartition("/")[0]
+    wing = next(tests_of(wing) for wing in WINGS if fault.path.startswith(wing))
     tests = {test for line in used for test in contexts.get(line, ())} | {
         test for test in seconds if test.startswith(wing)
     }
@@ -203,30 +219,52 @@ def covering(fault: Fault, seconds: dict[str, float]) -> list[str]:
 
 
 def is_noticed(fault: Fault, tests: Sequence[str], copy: Path) -> bool:
-    """Run tests with a fault in the copy; return whether one fails."""
+    """Run tests with a fault in the copy, in a fork of this process; return whether one fails."""
     path = copy / fault.path
     original = path.read_text()
     path.write_text(planted(fault))
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        run_tests(copy, tests)
     try:
-        return bool(_pytest(copy, "-x", *tests).wait(MAX_RUN_SECONDS))
-    except subprocess.TimeoutExpired:
-        return True
+        return ended(child) != 0
     finally:
         path.write_text(original)
 
 
-def _pytest(copy: Path, *arguments: str) -> "subprocess.Popen[bytes]":
-    environment = os.environ | {"PYTHONPATH": f"{copy}:{copy / 'service'}", "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments]
-    return subprocess.Popen(command, cwd=copy, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def run_tests(copy: Path, tests: Sequence[str]) -> NoReturn:
+    """Run tests of the copy in this process, quietly, and end it with the exit code."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for descriptor in (0, 1, 2):
+        os.dup2(nothing, descriptor)
+    os.chdir(copy)
+    paths = [str(copy), str(copy / "service")]
+    os.environ["PYTHONPATH"] = ":".join(paths)
+    sys.path[:0], sys.dont_write_bytecode = paths, True
+    for name in [name for name in sys.modules if name.split(".")[0] in ("benchmarks", "tests")]:
+        del sys.modules[name]
+    os._exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests]))
+
+
+def ended(child: int) -> int:
+    """Wait for a process with a session of its own, and kill it after a time; return its exit code."""
+    deadline = time.monotonic() + MAX_RUN_SECONDS
+    while time.monotonic() < deadline:
+        pid, status = os.waitpid(child, os.WNOHANG)
+        if pid:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.05)
+    os.killpg(child, signal.SIGKILL)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 def record() -> None:
-    """Run all tests of the library and of the service, and keep what they cover."""
+    """Run the tests of all wings, and keep what they cover."""
     KEPT.mkdir(parents=True, exist_ok=True)
     recorder = Recorder()
     recorder.coverage.start()
-    pytest.main(["-q", "-p", "no:cacheprovider", "tests/library", "tests/service"], plugins=[recorder])
+    pytest.main(["-q", "-p", "no:cacheprovider", *map(tests_of, WINGS)], plugins=[recorder])
     recorder.save()
 
 
@@ -243,6 +281,8 @@ def main(argv: Sequence[str]) -> int:
         record()
     seconds: dict[str, float] = {} if arguments.show else json.loads((KEPT / "seconds.json").read_text())
     n_noticed = 0
+    for name in PRELOADED:
+        import_module(name)
     with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
         copy = Path(folder) / "copy"
         names = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout

@@ -22,14 +22,12 @@ from .. import DEFAULT_DATA_DIR
 from ..errors import DataFolderError
 from ..storage.database import Database, is_data_folder
 from ..storage.keys import add_key, all_keys, revoke_key
-from ..storage.maintenance import check_database, check_files, check_measurements, purge_folder
 
 _MAX_NAME_LENGTH = 100
 _TIME_COLUMNS = ("created", "revoked")
 _PURGE_PURPOSE = (
     "Remove fits that ended long ago, measurements as old that no other fit uses, or files; a server may run."
 )
-_CHECKS = {"database": check_database, "measurements": check_measurements, "files": check_files}
 DataDir = Annotated[Path | None, Parameter(metavar="DIR", help="The service's folder.")]
 Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
 
@@ -163,6 +161,8 @@ def _purge(
 ) -> int:
     if older_than is None and not files_without_rows:
         return refuse("name what to remove: --older-than AGE, such as 30d, --files-without-rows, or both")
+    from ..storage.maintenance import purge_folder  # It imports NumPy, which the help does without.
+
     before = None if older_than is None else time.time() - older_than.total_seconds()
     purged = purge_folder(_data_folder(data_dir), before, files_without_rows=files_without_rows)
     if json:
@@ -181,8 +181,15 @@ def doctor(words: Sequence[str]) -> int:
 
 
 def _examine(*, data_dir: DataDir = None, json: Json = False) -> int:
+    from ..storage import maintenance  # It imports NumPy, which the help does without.
+
+    checks = {
+        "database": maintenance.check_database,
+        "measurements": maintenance.check_measurements,
+        "files": maintenance.check_files,
+    }
     folder, found = _data_folder(data_dir), []
-    for name, check in _CHECKS.items():
+    for name, check in checks.items():
         try:
             fine, detail = check(folder)
         except (OSError, sqlite3.Error) as error:
