@@ -7,9 +7,9 @@
 
 Angles are in radians unless the name ends in `_deg`, BRDF values in 1/sr, channels in the order red, green, blue.
 
-Subpackages and modules, each importing only those to its left: arrays, errors, version, extras, process_settings,
-notebook_display, data, model, rendering, fitting, paper, components, samples, report_warnings, pipeline, output,
-engines, cli.
+Subpackages and modules, each importing only those to its left: arrays, errors, findings, version, extras,
+process_settings, notebook_display, data, model, rendering, fitting, paper, components, samples, result, pipeline,
+output, engines, cli.
 """
 
 from importlib import import_module

@@ -15,9 +15,8 @@ from dsbrdf.errors import ImageFormatError as ImageFormatError
 from dsbrdf.errors import InvalidArgumentError as InvalidArgumentError
 from dsbrdf.errors import MeasurementFormatError as MeasurementFormatError
 from dsbrdf.errors import ModelFormatError as ModelFormatError
+from dsbrdf.findings import Finding as Finding
 from dsbrdf.fitting.options import FitOptions as FitOptions
-from dsbrdf.fitting.report import FitReport as FitReport
-from dsbrdf.fitting.report import FitResult as FitResult
 from dsbrdf.model.dsbrdf import DSBRDF as DSBRDF
 from dsbrdf.model.reflectance import Blend as Blend
 from dsbrdf.model.reflectance import FurnaceReport as FurnaceReport
@@ -35,6 +34,8 @@ from dsbrdf.rendering.environment import read_environment as read_environment
 from dsbrdf.rendering.space import MaterialSpace as MaterialSpace
 from dsbrdf.rendering.space import space as space
 from dsbrdf.rendering.sphere import render_sphere as render_sphere
+from dsbrdf.result import FitReport as FitReport
+from dsbrdf.result import FitResult as FitResult
 from dsbrdf.samples.reading import read_measurement as read_measurement
 from dsbrdf.samples.reading import read_samples as read_samples
 from dsbrdf.samples.scattered_samples import ScatteredSamples as ScatteredSamples

@@ -8,8 +8,8 @@ SHOWN_CLASSES = {
     "dsbrdf.components.component": ("Component",),
     "dsbrdf.components.layers": ("LayeredModel",),
     "dsbrdf.data.measurement": ("Measurement",),
-    "dsbrdf.fitting.report": ("FitReport", "FitResult"),
     "dsbrdf.model.dsbrdf": ("DSBRDF",),
+    "dsbrdf.result": ("FitReport", "FitResult"),
 }
 """Names of the classes, by module; IPython needs only the names, so that no module is imported."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from os import PathLike
 from typing import Any
@@ -13,21 +13,25 @@ from typing import Any
 import numpy as np
 
 from dsbrdf.arrays import Array
+from dsbrdf.data.faults import profile_findings, value_findings
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
+from dsbrdf.findings import Finding
 from dsbrdf.fitting.global_method import fit_global, refine_at_samples
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
 from dsbrdf.fitting.options import FitOptions, check_names
-from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, FoundModel
+from dsbrdf.fitting.report import DirectionalAlbedo, FoundModel
 from dsbrdf.paper.paper_method import fit_slicewise
 from dsbrdf.process_settings import one_blas_thread
-from dsbrdf.report_warnings import (
+from dsbrdf.result import (
     MAX_EXPECTED_ERROR,
-    accuracy_warnings,
-    convergence_sentence,
-    fit_warnings,
-    sample_warnings,
+    FitReport,
+    FitResult,
+    accuracy_findings,
+    convergence_finding,
+    fit_findings,
+    sample_findings,
 )
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction, thinned, without_outliers
@@ -124,13 +128,13 @@ def fit(
             clock.lap("em")
         else:
             found, _ = fit_global(data, options, on_share, clock.lap)
-        result = _result(found, data, options, clock)
+        result = _result(found, data, options, clock, profile_findings(data))
     if isinstance(measurement, Measurement):
         result = add_sample_metrics(result, measurement)
     report_progress(1.0)
     if not np.all(result.report.knots.converged):
-        sentence = convergence_sentence(result.report.knots, in_slices=in_slices)
-        warnings.warn(sentence, ConvergenceWarning, stacklevel=3)
+        stopped = convergence_finding(result.report.knots, in_slices=in_slices)
+        warnings.warn(stopped.sentence, ConvergenceWarning, stacklevel=3)
     return result
 
 
@@ -144,15 +148,24 @@ fit.__doc__ = (inspect.getdoc(fit) or "").replace(
 
 
 def _result(
-    found: FoundModel, data: Profiles, options: FitOptions, clock: _Clock, *, is_unit_wrong: bool = False
+    found: FoundModel,
+    data: Profiles,
+    options: FitOptions,
+    clock: _Clock,
+    faults: Iterable[Finding] = (),
+    *,
+    is_unit_wrong: bool = False,
 ) -> FitResult:
-    """Return the result of a fit, the model and its report, without metrics."""
+    """Return the result of a fit, the model and its report, without metrics; `faults` are findings about the data."""
     model, knots = found.model, found.knots
     albedo = DirectionalAlbedo(tuple(ALBEDO_ANGLES.tolist()), tuple(map(tuple, model.albedo(ALBEDO_ANGLES).tolist())))
     clock.lap("albedo")
     in_slices = options.method == "paper"
     report = FitReport(
-        warnings=tuple(fit_warnings(data, knots, albedo, in_slices=in_slices, is_unit_wrong=is_unit_wrong)),
+        findings_of_fit=(
+            *faults,
+            *fit_findings(data, knots, albedo, in_slices=in_slices, is_unit_wrong=is_unit_wrong),
+        ),
         metrics=Metrics(),
         by_channel=(),
         by_theta_diff=(),
@@ -204,17 +217,17 @@ def _fit_samples(
     result = _result(found, table, options, clock, is_unit_wrong=doubts.factor != 1.0)
     metrics = scattered_metrics(found.model, samples, options.horizon_cutoff)
     metrics = replace(metrics, relative_rms_left_out=left_out, relative_rms_expected=expected)
-    sentences = (
-        *samples.notes,
-        *doubts.sentences,
-        *sample_warnings(samples, metrics, prediction.layers.found[0].structure.name, FEW_SAMPLES),
-        *unconfirmed_sample(known, without),
-        *result.report.warnings,
+    findings = (
+        *(Finding("reading", sentence) for sentence in samples.notes),
+        *(Finding("doubtful-table", sentence) for sentence in doubts.sentences),
+        *sample_findings(samples, metrics, prediction.layers.found[0].structure.name, FEW_SAMPLES),
+        *(Finding("unconfirmed-sample", sentence) for sentence in unconfirmed_sample(known, without)),
+        *result.report.findings_of_fit,
     )
     report = replace(
         result.report,
         metrics=metrics,
-        warnings=sentences,
+        findings_of_fit=findings,
         left_out=rows,
         measure_next=pairs,
         samples=samples.sha256,
@@ -246,7 +259,7 @@ def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Pr
 
 
 def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult:
-    """Add the metrics, and the warnings about them, to a fit of profiles, from the samples of the measurement.
+    """Add the metrics, and the findings about them, to a fit of profiles, from the samples of the measurement.
 
     The result equals a fit of the measurement itself, except for the timings.
     """
@@ -257,7 +270,7 @@ def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult
     clock.lap("metrics")
     complete = replace(
         report,
-        warnings=(*report.warnings, *accuracy_warnings(metrics)),
+        findings_of_fit=(*report.findings_of_fit, *value_findings(measurement), *accuracy_findings(metrics)),
         metrics=metrics,
         by_channel=by_channel,
         by_theta_diff=by_theta_diff,

@@ -224,7 +224,7 @@ def _document(item: FileFit) -> dict[str, Any]:
 SHOWN = {"relative_rms": 12, "excess": 8, "psnr": 7}
 """Metrics in the table for the terminal, each with the width of its column; the CSV table has all metrics."""
 
-_OF_FILE = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "warnings")
+_OF_FILE = ("file", "status", "error", "n_lobes", "ring_lobes", *METRICS, "seconds", "output", "findings", "warnings")
 _COLUMNS = (*COLUMNS[:-1], *_OF_FILE)  # The last name in COLUMNS, psnr, is left out because METRICS has psnr too.
 
 
@@ -268,6 +268,7 @@ def _rows(item: FileFit) -> Iterator[dict[str, Any]]:
         "ring_lobes": int(np.count_nonzero(model.is_ring)),
         "seconds": round(sum(report.timings.values()), 3),
         "output": item.output,
+        "findings": " ".join(finding.code for finding in report.findings),
         "warnings": " ".join(report.warnings),
     }
     rows = [*component_rows(item.file.stem, component_documents(model), report.metrics.psnr)]

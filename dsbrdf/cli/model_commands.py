@@ -29,7 +29,6 @@ from dsbrdf.data.merl import encode_merl, read_merl
 from dsbrdf.data.rgl import RglMaterial, read_rgl
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.atlas import load_material, materials
 from dsbrdf.output.documents import component_documents, component_rows, table_csv, table_latex
@@ -40,6 +39,7 @@ from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.report_text import lobes_phrase, model_text, result_document, result_text
 from dsbrdf.output.serialize import save
 from dsbrdf.pipeline import fit
+from dsbrdf.result import FitResult
 from dsbrdf.samples.reading import kind_of_file, read_samples
 from dsbrdf.samples.table_options import TableOptions
 

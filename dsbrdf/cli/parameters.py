@@ -18,10 +18,10 @@ from dsbrdf.data.files import known_kind
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitReport
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import PARTS, part_of
 from dsbrdf.output.serialize import read_model_file
+from dsbrdf.result import FitReport
 from dsbrdf.samples.reading import START_BYTES, measurement_kind, read_measurement
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions

@@ -16,6 +16,7 @@ from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
 from dsbrdf.components.shares import LABELS, NORMAL, ComponentRanges, LightRule, Range, WeightedLayers
 from dsbrdf.components.surfaces import PROFILE, Misfit, OwnValues, Surface
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.findings import Finding
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.reflectance import ReflectanceModel, check_angle
@@ -208,10 +209,15 @@ class Decomposition:
         return np.sum(self.split_at(NORMAL) * NORMAL.weight, axis=2)
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """Sentences about an undetermined diffuse fraction, withheld alpha or F0, sheen and retro-reflection."""
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings about an undetermined diffuse fraction, withheld alpha or F0, sheen and retro-reflection."""
         own = (remark for component in self for remark in component.description.misfit_remarks(component.label))
-        return (*self._open_split(), *own, *self._other_light())
+        return (*self._open_split(), *(Finding("withheld", remark) for remark in own), *self._other_light())
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """The sentences of the `findings`."""
+        return tuple(finding.sentence for finding in self.findings)
 
     def receiver(self, label: str) -> str:
         """Return the label of the component to which layers with some label belong, also if theirs is left out."""
@@ -261,7 +267,7 @@ class Decomposition:
                 received[LABELS.index(self.receiver(label))] += parts[place]
         return np.asarray(received[[LABELS.index(label) for label in self.labels]])
 
-    def _open_split(self) -> Iterator[str]:
+    def _open_split(self) -> Iterator[Finding]:
         low, high = self.diffuse_range
         is_doubtful = (
             self.diffuse is not None
@@ -270,10 +276,12 @@ class Decomposition:
         )
         if high - low > _MAX_CERTAIN_WIDTH or is_doubtful:
             names = ", ".join(f"{structure.name} {structure.weight:.0%}" for structure in self.structures[:3])
-            yield (
+            yield Finding(
+                "open-split",
                 f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to "
                 f"{high:.0%}. Probable structures: {names}."
-                + (" A metal rougher than alpha 0.6 would look alike." if self._may_be_rough_metal else "")
+                + (" A metal rougher than alpha 0.6 would look alike." if self._may_be_rough_metal else ""),
+                {"low": low, "high": high},
             )
 
     @property
@@ -281,15 +289,15 @@ class Decomposition:
         low, high = self.diffuse_range
         return high - low > _ROUGH_METAL_WIDTH and self.specular_spike is None
 
-    def _other_light(self) -> Iterator[str]:
+    def _other_light(self) -> Iterator[Finding]:
         kinds = (
-            (RetroLayer, "goes back towards its source; it is counted with the specular lobe"),
-            (SheenLayer, "is sheen, as of fibres at grazing angles; it is counted as diffuse"),
+            (RetroLayer, "retro-reflection", "goes back towards its source; it is counted with the specular lobe"),
+            (SheenLayer, "sheen", "is sheen, as of fibres at grazing angles; it is counted as diffuse"),
         )
-        for kind, what in kinds:
+        for kind, code, what in kinds:
             share = sum(structure.weight * structure.light_of(kind) for structure in self.structures)
             if share > _MIN_REMARKED_LIGHT:
-                yield f"About {share:.0%} of the light {what}."
+                yield Finding(code, f"About {share:.0%} of the light {what}.", {"fraction": share})
 
     def _find(self, label: str) -> Component | None:
         return self[label] if label in self.labels else None

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -39,16 +39,20 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.process_settings import one_blas_thread
 
-if TYPE_CHECKING:
-    from dsbrdf.fitting.report import FitResult
-
 _LIKELY_WEIGHT = 0.5
 """A component is likely if the weights of the structures with this component have a larger sum."""
 
 _MIN_WIDTH_RATIO = 1.7  # Two highlights with a smaller ratio of half widths are one component.
 
 
-def decompose(model: DSBRDF | FitResult) -> Decomposition:
+class Fitted(Protocol):
+    """Declare what has a model, such as the result of `dsbrdf.fit`."""
+
+    @property
+    def model(self) -> DSBRDF: ...  # noqa: D102
+
+
+def decompose(model: DSBRDF | Fitted) -> Decomposition:
     """Separate a model into specular spike, specular lobe and diffuse part.
 
     Parameters

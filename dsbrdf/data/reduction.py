@@ -69,6 +69,8 @@ IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)
 """1 if a phi_diff of the grid belongs to a bin, otherwise 0, shape (180, 10)."""
 SAMPLES_IN_BIN = IN_BIN[:QUARTER] * np.where(np.arange(QUARTER) % (QUARTER - 1) == 0, 1.0, 2.0)[:, None]
 """Number of nodes of the grid that fold onto each phi_diff up to 90 degrees, in the column of its bin, (91, 10)."""
+FIRST_PHI = np.radians(10.0 * np.arange(N_BINS))
+"""Smallest folded phi_diff of each bin [rad], at which one of the directions is lowest."""
 _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
 _BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(N_BINS))
 OUTLIER = 6.0
@@ -253,9 +255,7 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
     Samples with a direction further from the normal than `horizon_cutoff` [rad] have smaller weights. If the cutoff is
     None, no weight is smaller for this reason.
     """
-    # The cosines of the two directions to the normal are level - swing cos(phi_diff) and level + swing cos(phi_diff).
-    level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
-    swing = np.sin(THETA_DIFF)[:, None, None] * np.sin(THETA_HALF)[:, None]
+    level, swing = cosine_parts()
     lowest = np.maximum(level - swing * np.sqrt(folded.cos2_phi), 0.0)
     plain = folded.weight * trust(lowest, horizon_cutoff) * center_share(THETA_HALF)[:, None]
     center = THETA_HALF < CENTER_CUTOFF
@@ -274,6 +274,12 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
     lit = folded.weight * cosines * solid_angle
     seen = seen_weight(lit, mean, float(np.sum(lit * folded.mean)) / (float(np.sum(lit)) or 1.0))
     return plain / _floor(folded, plain) + SEEN_FACTOR * seen / _floor(folded, seen)
+
+
+def cosine_parts() -> tuple[Array, Array]:
+    """Return level and swing, both (90, 90, 1): the cosines of the two directions are level -+ swing cos(phi_diff)."""
+    level = np.cos(THETA_DIFF)[:, None, None] * np.cos(THETA_HALF)[:, None]
+    return level, np.sin(THETA_DIFF)[:, None, None] * np.sin(THETA_HALF)[:, None]
 
 
 def _floor(folded: FoldedProfiles, weight: Array) -> float:

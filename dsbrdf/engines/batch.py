@@ -15,8 +15,8 @@ from dsbrdf.engines.engine import Engine, Fault, FitTask, OnProgress, Outcome, r
 from dsbrdf.engines.local import LocalEngine, compute
 from dsbrdf.errors import WRONG_PATH_ERRORS, InvalidArgumentError, ModelFormatError
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import result_from_json
+from dsbrdf.result import FitResult
 from dsbrdf.samples.reading import samples_in
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.version import ALGORITHM_VERSION

@@ -25,8 +25,8 @@ from dsbrdf.engines.engine import MIN_FIT_MEMORY_MB, NO_LIMITS, Fault, FitLimits
 from dsbrdf.engines.local import Processes, document_of, fit_quietly, measurement_of, preload, start_fork_server
 from dsbrdf.extras import require
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
 from dsbrdf.pipeline import add_sample_metrics, profiles_for
+from dsbrdf.result import FitResult
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.version import versions
 

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import suppress
 from contextvars import copy_context
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from multiprocessing import connection, resource_tracker, util
 from pathlib import Path
@@ -43,10 +43,10 @@ from dsbrdf.engines.engine import (
 from dsbrdf.engines.worker import OUT_OF_MEMORY, run_in_worker
 from dsbrdf.errors import ConvergenceWarning
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import to_json
 from dsbrdf.output.sphere_panels import thumbnail
 from dsbrdf.pipeline import fit
+from dsbrdf.result import FitResult
 from dsbrdf.samples.reading import open_checked, read_measurement
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
@@ -272,13 +272,8 @@ def fit_quietly(
 
 
 def document_of(result: FitResult, drawn: Measurement | ScatteredSamples | None = None) -> FitDocument:
-    """Return the stored form of a fit; if `drawn` is a measurement, add a thumbnail of the measurement and the fit.
-
-    The remarks of the decomposition into components are added to the warnings of the report.
-    """
-    parts = decompose(result.model)
-    report = replace(result.report, warnings=(*result.report.warnings, *parts.remarks))
-    text = to_json(result.model, report, parts)
+    """Return the stored form of a fit; if `drawn` is a measurement, add a thumbnail of the measurement and the fit."""
+    text = to_json(result.model, result.report, decompose(result.model))
     return FitDocument(text, asdict(result.report.metrics), None if drawn is None else thumbnail(result.model, drawn))
 
 

@@ -2,15 +2,13 @@
 
 from dsbrdf.fitting.metrics import METRICS, OUTSIDE_CENTER, Metrics, relative_errors, sample_errors
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import DirectionalAlbedo, FitReport, FitResult, KnotReport, SelectionStep
+from dsbrdf.fitting.report import DirectionalAlbedo, KnotReport, SelectionStep
 
 __all__ = [
     "METRICS",
     "OUTSIDE_CENTER",
     "DirectionalAlbedo",
     "FitOptions",
-    "FitReport",
-    "FitResult",
     "KnotReport",
     "Metrics",
     "SelectionStep",

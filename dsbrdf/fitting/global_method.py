@@ -14,6 +14,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from dsbrdf.arrays import Array, Indices, Mask
+from dsbrdf.data.faults import clip_levels, horizon_disagreement
 from dsbrdf.data.geometry import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF, above_horizon
 from dsbrdf.data.reduction import DARK_VALUE_FRACTION, OUTLIER, SAMPLES_IN_BIN, TINY, Profiles, bin_weights
 from dsbrdf.errors import FitError
@@ -97,9 +98,10 @@ def fit_global(
     fit.
     """
     weight = fit_weights(data, options)
-    coarse = _structure(weight, SEARCH_KNOTS[options.variation], options)
+    coarse, clip = _structure(weight, SEARCH_KNOTS[options.variation], options), clip_levels(data.folded)
+    unclipped = np.where(data.folded.mean < clip, weight, 0.0)
     searched = tuple(
-        _select(data, weight, *lines) for lines in ((SEARCH_ROWS, SEARCH_COLUMNS), (HELD_OUT_ROWS, HELD_OUT_COLUMNS))
+        _select(data, unclipped, *lines) for lines in ((SEARCH_ROWS, SEARCH_COLUMNS), (HELD_OUT_ROWS, HELD_OUT_COLUMNS))
     )
     stages, wanted = itertools.count(1), Wanted(options.n_lobes, options.ring_lobes)
     mixture, steps = search(
@@ -114,7 +116,7 @@ def fit_global(
     mixture = change_knots(mixture, replace(fine, rings=mixture.structure.rings))
     on_stage("search")
     selected = _select(data, weight, FIT_ROWS, FIT_COLUMNS)
-    solution = _refine(selected, mixture, options, lambda fraction: progress(0.5 + 0.5 * fraction))
+    solution = _refine(selected, clip, mixture, options, lambda fraction: progress(0.5 + 0.5 * fraction))
     on_stage("refine")
     found, mixture = _found(mixture.structure, solution, weight.sum(axis=(2, 3)) > 0)
     return replace(found, search=tuple(steps)), mixture
@@ -153,7 +155,9 @@ def _found(structure: Structure, solution: Solution, has_data: Mask) -> tuple[Fo
 
 def fit_weights(data: Profiles, options: FitOptions) -> Array:
     """Return the weights of all bins of the profiles in a fit; masked bins have the weight 0."""
-    weight = bin_weights(data.folded, options.resolved_weighting, options.horizon_cutoff)
+    _, trust = horizon_disagreement(data.folded, options.horizon_cutoff)
+    trusted = replace(data.folded, weight=data.folded.weight * trust)
+    weight = bin_weights(trusted, options.resolved_weighting, options.horizon_cutoff)
     kept = THETA_HALF <= np.pi / 2 - options.resolved_mask * THETA_DIFF[:, None] + 1e-9
     weight = np.where(kept[..., None], weight, 0.0)
     if np.count_nonzero(weight) < MIN_SAMPLES or not np.sum(weight * data.folded.mean) > 0.0:
@@ -225,18 +229,26 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
     return replace(selected, weight=selected.weight * n_represented[:, None])
 
 
-def _refine(data: FitData, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]) -> Solution:
-    """Fit a few bins of phi_diff, then all bins exactly, with outliers weighted down on request."""
+def _refine(
+    data: FitData, clip: Array, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]
+) -> Solution:
+    """Fit a few bins of phi_diff, then all bins exactly, with outliers weighted down on request.
+
+    Values from `clip` (3, 1, 1, 1) on are lower bounds: they have no weight where the latest mixture exceeds them.
+    """
     is_few = Wanted(options.n_lobes, options.ring_lobes).is_few
     tolerance = COST_TOLERANCE if is_few else REFINE_TOLERANCE  # With few lobes, iterations are cheap.
     rounds = ROBUST_REFINE_ROUNDS if options.robust else REFINE_ROUNDS
-    unknowns, weight, iterations = mixture.unknowns, data.weight, 0
+    unknowns, weight, iterations, bounded = mixture.unknowns, data.weight, 0, data.mean >= clip
     for number in range(rounds):
+        if bounded.any():
+            values = MixtureProblem(data, mixture.structure).values(unknowns)
+            data = replace(data, weight=np.where(bounded & (values > data.mean), 0.0, weight))
         problem = MixtureProblem((data if number else data.take_bins(SEARCH_BINS)).single(), mixture.structure)
         if number > 0:
             exact = _exact(data, Mixture(mixture.structure, unknowns))
             if options.robust:
-                exact = replace(exact, weight=weight * _trust(problem.values(unknowns), exact))
+                exact = replace(exact, weight=data.weight * _trust(problem.values(unknowns), exact))
             problem = MixtureProblem(exact.single(), mixture.structure)
         done = number / rounds
         solution = minimize(

@@ -1,22 +1,15 @@
-"""Hold the result of a fit: the model and a report of the search and of its errors.
-
-A report consists of frozen dataclasses, tuples and numbers, so that reports can be compared, hashed and pickled.
-"""
+"""Define the parts of a report of a fit: frozen dataclasses, tuples and numbers, which can be compared and pickled."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dsbrdf.arrays import Array
 from dsbrdf.fitting.lobe_search import SearchStep
-from dsbrdf.fitting.metrics import BandErrors, ChannelErrors, Metrics
-from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.version import Versions
 
 
 @dataclass(frozen=True)
@@ -87,88 +80,3 @@ class SuggestedPair:
     theta_in_deg: float
     theta_out_deg: float
     phi_deg: float
-
-
-@dataclass(frozen=True, repr=False)
-class FitReport:
-    """Report the course and the errors of a fit.
-
-    Attributes
-    ----------
-    warnings : tuple of str
-        Sentences of `dsbrdf.report_warnings`, which a user should read before using the model; sentences about the
-        components are in the `remarks` of `dsbrdf.decompose`.
-    metrics : Metrics
-        Metrics of the fit; all are None if only profiles were fitted.
-    by_channel, by_theta_diff : tuple of ChannelErrors, tuple of BandErrors
-        Errors of each channel that is not black, and of each band of theta_diff with data; empty without metrics.
-    knots : KnotReport
-        How the fit went at each knot of theta_diff.
-    search, selection : tuple of SearchStep, tuple of SelectionStep
-        Mixtures of lobes that the method "global" tried; numbers of lobes that the method "paper" compared.
-    directional_albedo, n_numbers : DirectionalAlbedo, int
-        Fraction of the light that the model reflects, and how many numbers the model stores.
-    timings : dict of str to float
-        Time of each step, by its name [s].
-    options, versions : FitOptions, Versions
-        Options of the fit, and versions of the algorithm, this library and the packages that it computes with.
-    left_out, measure_next : tuple of LeftOutErrors, tuple of SuggestedPair
-        For scattered samples only: errors at samples that were left out, and directions to measure next, the most
-        useful pair first. There are no pairs unless the error expected over all directions is large.
-    samples : str or None
-        Digest of the scattered samples, see `dsbrdf.ScatteredSamples`; None for a measurement on a grid.
-    """
-
-    warnings: tuple[str, ...]
-    metrics: Metrics
-    by_channel: tuple[ChannelErrors, ...]
-    by_theta_diff: tuple[BandErrors, ...]
-    knots: KnotReport
-    search: tuple[SearchStep, ...]
-    selection: tuple[SelectionStep, ...]
-    directional_albedo: DirectionalAlbedo
-    n_numbers: int
-    timings: dict[str, float] = field(hash=False)
-    options: FitOptions
-    versions: Versions
-    left_out: tuple[LeftOutErrors, ...] = ()
-    measure_next: tuple[SuggestedPair, ...] = ()
-    samples: str | None = None
-
-    def __repr__(self) -> str:
-        error = self.metrics.relative_rms
-        accuracy = "no metrics" if error is None else f"relative_rms {error:.4g}"
-        count = len(self.warnings)
-        return f"<FitReport: {accuracy}, {self.n_numbers} numbers, {count} {'warning' if count == 1 else 'warnings'}>"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the report as plain dicts, lists, texts and numbers, keyed by the names of its attributes."""
-        content: dict[str, Any] = _plain(asdict(self))
-        return content
-
-
-@dataclass(frozen=True)
-class FitResult:
-    """Hold a model and the report of its fit.
-
-    A result can be drawn, decomposed, saved and evaluated like its model, as in `dsbrdf.render_sphere(result)`.
-
-    Attributes
-    ----------
-    model : DSBRDF
-    report : FitReport
-    """
-
-    model: DSBRDF
-    report: FitReport
-
-    def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
-        """Return RGB values of the model, shape (..., 3) [1/sr], at angles [rad]; see `DSBRDF.evaluate`."""
-        return self.model.evaluate(theta_half, theta_diff, phi_diff)
-
-
-def _plain(value: Any) -> Any:
-    """Return dicts and tuples converted to the types of JSON."""
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -9,7 +9,7 @@ import io
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from functools import cache
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -250,7 +250,11 @@ def _fits(kind: Any, value: Any) -> bool:
     return type(value) is kind
 
 
-_hints = cache(get_type_hints)
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    """Return the types of the fields of a dataclass."""
+    hints = get_type_hints(kind)
+    return {declared.name: hints[declared.name] for declared in fields(kind)}
 
 
 def check_keys(what: str, content: Any, wanted: tuple[str, ...]) -> None:

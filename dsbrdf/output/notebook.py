@@ -13,11 +13,11 @@ from dsbrdf.components.component import Component
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.measurement import Measurement
-from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.report_text import lobes_phrase
 from dsbrdf.output.sphere_panels import cut_out, encode_png
 from dsbrdf.rendering.sphere import displayed, exposure, render_sphere, sphere_normals
+from dsbrdf.result import FitReport, FitResult
 
 _THUMBNAIL_SIZE_PX = 96
 

@@ -18,11 +18,11 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import profiles
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.figure_panels import CHANNEL_COLOURS, ROW_HEIGHT_IN, draw_legend, figure_of_rows, set_ticks
 from dsbrdf.output.figures import components_figure, materials_figure, overview_figure, profiles_figure
+from dsbrdf.result import FitResult
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 if TYPE_CHECKING:

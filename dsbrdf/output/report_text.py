@@ -15,24 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.fitting.metrics import Metrics, RelativeErrors
-from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import half_width
 from dsbrdf.output.documents import component_documents
 from dsbrdf.output.serialize import to_json
+from dsbrdf.result import FitReport, FitResult, verdict
 
 _TEXT_WIDTH = 60  # maximum length of the lines of a report [characters]
-# The verdict on a fit is the first in this table whose PSNR [dB] the lit sphere of the fit reaches.
-_VERDICTS_BY_PSNR = (
-    (45.0, "hard to tell apart"),
-    (38.0, "very close"),
-    (32.0, "close"),
-    (26.0, "visibly different"),
-)
 
 
 def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
@@ -158,8 +150,7 @@ def model_text(model: DSBRDF, *, remarks: bool = True) -> list[str]:
 
 def result_text(file: Path, result: FitResult) -> list[str]:
     """Return the report of one fit: verdict, warnings, metrics, components and errors."""
-    sentences = dict.fromkeys((*result.report.warnings, *decompose(result.model).remarks))
-    warnings = [f"warning: {sentence}" for sentence in sentences]
+    warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
     lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
     lines += model_text(result.model, remarks=False)  # The warnings of the report include the remarks.
     for table in (
@@ -176,8 +167,7 @@ def headline(file: Path, result: FitResult) -> str:
     """Return one line with the file, the verdict on the fit, the number of lobes and the time."""
     metrics, seconds = result.report.metrics, sum(result.report.timings.values())
     close = "fitted" if metrics.relative_rms is None else f"error {_percent(metrics.relative_rms)} at the samples"
-    if metrics.psnr is not None:
-        close = likeness(metrics.psnr)
+    close = verdict(metrics) or close
     if metrics.relative_rms_expected is not None:
         close += f", probably below {_percent(metrics.relative_rms_expected)} over all directions"
     return f"{file.stem}: {close}; {lobes_phrase(result.model)}; {seconds:.2f} s"
@@ -187,17 +177,13 @@ def _percent(error: float) -> str:
     return f"{100.0 * error:.2g}%" if error < 0.995 else f"{error:.0%}"
 
 
-def likeness(psnr: float) -> str:
-    """Return a verdict in words on a fit, from the PSNR [dB] between lit spheres of measurement and fit."""
-    words = next((words for least, words in _VERDICTS_BY_PSNR if psnr >= least), "strongly different")
-    return f"{words} ({psnr:.1f} dB)"
-
-
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
-    """Return a JSON document of metrics, warnings and components, followed by the stored model and report."""
+    """Return a JSON document of metrics, warnings, findings and components, followed by the stored model and report."""
+    findings = () if report is None else FitResult(model, report).report.findings
     about = {
         "metrics": None if report is None else asdict(report.metrics),
-        "warnings": [] if report is None else list(report.warnings),
+        "warnings": [finding.sentence for finding in findings],
+        "findings": [asdict(finding) for finding in findings],
         "components": component_documents(model),
     }
     stored: dict[str, Any] = json.loads(to_json(model, report))

@@ -22,9 +22,9 @@ from dsbrdf.components.layers import LayeredModel
 from dsbrdf.components.shares import LABELS, Range, WeightedLayers
 from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
-from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
 from dsbrdf.output.documents import check_keys, component_document, description_in, ranges_in, typed
+from dsbrdf.result import FitReport, FitResult
 
 FORMAT = "dsbrdf"
 LAYERS_FORMAT = "dsbrdf-layers"
@@ -109,8 +109,8 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
     """Return a model and its report as JSON text.
 
     The text is ``{"format": "dsbrdf", "version": 2, "model": {...}, "report": {...} or null}``. If `components` are
-    given, the text begins with ``warnings`` and ``measure_next`` of the report, the `component_document` of each
-    component, and the ``structures`` of layers from which `fit_from_json` restores the components. Raises
+    given, the text begins with ``warnings``, ``findings`` and ``measure_next`` of the report, the `component_document`
+    of each component, and the ``structures`` of layers from which `fit_from_json` restores the components. Raises
     InvalidArgumentError if the report has a value that JSON cannot store, such as NaN.
     """
     document: dict[str, Any] = {
@@ -120,10 +120,11 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
         "report": None if report is None else report.to_dict(),
     }
     if components is not None:
-        plain = document["report"] or {"warnings": [], "measure_next": []}
+        findings = (*(report.findings_of_fit if report is not None else ()), *components.findings)
         document = {
-            "warnings": plain["warnings"],
-            "measure_next": plain["measure_next"],
+            "warnings": [finding.sentence for finding in findings],
+            "findings": [asdict(finding) for finding in findings],
+            "measure_next": [] if report is None else document["report"]["measure_next"],
             "components": [component_document(component) for component in components],
             "structures": [asdict(structure) for structure in components.structures],
             "diffuse_range": components.diffuse_range,

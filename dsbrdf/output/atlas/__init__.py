@@ -6,8 +6,8 @@ The README of this folder names the origin of the measurements. ``python -m benc
 from pathlib import Path
 
 from dsbrdf.errors import InvalidArgumentError, one_of
-from dsbrdf.fitting.report import FitResult
 from dsbrdf.output.serialize import result_from_json
+from dsbrdf.result import FitResult
 
 FOLDER = Path(__file__).parent
 

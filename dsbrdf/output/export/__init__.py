@@ -19,7 +19,6 @@ from dsbrdf.components.shares import LABELS
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import InvalidArgumentError, one_of
-from dsbrdf.fitting.report import FitReport, FitResult
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.documents import component_documents, component_rows, table_csv
 from dsbrdf.output.export.formula import python_file
@@ -29,6 +28,7 @@ from dsbrdf.output.export.rgl import rgl_bsdf
 from dsbrdf.output.export.templates import filled, template
 from dsbrdf.output.report_text import layers_csv, parameters_csv
 from dsbrdf.output.serialize import layers_to_json, to_json
+from dsbrdf.result import FitReport, FitResult
 
 LAYERS = "layers"
 """Name of the part of a model that consists of the physical layers of all components."""

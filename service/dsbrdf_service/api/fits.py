@@ -16,7 +16,7 @@ from dsbrdf.engines.engine import Fault
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import SuggestedPair
-from dsbrdf.output.report_text import likeness
+from dsbrdf.result import verdict
 
 from ..compute.computations import departure
 from ..errors import InvalidKeyError, ProblemError
@@ -75,11 +75,23 @@ class FitSummary(Document):
     """How alike lit spheres of measurement and fit look, in words and dB."""
 
 
+class FindingDocument(Document):
+    """One thing to know about a measurement or a fit."""
+
+    code: str
+    """Kind of the finding, such as `clipped-highlight`; the page on faults of measurements lists all codes."""
+    sentence: str
+    numbers: dict[str, float]
+    """The numbers in the sentence, by name."""
+
+
 class FitDocument(FitSummary):
     """A fit: its state, and once it has succeeded its metrics, warnings, components and model."""
 
     warnings: list[str]
     """What to know before the fit is used, one sentence each."""
+    findings: list[FindingDocument]
+    """The warnings again, each with its code and its numbers."""
     measure_next: list[SuggestedPair]
     """Directions at which further samples would help most, the best first; empty on a grid."""
     components: list[ComponentDocument] | None
@@ -128,7 +140,7 @@ class FitList(Document):
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
 
 _MAX_JSON_BYTES = 1 << 16
-_NO_RESULT = to_json({"warnings": [], "measure_next": []} | dict.fromkeys(RESULT_MEMBERS[2:]))
+_NO_RESULT = to_json({"warnings": [], "findings": [], "measure_next": []} | dict.fromkeys(RESULT_MEMBERS[3:]))
 _FILE_AS_JSON = (
     "The body is a file, but its Content-Type is application/json; send a MERL or RGL file as application/octet-stream "
     "and a table as text/csv."
@@ -289,8 +301,8 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
 
 def _summary(context: Context, row: FitRow) -> bytes:
     """Return the `FitSummary` of a fit's row as JSON."""
-    psnr = (row.metrics or {}).get("psnr")
-    more = {"progress": context.queue.progress(row), "likeness": None if psnr is None else likeness(psnr)}
+    metrics = row.metrics or {}
+    more = {"progress": context.queue.progress(row), "likeness": verdict(Metrics(**metrics)) if metrics else None}
     return to_json(members(FitSummary, row) | more)
 
 

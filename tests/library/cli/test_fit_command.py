@@ -16,7 +16,7 @@ import pytest
 from cyclopts import App
 
 import dsbrdf
-from dsbrdf import FitResult, TableOptions, decompose, load, read_merl
+from dsbrdf import Finding, FitResult, TableOptions, decompose, load, read_merl
 from dsbrdf.cli import fit_command
 from dsbrdf.cli.parameters import DEFAULT, Flags
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, read_rgl
@@ -87,7 +87,8 @@ def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Pa
     answer = json.loads(captured.stdout)
     sentences = answer["warnings"]
     assert "stopped at the bound of 1 iterations" in sentences[0]
-    assert (sentences, captured.stderr) == (answer["report"]["warnings"], "")
+    assert (sentences, captured.stderr) == ([found["sentence"] for found in answer["findings"]], "")
+    assert answer["findings"][0]["code"] == "not-converged"
     (tmp_path / "printed.json").write_text(captured.stdout)
     assert [part["label"] for part in answer["components"]] == [
         *dsbrdf.decompose(load(tmp_path / "printed.json")).labels
@@ -212,7 +213,9 @@ def three_files(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> Non
 
     def known(files: list[Path], *_: Any, **__: Any) -> Iterator[FileFit]:
         report = two_lobe_fit.report
-        worse = replace(report, metrics=replace(report.metrics, relative_rms=0.9), warnings=("Look at it.",))
+        worse = replace(
+            report, metrics=replace(report.metrics, relative_rms=0.9), findings_of_fit=(Finding("look", "Look at it."),)
+        )
         yield FileFit(files[0], result=two_lobe_fit)
         yield FileFit(files[1], error="no measurement")
         yield FileFit(files[2], result=FitResult(single_lobe(5.0, 20.0, center=0.2), worse))
@@ -225,12 +228,14 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     table = tmp_path / "fits.csv"
     command = ["fit", "good.binary", "none.binary", "bad.binary"]
     captured = run(*command, "--csv", table, code=2)
-    assert captured.stderr.splitlines() == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
+    said = captured.stderr.splitlines()
+    assert said[:2] == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
+    assert all(line.startswith("dsbrdf: bad.binary: ") for line in said[2:])
     first, second, _, head, *rows, failed = captured.stdout.splitlines()
     assert first.startswith("good: ")
     assert "close (" in first
     assert second.startswith("bad: ")
-    assert "close (" in second
+    assert "but its highlight is off by 90%" in second
     assert head.split() == ["relative_rms", "excess", "psnr", "lobes", "warnings", "worst", "first"]
     assert [row.split()[-1] for row in rows] == ["bad", "good"]
     assert rows[0].split()[0] == "0.9"
@@ -249,7 +254,8 @@ def test_several_files_end_with_a_table_worst_first(two_lobe_fit: FitResult, tmp
     assert [row["status"] for row in written] == ["succeeded", "failed", "succeeded"]
     assert float(written[0]["psnr"]) == two_lobe_fit.report.metrics.psnr
     assert [(row["n_lobes"], row["ring_lobes"]) for row in (written[0], written[2])] == [("2", "0"), ("1", "1")]
-    assert (written[1]["error"], written[2]["warnings"]) == ("no measurement", "Look at it.")
+    assert (written[1]["error"], written[2]["findings"].split()[0]) == ("no measurement", "look")
+    assert written[2]["warnings"].startswith("Look at it.")
     items = document(*command, "--json", code=2)["items"]
     assert [(item["file"], item["status"]) for item in items] == [(row["file"], row["status"]) for row in written]
     assert items[1]["error"] == "no measurement"

@@ -26,7 +26,7 @@ def test_the_default_fit_is_as_accurate_as_it_was_has_no_warnings_and_beats_the_
 ) -> None:
     measurement = request.getfixturevalue(name)
     result = fit(measurement)
-    assert result.report.warnings == ()
+    assert result.report.findings_of_fit == ()
     ours, papers = (asdict(one.report.metrics) for one in (result, fit(measurement, method="paper", n_lobes=2)))
     assert ours["excess"] < excess
     assert ours["albedo_error"] < albedo_error

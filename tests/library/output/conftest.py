@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dsbrdf import DSBRDF, FitOptions, FitReport
+from dsbrdf import DSBRDF, Finding, FitOptions, FitReport
 from dsbrdf.fitting import DirectionalAlbedo, KnotReport, Metrics, SelectionStep
 from dsbrdf.fitting.lobe_search import SearchStep
 from dsbrdf.fitting.metrics import BandErrors, ChannelErrors
@@ -20,7 +20,10 @@ def model() -> DSBRDF:
 def report() -> FitReport:
     numbers = np.random.default_rng(0).standard_normal((3, 4)).tolist()
     return FitReport(
-        warnings=("The model is extrapolated.", "Grün µ"),
+        findings_of_fit=(
+            Finding("incomplete", "The model is extrapolated.", {"angle": 1e-3}),
+            Finding("grün", "Grün µ"),
+        ),
         metrics=Metrics(relative_rms=0.1 + 0.2, floor=1e-323, excess=1.7976931348623157e308),
         by_channel=(ChannelErrors(0.5, 0.25, 0.1, 2.0, 1e-3, "red"),),
         by_theta_diff=(BandErrors(0.0, 0.0, 0.0, None, 0.0, (0.0, 0.1)),),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf import FitResult, Measurement, Profiles
+from dsbrdf import Finding, FitResult, Measurement, Profiles
 from dsbrdf.notebook_display import register
 from dsbrdf.output.notebook import html as html_of
 from dsbrdf.output.plots import Shown
@@ -38,7 +38,9 @@ def test_repr_is_one_short_line(plastic: Measurement, plastic_profiles: Profiles
 
 
 def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_fit: FitResult) -> None:
-    warned = replace(two_lobe_fit, report=replace(two_lobe_fit.report, warnings=("less than <1 %>",)))
+    warned = replace(
+        two_lobe_fit, report=replace(two_lobe_fit.report, findings_of_fit=(Finding("less", "less than <1 %>"),))
+    )
     card = html_of(warned)
     assert thumbnail(card) == thumbnail(html_of(two_lobe_fit.model))
     assert thumbnail(card).startswith(b"\x89PNG")

@@ -8,7 +8,7 @@ from dsbrdf import FitOptions, InvalidArgumentError, ScatteredSamples
 from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_DIFF, THETA_HALF, half_difference, spherical, synthetic_measurement
 from dsbrdf.fitting import Metrics
-from dsbrdf.report_warnings import sample_warnings
+from dsbrdf.result import sample_findings
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction
 from dsbrdf.samples.scattered_fit import predicted_profiles, sample_rows, scattered_metrics
@@ -301,7 +301,7 @@ def test_errors_that_matter_are_named(truth: dsbrdf.DSBRDF) -> None:
 
     def said(here: float, left_out: float, expected: float) -> list[str]:
         metrics = Metrics(relative_rms_left_out=left_out, relative_rms_expected=expected, relative_rms=here)
-        return [*sample_warnings(samples, metrics, "metal", 200)]
+        return [found.sentence for found in sample_findings(samples, metrics, "metal", 200)]
 
     assert not said(0.1, 0.15, 0.09)
     assert not said(0.001, 0.01, 0.01)

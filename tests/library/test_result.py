@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf import FitResult, Measurement, Profiles, fit, profiles, render_sphere
+from dsbrdf import Finding, FitResult, Measurement, Profiles, decompose, fit, profiles, render_sphere
 from dsbrdf.data import THETA_DIFF, THETA_HALF, nodes_above_horizon, synthetic_measurement
 from dsbrdf.fitting import DirectionalAlbedo, KnotReport, Metrics
-from dsbrdf.report_warnings import accuracy_warnings, fit_warnings
+from dsbrdf.result import accuracy_findings, fit_findings, verdict
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +27,7 @@ def data(matte: Measurement) -> Profiles:
 def test_measured_materials_have_none(reference_files: dict[str, Path], name: str) -> None:
     if name not in reference_files:
         pytest.skip(f"{name} is not among the measured materials")
-    assert fit(reference_files[name]).report.warnings == ()
+    assert fit(reference_files[name]).report.findings_of_fit == ()
 
 
 @pytest.mark.parametrize(
@@ -40,21 +40,22 @@ def test_measured_materials_have_none(reference_files: dict[str, Path], name: st
 def test_measurement_that_does_not_reach_the_rim(matte: Measurement, kept: NDArray[np.bool_], end: str) -> None:
     valid = nodes_above_horizon() & kept[..., None]
     ended = profiles(Measurement.from_values(matte.values, valid))
-    (found,) = fit_warnings(ended, CONVERGED, MODERATE)
-    assert f"no valid samples beyond {end} degrees: the model is extrapolated there" in found
+    (found,) = fit_findings(ended, CONVERGED, MODERATE)
+    assert f"no valid samples beyond {end} degrees: the model is extrapolated there" in found.sentence
 
 
 def test_model_that_reflects_more_than_it_receives(data: Profiles) -> None:
     bright = replace(MODERATE, rgb=((0.3, 0.3, 0.3), (0.5, 1.2, 0.5)))
-    (found,) = fit_warnings(data, CONVERGED, bright)
-    assert "more light than it receives: its directional albedo is 1.200 at 57 degrees in the green channel" in found
-    assert not [*fit_warnings(data, CONVERGED, MODERATE)]
+    (found,) = fit_findings(data, CONVERGED, bright)
+    assert "than it receives: its directional albedo is 1.200 at 57 degrees in the green channel" in found.sentence
+    assert found.numbers["albedo"] == 1.2
+    assert not [*fit_findings(data, CONVERGED, MODERATE)]
 
 
 def test_noisy_measurement() -> None:
     report = fit(synthetic_measurement(roughness=0.3, noise=0.3), n_lobes=2, ring_lobes=0).report
-    (found,) = report.warnings
-    assert found.startswith(
+    (found,) = report.findings_of_fit
+    assert found.sentence.startswith(
         f"At phi_diff, -phi_diff and 180 degrees - phi_diff the samples differ by {report.metrics.symmetric_floor:.1%}"
     )
 
@@ -64,14 +65,19 @@ def test_noisy_measurement() -> None:
     [
         (0.09, 0.0, 0.1, []),
         (0.14, 0.1, 0.1, []),
-        (0.11, 0.0, 0.1, ["The error of the fit is 11.0%, but the best reciprocal isotropic model would have 0.0%:"]),
+        (
+            0.11,
+            0.0,
+            0.1,
+            ["The brightest values of the fit are off by 11.0% (relative_rms), where a model of this"],
+        ),
         (
             0.32,
             0.2,
             0.1,
             [
                 "At phi_diff, -phi_diff and 180 degrees - phi_diff the samples differ by 20.0%",
-                "The error of the fit is 32.0%, ",
+                "The brightest values of the fit are off by 32.0% ",
             ],
         ),
         (0.1, 0.1, 0.2, ["The model reflects 20.0% more or less light than the measurement"]),
@@ -81,8 +87,17 @@ def test_errors_far_above_the_floor_are_named(
     error: float, floor: float, albedo_error: float, beginnings: list[str]
 ) -> None:
     metrics = Metrics(relative_rms=error, symmetric_floor=floor, albedo_error=albedo_error)
-    for sentence, beginning in zip(accuracy_warnings(metrics), beginnings, strict=True):
-        assert sentence.startswith(beginning)
+    for found, beginning in zip(accuracy_findings(metrics), beginnings, strict=True):
+        assert found.sentence.startswith(beginning)
+
+
+def test_the_verdict_knows_of_a_missed_highlight() -> None:
+    good, missed = (Metrics(relative_rms=rms, symmetric_floor=0.01, albedo_error=0.0, psnr=41.0) for rms in (0.05, 0.2))
+    assert verdict(good) == "very close (41.0 dB)"
+    assert verdict(missed) == "very close in pictures (41.0 dB), but its highlight is off by 20%"
+    (found,) = accuracy_findings(missed)
+    assert "A lit sphere hardly shows it" in found.sentence
+    assert verdict(Metrics()) is None
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +121,14 @@ def test_result_is_evaluated_and_drawn_as_its_model(result: FitResult) -> None:
 
 
 def test_repr_is_one_short_line(result: FitResult) -> None:
-    calm = replace(result.report, warnings=())
-    assert repr(calm) == f"<FitReport: no metrics, {result.model.n_numbers} numbers, 0 warnings>"
+    assert repr(result.report) == f"<FitReport: no metrics, {result.model.n_numbers} numbers>"
     known = replace(result.report, metrics=Metrics(relative_rms=0.0123456))
     assert repr(known).startswith("<FitReport: relative_rms 0.01235, ")
+
+
+def test_findings_are_those_of_the_fit_and_of_the_components(result: FitResult) -> None:
+    known = replace(result, report=replace(result.report, findings_of_fit=(Finding("grey", "Grey."),)))
+    assert known.report.findings == (Finding("grey", "Grey."), *decompose(known).findings)
+    assert known.report.warnings == ("Grey.", *decompose(known).remarks)
+    assert result.report.findings == decompose(result).findings
+    assert known.report.to_dict()["findings_of_fit"] == [{"code": "grey", "sentence": "Grey.", "numbers": {}}]
