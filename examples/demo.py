@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 import dsbrdf
 from dsbrdf.data.geometry import CHANNELS, THETA_DIFF, THETA_HALF
-from dsbrdf.data.merl import encode_merl
-from dsbrdf.data.synthetic import synthetic_measurement
+from dsbrdf.data.rgl import read_rgl
 from dsbrdf.output.figure_panels import encode_figure
 from dsbrdf.output.figures import overview_figure
 from dsbrdf.output.report_text import component_surfaces_table, components_table, metrics_lines
@@ -29,6 +28,7 @@ from dsbrdf.output.sphere_panels import compare_spheres
 
 Array = NDArray[np.float64]
 
+MEASUREMENT = Path(__file__).with_name("satin_purple.bsdf")
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 10.0
 # The table of values shows these nodes of the MERL grid.
@@ -41,12 +41,12 @@ def main(folder: Path) -> None:
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="dsbrdf-demo-") as scratch, running_service(Path(scratch)) as url:
         print(f"service on {url}, ready after {time.perf_counter() - begin:.1f} s")
-        measurement = _red_paint()
+        measurement = read_rgl(MEASUREMENT).measurement()
         with httpx.Client(base_url=url, timeout=60.0) as client:
-            fit = _fit_twice(client, measurement)
+            fit = _fit_twice(client)
             model, report = from_json(_get(client, fit, "export", format="json").text)
             _show_components(client, fit)
-            _show_metrics(report)
+            _show_metrics(report, model.n_lobes)
             _show_values(client, fit, measurement)
     folder.mkdir(parents=True, exist_ok=True)
     figure = folder / "demo.png"
@@ -94,21 +94,10 @@ def address_when_ready(process: subprocess.Popen[bytes], log: Path) -> str | Non
     return None
 
 
-def _red_paint() -> dsbrdf.Measurement:
-    """Return the measurement of a red paint with a glossy coat, with the noise of an instrument."""
-    return synthetic_measurement(
-        roughness=0.06,
-        diffuse=(0.42, 0.08, 0.05),
-        specular=(0.04, 0.04, 0.04),
-        noise=0.02,
-        name="generated red paint with a glossy coat",
-    )
-
-
-def _fit_twice(client: httpx.Client, measurement: dsbrdf.Measurement) -> dict[str, Any]:
+def _fit_twice(client: httpx.Client) -> dict[str, Any]:
     """Submit the measurement twice; the second time the service finds the fit and computes nothing."""
-    content = encode_merl(measurement)
-    print(f"POST /v1/fits with {len(content):,} bytes, {measurement.name}, twice:")
+    content = MEASUREMENT.read_bytes()
+    print(f"POST /v1/fits with {len(content):,} bytes of {MEASUREMENT.name}, a paint that was measured, twice:")
     for _ in range(2):
         begin = time.perf_counter()
         response = client.post("/v1/fits", content=content, headers={"Content-Type": "application/octet-stream"})
@@ -141,12 +130,13 @@ def _show_components(client: httpx.Client, fit: dict[str, Any]) -> None:
     print(f"largest difference between their sum and the fit: {np.abs(np.sum(parts, axis=0) - whole).max():.1e} /sr")
 
 
-def _show_metrics(report: dsbrdf.FitReport | None) -> None:
-    """Print how many lobes were tried, and the errors of the fit."""
+def _show_metrics(report: dsbrdf.FitReport | None, n_lobes: int) -> None:
+    """Print in words which numbers of lobes were tried, and the errors of the fit."""
     if report is None:
         raise RuntimeError("the service exported the fit without its report")
-    tried = [f"{step.n_lobes}{'' if step.kept else ' no'}" for step in report.search]
-    print(f"\nnumbers of lobes tried on held-out rows: {', '.join(tried)}")
+    worse = [str(step.n_lobes) for step in report.search if not step.kept]
+    print(f"\nThe fit began with {report.search[0].n_lobes} lobes and needs {n_lobes}", end="")
+    print(f"; with {' or '.join(worse)} lobes, it was worse on held-out rows." if worse else ".")
     print(*metrics_lines(report.metrics, 100), sep="\n")
 
 

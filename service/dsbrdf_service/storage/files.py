@@ -24,8 +24,6 @@ from weakref import WeakSet
 
 from anyio import CapacityLimiter, to_thread
 
-from dsbrdf.data.merl_validation import FILE_SIZE
-
 from ..errors import InvalidKeyError, ProblemError
 from .database import Database, own_folder
 from .schema import IS_UNFINISHED, Caller
@@ -227,6 +225,8 @@ class Writing:
     @asynccontextmanager
     async def incoming(self, caller: Caller) -> AsyncIterator[Incoming]:
         """Yield a new file, which is removed afterwards unless it was stored; raises the errors of `hold`."""
+        from dsbrdf.data.merl_validation import FILE_SIZE  # The commands keys and purge answer without NumPy.
+
         held = await self.hold(caller, FILE_SIZE, "storage-quota")
         try:
             incoming = await in_thread(Incoming, self._blobs.temporary)
