@@ -22,7 +22,7 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export import PARTS, part_of
 from dsbrdf.output.serialize import read_model_file
 from dsbrdf.result import FitReport
-from dsbrdf.samples.reading import START_BYTES, measurement_kind, read_measurement
+from dsbrdf.samples.reading import RGL_START, START_BYTES, read_measurement
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
@@ -232,13 +232,13 @@ def read_model(path: Path) -> tuple[DSBRDF, FitReport | None]:
     with named_in_errors(path):
         with path.open("rb") as file:
             start = file.read(START_BYTES)
-        kind = known_kind(start[:16])
-        if is_measurement(path) and (kind is None or measurement_kind(start) != "samples"):
+        kind = known_kind(start)
+        if is_measurement(path) and start.lstrip()[:1] != b"{" and (kind is None or start.startswith(RGL_START)):
             raise InvalidArgumentError(
                 "this command reads models, not measurements; fit it first with dsbrdf fit -o DIR"
             )
-        if kind is not None and not kind.startswith("JSON"):
-            raise ModelFormatError(f"the file is {kind}; a stored model is a .json file")
+        if kind is not None:
+            raise ModelFormatError(f"the file is {kind.name}; a stored model is a .json file")
         return read_model_file(path)
 
 

@@ -5,38 +5,41 @@ from pathlib import Path
 from typing import Any
 
 from dsbrdf.cli.arguments import BAD_INPUT, print_json
-from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, RequiredFiles, named_in_errors
+from dsbrdf.cli.parameters import NO_TABLE_FLAGS, AboutTable, Json, named_in_errors
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.output.documents import ANGLE_NAMES, summary_of_table
-from dsbrdf.samples.reading import ReadTable, kind_of_file, read_table
+from dsbrdf.samples.layouts import LAYOUTS
+from dsbrdf.samples.reading import read_table
 from dsbrdf.samples.table_options import TableOptions
 
 
-def table(*files: RequiredFiles, json: Json = False, options: AboutTable = NO_TABLE_FLAGS) -> int:
+def table(*files: Path, layouts: bool = False, json: Json = False, options: AboutTable = NO_TABLE_FLAGS) -> int:
     """Print how a table of samples is read: columns, units, ranges, warnings and the first samples.
 
     Parameters
     ----------
     files
         Texts, spreadsheets, or .bsdf files of Zemax; several files get a line each.
+    layouts
+        Print the layouts of tables that are read, each with a line of such a file.
     """
+    if layouts:
+        width = max(len(layout.name) for layout in LAYOUTS) + 2
+        print("\n".join(f"{layout.name:<{width}}{layout.example}" for layout in LAYOUTS))
+        return 0
+    if not files:
+        raise InvalidArgumentError("name the file of a table, or give --layouts")
     if len(files) > 1:
         return _list(files, options.options(), json=json)
     (file,) = files
     with named_in_errors(file):
-        about = summary_of_table(_read(file, options.options()))
+        about = summary_of_table(read_table(file.read_bytes(), file.stem, options.options()))
     if json:
         print_json({"file": str(file)} | about)
     else:
         print(f"{file.stem}: {about['n_rows']} rows, {about['n_samples']} samples", "", *_text(about), sep="\n")
     return 0
-
-
-def _read(file: Path, options: TableOptions) -> ReadTable:
-    if kind_of_file(file) != "samples":
-        raise InvalidArgumentError("this is a measurement on a grid, not a table of samples")
-    return read_table(file.read_bytes(), file.stem, options)
 
 
 def _list(files: Sequence[Path], options: TableOptions, *, json: bool) -> int:
@@ -45,7 +48,7 @@ def _list(files: Sequence[Path], options: TableOptions, *, json: bool) -> int:
     for file in files:
         document: dict[str, Any] = {"file": str(file), "error": None}
         try:
-            document |= summary_of_table(_read(file, options))
+            document |= summary_of_table(read_table(file.read_bytes(), file.stem, options))
         except (DSBRDFError, OSError) as error:
             document["error"] = str(error)
         documents.append(document)

@@ -1,9 +1,11 @@
 """Write files atomically, and recognise kinds of files by their first bytes."""
 
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from secrets import token_hex
+from typing import NamedTuple
 
 
 def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memoryview]) -> None:
@@ -30,27 +32,62 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
         raise
 
 
-# First bytes of files that users may confuse with measurements, each with the kind that an error message names.
+class FileKind(NamedTuple):
+    """Name a kind of file that is no measurement, and say what to do with such a file."""
+
+    name: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.name}; {self.remedy}"
+
+
+_PICTURE = "a picture has no directions of light and viewer"
+_UNPACK = "unpack it first"
+_AS_TABLE = (
+    "write its samples as a table with theta_in, phi_in, theta_out, phi_out and value, in a text or a spreadsheet"
+)
+_EVALUATED = f"evaluate it at pairs of directions, and {_AS_TABLE}"
+# Patterns at the beginning of files that users may confuse with measurements; the first that matches names the kind.
 _KINDS = {
-    b"\x89PNG": "a PNG image",
-    b"\xff\xd8\xff": "a JPEG image",
-    b"v/1\x01": "an OpenEXR image",
-    b"#?": "a Radiance image",
-    b"PK\x03\x04": "a ZIP archive or a NumPy .npz file",
-    b"\x1f\x8b": "gzip, without the header Content-Encoding: gzip if it was sent over HTTP",
-    b"\x28\xb5\x2f\xfd": "zstd",
-    b"\x93NUMPY": "a .npy array",
-    b"\x89HDF": "an HDF5 file",
-    b"\x0e\x03\x13\x01": "an HDF4 file",
-    b"CDF": "a netCDF file",
-    b"MATLAB": "a MATLAB file",
-    b"tensor_file\0": "an RGL .bsdf file, which dsbrdf convert turns into a MERL file",
-    b"%PDF": "a PDF document",
-    b"{": "JSON, or another text",
-    b"<": "HTML or XML",
+    rb"\x89PNG": ("a PNG image", _PICTURE),
+    rb"\xff\xd8\xff": ("a JPEG image", _PICTURE),
+    rb"II\*\0|MM\0\*": ("a TIFF image", _PICTURE),
+    rb"v/1\x01": ("an OpenEXR image", _PICTURE),
+    rb"#\?(RADIANCE|RGBE)": ("a Radiance image", _PICTURE),
+    rb"PK\x03\x04": ("a ZIP archive, as NumPy's .npz is", _UNPACK),
+    rb"\x1f\x8b": ("packed by gzip", _UNPACK),
+    rb"BZh[1-9]": ("packed by bzip2", _UNPACK),
+    rb"\xfd7zXZ\0": ("packed by xz", _UNPACK),
+    rb"\x28\xb5\x2f\xfd": ("packed by zstd", _UNPACK),
+    rb"7z\xbc\xaf": ("a 7-Zip archive", _UNPACK),
+    rb"version https://git-lfs": ("a Git LFS pointer in place of the file", "fetch the file with git lfs pull"),
+    rb"SCATFUN": ("a Fourier BSDF (SCATFUN), the coefficients of a model", _EVALUATED),
+    rb"(?s).*^#FORMAT[ \t]+binary": ("a binary file of ALTA", "write it as a text, with data2data of ALTA"),
+    rb"[\x03\x30\x83\x8b\xf5](?s:.)[\x01-\x0c][\x01-\x1f](?s:.{8})\0\0": (
+        "a dBase table (DBF)",
+        "open it in a spreadsheet program, and save it as .xlsx or .csv",
+    ),
+    rb"\x93NUMPY": ("a NumPy array (.npy)", f"{_AS_TABLE}, as numpy.savetxt does"),
+    rb"\x80[\x02-\x05]": ("a Python pickle", _AS_TABLE),
+    rb"\x89HDF": ("an HDF5 file, perhaps of MATLAB or netCDF", _AS_TABLE),
+    rb"\x0e\x03\x13\x01": ("an HDF4 file", _AS_TABLE),
+    rb"CDF[\x01\x02\x05]": ("a netCDF file", _AS_TABLE),
+    rb"MATLAB ": ("a MATLAB file", _AS_TABLE),
+    rb"PAR1|ARROW1": ("a Parquet or Arrow file", _AS_TABLE),
+    rb"SQLite format 3": ("an SQLite database", _AS_TABLE),
+    rb"tensor_file\0": ("an RGL .bsdf file", "dsbrdf convert turns it into a MERL file"),
+    rb"%PDF": ("a PDF document", _AS_TABLE),
+    rb"(?i)\s*<!doctype html|\s*<html": ("a web page", "download the file itself"),
+    rb"(?s).*<WindowElement": ("a BSDF file of LBNL WINDOW (Klems XML or tensor tree)", _EVALUATED),
+    rb"\s*<": ("XML", _AS_TABLE),
+    rb"(?i)OPTIS - anisotropic bsdf": ("an anisotropic BSDF file of Speos", _AS_TABLE),
+    rb"(?i)\W*TracePro": ("a file of TracePro", _AS_TABLE),
+    rb"\s*IESNA": ("the light distribution of a lamp (IES LM-63)", "a lamp has no BRDF"),
+    rb"\s*PDS_VERSION_ID": ("a label of the Planetary Data System", "take the file that it describes"),
 }
 
 
-def known_kind(start: bytes) -> str | None:
-    """Return the kind of a file from its first bytes, such as "a PNG image"; None if it is unknown."""
-    return next((kind for magic, kind in _KINDS.items() if start.startswith(magic)), None)
+def known_kind(start: bytes) -> FileKind | None:
+    """Return the kind of a file that is no measurement from its first bytes; None if it is unknown."""
+    return next((FileKind(*kind) for pattern, kind in _KINDS.items() if re.match(pattern, start, re.M)), None)

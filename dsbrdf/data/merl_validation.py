@@ -29,6 +29,7 @@ MIN_VALID_FRACTION = 0.01
 # A file is refused if a smaller fraction of its nodes has a nonzero value, because so few values are noise.
 MIN_NONZERO_FRACTION = 0.001
 
+_KIND_SIZE = 64  # This number of bytes at the beginning of a file is enough to recognise other kinds of files.
 _FLOAT32_FILE_SIZE = HEADER_SIZE + 3 * NODES * 4
 SHAPE = (len(CHANNELS), *GRID_SHAPE)
 _AXES = ("theta_half", "theta_diff", "phi_diff")
@@ -41,8 +42,8 @@ _TOO_LARGE = f"1e8/sr, which no reflectance has. {_UNIT}"
 def check_header(header: bytes | bytearray | memoryview) -> None:
     """Raise MeasurementFormatError unless the first 12 bytes of a file are the dimensions of the MERL grid."""
     start = bytes(header[:HEADER_SIZE])
-    if (kind := known_kind(start)) is not None:
-        raise MeasurementFormatError(f"The data is {kind}; a MERL measurement is a .binary file of {FILE_SIZE} bytes.")
+    if (kind := known_kind(bytes(header[:_KIND_SIZE]))) is not None:
+        raise MeasurementFormatError(f"The data is {kind}.")
     if len(start) < HEADER_SIZE:
         check_length(len(start))
     if start == HEADER:

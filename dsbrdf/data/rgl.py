@@ -325,8 +325,8 @@ def read_rgl(path: str | os.PathLike[str]) -> RglMaterial:
 
 def parse_rgl(data: bytes, name: str = "measurement") -> RglMaterial:
     """Return the material in the bytes of a ``.bsdf`` file; raise MeasurementFormatError as `read_rgl` does."""
-    if not data.startswith(b"tensor_file") and (kind := known_kind(data[:16])) is not None:
-        raise MeasurementFormatError(f"The data is {kind}; a material of the RGL database is a .bsdf file.")
+    if not data.startswith(b"tensor_file") and (kind := known_kind(data[:64])) is not None:
+        raise MeasurementFormatError(f"The data is {kind}.")
     fields = parse_tensors(data)
     _check(fields)
     tables = {key: np.asarray(fields[key], dtype=np.float64) for key in ("theta_i", "ndf", "sigma")}

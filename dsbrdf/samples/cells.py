@@ -10,6 +10,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -82,10 +83,11 @@ class TextTable:
         if column >= len(self.names) - len(self.columns):
             return self.columns[column - len(self.names)]
         cells = [row[column] for row in self.rows]
-        try:
-            return np.array(cells, dtype=np.float64)
-        except ValueError:  # NumPy cannot convert a column with empty cells, decimal commas or words.
-            return np.array([self._number(place, column) for place in range(len(cells))])
+        # NumPy would read 1_0 as 10, and cannot convert a column with empty cells, decimal commas or words.
+        with suppress(ValueError):
+            if not any("_" in cell for cell in cells):
+                return np.array(cells, dtype=np.float64)
+        return np.array([self._number(place, column) for place in range(len(cells))])
 
     def varies(self, column: int) -> bool:
         """Return whether a column has different numbers; the result is False for a column of words."""
@@ -125,9 +127,9 @@ def decoded(data: bytes) -> str:
         text = data.decode(utf_16_of(data) or "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
-    if re.search(r"[\x00-\x08\x0e-\x1f\x7f]", text):
+    if re.search(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f]", text):
         raise MeasurementFormatError("The data is not a text; a table of samples is a text in UTF-8.")
-    return text
+    return text.rstrip("\x1a")  # DOS ends a text with this character.
 
 
 def utf_16_of(data: bytes) -> str | None:
@@ -193,7 +195,7 @@ def as_number(cell: str, separator: str) -> float | None:
         thousands = "." if text.rfind(",") > text.rfind(".") else ","
         text = text.replace(thousands, "").replace(",", ".", 1)
     try:
-        return float(_FORTRAN_EXPONENT.sub("e", text))
+        return None if "_" in text else float(_FORTRAN_EXPONENT.sub("e", text))
     except ValueError:
         return None
 

@@ -10,30 +10,30 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
-from dsbrdf.samples.names import HALF_DIFFERENCE, VECTORS, meaning_of, meanings_of, name_and_unit, wavelength_of
+from dsbrdf.samples.names import (
+    HALF_DIFFERENCE,
+    TRISTIMULUS,
+    VECTORS,
+    is_logarithm,
+    meaning_of,
+    meanings_of,
+    name_and_unit,
+    wavelength_of,
+)
 from dsbrdf.samples.table_options import TableOptions
 
 THETAS = ("theta_in", "theta_out")
 PHIS = ("phi_in", "phi_out")
+SPHERICAL = ("theta_in", "phi_in", "theta_out", "phi_out")
 GREY = ("value",)
 FROM_MIRROR = ("theta_in", "theta_from_mirror")
 _DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS, FROM_MIRROR)
 # A column of unknown meaning is refused if its name matches this, because it may be an azimuth that the samples need.
 _AZIMUTH = re.compile(r"phi|(?:^|_)az|azi|azm|[rv]aa|phase")
-_POSSIBLE = (
-    "Directions are theta_in, phi_in, theta_out, phi_out in degrees (without phi: in one plane), or theta_half, "
-    "theta_diff, phi_diff, or the unit vectors omega_in_x to omega_out_z; values in 1/sr are red, green, blue, or "
-    "value; the option columns tells which column is which, as in columns theta_in=AOI,value=BSDF, and the option "
-    "constants gives an angle that all rows have, as in constants theta_in=30"
+_MEANINGS = (
+    "theta_in, phi_in, theta_out, phi_out [degrees], theta_half, theta_diff, phi_diff, omega_in_x to omega_out_z, red, "
+    "green, blue or value [1/sr], weight and wavelength"
 )
-# For each number of columns without names, this is the usual meaning of the columns, which an error message suggests.
-_ORDERS = {
-    3: "theta_in=1,theta_out=2,value=3",
-    4: "theta_in=1,theta_out=2,phi_out=3,value=4",
-    5: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,value=5",
-    6: "theta_in=1,theta_out=2,phi_out=3,red=4,green=5,blue=6",
-    7: "theta_in=1,phi_in=2,theta_out=3,phi_out=4,red=5,green=6,blue=7",
-}
 
 Description = tuple[tuple[str, str, str], ...]
 """The name as written, the meaning and the unit of each column; meaning and unit may be empty."""
@@ -83,8 +83,11 @@ def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
         written, unit = table.names[place], name_and_unit(table.names[place])[1]
         if others:
             raise MeasurementFormatError(
-                f"The columns {written!r} and {table.names[others[0]]!r} mean the same; keep one of them."
+                f"The columns {written!r} and {table.names[others[0]]!r} both seem to be {name}: leave one of them "
+                f"out, or choose, as in --columns {name}={written}."
             )
+        if name in (*GREY, *CHANNELS, *TRISTIMULUS) and is_logarithm(written):
+            raise _logarithm(written)
         columns[name] = Column(written, units.get(name) or unit, table.numbers(place), name in elevations)
     at = {places[name][0]: name for name in columns}
     if azimuths and not columns.keys() & {*azimuths}:
@@ -100,8 +103,6 @@ def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int
     A column of the table takes precedence over a constant with the same meaning.
     """
     named = options.named_columns()
-    if table.names[:2] == ("1", "2") and not named:
-        raise _unnamed(table)
     chosen = {meaning: _places_of(table, name) for meaning, name in named.items()}
     taken = {at for found in chosen.values() for at in found}
     places: dict[str, list[int]] = {}
@@ -111,9 +112,11 @@ def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int
     for meaning, found in chosen.items():
         known = meaning_of(meaning)
         if known is None:
-            raise MeasurementFormatError(f"The option columns has {meaning!r}, which is no meaning. {_POSSIBLE}.")
+            raise MeasurementFormatError(f"The option columns has {meaning!r}; the meanings are {_MEANINGS}.")
         if not found:
-            raise MeasurementFormatError(f"The table has no column {named[meaning]!r}; it has {_listed(table.names)}.")
+            raise MeasurementFormatError(
+                f"The table has no column {named[meaning]!r}; it has {_listed(filter(None, table.names))}."
+            )
         places[known] = found
     return places, {str(meaning_of(name)): unit for name in named if (unit := name_and_unit(name)[1])}
 
@@ -124,7 +127,7 @@ def _refuse_unread_azimuth(table: TextTable, read: Container[int]) -> None:
         if at not in read and _AZIMUTH.search(name_and_unit(name)[0]) and table.varies(at):
             raise MeasurementFormatError(
                 f"The column {name!r} is not understood, and may be an azimuth, which the table lacks otherwise: name "
-                f"it, as in columns phi_out={name}, or leave it out."
+                f"it, as in --columns phi_out={name}, or leave it out."
             )
 
 
@@ -137,27 +140,6 @@ def _places_of(table: TextTable, name: str) -> list[int]:
     return found or ([int(name) - 1] if is_position else [])
 
 
-def _unnamed(table: TextTable) -> MeasurementFormatError:
-    count, held = table.n_cells, [meaning_of(name) for name in table.names[table.n_cells :]]
-    blocks = held.count(None)
-    example, between = _ORDERS.get(count, _ORDERS[3]), ""
-    if held:
-        angles = (f",theta_in={count + 1}", f",phi_in={count + 2}")[:blocks]
-        example = "theta_out=1,phi_out=2,value=3" + "".join(angles)
-    if blocks:
-        between = f", and lines of {blocks} between them, which are columns {count + 1} and on"
-    if table.rows and not table.rows[0][0]:
-        return MeasurementFormatError(
-            "The table looks like a matrix, but its first cell is empty: write the names of the angles down and across "
-            "there, such as theta_out / phi_out."
-        )
-    first = ", ".join(table.rows[0]) if table.rows else ""
-    return MeasurementFormatError(
-        f"The table has no line that names its columns; its rows have {count} numbers, such as {first[:60]}{between}: "
-        f"name them by their positions, as in columns {example}."
-    )
-
-
 def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
     """Return index and wavelength [nm] of the columns named by wavelengths; a bare number alone is no wavelength."""
     found = [(wavelength, place) for place, name in enumerate(table.names) if (wavelength := wavelength_of(name))]
@@ -168,27 +150,42 @@ def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
 def _chosen(table: TextTable, places: dict[str, list[int]], bands: Iterable[str]) -> tuple[tuple[str, ...], ...]:
     """Return the meanings of the columns of directions and of values in a table."""
     forms = [form for form in _DIRECTION_FORMS if places.keys() >= {*form}]
-    values = CHANNELS if places.keys() >= {*CHANNELS} else tuple(bands) or GREY
+    values = tuple(bands) or GREY
+    values = next((names for names in (CHANNELS, TRISTIMULUS) if places.keys() >= {*names}), values)
     if not forms:
         # The error names the missing columns of the nearest form: angles, vectors, or half and difference angles.
         nearest = max((THETAS, VECTORS, HALF_DIFFERENCE), key=lambda names: len(places.keys() & {*names}))
-        raise _missing("directions", nearest, table, places)
+        raise _missing(nearest, table, places)
     if not places.keys() >= {*values}:
-        raise _missing("values", CHANNELS, table, places)
+        if logarithms := [name for name in table.names if is_logarithm(name)]:
+            raise _logarithm(logarithms[0])
+        raise _missing(CHANNELS if places.keys() & {*CHANNELS} else GREY, table, places)
     return forms[0], values
 
 
-def _missing(
-    kind: str, wanted: Sequence[str], table: TextTable, places: dict[str, list[int]]
-) -> MeasurementFormatError:
-    lacking = ", ".join(name for name in wanted if name not in places)
+def _missing(wanted: Sequence[str], table: TextTable, places: dict[str, list[int]]) -> MeasurementFormatError:
+    lacking = [name for name in wanted if name not in places]
     known = {at for found in places.values() for at in found}
     unknown = [name for at, name in enumerate(table.names) if name and at not in known and not wavelength_of(name)]
-    quoted = f"; not understood are {', '.join(map(repr, unknown[:10]))}" if unknown else ""
+    understood = [name for name in table.names if name and name not in unknown]
+    found = f"not understood are its columns {_listed(unknown)}" if unknown else f"it has only {_listed(understood)}"
+    rest = f"; understood are {_listed(understood)}" if unknown and understood else ""
+    remedy = "a spectrum alone has no directions" if "wavelength" in places else "add what is missing"
+    if unknown:
+        option = f"{lacking[0]}={table.names.index(unknown[0]) + 1 if ',' in unknown[0] else unknown[0]}"
+        quoted = f'"{option}"' if " " in option else option
+        remedy = f"say which column is which, as in --columns {quoted}"
+    held = ", or give an angle that all rows have, as in --constants theta_in=30" if "theta_in" in lacking else ""
+    return MeasurementFormatError(f"The table lacks {' and '.join(lacking)}: {found}{rest}; {remedy}{held}.")
+
+
+def _logarithm(written: str) -> MeasurementFormatError:
     return MeasurementFormatError(
-        f"The table lacks columns for the {kind}: {lacking}. It has {_listed(table.names)}{quoted}. {_POSSIBLE}."
+        f"The column {written!r} has logarithms of the values, as decibels or log10 are: write the values themselves, "
+        "10^(v/10) for decibels, or 10^v for log10."
     )
 
 
 def _listed(names: Iterable[str]) -> str:
-    return ", ".join([name for name in names if name][:20])
+    """Return at most ten names in quotation marks."""
+    return ", ".join([repr(name) for name in names][:10])

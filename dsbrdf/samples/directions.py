@@ -9,7 +9,7 @@ mirror direction. A negative angle lies on the other side of the normal.
 """
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,24 +17,21 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import CHANNELS, directions, spherical
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
-from dsbrdf.samples.columns import FROM_MIRROR, PHIS, THETAS, Column, Description, FoundColumns, find_columns
-from dsbrdf.samples.names import (
-    ANGLE_UNITS,
-    COSINE,
-    HALF_DIFFERENCE,
-    VALUE_UNITS,
-    VECTORS,
-    WAVELENGTH_UNITS,
-    factor_of,
-    wavelength_of,
+from dsbrdf.samples.columns import (
+    FROM_MIRROR,
+    GREY,
+    PHIS,
+    SPHERICAL,
+    THETAS,
+    Column,
+    Description,
+    FoundColumns,
+    find_columns,
 )
+from dsbrdf.samples.names import ANGLE_UNITS, COSINE, HALF_DIFFERENCE, VECTORS, includes_cosine
 from dsbrdf.samples.table_options import TableOptions
-from dsbrdf.samples.values import linear_srgb, of_rows, without_code
+from dsbrdf.samples.values import NO_UNIT, about_values, in_nanometres, largest_of, of_rows, rgb_of, written_values
 
-_NO_UNIT = ("", "1", "-", "none")
-# Wavelengths without a unit are in metres or micrometres if they are below these limits, otherwise in nanometres.
-_MAX_WAVELENGTH_M = 1e-3
-_MAX_WAVELENGTH_UM = 20.0
 _MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
 _MAX_THETA_RAD = (
     1.6  # A table without a larger theta and without units is refused, because its angles look like radians.
@@ -43,6 +40,9 @@ _MAX_THETA_RAD = (
 _DOUBTFUL_FRACTION = 0.5
 # A phase angle may lie outside of its possible range by this much, because of rounding.
 _PHASE_TOLERANCE = np.radians(1.0)
+# An example of the option columns is given only if it yields different directions in this fraction of the rows.
+_MIN_DIFFERENT_FRACTION = 0.9
+_WIDE_COSINE = np.cos(np.radians(10.0))  # Without a viewer further from the normal, an example is not given either.
 LOWEST_COSINE = 1e-6
 """A direction whose cosine to the normal is smaller counts as at the horizon, because of rounding errors."""
 
@@ -60,6 +60,8 @@ class SampleRows:
     notes: tuple[str, ...]  # a sentence on each decision of the reader
     columns: Description
     n_rows: int  # number of rows in the file, also unusable rows
+    is_grey: bool  # whether the file has one value for all channels
+    is_clean: bool = False  # whether all rows are samples of a file of samples
 
 
 def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
@@ -67,50 +69,85 @@ def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
 
     Raises MeasurementFormatError if a column is missing, occurs twice, or has an unknown unit.
     """
+    if table.names[:2] == ("1", "2") and not options.columns:
+        raise _unnamed(table, options)
     table = table.with_columns({name: np.full(table.n_rows, number) for name, number in options.held().items()})
     found = find_columns(table, options)
-    columns, wavelengths = found.columns, found.wavelengths
+    columns = found.columns
     notes = list(table.notes)
-    written = _written(found, options, notes)
-    colors = linear_srgb(wavelengths, written) if wavelengths.size else np.broadcast_to(written, (table.n_rows, 3))
+    written = written_values(found, options, notes)
     weight = columns["weight"].numbers if "weight" in columns else np.ones(table.n_rows)
-    numbers = np.column_stack([*_vectors(columns, found.form), colors, weight])
+    numbers = np.column_stack([*_vectors(columns, found.form), rgb_of(found, written), weight])
+    wavelengths = found.wavelengths
     if "wavelength" in columns:
-        numbers, wavelengths = of_rows(numbers, _in_nanometres(columns["wavelength"]))
+        numbers, wavelengths = of_rows(numbers, in_nanometres(columns["wavelength"]))
+    first = columns[found.values[0]].written
+    if includes_cosine(first) and options.cosine is None:
+        numbers[:, 6:9] /= np.maximum(numbers[:, 5:6], LOWEST_COSINE)
+        notes.append(f"The column {first!r} has the BRDF times the cosine of theta_out, and was divided by it.")
     notes += (
         *_about_directions(found, is_turned=options.phi == "mirror"),
         *_about_unread(table, {column.written for column in columns.values()}),
-        *_about_values(found, wavelengths, options),
+        *about_values(found, wavelengths, options),
     )
-    return SampleRows(numbers, written, tuple(notes), found.description, table.n_rows)
+    is_grey = found.values == GREY and wavelengths.size == 0
+    return SampleRows(numbers, written, tuple(notes), found.description, table.n_rows, is_grey)
 
 
-def _written(found: FoundColumns, options: TableOptions, notes: list[str]) -> Array:
-    """Return the values as written in the file, shape (rows, bands), with NaN for a missing value."""
-    columns = [found.columns[name] for name in found.values]
-    for name, column in zip(found.values, columns, strict=True):
-        is_band = wavelength_of(name) is not None and column.unit in WAVELENGTH_UNITS
-        if column.unit not in (*_NO_UNIT, *VALUE_UNITS) and not is_band and options.scale == 1.0:
-            raise MeasurementFormatError(
-                f"The column {name!r} is in {column.unit!r}; the values of a BRDF are in 1/sr: if they are "
-                "those times a factor, give its inverse as the option scale, which is 0.01 for per cent and 0.003183, "
-                "1/(100 pi), for reflectance factors in per cent."
-            )
-    written = np.stack([column.numbers for column in columns], axis=-1)
-    return without_code(np.where(np.isin(written, options.missing), np.nan, written), notes)
+def _unnamed(table: TextTable, options: TableOptions) -> MeasurementFormatError:
+    """Return the error for a table without names of columns, with an example of the option that reads this table."""
+    if table.rows and not table.rows[0][0]:
+        return MeasurementFormatError(
+            "The table looks like a matrix, but its first cell is empty: write the names of the angles down and across "
+            "there, such as theta_out / phi_out."
+        )
+    n_blocks = sum(name.isdecimal() for name in table.names[table.n_cells :])
+    between = (
+        f", and lines of {n_blocks} between them, which are columns {table.n_cells + 1} and on" if n_blocks else ""
+    )
+    first = ", ".join(table.rows[0])[:60] if table.rows else ""
+    remedy = "a sample needs the angles of light and viewer, which a spectrum does not have"
+    if table.n_cells > 2 or n_blocks:
+        remedy = "name them by their positions with the option columns, as MEANING=POSITION"
+    for columns, constants in _examples(table):
+        if _is_read(table, replace(options, columns=columns, constants=options.constants or constants or ())):
+            held = f" --constants {constants} with the right angle" if constants and not options.constants else ""
+            remedy = f"name them by their positions, as in --columns {columns}{held}"
+            break
+    return MeasurementFormatError(
+        f"The table has no line that names its columns; its rows have {table.n_cells} numbers, such as "
+        f"{first}{between}: {remedy}."
+    )
 
 
-def _in_nanometres(column: Column) -> Array:
-    largest = _largest(column.numbers)
-    by_size = "m" if largest < _MAX_WAVELENGTH_M else "um" if largest < _MAX_WAVELENGTH_UM else "nm"
-    unit = by_size if column.unit in _NO_UNIT else column.unit
-    if unit not in WAVELENGTH_UNITS:
-        raise MeasurementFormatError(f"The wavelengths are in {unit!r}; they are in nm, um or m.")
-    return column.numbers * WAVELENGTH_UNITS[unit]
+def _examples(table: TextTable) -> Iterator[tuple[str, str]]:
+    """Yield the usual meanings of columns without names, as the option `columns`, and the constants they need."""
+    blocks = [name for name in table.names[table.n_cells :] if name.isdecimal()]
+    both, viewer = (THETAS, (*THETAS, "phi_out"), SPHERICAL), (("theta_out",), ("theta_out", "phi_out"))
+    for angles in (*(() if len(table.names) > table.n_cells else both), *viewer):
+        for values in (GREY, CHANNELS):
+            if len(angles) + len(values) == table.n_cells:
+                names = [*angles, *values, *("theta_in", "phi_in")[: len(blocks)]]
+                pairs = ",".join(f"{name}={at}" for at, name in enumerate(names, 1))
+                yield pairs, "" if "theta_in" in {*names, *table.names} else "theta_in=30"
+
+
+def _is_read(table: TextTable, options: TableOptions) -> bool:
+    """Return whether a table is read with these options as samples at different directions of an instrument."""
+    try:
+        numbers = read_columns(table, options).numbers
+    except MeasurementFormatError:
+        return False
+    pairs = np.unique(numbers[:, :6].round(6), axis=0)
+    is_above = numbers[:, [2, 5]].min(axis=1) > LOWEST_COSINE
+    # An instrument measures at equal angles again and again, and not only near the normal.
+    n_angles, is_wide = min(np.unique(pairs[:, at]).size for at in (2, 5)), numbers[:, 5].min() < _WIDE_COSINE
+    is_varied = len(pairs) > _MIN_DIFFERENT_FRACTION * len(numbers)
+    return bool(is_wide and is_varied and is_above.mean() > _DOUBTFUL_FRACTION and 3 * n_angles < len(pairs))
 
 
 def _in_radians(name: str, column: Column) -> Array:
-    unit = "deg" if column.unit in _NO_UNIT else column.unit
+    unit = "deg" if column.unit in NO_UNIT else column.unit
     if unit == COSINE and np.all(np.abs(column.numbers) <= 1.0):
         return np.asarray(np.arccos(column.numbers))
     if unit not in ANGLE_UNITS:
@@ -167,30 +204,26 @@ def _check_not_exchanged(angles: dict[str, Array], columns: dict[str, Column]) -
         raise MeasurementFormatError(
             f"{np.count_nonzero(~above)} of {above.size} rows have a direction at or below the horizon as theta and "
             "phi are named, and the columns named phi have angles as those to the normal: if the names are "
-            f"exchanged, set columns to {pairs}."
+            f"exchanged, name them, as in --columns {pairs}."
         )
 
 
 def _check_sizes(angles: dict[str, Array], columns: dict[str, Column]) -> None:
     """Raise MeasurementFormatError if an angle is too large, or if angles without a unit look like radians."""
     for name, angle in angles.items():
-        bound, largest = 180.0 if name.startswith("theta") else 360.0, np.degrees(_largest(angle))
+        bound, largest = 180.0 if name.startswith("theta") else 360.0, np.degrees(largest_of(angle))
         if largest > bound + 1e-4:
             raise MeasurementFormatError(
                 f"The column {name!r} has an angle of {largest:.6g} degrees; {bound:.0f} is the largest that there is."
             )
     thetas = [name for name in angles if name.startswith("theta") and not columns[name].unit]
-    largest = max((_largest(columns[name].numbers) for name in thetas), default=0.0)
+    largest = max((largest_of(columns[name].numbers) for name in thetas), default=0.0)
     if 0.0 < largest < _MAX_THETA_RAD:
         first, second = [name for name in angles if name.startswith("theta")][:2]
         raise MeasurementFormatError(
             f"The angles {first} and {second} are at most {largest:.3g}, as angles in radians are: write degrees, "
             f"or name the columns {first}_rad and so on."
         )
-
-
-def _largest(numbers: Array) -> float:
-    return float(np.abs(numbers[np.isfinite(numbers)]).max(initial=0.0))
 
 
 def _about_directions(found: FoundColumns, *, is_turned: bool) -> Iterator[str]:
@@ -222,21 +255,3 @@ def _about_unread(table: TextTable, read: Collection[str]) -> Iterator[str]:
                 f"The column {name!r} has {len(words)} values, such as {words[0][:40]!r} and {words[1][:40]!r}: if "
                 "they are several materials, leave out all but one."
             )
-
-
-def _about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:
-    written, light = found.columns[found.values[0]].written, found.columns.get("theta_in")
-    factor = factor_of(written, light.written if light else "") if options.scale == 1.0 else ""
-    if factor:
-        yield f"The names suggest that the column {written!r} has reflectance factors, which are {factor}."
-    if found.values == CHANNELS:
-        return
-    if wavelengths.size == 0:
-        yield "The table has one column of values: the material is taken to be grey."
-    elif wavelengths.size == 1:
-        yield f"All values are at {wavelengths[0]:g} nm: the material is taken to be grey."
-    else:
-        yield (
-            f"The {wavelengths.size} wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm were made linear "
-            "sRGB, as the CIE 1931 observer sees them under light of equal energy; a flat spectrum is grey."
-        )

@@ -13,8 +13,8 @@ project BiRD.
 
 import json
 import re
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,16 @@ from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples import optics
 from dsbrdf.samples.cells import TextTable, check_size
-from dsbrdf.samples.names import HALF_DIFFERENCE, MAX_BAND_NM, MIN_BAND_NM, VECTORS, matrix_names, meaning_of
+from dsbrdf.samples.columns import SPHERICAL
+from dsbrdf.samples.names import (
+    HALF_DIFFERENCE,
+    MAX_BAND_NM,
+    MIN_BAND_NM,
+    TRISTIMULUS,
+    VECTORS,
+    matrix_names,
+    meaning_of,
+)
 from dsbrdf.samples.table_options import TableOptions
 from dsbrdf.samples.text_table import parse_text_table
 
@@ -33,15 +42,16 @@ _NOT_NUMBERS = re.compile(rb"[^-+0-9.eE\s]")
 _RAMI = re.compile(rb"\s*([1-9][0-9]{0,6})[ \t]+5[ \t]+[-+.0-9eE]+[ \t]*\r?\n")
 _KERNELS = re.compile(rb"BRDF[ \t]+([1-9][0-9]{0,6})[ \t]+[0-9]+((?:[ \t]+[0-9.]+)+)[ \t]*\r?\n")
 _JSON_START_BYTES = 100
-_SPHERICAL = ("theta_in", "phi_in", "theta_out", "phi_out")
 # Parametrisations of ALTA: L is the light, V the viewer, T theta, P phi; H and D are the half and difference angles.
+# The angles x and y are theta_out times the cosine and the sine of phi_out.
 _ALTA = {
     "RUSIN_TH_PH_TD_PD": ("theta_half", "phi_half", "theta_diff", "phi_diff"),
     "RUSIN_TH_TD_PD": HALF_DIFFERENCE,
     "RUSIN_TH_TD": HALF_DIFFERENCE[:2],
-    "SPHERICAL_TL_PL_TV_PV": _SPHERICAL,
+    "SPHERICAL_TL_PL_TV_PV": SPHERICAL,
     "ISOTROPIC_TV_TL_DPHI": ("theta_out", "theta_in", "phi_out"),
     "ISOTROPIC_TL_TV_DPHI": ("theta_in", "theta_out", "phi_out"),
+    "ISOTROPIC_TL_TV_PROJ_DPHI": ("theta_in", "x", "y"),
     "CARTESIAN": VECTORS,
 }
 
@@ -73,9 +83,7 @@ def cornell_spectra_table(data: bytes) -> TextTable | None:
     if bands.min() <= MIN_BAND_NM or bands.max() >= MAX_BAND_NM or np.diff(bands).min() <= 0.0:
         return None
     rows = np.array(_without_comments(data).split()[1 + count :], dtype=np.float64).reshape(-1, 4 + count)
-    return TextTable.of_numbers(
-        [*(f"{name} [rad]" for name in _SPHERICAL), *(f"{band:g} nm" for band in bands)], rows.T
-    )
+    return TextTable.of_numbers([*(f"{name} [rad]" for name in SPHERICAL), *(f"{band:g} nm" for band in bands)], rows.T)
 
 
 def _without_comments(data: bytes) -> bytes:
@@ -92,16 +100,20 @@ def alta_table(data: bytes) -> TextTable | None:
     names = _ALTA.get(form)
     if names is None or len(names) != n_in or n_out not in (1, 3):
         raise MeasurementFormatError(
-            f"The file of ALTA has {form} with {n_in} and {n_out} dimensions; read are {', '.join(_ALTA)} with 1 or 3 "
-            "values."
+            f"The file of ALTA has the parametrisation {form} with {n_in} coordinates and {n_out} values; only "
+            f"{', '.join(_ALTA)}, with 1 or 3 values, can be read."
         )
     rows = [line.split()[: n_in + n_out] for line in text.splitlines() if line.strip() and line[0] != "#"]
     columns = list(np.array(rows, dtype=np.float64).T)
+    if "x" in names:
+        x, y = columns[1:3]
+        columns[1:3], names = [np.hypot(x, y), np.arctan2(y, x)], ("theta_in", "theta_out", "phi_out")
     named = [name if name.startswith("omega") else f"{name} [rad]" for name in names]
     if form == "RUSIN_TH_TD":
         named, columns = [*named, "phi_diff [rad]"], [*columns[:2], np.full(len(rows), np.pi / 2), *columns[2:]]
     note = ("The file of ALTA has values times a cosine: set cosine to in.",) if "COSINE" in str(words) else ()
-    return TextTable.of_numbers([*named, *(("value",) if n_out == 1 else CHANNELS)], columns, *note)
+    colors = TRISTIMULUS if "XYZ_COLOR" in words.get("PARAM_OUT", ()) else CHANNELS
+    return TextTable.of_numbers([*named, *(("value",) if n_out == 1 else colors)], columns, *note)
 
 
 def rami_table(data: bytes) -> TextTable | None:
@@ -193,29 +205,47 @@ def _open_material_table(brdf: Any) -> TextTable:
     return TextTable.of_numbers(names, rows.T)
 
 
-_READERS = {
-    "a BSDF file of Zemax or LightTools": optics.scatter_table,
-    "a BSDF file of FRED": optics.fred_table,
-    "a BRDF file of Speos": optics.speos_table,
-    "a file of ALTA": alta_table,
-    "a measurement of RAMI": rami_table,
-    "observations of AMBRALS": kernels_table,
-    "JSON": json_table,
-    "a spectral text of Cornell": cornell_spectra_table,
-}
-_REFUSED = {
-    rb"(?i)\AOPTIS - anisotropic bsdf": "an anisotropic BSDF file of Speos",
-    rb"(?i)<WindowElement": "a BSDF file of LBNL WINDOW (Klems XML)",
-    rb"(?i)\A\W*TracePro": "a file of TracePro",
-    rb"\A\s*IESNA": "the light distribution of a lamp (IES LM-63)",
-    rb"\A\s*PDS_VERSION_ID": "a label of the Planetary Data System, which describes another file",
-}
-# A file in one of these formats is refused unless a line of the file names the columns.
-_REFUSED_WITHOUT_NAMES = {
-    rb"\bE\s?-?1392\b": "a file of ASTM E1392",
-    rb"\bE\s?-?2387\b": "a file of ASTM E2387",
-}
-_START_BYTES = 4096  # The name of an unsupported format is searched only in this number of bytes at the beginning.
+class Layout(NamedTuple):
+    """Describe a layout of files with samples: its name, a line by which it is recognised, and its reader, if any."""
+
+    name: str
+    example: str
+    reader: Callable[[bytes], TextTable | None] | None = None
+
+
+LAYOUTS = (
+    Layout("table, directions as angles", "theta_in,phi_in,theta_out,phi_out,red,green,blue"),
+    Layout("table, directions in one plane", "AOI [deg];AOR [deg];BRDF [1/sr]"),
+    Layout("table, half and difference angles", "theta_half,theta_diff,phi_diff,value"),
+    Layout("table, directions as vectors", "wi_x wi_y wi_z wo_x wo_y wo_z r g b"),
+    Layout("table, cosines of the angles", "cos(theta_i) cos(theta_v) relative azimuth BRF"),
+    Layout("table, phase angle", "incidence emission phase I/F"),
+    Layout("table, angle from the mirror direction", "theta_i, theta_s - theta_i, BSDF"),
+    Layout("table, a column for each wavelength", "vza,vaa,sza,saa,450 nm,550 nm,650 nm"),
+    Layout("table, a row for each wavelength", "wavelength [nm],theta_i,theta_r,brdf"),
+    Layout("table, CIE XYZ", "theta_in,theta_out,phi_out,CIE X,CIE Y,CIE Z"),
+    Layout("table, Mueller matrix", "theta_i,theta_r,phi_r,f_r11,f_r12,f_r13,f_r14"),
+    Layout("table, names of columns in lines of their own", "Column 1: theta_in"),
+    Layout("table, columns in lines", "theta_in,30,30,30,60,60,60"),
+    Layout("table, angles in lines between the rows", "AOI: 30 deg"),
+    Layout("table without names, with the option columns", "30 180 15 0 0.148"),
+    Layout("matrix of two angles, or of wavelength and angle", "theta_out / phi_out,0,30,60,90"),
+    Layout("pgII, Mountain and Tekari of pab advanced technologies", "#format: theta phi BSDF"),
+    Layout("ASTM E1392 and E2387 with names, angles in radians", "VARS theta_i,phi_i,theta_s,phi_s,bsdf"),
+    Layout("tabular BSDF of Zemax, text of LightTools (front side)", "ScatterRadial 91", optics.scatter_table),
+    Layout("tabulated BSDF of FRED", "type bsdf_data", optics.fred_table),
+    Layout(".brdf text of Speos, proportional to the BSDF", "OPTIS - brdf surface file v5.0", optics.speos_table),
+    Layout("text of ALTA", "#PARAM_IN ISOTROPIC_TV_TL_DPHI", alta_table),
+    Layout("BRF of the RAMI benchmark", "76 5 1.0", rami_table),
+    Layout("observations for kernel models (AMBRALS)", "BRDF 96 2 550 650", kernels_table),
+    Layout("JSON: ASAM OpenMATERIAL 3D, BiRD, or columns by name", '{"brdf": {"lookupTable": [[5.5e-07,', json_table),
+    Layout("spectral text of Cornell University, as in pbrt-v2", "31 400 410 420 430", cornell_spectra_table),
+    Layout("spreadsheet: .xlsx, .ods or .xls, its longest sheet", "AOI, AOR, BRDF in the cells of the first row"),
+    Layout("file of samples of dsbrdf", "# dsbrdf samples 1"),
+)
+"""The layouts of files with samples, as `docs/formats.md` and ``dsbrdf table --layouts`` list them."""
+# A file of one of these standards is refused unless a line of the file names the columns.
+_STANDARD = re.compile(rb"\bE\s?-?(1392|2387)\b")
 
 
 def table_in(data: bytes, options: TableOptions) -> TextTable:
@@ -223,37 +253,40 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
 
     Raises MeasurementFormatError with a sentence that names the mistake, or the file's format if that is unsupported.
     """
-    for kind, reader in _READERS.items():
+    for layout in LAYOUTS:
         try:
-            table = reader(data)
+            table = layout.reader(data) if layout.reader else None
         except MeasurementFormatError:
             raise
         except (ValueError, LookupError):
-            raise MeasurementFormatError(f"The data begins as {kind}, but is cut off or damaged.") from None
+            start = data[:40].decode("latin-1").splitlines()[0]
+            raise MeasurementFormatError(
+                f"The file begins with {start!r}, as {layout.name} does, and goes on otherwise: it is cut off, "
+                "damaged, or of another kind."
+            ) from None
         if table is not None:
             return table
-    if known := _format_of(data[:_START_BYTES], _REFUSED) or known_kind(data[:16]):
-        raise _not_read(known)
-    known = _format_of(data, _REFUSED_WITHOUT_NAMES)
+    if (kind := known_kind(data[:64])) is not None:  # An archive that is no spreadsheet comes this far.
+        raise MeasurementFormatError(f"The file is {kind}.")
+    standard, positions = _STANDARD.search(data), [name.isdecimal() for name in options.named_columns().values()]
     named = {column.lower() for column in options.named_columns().values() if not column.isdecimal()}
     try:
-        table = _unfolded(parse_text_table(plain_astm(data), named), options)
-    except MeasurementFormatError as error:
-        raise (_not_read(known) if known else error) from None
-    if known and table.names[0] == "1" and not options.columns:
-        raise _not_read(known)
-    return table
-
-
-def _format_of(data: bytes, patterns: dict[bytes, str]) -> str | None:
-    return next((kind for pattern, kind in patterns.items() if re.search(pattern, data)), None)
-
-
-def _not_read(kind: str) -> MeasurementFormatError:
-    return MeasurementFormatError(
-        f"The data is {kind}, which is not read: write its samples as a table with theta_in, phi_in, theta_out, "
-        "phi_out and value, in a text or in a spreadsheet (.xlsx)."
+        table = parse_text_table(_with_tristimulus(plain_astm(data)), named, by_position=any(positions))
+        if not standard or table.names[0] != "1" or options.columns:
+            return _unfolded(table, options)
+    except MeasurementFormatError:
+        if not standard:
+            raise
+    raise MeasurementFormatError(
+        f"The file is of ASTM E{standard[1].decode()}, without the names of its columns: write a line with them above "
+        "the rows, such as theta_in,phi_in,theta_out,phi_out,value."
     )
+
+
+def _with_tristimulus(data: bytes) -> bytes:
+    """Name the three columns of colour in a file whose head says CIE-XYZ, and names one column of values."""
+    is_xyz = re.search(rb"(?im)^#[ \t]*colorimetry[ \t:=]+CIE-?XYZ\b", data)
+    return re.sub(rb"(?m)^(#format:.*\s)\S+[ \t]*\r?$", rb"\1cie_x cie_y cie_z", data, count=1) if is_xyz else data
 
 
 def _unfolded(table: TextTable, options: TableOptions) -> TextTable:
@@ -276,7 +309,7 @@ def _unfolded(table: TextTable, options: TableOptions) -> TextTable:
     if "theta_in" not in map(meaning_of, (*names, *held, *options.held())):
         raise MeasurementFormatError(
             f"The table is a matrix of {names[0]} down and {names[1]} across, at one angle of incidence, which it does "
-            "not say: give it, such as constants theta_in=30."
+            "not say: give it, as in --constants theta_in=30."
         )
     down, *constants = (np.repeat(column, across.size) for column in (table.numbers(0), *held.values()))
     note = f"The table is a matrix: {names[0]} goes down and {names[1]} across."

@@ -37,16 +37,17 @@ _FACTORS = (
 )
 _RADIANCE_FACTORS = ("i/f", "i_over_f", "iof", "radf")
 _DENSITIES = ("value", "brdf", "bsdf", "frdb", "f_r", "fr")
+_TIMES_COSINE = ("dsf", "ccbsdf", "ccbrdf")
 _VALUES = (
-    *(*_DENSITIES, "luminance"),
-    *(f"{name}_mean" for name in ("brdf", "bsdf")),
-    *(f"mean_{name}" for name in ("brdf", "bsdf")),
+    *(*_DENSITIES, *_TIMES_COSINE, "luminance"),
     *(f"{name}{mark}11" for name in ("f_r", "fr", "f", "m", "s", "mueller", "brdf") for mark in ("", "_")),
 )
+# A name of values may have one of these words more, as in "Panel BRF".
+_QUALIFIERS = {"panel", "sample", "target", "measured", "mean", "average", "calibrated", "corrected", "absolute"}
 _OTHERS = {
-    "theta_in": ("aoi", "sza", "incidence", "einfallswinkel", "angle_d'incidence"),
+    "theta_in": ("aoi", "sza", "incidence", "incident", "einfallswinkel", "angle_d'incidence"),
     "theta_out": (
-        *("aor", "aos", "aov", "vza", "scatter", "scatterbeta", "emission", "emergence"),
+        *("aor", "aos", "aov", "vza", "scatter", "scatterbeta", "emission", "emergence", "viewing"),
         *("ausfallswinkel", "beobachtungswinkel", "angle_de_réflexion"),
     ),
     "phi_in": ("saa",),
@@ -55,8 +56,9 @@ _OTHERS = {
     "theta_from_mirror": ("angle_from_specular", "degrees_from_specular"),
     "value": (*_VALUES, *_FACTORS, *_RADIANCE_FACTORS),
     "weight": ("weight",),
-    "wavelength": ("wavelength", "wavelength_i", "lambda", "wl"),
+    "wavelength": ("wavelength", "wavelength_i", "lambda", "wl", "wavenumber", "wave_number"),
 }
+TRISTIMULUS = ("cie_x", "cie_y", "cie_z")
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDE_WORDS for axis in "xyz")
 HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
 COSINE = "cosine"
@@ -66,6 +68,7 @@ ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 """Factors that convert units of angles to radians."""
 WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
 """Factors that convert units of wavelengths to nanometres."""
+WAVENUMBER_UNITS = ("1/cm", "cm-1", "cm^-1", "cm**-1")
 VALUE_UNITS = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
 """Units of a BRDF."""
 # The first element of a Mueller matrix, if its elements are counted from 0, is the BRDF for unpolarised light.
@@ -80,6 +83,8 @@ _UNIT_BEHIND = re.compile(
     rf"(.+?)(?:(?: / |, ?| in )({'|'.join(map(re.escape, (*ANGLE_UNITS, *WAVELENGTH_UNITS, *VALUE_UNITS, '%')))})|"
     rf"_({'|'.join(map(re.escape, VALUE_UNITS))}))"
 )
+# A column is in decibels or another logarithm if its unit, or the first or the last word of its name, is one of these.
+_LOGARITHM = re.compile(r"(?:10_?\*_?)?(?:d_?b|dex|ln|lg|log(?:_?10)?|decibels?)")
 # LaTeX, quotation marks and arguments, as in f_r(theta_i, theta_r), are removed from a name.
 _MARKUP = re.compile(r"[$\\{}'\"#]|\([^()=]*theta[^()=]*,[^()=]*\)")
 _BAND_IN_BRACKETS = re.compile(r"(?:lambda ?= ?)?([0-9.]+ ?(?:nm|um|μm)?)")
@@ -109,6 +114,8 @@ def _spellings() -> Iterator[tuple[str, str]]:
     for name in HALF_DIFFERENCE:
         angle, _, of = name.partition("_")
         yield from ((spelling, name) for spelling in (name, f"{angle}{of}", f"{angle}_{of[0]}"))
+    for name in TRISTIMULUS:
+        yield from ((spelling, name) for spelling in (name, name.replace("_", ""), f"tristimulus_{name[-1]}"))
     for channel in CHANNELS:
         for spelling in (channel, channel[0]):
             yield spelling, channel
@@ -134,11 +141,22 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
     ]
     # A scattering angle beside another theta_out is the angle between light and viewer, and is ignored.
     ignored = {"scattering_angle"} if found.count("theta_out") > 1 else set()
-    if found.count("phi_out") > 1:
+    relative = {name for name in names if name == "raa" or _RELATIVE & {*name.split("_")}}
+    if found.count("phi_out") > 1 and relative:
         # If there is no azimuth of the light, a relative azimuth is used instead of the azimuth of the viewer.
-        relative = {name for name in names if name == "raa" or _RELATIVE & {*name.split("_")}}
         viewers = {name for name, known in zip(names, found, strict=True) if known == "phi_out"}
-        ignored |= relative if "phi_in" in found or not relative else viewers - relative
+        ignored |= relative if "phi_in" in found else viewers - relative
+    for angle in ("theta", "phi"):
+        # An angle without a side, beside one of the viewer, is the light's if the light has no other.
+        if found.count(f"{angle}_out") > 1 and f"{angle}_in" not in found and not relative:
+            found = [
+                f"{angle}_in" if _ANGLES.get(name) == angle else known for name, known in zip(names, found, strict=True)
+            ]
+    values = {name for name, known in zip(names, found, strict=True) if known == "value"}
+    if values & _EXACT.keys():
+        ignored |= values - _EXACT.keys()
+    if {*"xyz"} <= {*names} and not {"value", *CHANNELS} & {*found}:
+        found = [f"cie_{name}" if name in {*"xyz"} else known for name, known in zip(names, found, strict=True)]
     if first := [name for name in names if _FIRST_OF_MATRIX.fullmatch(name)]:
         found = ["value" if name in first else known for name, known in zip(names, found, strict=True)]
         ignored |= {name.replace("00", "11") for name in first}
@@ -161,6 +179,8 @@ def _meaning(name: str) -> str | None:
     """Return the meaning of a name in lower case: a known spelling, or words for an angle and for light or viewer."""
     if name in _EXACT:
         return _EXACT[name]
+    if _EXACT.get("_".join(word for word in name.split("_") if word not in _QUALIFIERS)) == "value":
+        return "value"
     written = [part for word in name.split("_") for part in _parts(word)]
     words = [word for word in written if word not in _FILLERS]
     angles = [_ANGLES[word] for word in words if word in _ANGLES]
@@ -197,6 +217,18 @@ def factor_of(cell: str, light: str) -> str:
     is_density = name.startswith((*_DENSITIES, "rrs"))
     is_factor = _FACTOR.fullmatch(name) is not None or (is_solar is not None and not is_density)
     return "pi times the BRDF: if they are, set scale to 0.3183, or to 0.003183 for per cent" if is_factor else ""
+
+
+def includes_cosine(cell: str) -> bool:
+    """Return whether a name of values means a BRDF times the cosine of theta_out."""
+    return name_and_unit(cell)[0] in _TIMES_COSINE
+
+
+def is_logarithm(cell: str) -> bool:
+    """Return whether the name or the unit of a column says that its numbers are decibels or another logarithm."""
+    name, unit = name_and_unit(cell)
+    first, last = name.partition("_")[0], name.rpartition("_")[2]
+    return any(_LOGARITHM.fullmatch(word) for word in (name, unit, first, last))
 
 
 def matrix_names(cell: str) -> tuple[str, ...]:
@@ -254,7 +286,7 @@ def name_and_unit(cell: str) -> tuple[str, str]:
     if len(cell) > _MAX_NAME_LENGTH:
         return cell, ""
     text, unit = unicodedata.normalize("NFKC", cell).strip(), ""
-    text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", text).lower()
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])(?!B\b)", "_", text).lower()  # A decibel is no word of two.
     for letter, word in _GREEK.items():
         text = text.replace(letter, word)
     text = _MARKUP.sub("", text).strip()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import re
+import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,9 +19,10 @@ from typing import Any, Literal
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.files import known_kind
+from dsbrdf.data.geometry import GRID_SHAPE
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl, read_merl
-from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.data.rgl import read_rgl
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import OLD_WORKBOOK, is_spreadsheet, spreadsheet_text, utf_16_of
@@ -33,8 +35,10 @@ from dsbrdf.samples.values import MAX_NOISE_FRACTION, about_repeated, unmeasured
 
 START_BYTES = 4096
 """This number of bytes at the beginning of a file is enough to recognise the kind of the file."""
-_RGL = b"tensor_file\0"
-_CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
+RGL_START = b"tensor_file\0"
+"""First bytes of an RGL ``.bsdf`` file."""
+_CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f]")
+_MAX_LIKELY_SIZE = 100_000  # A larger number is no dimension of a grid: the file is of another kind.
 _NAMES = {"merl": "a MERL file", "rgl": "an RGL file"}
 
 MeasurementKind = Literal["merl", "rgl", "samples"]
@@ -44,12 +48,24 @@ MeasurementKind = Literal["merl", "rgl", "samples"]
 def measurement_kind(start: bytes) -> MeasurementKind:
     """Return the kind of a file from its first `START_BYTES` bytes, or from all bytes of a shorter file.
 
-    A text or a spreadsheet contains samples; other data that do not begin like an RGL file count as MERL.
+    A text or a spreadsheet contains samples. Raises MeasurementFormatError, with what to do, for all other files than
+    those that begin with the dimensions of a grid, which count as MERL.
     """
-    if start.startswith(_RGL):
+    if start.startswith(RGL_START):
         return "rgl"
-    is_table = utf_16_of(start) or not _CONTROLS.search(start) or start.startswith((b"PK", OLD_WORKBOOK))
-    return "samples" if start and not start.startswith(HEADER) and is_table else "merl"
+    if start.startswith((b"PK\x03\x04", OLD_WORKBOOK)):
+        return "samples"
+    if (kind := known_kind(start)) is not None:
+        raise MeasurementFormatError(f"The file is {kind}.")
+    dimensions = [struct.unpack(order, start[:12].ljust(12)) for order in ("<3i", ">3i")]
+    if any(0 < min(sizes) <= max(sizes) < _MAX_LIKELY_SIZE for sizes in dimensions):
+        return "merl"
+    if utf_16_of(start) or not _CONTROLS.search(start):
+        return "samples"
+    raise MeasurementFormatError(
+        f"The file is of an unknown kind: neither a MERL file, which begins with the dimensions {GRID_SHAPE}, nor a "
+        ".bsdf file of the RGL database, nor a text or spreadsheet with a table of samples."
+    )
 
 
 def kind_of_file(path: str | os.PathLike[str]) -> MeasurementKind:
@@ -164,7 +180,7 @@ def read_samples(
     paths = [Path(one) for one in ([path] if isinstance(path, str | os.PathLike) else path)]
     if any(source.stat().st_size > _MAX_FILE_BYTES for source in paths):
         raise MeasurementFormatError(f"The table is longer than {_MAX_FILE_BYTES} bytes.")
-    return _joined([_read(source.read_bytes(), options) for source in paths], paths[0].stem)
+    return _joined([(source.name, _read(source.read_bytes(), options)) for source in paths], paths[0].stem, options)
 
 
 def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ScatteredSamples:
@@ -174,37 +190,49 @@ def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS
 
 def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ReadTable:
     """Return the samples in the bytes of a table, and a description of the table; raise as `read_samples` does."""
-    found = _read(data, options)
-    return ReadTable(found.columns, found.n_rows, _joined([found], name))
-
-
-def _joined(found: Sequence[SampleRows], name: str) -> ScatteredSamples:
-    numbers = np.concatenate([rows.numbers for rows in found])
-    omega_in, omega_out, values, weight = np.split(numbers, (3, 6, 9), axis=1)
-    notes = dict.fromkeys(note for rows in found for note in rows.notes)
-    return ScatteredSamples.from_arrays(omega_in, omega_out, values, weight[:, 0], name, tuple(notes))
+    rows = _read(data, options)
+    return ReadTable(rows.columns, rows.n_rows, _joined([(name, rows)], name, options))
 
 
 def _read(data: bytes, options: TableOptions) -> SampleRows:
-    """Return the usable rows of a file, even if the rows are too few for a fit."""
+    """Return the rows of a file as they are written."""
     if data.startswith(CANONICAL):
         options.refuse("a file of samples, which says everything itself")
         made = ScatteredSamples.decode(data)
         numbers = np.column_stack([made.omega_in, made.omega_out, made.values, made.weight])
         columns = tuple((name, name, "") for name in CANONICAL_NAMES)
-        return SampleRows(numbers, made.values, made.notes, columns, len(numbers))
-    notes: list[str] = []
-    if is_spreadsheet(data):
-        data, notes = spreadsheet_text(data)
+        is_grey = bool(np.all(made.values == made.values[:, :1]))
+        return SampleRows(numbers, made.values, made.notes, columns, len(numbers), is_grey, is_clean=True)
+    if (kind := measurement_kind(data[:START_BYTES])) != "samples":
+        raise MeasurementFormatError(f"The file is {_NAMES[kind]}, a measurement on a grid, and no table of samples.")
+    data, notes = spreadsheet_text(data) if is_spreadsheet(data) else (data, [])
     found = read_columns(table_in(data, options), options)
-    notes += found.notes
-    numbers = _in_units(_usable(found, notes), options, notes)
-    return replace(found, numbers=numbers, notes=tuple(notes))
+    return replace(found, notes=(*notes, *found.notes))
 
 
-def _usable(found: SampleRows, notes: list[str]) -> Array:
+def _joined(files: Sequence[tuple[str, SampleRows]], name: str, options: TableOptions) -> ScatteredSamples:
+    """Return the usable rows of all files as samples; a note that does not hold for all files begins with a name."""
+    grey = [file for file, rows in files if rows.is_grey]
+    if grey and len(grey) < len(files):
+        raise MeasurementFormatError(
+            f"The file {grey[0]} has one column of values, and other files have colours, which grey samples would make "
+            "paler: write red, green and blue in each file."
+        )
+    shared = set[str].intersection(*({*rows.notes} for _, rows in files))
+    notes = [
+        *dict.fromkeys(note if note in shared else f"{file}: {note}" for file, rows in files for note in rows.notes)
+    ]
+    written = [rows for _, rows in files if not rows.is_clean]
+    numbers = [rows.numbers for _, rows in files if rows.is_clean]
+    if written:
+        numbers.append(_in_units(_usable(written, notes), options, notes))
+    omega_in, omega_out, values, weight = np.split(np.concatenate(numbers), (3, 6, 9), axis=1)
+    return ScatteredSamples.from_arrays(omega_in, omega_out, values, weight[:, 0], name, tuple(notes))
+
+
+def _usable(found: Sequence[SampleRows], notes: list[str]) -> Array:
     """Return the rows with measured values above the horizon, and make their vectors unit vectors."""
-    numbers = found.numbers.copy()
+    numbers = np.concatenate([rows.numbers for rows in found])
     used = np.asarray(np.isfinite(numbers).all(axis=1))
     notes += _left_out(~used, "no finite number in a column that is needed")
     for side, part in (("omega_in", slice(0, 3)), ("omega_out", slice(3, 6))):
@@ -212,8 +240,8 @@ def _usable(found: SampleRows, notes: list[str]) -> Array:
     above = np.minimum(numbers[:, 2], numbers[:, 5]) > LOWEST_COSINE
     notes += _left_out(used & ~above, "a direction at or below the horizon")
     used &= above
-    if len(found.written) == len(used):
-        notes += about_repeated(found.written[used])
+    if len({rows.written.shape[1] for rows in found}) == 1 and sum(len(rows.written) for rows in found) == len(used):
+        notes += about_repeated(np.concatenate([rows.written for rows in found])[used])
     numbers = numbers[used]
     empty, said = unmeasured_zeros(numbers[:, :3], numbers[:, 3:6], numbers[:, 6:9])
     notes += said

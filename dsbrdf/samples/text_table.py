@@ -15,6 +15,7 @@ import numpy as np
 
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import (
+    MAX_COLUMNS,
     SEPARATORS,
     Constants,
     TextTable,
@@ -48,12 +49,12 @@ _MIN_NAMES = 2
 _MIN_TRANSPOSED_LINES = 3
 
 
-def parse_text_table(data: bytes, named: Collection[str] = ()) -> TextTable:
+def parse_text_table(data: bytes, named: Collection[str] = (), *, by_position: bool = False) -> TextTable:
     """Return the table in the bytes of a text.
 
     The line with most known column names is taken to name the columns. In addition to the built-in names, the names in
-    `named`, in lower case, are known. Raises MeasurementFormatError with a sentence that names the mistake and the
-    remedy.
+    `named`, in lower case, are known. If columns are named `by_position`, a line of names that does not fit the rows is
+    ignored. Raises MeasurementFormatError with a sentence that names the mistake and the remedy.
     """
     lines = decoded(data).splitlines()
     longest = max(lines, key=len, default="")
@@ -66,7 +67,13 @@ def parse_text_table(data: bytes, named: Collection[str] = ()) -> TextTable:
         return transposed
     place, names = _find_names(lines, named)
     rows, held = _rows_and_constants(lines, place)
-    return _with_constants(_named_table(rows, names) if names else unnamed_table(rows), held)
+    try:
+        table = _named_table(rows, names) if names else unnamed_table(rows)
+    except MeasurementFormatError:
+        if not by_position:
+            raise
+        table = unnamed_table(rows)
+    return _with_constants(table, held)
 
 
 def rows_of(lines: Sequence[str]) -> NumberedLines:
@@ -123,8 +130,8 @@ def _with_constants(table: TextTable, held: dict[int, Constants]) -> TextTable:
     blocks = [held[number] for number in table.lines]
     names = dict.fromkeys(name for block in {id(block): block for block in blocks}.values() for name in block)
     columns = {name: np.array([block.get(name, np.nan) for block in blocks]) for name in names}
-    same = " and ".join(f"{name} = {column[0]:g}" for name, column in columns.items() if np.ptp(column) == 0.0)
-    return table.with_columns(columns, *([f"All rows have {same}, as the head of the file says."] if same else []))
+    same = " and ".join(name for name, column in columns.items() if np.ptp(column) == 0.0)
+    return table.with_columns(columns, *([f"The head of the file gives {same}."] if same else []))
 
 
 def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tuple[str, ...]]:
@@ -146,7 +153,9 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
         if not row and _COMMENT.match(line):  # A comment without rows below may name the columns of the rows above.
             at, row = -1, next(filter(_is_row, lines), "").strip(" ")
         splits = [_cells(row, separator) for separator in SEPARATORS]
-        for names in _candidates(words):
+        for names in _candidates(words, is_glued=re.match(r"\s*[#%!]+\w", line) is not None):
+            if len(names) > 2 * MAX_COLUMNS:
+                continue
             known = count_names(names, named)
             fits = any(_fits(cells, len(names)) for cells in splits)
             has_numbers = any(name and not wavelength_of(name) and as_number(name, " ") is not None for name in names)
@@ -186,15 +195,21 @@ def _listed_names(lines: Sequence[str]) -> tuple[int, tuple[str, ...]] | None:
     return None
 
 
-def _candidates(words: str) -> Iterator[tuple[str, ...]]:
-    """Yield the column names in a line, split by each separator, and again without a label such as "format:"."""
+def _candidates(words: str, *, is_glued: bool) -> Iterator[tuple[str, ...]]:
+    """Yield the column names in a line, split by each separator, and again without a label such as "format:".
+
+    A label without a colon is a word that is not understood before names that are, or is glued to the comment mark.
+    """
     label, _, rest = words.partition(":")
-    for text in (words, rest.strip()) if rest and " " not in label else (words,):
+    for text in (rest.strip(), words) if rest and " " not in label else (words,):
         for separator in SEPARATORS:
             names = tuple(name.strip() for name in _cells(text, separator))
             n_named = max((at for at, name in enumerate(names, 1) if name), default=0)
             yield names[: max(n_named, len(names) - 1)]  # The last name is empty if the line ends with a separator.
             yield names[:n_named]
+            is_last_known = bool(names) and (meaning_of(names[-1]) or wavelength_of(names[-1]))
+            if len(names) > 2 and not meaning_of(names[0]) and (is_glued or is_last_known):
+                yield names[1:]
 
 
 def _transposed(lines: Sequence[str], named: Collection[str]) -> TextTable | None:

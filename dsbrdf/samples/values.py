@@ -9,10 +9,29 @@ light of equal energy at all wavelengths. White is adapted, by Bradford's matrix
 spectrum is linear between its wavelengths, and constant beyond the first and last.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.samples.columns import GREY, Column, FoundColumns
+from dsbrdf.samples.names import (
+    TRISTIMULUS,
+    VALUE_UNITS,
+    WAVELENGTH_UNITS,
+    WAVENUMBER_UNITS,
+    factor_of,
+    wavelength_of,
+)
+from dsbrdf.samples.table_options import TableOptions
+
+NO_UNIT = ("", "1", "-", "none")
+"""Units of a column that has none."""
+# Wavelengths without a unit are in metres or micrometres if they are below these limits, otherwise in nanometres.
+_MAX_WAVELENGTH_M = 1e-3
+_MAX_WAVELENGTH_UM = 20.0
 
 MAX_NOISE_FRACTION = 0.01
 """Negative values are noise up to this fraction of the largest value each, and of the sum of all values together."""
@@ -35,7 +54,7 @@ _MAX_ROUNDED_FRACTION = 1e-4
 _MIN_ZEROS = 3  # If a table has fewer zeros, all are kept as measured values.
 
 
-def without_code(values: Array, notes: list[str]) -> Array:
+def _without_code(values: Array, notes: list[str]) -> Array:
     """Replace a code for missing values, such as -9999, by NaN.
 
     A code is a negative integer that is the only number clearly below 0 in the table.
@@ -116,6 +135,8 @@ def _last_digit(values: Array) -> float:
 
 _NODES_NM = np.arange(360.0, 831.0)
 _VISIBLE_NM = (400.0, 700.0)
+# A note names the channels whose sensitivity lies by more than this fraction beyond the wavelengths of the table.
+_MAX_EXTRAPOLATED_FRACTION = 0.5
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 _D65 = np.array([0.95047, 1.0, 1.08883])
 _FROM_XYZ = np.array(
@@ -123,6 +144,91 @@ _FROM_XYZ = np.array(
 )
 # A table is refused if complete spectra at all pairs of directions would need more than this multiple of its rows.
 _MAX_PLACES_PER_ROW = 4
+
+
+def written_values(found: FoundColumns, options: TableOptions, notes: list[str]) -> Array:
+    """Return the values as written in the file, shape (rows, bands), with NaN for a missing value."""
+    columns = [found.columns[name] for name in found.values]
+    for name, column in zip(found.values, columns, strict=True):
+        is_band = wavelength_of(name) is not None and column.unit in WAVELENGTH_UNITS
+        if column.unit not in (*NO_UNIT, *VALUE_UNITS) and not is_band and options.scale == 1.0:
+            raise MeasurementFormatError(
+                f"The column {column.written!r} is in {column.unit!r}; the values of a BRDF are in 1/sr: if they are "
+                "those times a factor, give its inverse as the option scale, which is 0.01 for per cent and 0.003183, "
+                "1/(100 pi), for reflectance factors in per cent."
+            )
+    written = np.stack([column.numbers for column in columns], axis=-1)
+    return _without_code(np.where(np.isin(written, options.missing), np.nan, written), notes)
+
+
+def rgb_of(found: FoundColumns, written: Array) -> Array:
+    """Return the values of a table as RGB (rows, 3)."""
+    if found.values == TRISTIMULUS:
+        return _in_gamut(written @ _FROM_XYZ.T, written)
+    return (
+        linear_srgb(found.wavelengths, written)
+        if found.wavelengths.size
+        else np.repeat(written, 3 // len(found.values), axis=1)
+    )
+
+
+def in_nanometres(column: Column) -> Array:
+    """Return the wavelengths in a column of wavelengths or wavenumbers."""
+    if column.unit in WAVENUMBER_UNITS or "number" in column.written.lower():
+        return np.asarray(1e7 / np.where(column.numbers > 0.0, column.numbers, np.nan))
+    largest = largest_of(column.numbers)
+    by_size = "m" if largest < _MAX_WAVELENGTH_M else "um" if largest < _MAX_WAVELENGTH_UM else "nm"
+    unit = by_size if column.unit in NO_UNIT else column.unit
+    if unit not in WAVELENGTH_UNITS:
+        raise MeasurementFormatError(f"The wavelengths are in {unit!r}; they are in nm, um or m.")
+    return column.numbers * WAVELENGTH_UNITS[unit]
+
+
+def largest_of(numbers: Array) -> float:
+    """Return the largest absolute value of the finite numbers, or 0."""
+    return float(np.abs(numbers[np.isfinite(numbers)]).max(initial=0.0))
+
+
+def about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:
+    """Yield sentences on the unit and the colour of the values."""
+    written, light = found.columns[found.values[0]].written, found.columns.get("theta_in")
+    factor = factor_of(written, light.written if light else "") if options.scale == 1.0 else ""
+    if factor:
+        yield f"The names suggest that the column {written!r} has reflectance factors, which are {factor}."
+    if found.values == TRISTIMULUS:
+        yield "The colours were converted from CIE XYZ to linear sRGB."
+    elif found.values == GREY and wavelengths.size == 0:
+        yield "The table has one column of values: the material is taken to be grey."
+    elif wavelengths.size == 1:
+        yield f"All values are at {wavelengths[0]:g} nm: the material is taken to be grey."
+    elif wavelengths.size:
+        yield from _about_bands(wavelengths)
+
+
+def _about_bands(wavelengths: Array) -> Iterator[str]:
+    visible = wavelengths[_is_visible(wavelengths)]
+    if visible.size == 1:
+        others = ", ".join(f"{one:g}" for one in wavelengths if one != visible[0])
+        yield (
+            f"Only one of the {wavelengths.size} wavelengths is visible, {visible[0]:g} nm: the material is taken to "
+            f"be grey, as it is there; the values at {others} nm have no part in the fit."
+        )
+        return
+    yield (
+        f"The {wavelengths.size} wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm were made linear sRGB, "
+        "as the CIE 1931 observer sees them under light of equal energy; a flat spectrum is grey."
+    )
+    light, beyond = np.abs(_sensitivities()), (_NODES_NM < wavelengths[0]) | (_NODES_NM > wavelengths[-1])
+    share = light[:, beyond].sum(axis=1) / light.sum(axis=1)
+    if channels := [name for name, part in zip(CHANNELS, share, strict=True) if part > _MAX_EXTRAPOLATED_FRACTION]:
+        yield (
+            f"Most of {' and '.join(channels)} is extrapolated: beyond the wavelengths of the table, the values are "
+            "taken to be those at the nearest one."
+        )
+
+
+def _is_visible(wavelengths: Array) -> Mask:
+    return np.asarray((wavelengths >= _VISIBLE_NM[0]) & (wavelengths <= _VISIBLE_NM[1]))
 
 
 def _bell(mean: float, below: float, above: float) -> Array:
@@ -144,20 +250,27 @@ def _sensitivities() -> Array:
 
 
 def linear_srgb(wavelengths: Array, spectra: Array) -> Array:
-    """Return the RGB values (n, 3) of n spectra at increasing wavelengths [nm]; a single wavelength gives grey.
+    """Return the RGB values (n, 3) of n spectra at increasing wavelengths [nm]; a single visible wavelength gives grey.
 
     A negative channel of a colour outside of sRGB is set to 0. Raises MeasurementFormatError if no wavelength is
     visible.
     """
-    if len(wavelengths) > 1 and not np.any((wavelengths >= _VISIBLE_NM[0]) & (wavelengths <= _VISIBLE_NM[1])):
+    visible = _is_visible(wavelengths)
+    if len(wavelengths) > 1 and not visible.any():
         raise MeasurementFormatError(
             f"The wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm are not visible: write one of them as "
             "the column value, without the others."
         )
+    if len(wavelengths) == 1 or np.count_nonzero(visible) == 1:
+        return np.repeat(spectra[:, visible] if visible.any() else spectra, 3, axis=1)
     hats = np.stack([np.interp(_NODES_NM, wavelengths, one) for one in np.eye(len(wavelengths))])
-    rgb = spectra @ (_sensitivities() @ hats.T).T
-    rgb = np.where(spectra.min(axis=1, keepdims=True) >= 0.0, np.maximum(rgb, 0.0), rgb)
+    rgb = _in_gamut(spectra @ (_sensitivities() @ hats.T).T, spectra)
     return np.where(np.ptp(spectra, axis=1, keepdims=True) == 0.0, spectra[:, :1], rgb)
+
+
+def _in_gamut(rgb: Array, written: Array) -> Array:
+    """Set negative channels (n, 3) to 0, except those of samples with a negative value in the file."""
+    return np.where(written.min(axis=1, keepdims=True) >= 0.0, np.maximum(rgb, 0.0), rgb)
 
 
 def of_rows(numbers: Array, wavelengths: Array) -> tuple[Array, Array]:

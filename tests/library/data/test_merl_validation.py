@@ -110,12 +110,12 @@ FAULTS: dict[str, tuple[Make, str]] = {
         "0 of the 1111430 nodes above the horizon have a value of at least 1e-08/sr at a theta_half above",
     ),
     "another unit": (lambda data: scaled(data, 1e-30), "have a value of at least 1e-08/sr"),
-    "JSON": (lambda _: json.dumps({"measurement": [1.0] * 1000}).encode(), "The data is JSON"),
+    "JSON": (lambda _: json.dumps({"measurement": [1.0] * 1000}).encode(), "The data is a text that begins with '{"),
     "PNG": (lambda _: b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(1000), "The data is a PNG image"),
     "PDF": (lambda _: b"%PDF-1.7\n%\xe2\xe3\xcf\xd3\n" + bytes(1000), "The data is a PDF document"),
     "a text": (lambda _: b"# dsbrdf\n\nCompact models", "The data is a text that begins with '# dsbrdf', and no MERL"),
     "anything": (lambda _: b"\x07\x01\x02\x7f" * 10, "which begins with the dimensions (90, 90, 180)"),
-    "npy": (lambda data: npy(floats(data)), "The data is a .npy array"),
+    "npy": (lambda data: npy(floats(data)), "The data is a NumPy array (.npy); write its samples"),
     "zip": (zipped, "The data is a ZIP archive"),
 }
 
@@ -127,7 +127,7 @@ def test_what_is_no_measurement_is_named(data: bytes, damaged: Make, said: str) 
 
 def test_a_few_bytes_tell_another_format() -> None:
     assert "a ZIP archive" in refusal(b"PK\x03\x04")
-    assert "an RGL .bsdf file, which dsbrdf convert turns into a MERL file" in refusal(b"tensor_file\0\x01\x00")
+    assert "an RGL .bsdf file; dsbrdf convert turns it into a MERL file" in refusal(b"tensor_file\0\x01\x00")
 
 
 def test_values_that_are_not_finite_are_located_and_counted(data: bytes) -> None:

@@ -12,8 +12,8 @@ MIRROR_60 = 0.48
 """The truth at 60 degrees, in the mirror direction [1/sr]."""
 LAYOUTS = Path(__file__).parent / "layouts"
 REFUSED = {
-    "astm_e1392.txt": "is a file of ASTM E1392, which is not read",
-    "window_bsdf.txt": r"is a BSDF file of LBNL WINDOW \(Klems XML\), which is not read",
+    "astm_e1392.txt": "is of ASTM E1392, without the names of its columns: write a line with them above",
+    "window_bsdf.txt": r"is a BSDF file of LBNL WINDOW \(Klems XML or tensor tree\); evaluate it at pairs",
 }
 
 

@@ -54,8 +54,8 @@ REFUSED = {
         "incidence phase emission value\n10 70 20 1\n30 5 60 1\n"
     ),
     "The JSON has no lists of numbers by name, such as theta_in": '{"data": {"theta_i": [], "brdf": "dark"}}',
-    "is a label of the Planetary Data System, which describes another file": "PDS_VERSION_ID = PDS3\n",
-    "begins as a BSDF file of Zemax or LightTools, but is cut off": (
+    "is a label of the Planetary Data System; take the file that it describes": "PDS_VERSION_ID = PDS3\n",
+    "begins with 'ScatterAzimuth 1', as tabular BSDF of Zemax, text of LightTools": (
         "ScatterAzimuth 1\n0\nScatterRadial 1\n0\nDataBegin\nAOI 0\n1e\n"
     ),
 }

@@ -247,27 +247,30 @@ WRONG = [
     (
         "\n".join(WORDS[1:]).encode(),
         "has no line that names its columns; its rows have 7 numbers, such as "
-        f"{WORDS[1].replace(',', ', ')[:60]}: name them by their positions, as in columns theta_in=1,phi_in=2,",
+        f"{WORDS[1].replace(',', ', ')[:60]}: name them by their positions with the option columns, as MEANING=",
     ),
     (
         b"AOI=30\n;0;90;180\n" + b"10;0.1;0.2;0.3\n" * 60,
         "The table looks like a matrix, but its first cell is empty: write the names of the angles down and across",
     ),
     (
-        b"# theta_i: 10\n" + b"10 0 0.5\n" * 60,
-        "such as 10, 0, 0.5: name them by their positions, as in columns theta_out=1,phi_out=2,value=3.",
+        b"# theta_i: 10\n" + b"".join(b"%d %d 0.5\n" % (theta, phi) for theta in (10, 30) for phi in range(0, 360, 6)),
+        "such as 10, 0, 0.5: name them by their positions, as in --columns theta_out=1,phi_out=2,value=3.",
     ),
     (
         table(("alpha", "beta", "gamma", "delta", *CHANNELS)),
-        "The table lacks columns for the directions: theta_in, theta_out. It has alpha, beta, gamma, delta, red, "
-        "green, blue; not understood are 'alpha', 'beta', 'gamma', 'delta'. Directions are theta_in, phi_in, "
-        "theta_out, phi_out in degrees (without phi: in one plane), or",
+        "The table lacks theta_in and theta_out: not understood are its columns 'alpha', 'beta', 'gamma', 'delta'; "
+        "understood are 'red', 'green', 'blue'; say which column is which, as in --columns theta_in=alpha, or give an "
+        "angle that all rows have, as in --constants theta_in=30.",
     ),
-    (NO_Z, "The table lacks columns for the directions: omega_out_z. It has omega_in_x, "),
-    (table((*DIRECTION, "red", "green", "violet")), "The table lacks columns for the values: blue. It has theta_in"),
+    (NO_Z, "The table lacks omega_out_z: not understood are its columns 'z'; understood are 'omega_in_x'"),
+    (
+        table((*DIRECTION, "red", "green", "violet")),
+        "The table lacks blue: not understood are its columns 'violet'; understood",
+    ),
     (
         renamed("theta_in", "theta_i", "theta_out", "phi_out"),
-        "The columns 'theta_in' and 'theta_i' mean the same; keep one of them.",
+        "The columns 'theta_in' and 'theta_i' both seem to be theta_in: leave one of them out, or choose, as in",
     ),
     (
         table(columns=np.hstack([np.radians(ANGLES), RGB])),
@@ -281,7 +284,7 @@ WRONG = [
     ),
     (
         table((*DIRECTION, "BRDF [%]"), np.hstack([ANGLES, RGB[:, :1]])),
-        "The column 'value' is in '%'; the values of a BRDF are in 1/sr: if they are those times a factor, give",
+        "The column 'BRDF [%]' is in '%'; the values of a BRDF are in 1/sr: if they are those times a factor, give",
     ),
     (
         table(number=with_comma),
@@ -306,7 +309,7 @@ WRONG = [
     (table(columns=np.hstack([ANGLES, 0.0 * RGB])), "Every sample is zero in all channels; a measurement has positive"),
     (
         b"PK\x03\x04" + bytes(30),
-        "is a ZIP archive or a NumPy .npz file, which is not read: write its samples as a table with theta_in",
+        "The file is a ZIP archive, as NumPy's .npz is; unpack it first.",
     ),
     (
         b"SampleRotation 1\n0\nAngleOfIncidence 2\n0 9\nScatterAzimuth 1\n0\nScatterRadial 2\n0 9\nDataBegin\n1 2 3\n",
@@ -321,9 +324,15 @@ WRONG = [
         "The Zemax BSDF file has SpectralContent XYZ; only Monochrome is read.",
     ),
     (b"TIS 1\nScatterRadial\n# DataBegin\n", "begins with 'TIS 1' and has no line that names its columns"),
-    (b"! ASTM E1392-96\nBSDF of mirror 3\n1 2 3\n", "The data is a file of ASTM E1392, which is not read"),
+    (
+        b"! ASTM E1392-96\nBSDF of mirror 3\n1 2 3\n",
+        "The file is of ASTM E1392, without the names of its columns: write",
+    ),
     (changed(5, "1e30"), "no reflectance is; if 1e+30 stands for what is missing, set missing to it."),
-    (bytes(range(256)), "The data is not a text; a table of samples is a text in UTF-8."),
+    (
+        bytes(range(256)),
+        "The file is of an unknown kind: neither a MERL file, which begins with the dimensions (90, 90, 180), nor",
+    ),
     (changed(4, '"1'), "A quotation mark in the table is not closed on its line."),
 ]
 

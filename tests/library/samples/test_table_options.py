@@ -33,8 +33,8 @@ def test_a_column_that_is_named_counts_alone() -> None:
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        ("theta_in=angle", "The table has no column 'angle'; it has AOI 1, turn, Arm"),
-        ("theta_inn=Arm", "The option columns has 'theta_inn', which is no meaning. Directions are theta_in"),
+        ("theta_in=angle", "The table has no column 'angle'; it has 'AOI 1', 'turn', 'Arm'"),
+        ("theta_inn=Arm", "The option columns has 'theta_inn'; the meanings are theta_in, "),
     ],
 )
 def test_columns_that_are_not_there_are_told(columns: str, words: str) -> None:

@@ -1,9 +1,11 @@
 """Tables with what laboratories leave in them, of known truth: read right, or told what is wrong and what helps."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from dsbrdf import MeasurementFormatError, ScatteredSamples, TableOptions
+from dsbrdf import MeasurementFormatError, ScatteredSamples, TableOptions, read_samples
 from dsbrdf.arrays import Array
 from dsbrdf.data import CHANNELS
 from dsbrdf.data.geometry import spherical
@@ -89,7 +91,9 @@ def test_a_retro_reflector_is_told_as_such() -> None:
 
 def test_exchanged_angles_are_told_with_the_option_that_exchanges_them() -> None:
     content = table(("phi_i", "theta_i", "phi_o", "theta_o", "brdf"), np.column_stack([GRID, TRUE]))
-    with pytest.raises(MeasurementFormatError, match="exchanged, set columns to theta_in=phi_i,theta_out=") as caught:
+    with pytest.raises(
+        MeasurementFormatError, match="exchanged, name them, as in --columns theta_in=phi_i,theta_out="
+    ) as caught:
         parse_samples(content)
     option = str(caught.value).rpartition(" ")[2].rstrip(".")
     samples = parse_samples(content, options=TableOptions(columns=option))
@@ -99,7 +103,9 @@ def test_exchanged_angles_are_told_with_the_option_that_exchanges_them() -> None
 def test_columns_that_are_not_understood_are_quoted_and_can_be_named_by_position() -> None:
     names = "lamp p,lamp q,cam p,cam q,450.1nm,550.2nm,650.3nm"
     content = table(names, np.column_stack([GRID, TRUE, TRUE, TRUE]))
-    with pytest.raises(MeasurementFormatError, match="not understood are 'lamp p', 'lamp q', 'cam p', 'cam q'"):
+    with pytest.raises(
+        MeasurementFormatError, match="not understood are its columns 'lamp p', 'lamp q', 'cam p', 'cam q'"
+    ):
         parse_samples(content)
     chosen = TableOptions(columns="theta_in=1,phi_in=lamp q,theta_out=3,phi_out=4")
     np.testing.assert_allclose(parse_samples(content, options=chosen).values[:, 0], TRUE, rtol=1e-6)
@@ -161,6 +167,119 @@ def test_bands_in_brackets_tolerances_and_vectors_of_words_are_read() -> None:
     samples = parse_samples("\n".join([";".join([*names, "R(450)", "R(λ = 650 nm)"]), *lines]).encode())
     np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
     np.testing.assert_allclose(samples.omega_out, omega[:, 3:], atol=1e-9)
+
+
+SUN = np.column_stack([GRID[:, 2:], GRID[:, :2]])
+"""theta_out, phi_out, theta_in, phi_in [degrees]."""
+BANDS = np.column_stack([SUN, TRUE, TRUE, 0.0 * TRUE])
+
+
+@pytest.mark.parametrize("label", ["#DATA ", "%NAMES ", "columns ", "# columns "])
+def test_a_label_before_the_names_is_no_column(label: str) -> None:
+    names = f"{label}vza vaa sza saa 520 640 {'' if label == 'columns ' else 'sigma'}".strip()
+    content = table(names, BANDS[:, :6] if label == "columns " else BANDS, between=" ")
+    if label == "# columns ":  # The last name could be that of a column which the rows leave out.
+        with pytest.raises(MeasurementFormatError, match=r"Line 2 of the table has 7 cells, .* names has 8"):
+            parse_samples(content)
+        return
+    samples = parse_samples(content)
+    np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
+    np.testing.assert_allclose(samples.omega_in, directions(GRID)[0], atol=1e-9)
+
+
+def test_positions_count_the_cells_of_the_rows_whatever_the_line_of_names_is() -> None:
+    chosen = TableOptions(columns="theta_out=1,phi_out=2,theta_in=3,phi_in=4,value=6")
+    content = table("# theta x y theta value three more words", BANDS, between=" ")
+    np.testing.assert_allclose(parse_samples(content, options=chosen).values[:, 0], TRUE, rtol=1e-5)
+
+
+def test_colours_in_cie_xyz_are_read() -> None:
+    white, red = np.array([0.9505, 1.0, 1.089]), np.array([0.4124, 0.2126, 0.0193])  # IEC 61966-2-1.
+    for colour, expected in ((white, [1.0, 1.0, 1.0]), (red, [1.0, 0.0, 0.0])):
+        at_40 = GRID[:, 0] == 40.0
+        columns = np.column_stack([GRID[at_40, 2:], TRUE[at_40, None] * colour])
+        head = "#incident_angle 40 180\n#colorimetry: CIE-XYZ\n"
+        pgii = parse_samples(table("#format: theta phi BSDF", columns, between=" ", before=head))
+        named = parse_samples(table((*DIRECTION, "X", "Y", "Z"), np.column_stack([GRID, TRUE[:, None] * colour])))
+        np.testing.assert_allclose(pgii.values, TRUE[at_40, None] * expected, atol=2e-4 * TRUE.max())
+        np.testing.assert_allclose(named.values, TRUE[:, None] * expected, atol=2e-4 * TRUE.max())
+
+
+def test_a_bare_angle_beside_that_of_the_viewer_is_the_lights() -> None:
+    for names in ("thetai,phi,thetar,phir,brdf", "theta,phi,theta_v,phi_v,brdf"):
+        samples = parse_samples(table(names, np.column_stack([GRID, TRUE])))
+        np.testing.assert_allclose(samples.omega_in, directions(GRID)[0], atol=1e-9)
+
+
+def test_one_visible_band_is_told_and_the_others_have_no_part() -> None:
+    for names in ("vza,vaa,sza,saa,655 nm,865 nm,1610 nm", "vza,vaa,sza,saa,865 nm,655 nm,1610 nm"):
+        at = names.split(",").index("655 nm")
+        columns = np.column_stack([SUN, 30.0 * TRUE, 30.0 * TRUE, 9.0 * TRUE])
+        columns[:, at] = TRUE
+        samples = parse_samples(table(names, columns))
+        np.testing.assert_allclose(samples.values, np.repeat(TRUE[:, None], 3, axis=1), rtol=1e-6)
+        assert "Only one of the 3 wavelengths is visible, 655 nm: " in samples.notes[-1]
+    samples = parse_samples(table("vza,vaa,sza,saa,500 nm,655 nm,865 nm", columns))
+    assert samples.notes[-1].startswith("Most of blue is extrapolated: beyond the wavelengths of the table")
+
+
+@pytest.mark.parametrize("name", ["BRDF [dB]", "log10(BRDF)", "brdf_dB", "ln BRDF", "10*log10(fr)"])
+def test_logarithms_are_refused_in_the_words_of_the_file(name: str) -> None:
+    content = table((*DIRECTION, name), np.column_stack([GRID, 10.0 * np.log10(TRUE)]))
+    with pytest.raises(MeasurementFormatError, match="has logarithms of the values, as decibels or log10") as caught:
+        parse_samples(content)
+    assert f"The column {name!r} has" in str(caught.value)
+
+
+def test_no_example_is_given_that_does_not_read_the_table() -> None:
+    spectrum = b"\n".join(b"%.2f,%.3f" % (0.4 + 0.01 * at, 0.2 + 0.003 * at) for at in range(60))
+    factors = table("", np.column_stack([np.arange(380.0, 740.0, 5.0), *[np.linspace(0.1, 0.9, 72)] * 3]))
+    for content, words in ((spectrum, "which a spectrum does not have."), (factors, "as MEANING=POSITION.")):
+        with pytest.raises(MeasurementFormatError, match="has no line that names its columns") as caught:
+            parse_samples(content)
+        assert str(caught.value).endswith(words)
+    scan = table("", np.column_stack([GRID[:, 2:], TRUE])[GRID[:, 0] == 40.0], between=" ")
+    with pytest.raises(MeasurementFormatError) as caught:
+        parse_samples(scan)
+    example = str(caught.value).partition("--columns ")[2].split(" ")
+    assert example[:3] == ["theta_out=1,phi_out=2,value=3", "--constants", "theta_in=30"]
+    assert len(parse_samples(scan, options=TableOptions(columns=example[0], constants=example[2])).values) == 180
+
+
+def test_further_names_are_read() -> None:
+    dsf = TRUE * directions(GRID)[1][:, 2]
+    samples = parse_samples(table("Incident,phi_i,Viewing,phi_r,DSF", np.column_stack([GRID, dsf])))
+    np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
+    assert "The column 'DSF' has the BRDF times the cosine of theta_out, and was divided by it." in samples.notes
+    samples = parse_samples(table("sza,saa,vza,vaa,Panel BRF,BRF sd", np.column_stack([GRID, TRUE, TRUE])))
+    np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-6)
+    rows = [np.column_stack([np.full(len(GRID), 1e7 / nm), GRID, TRUE]) for nm in (450.0, 550.0, 650.0)]
+    samples = parse_samples(table(("wavenumber [1/cm]", *NAMES), np.vstack(rows)))
+    assert len(samples.values) == 513  # One sample for all azimuths at the normal.
+    assert "The 3 wavelengths from 450 to 650 nm were made linear sRGB" in samples.notes[-1]
+
+
+def test_underscores_are_no_digits() -> None:
+    with pytest.raises(MeasurementFormatError, match="Line 6 of the table has '1_0' in the column 'theta_in'"):
+        parse_samples(changed(0, "1_0"))
+
+
+def test_files_of_one_material_are_told_of_together(tmp_path: Path) -> None:
+    paths = [tmp_path / f"at{angle:g}.txt" for angle in (15.0, 40.0)]
+    for path, angle in zip(paths, (15.0, 40.0), strict=True):
+        rows = np.column_stack([GRID[:, 2:], TRUE])[GRID[:, 0] == angle]
+        low = [[95.0, 0.0, 0.1]] if angle == 15.0 else [[95.0, 0.0, 0.1], [91.0, 0.0, 0.1]]
+        columns = np.vstack([rows, low])
+        path.write_bytes(table("#format: theta phi BSDF", columns, between=" ", before=f"#intheta {angle}\n"))
+    samples = read_samples(paths)
+    assert len(samples.values) == 360
+    assert "3 rows have a direction at or below the horizon; they are left out." in samples.notes
+    assert not any("15" in note or "40" in note for note in samples.notes)
+    paths[1].write_bytes(table((*DIRECTION, *CHANNELS), np.column_stack([GRID, TRUE, TRUE, 0.5 * TRUE])))
+    with pytest.raises(
+        MeasurementFormatError, match=r"The file at15\.txt has one column of values, and other files have"
+    ):
+        read_samples(paths)
 
 
 LINES = [",".join(map(repr, row)) for row in np.column_stack([GRID - [0.0, 180.0, 0.0, 180.0], TRUE]).tolist()]

@@ -180,7 +180,7 @@ def test_what_is_wrong_is_told_soon_and_nothing_is_stored(server: Server, bsdf: 
 def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: bytes) -> None:
     odd = table.replace(b"blue", b"azure", 1) + b"0,0,1,0,0,1,-9,-9,-9\n"
     chosen = {"columns": "blue=azure", "missing": "-9", "scale": "0.5", "cosine": "out", "phi": "mirror"}
-    assert "lacks columns for the values: blue" in assert_problem(post(server, odd, "odd.csv"), 422)
+    assert "lacks blue: not understood are its columns" in assert_problem(post(server, odd, "odd.csv"), 422)
     headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
     fit = server.ended(server.http.post("/v1/fits", params=FEW_LOBES | chosen, content=odd, headers=headers)).json()
     assert fit["status"] == "succeeded", fit
