@@ -23,8 +23,8 @@ from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitDocument, FitTa
 from .errors import FitNotFoundError, MeasurementDamagedError
 from .log import bind
 from .settings import Settings
-from .storage.database import in_write_thread
-from .storage.schema import Caller, FitKey, FitRow
+from .storage.database import in_write_thread, is_passing
+from .storage.schema import ROW_DAMAGED, Caller, FitKey, FitRow
 from .storage.store import Store
 from .wire import from_wire
 
@@ -69,7 +69,6 @@ logger = logging.getLogger(__name__)
 Values = TypeVarTuple("Values")
 
 _RETRY_DELAY = 5.0  # [s] Pause before a failed write, or the failed start of a process, is repeated.
-_DISK_ERRORS = (OSError, sqlite3.DatabaseError)
 _MIN_POLL_INTERVAL = 0.05  # [s] Pause between two readings of the row of a fit that has no task in this process.
 _LOST_DELAY = 0.5  # [s] Wait before a lost fit is repeated, because a shutdown may end its process before the service.
 
@@ -205,14 +204,18 @@ class FitQueue:
                 async with self._turns.turn(key.owner):
                     while not await self._attempt(key):
                         pass
-            except Exception:
-                # The row stays unfinished, and the next start of the service runs the fit again.
+            except Exception as error:
                 logger.exception("the fit could not be brought to its end")
+                message = f"The row of the fit cannot be used: {error}; restore the database from a copy."
+                await _write(self._store.fail_fit, key, asdict(Fault("system", ROW_DAMAGED, message)))
 
     async def _attempt(self, key: FitKey) -> bool:
         """Run a fit once; return False if the fit must run again."""
         row = await _write(self._store.start_fit, key)
         if row is None:
+            return True
+        if row.error is not None:  # The row is damaged.
+            await _write(self._store.fail_fit, key, row.error)
             return True
         self._set_progress(key, 0.0)
         if row.started is not None and row.attempts == 1:
@@ -279,6 +282,8 @@ async def _write(write: Callable[[*Values], T], *values: *Values) -> T:
     while True:
         try:
             return await in_write_thread(write, *values)
-        except _DISK_ERRORS as error:
+        except (OSError, sqlite3.DatabaseError) as error:
+            if not is_passing(error):
+                raise
             logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _RETRY_DELAY)
             await asyncio.sleep(_RETRY_DELAY)

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import Depends, Path, Request
 from fastapi.routing import APIRoute
@@ -68,10 +68,19 @@ class Context:
             raise
 
     async def stored_measurement(
-        self, owner: str, sha256: str, name: str | None = None, kind: Literal["grid", "samples", "any"] = "grid"
+        self, owner: str, sha256: str, name: str | None = None, *, on_grid: bool | None = True
     ) -> StoredMeasurement:
-        """Check the file of a stored measurement and return its path and name; raises as `Store.measurement_file`."""
-        path = await in_thread(self.store.measurement_file, owner, sha256, kind)
+        """Check the file of a stored measurement, on a grid or not, and return its path and name.
+
+        Raises the errors of `Store.measurement_file`, and ProblemError if the measurement is not of this kind.
+        """
+        row, path = await in_thread(self.store.measurement_file, owner, sha256)
+        if on_grid is True and not row.on_grid:
+            detail = "The measurement is a table of samples, without pictures or values in between; fit it first."
+            raise ProblemError("not-found", detail)
+        if on_grid is False and row.on_grid:
+            detail = "The measurement is a grid, not a table of samples; read its content instead."
+            raise ProblemError("not-found", detail)
         return StoredMeasurement(path, sha256, name)
 
 

@@ -333,9 +333,8 @@ async def get_measurement(request: Request, context: TheContext, caller: TheCall
 )
 async def download_measurement(request: Request, context: TheContext, caller: TheCaller, sha256: Sha256) -> Response:
     """Return the stored file; its ETag is its sha256. `HEAD` tells whether the file is stored, without sending it."""
-    row = await run_in_threadpool(context.store.measurement, caller.owner, sha256)
     headers = {"ETag": f'"{sha256}"', **_VARY}
-    path = await in_thread(context.store.measurement_file, caller.owner, sha256)
+    row, path = await in_thread(context.store.measurement_file, caller.owner, sha256)
     if known := not_modified(request, headers):
         return known
     if IS_HEAD in request.scope:

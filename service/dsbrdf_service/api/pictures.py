@@ -154,7 +154,7 @@ async def draw_figure(
     `parameters` shows the components' values at theta_half = 0 and directional albedos; `residual` shows the relative
     difference over theta_half and theta_diff, for a table of samples at the samples.
     """
-    stored = await context.stored_measurement(row.owner, row.measurement, row.name, "any")
+    stored = await context.stored_measurement(row.owner, row.measurement, row.name, on_grid=None)
     require("plot", "matplotlib", purpose="figures")
     return await draw(figure_step, figure, fit.model, stored, from_wire(row.options), dark, of=row.name)
 
@@ -194,5 +194,5 @@ async def get_samples(
     draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, most: _Most = 5000
 ) -> Response:
     """Return omega_in, omega_out and RGB values of at most `most` random samples of a table, float32 (n, 9)."""
-    stored = await context.stored_measurement(caller.owner, sha256, kind="samples")
+    stored = await context.stored_measurement(caller.owner, sha256, on_grid=False)
     return await draw(samples_step, stored, most)

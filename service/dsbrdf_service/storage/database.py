@@ -5,7 +5,7 @@ import os
 import shutil
 import sqlite3
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,11 @@ RESERVE = "dsbrdf.reserve"
 _BUSY_TIMEOUT = 5.0  # [s] A transaction that waits longer for other transactions fails, and its request gets 503.
 _MIN_DATABASE_BYTES = 512  # A shorter, non-empty file is refused, because SQLite would overwrite it.
 _MIN_FREE_BYTES = 1 << 16  # With less free space, SQLite cannot create its files beside the database.
+# With these codes, SQLite reports a fault of the disk or of the moment; others are faults of a row or of a query.
+_PASSING = (
+    *(sqlite3.SQLITE_FULL, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_NOMEM),
+    *(sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PROTOCOL),
+)
 _RESTORE = "restore the folder from a copy; nothing in it has been changed"
 _REMEDIES = {
     sqlite3.SQLITE_CORRUPT: _RESTORE,
@@ -36,6 +41,13 @@ _REMEDIES = {
 }
 in_write_thread = partial(to_thread.run_sync, limiter=CapacityLimiter(4))
 """Run a function that writes rows in a thread; readers have other threads and do not wait for writers."""
+
+
+def is_passing(error: Exception) -> bool:
+    """Return whether a failed use of the folder may succeed later, without a change of the database."""
+    if not isinstance(error, sqlite3.Error):
+        return isinstance(error, OSError)
+    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_BUSY) & 0xFF in _PASSING
 
 
 class Database:
@@ -114,10 +126,11 @@ class Database:
         finally:
             self._writer_lock.release()
 
-    def check_writing(self) -> None:
-        """Raise sqlite3.Error or OSError unless rows can be written; do not wait for other writers.
+    def check_writing(self, attempt: Callable[[sqlite3.Connection], object]) -> None:
+        """Raise sqlite3.Error or OSError unless an `attempt` to write rows succeeds, whose changes are taken back.
 
-        While another transaction runs, a recent end of an earlier one proves that rows can be written.
+        The check does not wait for other writers: while another transaction runs, a recent end of an earlier one proves
+        that rows can be written.
         """
         self._check_files()
         if not self._writer_lock.acquire(blocking=False):
@@ -125,13 +138,21 @@ class Database:
                 raise sqlite3.OperationalError("a transaction takes too long")
             return
         try:
-            # This writes the value that the database has already, to test writing without a change.
+            try:
+                self._writer.execute("BEGIN IMMEDIATE")
+                attempt(self._writer)
+            finally:
+                self._writer.rollback()
+            # This writes the value that the database has already, because what is taken back never reaches the disk.
             self._writer.execute(f"PRAGMA user_version = {VERSION}")
         finally:
             self._writer_lock.release()
 
     def _connection(self) -> sqlite3.Connection:
-        return sqlite3.connect(self._path, timeout=_BUSY_TIMEOUT, isolation_level=None, check_same_thread=False)
+        connection = sqlite3.connect(self._path, timeout=_BUSY_TIMEOUT, isolation_level=None, check_same_thread=False)
+        # A text with a damaged byte can still be shown.
+        connection.text_factory = partial(str, encoding="utf-8", errors="replace")
+        return connection
 
     def _check_files(self) -> None:
         for path, status in self._files.items():
@@ -165,14 +186,29 @@ def check_integrity(folder: Path) -> None:
         raise DataFolderError(f"the database {folder / FILE_NAME} is damaged ({first}); {_RESTORE}")
 
 
-def read_only(folder: Path, query: str) -> list[tuple[Any, ...]]:
-    """Return the rows that `query` selects from the database of a folder, without changing the folder.
+def read_only(folder: Path, query: str, of_row: Callable[[tuple[Any, ...]], Any] = tuple) -> list[Any]:
+    """Return `of_row` of each row that `query` selects from the database of a folder, without changing the folder.
 
-    A connection that may write would, when closed, write the log of a damaged database into the database file.
+    A connection that may write would, when closed, write the log of a damaged database into the database file. In a
+    folder where nothing can be written, a database without a log is read as one that nobody changes.
+
+    Raises OSError if such a folder has a log, which cannot be read there.
     """
-    uri = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro"
+    uri, log = f"{(folder / FILE_NAME).resolve().as_uri()}?mode=ro", folder / f"{FILE_NAME}-wal"
+    try:
+        return _selected(uri, query, of_row)
+    except sqlite3.OperationalError as error:
+        if error.sqlite_errorcode not in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY_CANTINIT):
+            raise
+    if log.exists() and log.stat().st_size:
+        raise OSError(f"{log.name} has changes that cannot be read in a read-only folder; copy the folder")
+    return _selected(f"{uri}&immutable=1", query, of_row)
+
+
+def _selected(uri: str, query: str, of_row: Callable[[tuple[Any, ...]], Any]) -> list[Any]:
     with closing(sqlite3.connect(uri, uri=True, timeout=_BUSY_TIMEOUT)) as connection:
-        return connection.execute(query).fetchall()
+        connection.text_factory = partial(str, encoding="utf-8", errors="surrogateescape")  # This keeps wrong bytes.
+        return list(map(of_row, connection.execute(query)))
 
 
 def own_folder(folder: Path) -> Path:

@@ -96,6 +96,7 @@ class Blobs:
     def __init__(self, folder: Path) -> None:
         self._blobs = folder / "blobs"
         self.temporary = folder / "tmp"
+        self._identity: list[tuple[int, int]] = []
         # Stat of each file when its sha256 was last correct, so that an unchanged file need not be read again.
         self._sound: dict[str, tuple[int, ...]] = {}
 
@@ -103,6 +104,7 @@ class Blobs:
         """Make the folders of complete and of incoming files; raise DataFolderError if a path is no folder."""
         own_folder(self._blobs)
         own_folder(self.temporary)
+        self._identity = self._found()
 
     def path(self, sha256: str) -> Path:
         """Return the path of the measurement `sha256`, which need not exist."""
@@ -137,22 +139,17 @@ class Blobs:
     def damage(self, sha256: str) -> str | None:
         """Return what is wrong with a measurement's file, or None if its bytes have the sha256 in its name.
 
-        All bytes are read, unless they were correct before and the file's stat has not changed. Raises OSError if too
-        many files are open.
+        All bytes are read, unless they were correct before and the file's stat has not changed. Raises OSError if the
+        file cannot be read.
         """
         path = self.path(sha256)
-        try:
-            status = path.stat()
-            if not stat.S_ISREG(status.st_mode):  # A pipe is not opened, because that could block.
-                return "it is no regular file"
-            if self._sound.get(sha256) == _stamp(status):
-                return None
-            with path.open("rb") as file:
-                right = hashlib.file_digest(file, "sha256").hexdigest() == sha256
-        except OSError as error:
-            if error.errno in (errno.EMFILE, errno.ENFILE):  # Too many files are open; this one may be undamaged.
-                raise
-            return error.strerror or str(error)
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):  # A pipe is not opened, because that could block.
+            return "it is no regular file"
+        if self._sound.get(sha256) == _stamp(status):
+            return None
+        with path.open("rb") as file:
+            right = hashlib.file_digest(file, "sha256").hexdigest() == sha256
         if right:
             self._sound[sha256] = _stamp(status)
         return None if right else "its sha256 is another one"
@@ -165,15 +162,26 @@ class Blobs:
 
     def clear_temporary(self) -> None:
         """Remove the files that an earlier process was receiving when it ended."""
-        for path in self.temporary.glob(f"{PREFIX}*"):
-            if path.is_file():
-                path.unlink()
+        for folder in (self.temporary, self._blobs):
+            for path in folder.glob(f"{PREFIX}*"):
+                if path.is_file():
+                    path.unlink()
 
     def check(self) -> None:
-        """Raise OSError unless a file can be written."""
-        with tempfile.TemporaryFile(dir=self.temporary, buffering=0) as probe:
+        """Raise OSError unless the folders are those of the start, and a file can be written and moved to its place."""
+        if self._identity != self._found():
+            raise FileNotFoundError(errno.ENOENT, f"{self._blobs.name}/ or {self.temporary.name}/ has been replaced")
+        probe = Incoming(self.temporary)
+        try:
             probe.write(b"ready?")
-            os.fsync(probe.fileno())
+            probe.close()
+            probe.path.rename(self._blobs / probe.path.name).unlink()
+        finally:
+            probe.discard()
+
+    def _found(self) -> list[tuple[int, int]]:
+        """Return what identifies the two folders as they are now."""
+        return [(status.st_dev, status.st_ino) for status in (self._blobs.stat(), self.temporary.stat())]
 
 
 def _stamp(status: os.stat_result) -> tuple[int, ...]:

@@ -13,11 +13,13 @@ from pathlib import Path
 
 from .database import Database, read_only
 from .files import Blobs
-from .schema import IS_UNFINISHED, VERSION
+from .schema import IS_UNFINISHED, VERSION, FitRow, MeasurementRow, columns
 
 _SPARE_DISK_BYTES = 1 << 24  # With less free space, files are deleted first, so that the commit has space.
 _ROWS_PER_TRANSACTION = 50  # A running server waits a few milliseconds for each transaction of this size.
 
+_EVERY_FIT = f"SELECT {columns(FitRow)}, CAST(result AS BLOB), checksum FROM fits"  # noqa: S608
+_EVERY_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
 _OLD_FITS = f"FROM fits WHERE NOT {IS_UNFINISHED} AND coalesce(finished, created) < :before"
 # A measurement stays as long as it has an unfinished fit, or a fit that ended after the given time.
 _OLD_MEASUREMENTS = (
@@ -106,6 +108,10 @@ def check_database(folder: Path) -> tuple[bool, str]:
     faults = [fault for (fault,) in read_only(folder, "PRAGMA integrity_check(3)") if fault != "ok"]
     if faults:
         return False, f"{'; '.join(faults)}: restore the folder from a copy"
+    rows = [*read_only(folder, _EVERY_FIT, FitRow.fault), *read_only(folder, _EVERY_MEASUREMENT, MeasurementRow.fault)]
+    faults = [fault for fault in rows if fault]
+    if faults:
+        return False, f"{len(faults)} rows are damaged, first {faults[0]}: delete it, or restore the folder from a copy"
     ((n_fits,),) = read_only(folder, "SELECT count(*) FROM fits")
     return True, f"intact, {n_fits} fits"
 
@@ -113,7 +119,7 @@ def check_database(folder: Path) -> tuple[bool, str]:
 def check_measurements(folder: Path) -> tuple[bool, str]:
     """Read the file of every measurement; return whether each has the sha256 in its row, and a sentence about them."""
     blobs = Blobs(folder)
-    faults = {sha256: fault for sha256 in _stored(folder) if (fault := blobs.damage(sha256))}
+    faults = {sha256: fault for sha256 in _stored(folder) if (fault := _damage(blobs, sha256))}
     stored = _stored(folder)  # A file that was deleted with its row meanwhile is no fault.
     damaged = [sha256 for sha256 in faults if sha256 in stored]
     if damaged:
@@ -133,6 +139,13 @@ def check_files(folder: Path) -> tuple[bool, str]:
             "of the same measurement makes one, and dsbrdf purge --files-without-rows removes those that nobody needs"
         )
     return True, f"{len(files)} files have rows"
+
+
+def _damage(blobs: Blobs, sha256: str) -> str | None:
+    try:
+        return blobs.damage(sha256)
+    except OSError as error:
+        return error.strerror or str(error)
 
 
 def _stored(folder: Path) -> set[str]:

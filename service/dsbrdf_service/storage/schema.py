@@ -7,9 +7,10 @@ import json
 import math
 import sqlite3
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 from ..errors import DataFolderError
 
@@ -51,6 +52,11 @@ _TABLES = f"""
         metrics INTEGER NOT NULL DEFAULT 0
     ) STRICT;
 """
+ROW_DAMAGED = "RowDamaged"
+"""The `type` of the error of a fit whose row cannot be read."""
+_MAX_TIME = 253_402_300_800.0  # [s since 1970] The year 10000, which no date can have.
+_FAULT = {"origin", "type", "message"}
+_DOCUMENTS = {"options": True, "metrics": False, "error": False}  # Columns of JSON, and whether each needs a value.
 VERSION = zlib.crc32(_TABLES.encode()) >> 1  # This number changes with the tables; SQLite keeps 31 bits.
 
 Status = Literal["accepted", "running", "succeeded", "failed", "cancelled"]
@@ -105,15 +111,36 @@ class Caller:
     requests_per_second: float = math.inf
 
 
+def _parse(named: dict[str, Any], name: str, is_needed: bool) -> bool:
+    """Replace a JSON text among the values of a row by its object; return False if it is damaged."""
+    if named[name] is None:
+        return not is_needed
+    try:
+        named[name] = json.loads(named[name])
+    except (TypeError, ValueError):
+        return False
+    return isinstance(named[name], dict) and (name != "error" or named[name].keys() == _FAULT)
+
+
 @cache
 def columns(row: type) -> str:
     """Return the names of a row's columns as a list in SQL."""
     return ", ".join(field.name for field in fields(row))
 
 
+def _are_texts(values: Iterable[Any]) -> bool:
+    """Return whether the texts among values are UTF-8; other bytes were read as surrogates, which have no encoding."""
+    return all(value.encode(errors="ignore").decode() == value for value in values if isinstance(value, str))
+
+
+def _checked_time(value: Any) -> float | None:
+    """Return a time; a damaged one becomes 1970, so that a list with it can be shown."""
+    return value if value is None or (isinstance(value, float) and 0 <= value < _MAX_TIME) else 0.0
+
+
 @dataclass(frozen=True)
 class MeasurementRow:
-    """Hold the row of a stored measurement; `seq` counts the measurements of its owner."""
+    """Describe a stored measurement; `seq` counts the measurements of its owner."""
 
     owner: str
     seq: int
@@ -123,6 +150,17 @@ class MeasurementRow:
     valid_nodes: int
     created: float
 
+    @classmethod
+    def from_values(cls, values: tuple[Any, ...]) -> "MeasurementRow":
+        """Make a row from the values of its `columns`."""
+        return cls(*(*values[:-1], _checked_time(values[-1]) or 0.0))
+
+    @classmethod
+    def fault(cls, values: tuple[Any, ...]) -> str | None:
+        """Return which measurement is damaged, if the values of its `columns` are."""
+        row = cls.from_values(values)
+        return None if row.created == values[-1] and _are_texts(values) else f"the measurement {row.sha256}"
+
     @property
     def on_grid(self) -> bool:
         """Whether the measurement is a MERL file; otherwise it has scattered samples."""
@@ -131,7 +169,7 @@ class MeasurementRow:
 
 @dataclass(frozen=True)
 class FitRow:
-    """Hold the row of a fit without its result; `seq` counts the fits of its owner.
+    """Describe a fit without its result; `seq` counts the fits of its owner.
 
     `attempts` counts the processes that were started for the fit since the start of the service.
     """
@@ -154,14 +192,31 @@ class FitRow:
 
     @classmethod
     def from_values(cls, values: tuple[Any, ...]) -> "FitRow":
-        """Make a row from the values of its `columns`."""
+        """Make a row from the values of its `columns`; a damaged row becomes a failed fit, which can be deleted."""
         named = dict(zip(cls.__dataclass_fields__, values, strict=True))
-        for name in ("options", "metrics", "error"):
-            try:
-                named[name] = None if named[name] is None else json.loads(named[name])
-            except ValueError:
-                raise sqlite3.DatabaseError(f"the {name} of the fit {named['id']} are damaged") from None
+        named |= {name: _checked_time(named[name]) for name in ("created", "started", "finished")}
+        named["created"] = named["created"] or 0.0
+        damaged = [name for name, is_needed in _DOCUMENTS.items() if not _parse(named, name, is_needed)]
+        if named["status"] not in get_args(Status):
+            damaged.append("status")
+        if damaged:
+            message = f"The row of this fit is damaged ({', '.join(damaged)}); delete it and send the request again."
+            named |= {"options": {}, "metrics": None, "status": "failed"}
+            named["error"] = {"origin": "system", "type": ROW_DAMAGED, "message": message}
         return cls(**named)
+
+    @classmethod
+    def fault(cls, values: tuple[Any, ...]) -> str | None:
+        """Return which fit is damaged, if the values of its `columns`, its result and their checksum are."""
+        *values_of_row, result, written = values
+        row, named = cls.from_values(tuple(values_of_row)), dict(zip(cls.__dataclass_fields__, values, strict=False))
+        is_sound = (
+            (row.error or {}).get("type") != ROW_DAMAGED
+            and (row.created, row.started, row.finished) == (named["created"], named["started"], named["finished"])
+            and (result is None or checksum(named["metrics"], result) == written)
+            and _are_texts(values_of_row)
+        )
+        return None if is_sound else f"the fit {row.id}"
 
     @property
     def key(self) -> FitKey:

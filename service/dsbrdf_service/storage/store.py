@@ -14,7 +14,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import dsbrdf
 
@@ -39,6 +39,7 @@ from .schema import (
 logger = logging.getLogger(__name__)
 
 _RESERVE_BYTES = 1 << 22
+_NOBODY = Caller("nobody")  # No API key has this id.
 _SELECT_FIT = f"SELECT {columns(FitRow)} FROM fits"  # noqa: S608 (constants only)
 _SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
@@ -115,46 +116,48 @@ class Store:
             (row,) = db.execute(_ADD_MEASUREMENT, values).fetchall()
             # An existing file is replaced too, which repairs damage and does not reveal that another key has the file.
             self.blobs.place(incoming)
-        return MeasurementRow(*row), new
+        return MeasurementRow.from_values(row), new
 
     def measurement(self, owner: str, sha256: str) -> MeasurementRow:
         """Return a measurement's row; raise MeasurementNotFoundError if there is no such measurement."""
         for row in self.database.rows(f"{_SELECT_MEASUREMENT} {_WHERE_MEASUREMENT}", owner, sha256):
-            return MeasurementRow(*row)
+            return MeasurementRow.from_values(row)
         raise MeasurementNotFoundError(sha256)
 
     def sound_file(self, sha256: str) -> Path:
-        """Check a measurement's file by its sha256 and return its path; raise MeasurementDamagedError on damage."""
-        damage = self.blobs.damage(sha256)
+        """Check a measurement's file by its sha256 and return its path.
+
+        Raises MeasurementDamagedError if the file is missing or damaged, and OSError if the folder cannot be used.
+        """
+        try:
+            damage = self.blobs.damage(sha256)
+        except OSError:
+            self.blobs.check()  # A file is missing only where other files can be written and read.
+            try:
+                damage = self.blobs.damage(sha256)
+            except OSError as error:
+                damage = error.strerror or str(error)
         if damage is not None:
             raise MeasurementDamagedError(damage)
         return self.blobs.path(sha256)
 
-    def measurement_file(self, owner: str, sha256: str, kind: Literal["grid", "samples", "any"] = "any") -> Path:
-        """Check the file of an owner's measurement by its sha256, and return its path.
+    def measurement_file(self, owner: str, sha256: str) -> tuple[MeasurementRow, Path]:
+        """Check the file of an owner's measurement by its sha256, and return its row and path.
 
-        Raises MeasurementNotFoundError if the owner has no such measurement, MeasurementDamagedError if its file is
-        damaged, and ProblemError if the measurement is not of the `kind`.
+        Raises the errors of `sound_file`, and MeasurementNotFoundError if the owner has no such measurement.
         """
         row = self.measurement(owner, sha256)
         try:
-            path = self.sound_file(sha256)
+            return row, self.sound_file(sha256)
         except MeasurementDamagedError as error:
             self.measurement(owner, sha256)  # This raises if the measurement was deleted, which is no damage.
             logger.error("the file of the measurement %s is damaged: %s", sha256, error)  # noqa: TRY400 (no traceback)
             raise
-        if kind == "grid" and not row.on_grid:
-            detail = "The measurement is a table of samples, without pictures or values in between; fit it first."
-            raise ProblemError("not-found", detail)
-        if kind == "samples" and row.on_grid:
-            raise ProblemError(
-                "not-found", "The measurement is a grid, not a table of samples; read its content instead."
-            )
-        return path
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, with `seq` below `before` and optionally one name."""
-        return [MeasurementRow(*row) for row in self._page(_SELECT_MEASUREMENT, owner, limit, before, {"name": name})]
+        page = self._page(_SELECT_MEASUREMENT, owner, limit, before, {"name": name})
+        return list(map(MeasurementRow.from_values, page))
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
         """Remove an owner's measurement, and its file if no owner has it any more; return whether it existed.
@@ -298,14 +301,15 @@ class Store:
         values = (time.time(), written, document, thumbnail, size, checksum(written, content))
         return self._advance(change, values, key, "status = 'running'")
 
-    def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> FitRow | None:
-        """Write the error and the state of a fit; return None if the fit has ended already."""
-        change = "status = 'failed', finished = ?, error = ?, size = ?"
-        return self._advance(change, (time.time(), json.dumps(error), ROW_SIZE), key)
+    def fail_fit(self, key: FitKey, error: Mapping[str, str]) -> None:
+        """Write the error and the state of a fit that has not ended; no column is read, because it may be damaged."""
+        query = f"UPDATE fits SET status = 'failed', finished = ?, error = ?, size = ? {_WHERE_FIT} AND {IS_UNFINISHED}"  # noqa: S608
+        with self.database.transaction() as db:
+            db.execute(query, (time.time(), json.dumps(error), ROW_SIZE, *key))
 
     def cancel_fit(self, key: FitKey) -> FitRow | None:
         """Mark an unfinished fit as cancelled; return None if the fit has ended already."""
-        return self._advance("status = 'cancelled', finished = ?, size = ?", (time.time(), ROW_SIZE), key)
+        return self._advance("status = 'cancelled', error = NULL, finished = ?, size = ?", (time.time(), ROW_SIZE), key)
 
     def remove_fit(self, key: FitKey) -> bool:
         """Remove a fit that has ended; return whether such a fit existed."""
@@ -346,10 +350,17 @@ class Store:
             raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")
 
     def check(self) -> None:
-        """Raise sqlite3.Error or OSError unless rows can be read and written."""
-        for table in ("fits", "measurements"):
+        """Raise sqlite3.Error or OSError unless rows can be read, and those of an upload and a fit can be written."""
+
+        def attempt(db: sqlite3.Connection) -> None:
+            check_key(db, _NOBODY)
+            check_storage(db, _NOBODY, 0, "")
+            db.execute(_ADD_MEASUREMENT, (*[_NOBODY.owner] * 3, None, 0, 0, 0.0)).fetchall()
+            db.execute(_ADD_FIT, (*[_NOBODY.owner] * 3, None, "", "{}", "", "", 0.0)).fetchall()
+
+        for table in ("fits", "measurements", "keys"):
             self.database.rows(f"SELECT * FROM {table} ORDER BY rowid DESC LIMIT 1")  # noqa: S608
-        self.database.check_writing()
+        self.database.check_writing(attempt)
 
     def _advance(
         self, change: str, values: tuple[object, ...], key: FitKey, condition: str = IS_UNFINISHED

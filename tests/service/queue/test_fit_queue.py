@@ -230,6 +230,38 @@ async def test_result_is_written_when_the_disk_works_again(
     assert (row.status, len(place.engine.begun)) == ("succeeded", 1)
 
 
+@pytest.mark.parametrize(
+    "harm",
+    ["UPDATE fits SET options = '{' WHERE id = ?", "ALTER TABLE fits RENAME COLUMN metrics TO other -- ?"],
+    ids=["row", "column"],
+)
+async def test_row_that_cannot_be_read_fails_and_lets_others_run(place: Race, harm: str) -> None:
+    first = await place.submit()
+    await place.until_it_runs()
+    second = await place.submit(options=dsbrdf.FitOptions(mask=0.1))
+    with place.store.database.transaction() as db:
+        db.execute(harm, (second.id,) if "WHERE" in harm else ())
+    place.engine.go_on()
+
+    def ends() -> dict[str, tuple[str, str | None]]:
+        rows = place.store.database.rows("SELECT id, status, error ->> 'type' FROM fits")
+        return {key: (status, error) for key, status, error in rows}
+
+    await until(lambda: ends()[second.id] == ("failed", "RowDamaged"))
+    assert "ALTER" in harm or ends()[first.id] == ("succeeded", None)
+
+
+async def test_fit_waits_for_a_folder_that_is_away(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(queue_module, "_RETRY_DELAY", 0.01)
+    blobs, away = place.store.folder / "blobs", place.store.folder / "away"
+    blobs.rename(away)
+    key = await place.submit()
+    await asyncio.sleep(0.1)
+    assert (place.store.fit(key).status, place.engine.begun) == ("running", [])
+    away.rename(blobs)
+    assert (await place.end(key)).status == "succeeded"
+
+
 async def test_engine_exception_is_a_system_fault(place: Race) -> None:
     place.engine.outcomes += [RuntimeError("can't start new thread")]
     row = await place.end(await place.submit())

@@ -190,7 +190,7 @@ def test_files_without_rows_go_only_when_that_is_asked_for(store: Store, tmp_pat
     purged = purge_folder(tmp_path, None, files_without_rows=True)
     assert purged == {"fits": 0, "measurements": 0, "files_without_rows": 1, "bytes": len(b"second")}
     assert not store.blobs.path(second).exists()
-    assert store.measurement_file("", first).read_bytes() == b"first"
+    assert store.measurement_file("", first)[1].read_bytes() == b"first"
 
 
 @pytest.mark.parametrize("harm", [b"other", b"anything else", None])
@@ -202,7 +202,7 @@ def test_upload_mends_what_is_in_the_place_of_its_file(store: Store, harm: bytes
     with pytest.raises(MeasurementDamagedError):
         store.measurement_file("", sha256)
     assert not store.add_measurement(LOCAL, receive(store, b"first"))[1]
-    assert store.measurement_file("", sha256).read_bytes() == b"first"
+    assert store.measurement_file("", sha256)[1].read_bytes() == b"first"
 
 
 EMPTY_TABLE, EMPTY_INDEX = (bytes([kind, 0, 0, 0, 0, 16, 0, 0]) for kind in (13, 10))  # a valid page without rows
@@ -334,7 +334,7 @@ def test_deletion_that_cannot_be_committed_keeps_the_file(
         full.setattr(store.database, "transaction", broken_off)
         with pytest.raises(sqlite3.OperationalError, match="full"):
             store.remove_measurement("", sha256)
-    assert store.measurement_file("", sha256).read_bytes() == b"content"
+    assert store.measurement_file("", sha256)[1].read_bytes() == b"content"
     assert store.remove_measurement("", sha256)
     assert not store.blobs.path(sha256).exists()
 

@@ -77,7 +77,7 @@ def test_digest_of_a_file_is_computed_once_until_the_file_changes(
 
     monkeypatch.setattr(hashlib, "file_digest", counted)
     sha256 = add(store, b"content")
-    path = store.measurement_file("", sha256)
+    path = store.measurement_file("", sha256)[1]
     assert not computed  # The upload was hashed while it was written.
     path.write_bytes(b"contenX")
     for _ in range(2):
@@ -85,7 +85,7 @@ def test_digest_of_a_file_is_computed_once_until_the_file_changes(
             store.measurement_file("", sha256)
     path.write_bytes(b"content")
     for _ in range(9):
-        assert store.measurement_file("", sha256) == path
+        assert store.measurement_file("", sha256)[1] == path
     assert len(computed) == 3
 
 
