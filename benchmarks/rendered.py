@@ -3,7 +3,7 @@
 PSNR and SSIM against the sphere of the measurement, under both lightings of `dsbrdf.render_sphere`, of
 
 - the default fit,
-- Lambert and two GGX lobes, the better (in PSNR) of least squares of f and of log(1 + f cos_in),
+- a Lambertian ground and two GGX highlights, fitted by what a lit sphere shows, see `dsbrdf.components.ggx`,
 - the table of means over phi_diff, with as many rows and columns as the measurement, interpolated alike,
 - another program's description of the material, where there is ``peer_<material>.binary``.
 
@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_measurements
-from benchmarks.paper.ggx import fit_ggx
 from dsbrdf import DSBRDF, ConvergenceWarning, Measurement, fit, profiles, read_merl, render_sphere
 from dsbrdf.arrays import Array
-from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, GRID_SHAPE, nodes_above_horizon
+from dsbrdf.components.ggx import fit_ggx
+from dsbrdf.data import GRID_SHAPE, nodes_above_horizon
 from dsbrdf.output.sphere_panels import compare_spheres
 from dsbrdf.rendering import LIGHTINGS, sphere_likeness
 
@@ -62,16 +62,9 @@ def compare(measurement: Measurement, model: DSBRDF, peers: Path | None, size: i
         pairs = [sphere_likeness(*both) for both in zip(references, images, strict=True)]
         return Likeness(*zip(*pairs, strict=True))
 
-    ggx = [
-        likeness(fit_ggx(measurement, 2, objective, DEFAULT_HORIZON_CUTOFF).evaluate) for objective in ("plain", "log")
-    ]
-    better = [np.argmax([one.psnr[i] for one in ggx]) for i in range(len(LIGHTINGS))]
     found = {
         FIT: likeness(model.evaluate),
-        GGX: Likeness(
-            tuple(ggx[best].psnr[i] for i, best in enumerate(better)),
-            tuple(ggx[best].ssim[i] for i, best in enumerate(better)),
-        ),
+        GGX: likeness(fit_ggx(measurement.interpolated.evaluate).evaluate),
         TABLE: likeness(phi_means(measurement)),
     }
     if peers and (path := peers / f"peer_{measurement.name}.binary").exists():

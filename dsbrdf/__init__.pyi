@@ -19,11 +19,13 @@ from dsbrdf.findings import Finding as Finding
 from dsbrdf.fitting.options import FitOptions as FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF as DSBRDF
 from dsbrdf.model.reflectance import Blend as Blend
+from dsbrdf.model.reflectance import FunctionModel as FunctionModel
 from dsbrdf.model.reflectance import FurnaceReport as FurnaceReport
 from dsbrdf.model.reflectance import blend as blend
 from dsbrdf.model.reflectance import white_furnace as white_furnace
 from dsbrdf.output.atlas import load_material as load_material
 from dsbrdf.output.atlas import materials as materials
+from dsbrdf.output.comparison import compare as compare
 from dsbrdf.output.export import export as export
 from dsbrdf.output.plots import plot as plot
 from dsbrdf.output.serialize import load as load

@@ -61,7 +61,7 @@ _COMMANDS = {
         ),
         "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement."),
         "map": ("picture_commands:map_materials", "Draw a map of materials by their likeness, and list neighbours."),
-        "compare": ("picture_commands:compare", "Compare models or measurements, with their spheres side by side."),
+        "compare": ("compare_command:compare", "Compare models or measurements, with their spheres side by side."),
     },
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),

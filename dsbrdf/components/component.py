@@ -201,7 +201,7 @@ class Decomposition:
     @one_blas_thread
     def layers(self) -> LayeredModel:
         """A small model of the material for renderers: the layers of all components, fitted together."""
-        return renderer_layers(grid_values(self.model), self.descriptions)
+        return renderer_layers(grid_values(self.model.evaluate_unmasked), self.descriptions)
 
     @cached_property
     def albedos(self) -> Array:
@@ -236,7 +236,7 @@ class Decomposition:
 
         `reflected` has the albedos of `LABELS` at each angle of `light_rules`.
         """
-        grids = self._split(grid_values(self.model), data_points())
+        grids = self._split(grid_values(self.model.evaluate_unmasked), data_points())
         profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
         albedos = np.stack([self._received(light) for light in reflected], axis=1)
         return tuple(OwnValues(*own) for own in zip(grids, profiles, albedos, strict=True))

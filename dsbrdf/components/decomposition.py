@@ -80,7 +80,7 @@ def decompose(model: DSBRDF | Fitted) -> Decomposition:
 @lru_cache(maxsize=32)
 @one_blas_thread
 def _decompose(model: DSBRDF) -> Decomposition:
-    data = material_data(grid_values(model))
+    data = material_data(grid_values(model.evaluate_unmasked))
     if data is None:
         return Decomposition(model, (), (), (), (), (0.0, 0.0))
     found = fit_structures(data, (*STRUCTURES, *RARE_STRUCTURES), quick=True)

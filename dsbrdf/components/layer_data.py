@@ -19,10 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dsbrdf.arrays import Array, Mask
+from dsbrdf.arrays import Array, Evaluate, Mask
 from dsbrdf.data.geometry import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.reduction import center_share, interval_ends, seen_weight, trust
-from dsbrdf.model.reflectance import ReflectanceModel
 
 COAT_F0 = 0.04
 """Reflectance at normal incidence of the clear coat above a layer."""
@@ -205,9 +204,9 @@ class _Grid(NamedTuple):
     rendered: Array
 
 
-def grid_values(model: ReflectanceModel) -> Array:
-    """Return the values (3, N) of a model at the pairs of directions [1/sr]."""
-    return np.minimum(model.evaluate_unmasked(*_grid().angles).T, _MAX_VALUE)
+def grid_values(evaluate: Evaluate) -> Array:
+    """Return the values (3, N) of a material at the pairs of directions [1/sr]."""
+    return np.minimum(evaluate(*_grid().angles).T, _MAX_VALUE)
 
 
 def data_points() -> Points:

@@ -33,7 +33,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import used_samples
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.albedo import directional_albedo
-from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.rendering.sphere import render_sphere, sphere_likeness
 
 BANDS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 90.0])
@@ -120,7 +120,7 @@ METRICS = tuple(field.name for field in fields(Metrics))
 """Names of the metrics."""
 
 
-def sample_errors(model: DSBRDF, measurement: Measurement, horizon_cutoff: float | None) -> Array:
+def sample_errors(model: ReflectanceModel, measurement: Measurement, horizon_cutoff: float | None) -> Array:
     """Compare a model with all samples whose directions are within the cutoff of the normal [rad].
 
     Every `PHI_STEP`-th phi_diff counts, in single precision.
@@ -205,7 +205,7 @@ def error_tables(sums: Array) -> tuple[tuple[ChannelErrors, ...], tuple[BandErro
     return tuple(by_channel), tuple(by_theta_diff)
 
 
-def sample_metrics(model: DSBRDF, measurement: Measurement, sums: Array, albedo: Array) -> Metrics:
+def sample_metrics(model: ReflectanceModel, measurement: Measurement, sums: Array, albedo: Array) -> Metrics:
     """Return all metrics of a model, from `sample_errors` and its albedo (4, 3) at `ALBEDO_ANGLES`.
 
     PSNR and SSIM compare spheres under three lights; PSNR is at most 200 dB.

@@ -1,4 +1,4 @@
-"""Define the common interface of all isotropic, reciprocal models of reflectance, their blends, and a check of energy.
+"""Define the common interface of isotropic, reciprocal models, blends, functions as models, and a check of energy.
 
 In a furnace with uniformly bright walls, a surface with the directional albedo rho has rho times the brightness of the
 walls. A surface that conserves energy is never brighter than the walls. A reciprocal BRDF has equal values for swapped
@@ -8,7 +8,7 @@ directions.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +23,7 @@ from dsbrdf.data.geometry import (
     THETA_HALF,
     check_directions,
     checked_angles,
+    directions,
     half_difference,
     incident_cosines,
     random_directions,
@@ -244,6 +245,44 @@ def blend(a: RenderableModel, b: RenderableModel, t: float) -> Blend:
     if not 0.0 <= t <= 1.0:
         raise InvalidArgumentError(f"t must lie between 0 and 1, not at {t:g}")
     return Blend(a, b, float(t))
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionModel(RenderableModel):
+    """Evaluate a function of directions as a model, for example a neural encoding or a formula of one's own.
+
+    Attributes
+    ----------
+    function : callable
+        Takes omega_in and omega_out, unit vectors (n, 3) above the horizon, and returns values (n, 3) or (n, 1) [1/sr].
+        The values of the model are means of both orders of the directions, because models here are reciprocal.
+    """
+
+    function: Callable[[Array, Array], ArrayLike]
+
+    def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+        """Return values (n, 3) [1/sr] at angles (n,) that are not checked; 0 for directions below the horizon."""
+        first, second = directions(theta_half, theta_diff, phi_diff)
+        above = np.minimum(first[:, 2], second[:, 2]) > 0.0
+        values = np.zeros((above.size, 3))
+        values[above] = 0.5 * (self._values(first[above], second[above]) + self._values(second[above], first[above]))
+        return values
+
+    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
+        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
+        for half in theta_half.tolist():
+            angles = np.meshgrid(half, theta_diff, phi_diff, indexing="ij")
+            values = self.evaluate_unmasked(*(one.ravel() for one in angles))
+            yield values.T.reshape(3, theta_diff.size, phi_diff.size)
+
+    def _values(self, first: Array, second: Array) -> Array:
+        values = np.asarray(self.function(first, second), dtype=float)
+        if values.shape not in ((len(first), 3), (len(first), 1)) or not np.isfinite(values).all():
+            raise InvalidArgumentError(
+                f"the function must return finite values of the shape ({len(first)}, 3) for as many pairs of "
+                f"directions, not of the shape {values.shape}"
+            )
+        return values
 
 
 _FURNACE_THETA_OUT = ANGLES[:-1:2]  # angles to the normal from 0 to 87 degrees [rad]

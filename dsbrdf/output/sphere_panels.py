@@ -19,6 +19,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.components.decomposition import decompose
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.reflectance import RenderableModel
 from dsbrdf.output.figure_panels import empty_figure
 from dsbrdf.rendering.environment import EnvironmentMap
 from dsbrdf.rendering.sphere import Source, displayed, exposure, render_sphere, sphere_likeness, sphere_normals
@@ -68,8 +69,8 @@ class SphereComparison:
 
 
 def compare_spheres(
-    measured: Measurement | DSBRDF,
-    fit: Measurement | DSBRDF,
+    measured: Measurement | RenderableModel,
+    fit: Measurement | RenderableModel,
     *,
     names: tuple[str, str] = ("measured", "fit"),
     with_components: bool = True,

@@ -288,3 +288,15 @@ def test_compare_as_json(model_file: Path, two_lobe_fit: FitResult) -> None:
     assert [item["relative_rms"] for item in answer["items"]] == [two_lobe_fit.report.metrics.relative_rms] * 2
     assert answer["likeness"] == {"psnr": None, "ssim": pytest.approx(1.0)}
     assert answer["output"] is None
+
+
+def test_ggx_and_a_function_in_a_file_are_compared_with_a_measurement(plastic_file: Path, tmp_path: Path) -> None:
+    grey, broken = tmp_path / "grey.py", tmp_path / "broken.py"
+    grey.write_text("import numpy as np\ndef evaluate(i, o):\n    return np.full((len(i), 3), 0.1)\n")
+    broken.write_text("1 / 0\n")
+    answer = document("compare", plastic_file, "--with", "ggx", "--with", grey, "--json")
+    assert [item["kind"] for item in answer["items"]] == ["measurement", "2 GGX highlights", "a function"]
+    assert answer["items"][1]["psnr"] > 40.0 > answer["items"][2]["psnr"]
+    assert "broken.py: ZeroDivisionError" in sentence("compare", plastic_file, "--with", broken)
+    assert "--with takes ggx or a Python file" in sentence("compare", plastic_file, "--with", "phong")
+    assert "name a second file" in sentence("compare", plastic_file)

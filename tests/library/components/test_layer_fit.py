@@ -40,7 +40,7 @@ MATERIALS: dict[str, tuple[Layer, ...]] = {
 
 
 def fitted(*layers: Layer) -> list[FittedStructure]:
-    data = material_data(grid_values(LayeredModel(layers)))
+    data = material_data(grid_values(LayeredModel(layers).evaluate_unmasked))
     assert data is not None
     return fit_structures(data)
 
@@ -62,7 +62,7 @@ def test_parameters_come_out_as_they_were_put_in() -> None:
 
 
 def test_the_descent_ends_in_a_minimum_of_the_documented_cost() -> None:
-    data = material_data(grid_values(LayeredModel((PLASTIC, GROUND))))
+    data = material_data(grid_values(LayeredModel((PLASTIC, GROUND)).evaluate_unmasked))
     assert data is not None
     structure = next(one for one in STRUCTURES if one.name == "dielectric over diffuse")
     (found,) = fit_structures(data, [structure])
@@ -102,12 +102,12 @@ def test_draws_do_not_hang_on_which_eigenvectors_a_library_finds() -> None:
 
 
 def test_weights_of_the_data_are_shares_of_the_signal() -> None:
-    data = material_data(grid_values(LayeredModel((PLASTIC, GROUND))))
+    data = material_data(grid_values(LayeredModel((PLASTIC, GROUND)).evaluate_unmasked))
     assert isinstance(data, LayerData)
     assert np.sum(data.weighted**2) == pytest.approx(1.0)
 
 
 def test_a_model_without_light_has_no_data() -> None:
-    dark = grid_values(LayeredModel(()))
+    dark = grid_values(LayeredModel(()).evaluate_unmasked)
     assert material_data(dark) is None
     assert component_data(dark, has_peak=True) is None

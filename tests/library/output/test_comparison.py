@@ -1,0 +1,87 @@
+"""Models, functions and GGX beside a measurement."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf import FunctionModel, InvalidArgumentError, Measurement
+from dsbrdf.arrays import Array
+from dsbrdf.components import DiffuseLayer, LayeredModel, SpecularLayer
+from dsbrdf.components.ggx import fit_ggx
+from dsbrdf.data import directions, nodes_above_horizon
+
+# Two GGX highlights over a Lambertian ground: the tail exponent is 2, and the masking 0 is height-correlated.
+SHARP_LAYER = SpecularLayer((0.04, 0.05, 0.06), 0.9, 0.05, 2.0, (0.0, 0.0), 0.0, 0.0)
+ROUGH_LAYER = SpecularLayer((0.3, 0.2, 0.1), 0.8, 0.3, 2.0, (0.0, 0.0), 0.0, 0.0)
+LAMBERT_LAYER = DiffuseLayer((0.3, 0.2, 0.1), (0.0,) * 6)
+SURFACE = LayeredModel((SHARP_LAYER, ROUGH_LAYER, LAMBERT_LAYER))
+
+
+def surface(omega_in: Array, omega_out: Array) -> Array:
+    """The same surface by its textbook formula, which takes directions."""
+    half = (omega_in + omega_out) / np.linalg.norm(omega_in + omega_out, axis=1)[:, None]
+    i, o, h, cos_diff = omega_in[:, 2], omega_out[:, 2], half[:, 2], np.sum(half * omega_in, axis=1)
+    g = np.sqrt(1.25 + cos_diff**2)
+    glass = 0.5 * ((g - cos_diff) / (g + cos_diff)) ** 2
+    glass *= 1.0 + ((cos_diff * (g + cos_diff) - 1.0) / (cos_diff * (g - cos_diff) + 1.0)) ** 2
+    rise = ((glass - 0.04) / 0.96)[:, None]
+    values = np.array(LAMBERT_LAYER.albedo) / np.pi
+    for one in (SHARP_LAYER, ROUGH_LAYER):
+        a2 = one.alpha**2
+        d = a2 / (np.pi * (h * h * (a2 - 1.0) + 1.0) ** 2)
+        v = 0.5 / (o * np.sqrt(a2 + (1.0 - a2) * i * i) + i * np.sqrt(a2 + (1.0 - a2) * o * o))
+        values = values + (d * v)[:, None] * (np.array(one.f0) * (1.0 - rise) + one.f90 * rise)
+    return np.asarray(values)
+
+
+@pytest.fixture(scope="module")
+def measurement() -> Measurement:
+    return Measurement.from_values(SURFACE.tabulate(), nodes_above_horizon(), "two highlights")
+
+
+def test_a_function_ggx_a_model_and_a_measurement_are_compared(measurement: Measurement) -> None:
+    found = dsbrdf.compare(
+        measurement,
+        {"model": SURFACE, "function": surface, "ggx": "ggx", "itself": measurement, "grey": lambda i, _: i[:, :1] * 0},
+    )
+    for metric, value in asdict(found["model"]).items():
+        other = getattr(found["function"], metric)
+        assert other is value is None or other == pytest.approx(value, rel=1e-2, abs=1e-4), metric
+    assert found["itself"].relative_rms is not None
+    assert found["itself"].relative_rms < 1e-4
+    assert found["ggx"].psnr is not None
+    assert found["ggx"].psnr > 50.0
+    assert found["grey"].relative_rms == pytest.approx(1.0)
+
+
+def test_two_ggx_highlights_are_found_again() -> None:
+    layers = fit_ggx(SURFACE.evaluate_unmasked).layers
+    narrow, wide, ground = layers
+    assert isinstance(narrow, SpecularLayer)
+    assert isinstance(wide, SpecularLayer)
+    assert isinstance(ground, DiffuseLayer)
+    assert sorted([narrow.alpha, wide.alpha]) == pytest.approx([0.05, 0.3], rel=0.02)
+    assert ground.albedo == pytest.approx(LAMBERT_LAYER.albedo, rel=0.02)
+    assert [narrow.tail_exponent, wide.tail_exponent] == pytest.approx([2.0, 2.0])
+
+
+def test_a_function_is_a_model_like_any_other_and_reciprocal() -> None:
+    model = FunctionModel(lambda i, o: (0.2 + 0.1 * i[:, 2:]) / np.pi + 0.0 * o)
+    assert model.albedo(0.0) == pytest.approx([0.2 + 0.05 + 0.1 / 3.0] * 3, rel=1e-3)
+    first, second = directions(*np.radians([[30.0, 80.0], [40.0, 80.0], [20.0, 0.0]]))
+    np.testing.assert_allclose(model.evaluate_directions(first, second), model.evaluate_directions(second, first))
+    assert not model.evaluate_directions(first, second)[1].any()
+    assert dsbrdf.render_sphere(model, size=16).shape == (16, 16, 3)
+
+
+@pytest.mark.parametrize("wrong", [lambda i, _: i[:, 0], lambda i, _: np.full((len(i), 3), np.nan)])
+def test_a_function_that_returns_something_else_is_refused(wrong: object) -> None:
+    with pytest.raises(InvalidArgumentError, match="the function must return finite values of the shape"):
+        FunctionModel(wrong).evaluate(0.1, 0.2)  # type: ignore[arg-type]
+
+
+def test_what_is_no_material_is_refused(measurement: Measurement) -> None:
+    with pytest.raises(InvalidArgumentError, match='a function or "ggx" can be compared, not an object of type int'):
+        dsbrdf.compare(measurement, {"number": 3})  # type: ignore[dict-item]
