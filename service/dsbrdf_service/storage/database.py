@@ -28,6 +28,10 @@ _PASSING = (
     *(sqlite3.SQLITE_FULL, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_NOMEM),
     *(sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PROTOCOL),
 )
+_LOG_UNREADABLE = (
+    *(sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY_CANTINIT, sqlite3.SQLITE_READONLY_DIRECTORY),
+    sqlite3.SQLITE_READONLY_RECOVERY,
+)
 _RESTORE = "restore the folder from a copy; nothing in it has been changed"
 _REMEDIES = {
     sqlite3.SQLITE_CORRUPT: _RESTORE,
@@ -198,7 +202,7 @@ def read_only(folder: Path, query: str, of_row: Callable[[tuple[Any, ...]], Any]
     try:
         return _selected(uri, query, of_row)
     except sqlite3.OperationalError as error:
-        if error.sqlite_errorcode not in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY_CANTINIT):
+        if error.sqlite_errorcode not in _LOG_UNREADABLE:
             raise
     if log.exists() and log.stat().st_size:
         raise OSError(f"{log.name} has changes that cannot be read in a read-only folder; copy the folder")
