@@ -18,6 +18,8 @@ from dsbrdf.findings import Finding
 MIN_CLIPPED_BINS = 40
 MIN_CLIPPED_FRACTION = 0.5
 """A highlight is clipped if this fraction of its bins above 90 % of the maximum equals the maximum; good ones: 0.15."""
+MAX_CLIPPED_SHARE = 0.7
+"""If a larger fraction of all bins equals the maximum, the material is an ideal diffuser, or black, in this channel."""
 MIN_HIGHLIGHT_RATIO = 2.0
 """A maximum below this multiple of the median is no highlight."""
 MIN_ROUGHNESS = 0.3
@@ -57,7 +59,7 @@ def clip_levels(folded: FoldedProfiles) -> Array:
         level = mean.max() * (1.0 - 1e-9)
         count, near = np.count_nonzero(mean >= level), np.count_nonzero(mean >= 0.9 * level)
         is_clipped = count >= max(MIN_CLIPPED_BINS, MIN_CLIPPED_FRACTION * near)
-        if is_clipped and level > MIN_HIGHLIGHT_RATIO * np.median(mean[weight > 0.0]):
+        if is_clipped and count < MAX_CLIPPED_SHARE * np.count_nonzero(weight):
             levels[channel] = level
     return levels
 
@@ -163,9 +165,11 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
     nodes = np.flatnonzero(measurement.valid)
     nodes = nodes[:: max(nodes.size // _SAMPLED_NODES, 1)]
     for channel in measurement.stored.reshape(3, -1)[:, nodes] * measurement.scale[:, np.newaxis]:
-        levels, median = np.unique(channel), float(np.median(channel))
-        if not 1 < levels.size <= min(_MAX_LEVELS, nodes.size // 4):
+        channel = channel[channel < channel.max()]  # The level of a clipped highlight is no coarse level.
+        levels = np.unique(channel)
+        if not 1 < levels.size <= min(_MAX_LEVELS, channel.size // 4):
             continue
+        median = float(np.median(channel))
         above = min(int(np.searchsorted(levels, median, side="right")), levels.size - 1)
         step = float(levels[above] - levels[above - 1])
         if step > _MIN_LEVEL_STEP * median:

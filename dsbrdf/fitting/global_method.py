@@ -71,6 +71,8 @@ cutoff is 80 degrees.
 SEARCH_BINS = (0, 3, 5, 8, 9)
 """Indices of the bins of phi_diff that the search uses; fewer, wider bins would be too wide for elongated lobes."""
 NEIGHBOUR_COLUMNS = 5
+CLIPPED_WEIGHT = 1e-4
+"""Factor for the weight of a clipped value below the mixture, so that the height of the highlight is not arbitrary."""
 MIN_OUTLIER_RESIDUAL = 1e-2
 """A sample with a smaller relative residual is never an outlier."""
 MIN_LINES = 8
@@ -99,7 +101,7 @@ def fit_global(
     """
     weight = fit_weights(data, options)
     coarse, clip = _structure(weight, SEARCH_KNOTS[options.variation], options), clip_levels(data.folded)
-    unclipped = np.where(data.folded.mean < clip, weight, 0.0)
+    unclipped = np.where(data.folded.mean < clip, weight, CLIPPED_WEIGHT * weight)
     searched = tuple(
         _select(data, unclipped, *lines) for lines in ((SEARCH_ROWS, SEARCH_COLUMNS), (HELD_OUT_ROWS, HELD_OUT_COLUMNS))
     )
@@ -234,7 +236,8 @@ def _refine(
 ) -> Solution:
     """Fit a few bins of phi_diff, then all bins exactly, with outliers weighted down on request.
 
-    Values from `clip` (3, 1, 1, 1) on are lower bounds: they have no weight where the latest mixture exceeds them.
+    Values from `clip` (3, 1, 1, 1) on are lower bounds: they have hardly any weight where the latest mixture exceeds
+    them.
     """
     is_few = Wanted(options.n_lobes, options.ring_lobes).is_few
     tolerance = COST_TOLERANCE if is_few else REFINE_TOLERANCE  # With few lobes, iterations are cheap.
@@ -243,7 +246,7 @@ def _refine(
     for number in range(rounds):
         if bounded.any():
             values = MixtureProblem(data, mixture.structure).values(unknowns)
-            data = replace(data, weight=np.where(bounded & (values > data.mean), 0.0, weight))
+            data = replace(data, weight=np.where(bounded & (values > data.mean), CLIPPED_WEIGHT, 1.0) * weight)
         problem = MixtureProblem((data if number else data.take_bins(SEARCH_BINS)).single(), mixture.structure)
         if number > 0:
             exact = _exact(data, Mixture(mixture.structure, unknowns))

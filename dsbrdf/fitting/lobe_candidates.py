@@ -36,6 +36,8 @@ EQUAL_GAIN = 1e-4
 MIN_VISIBLE_VALUE = 0.02
 """A candidate of height 1 whose values are smaller at all data is chosen only if there is no other candidate."""
 AMPLITUDE_SWEEPS = 30
+MIN_RELATIVE_SQUARE = 1e-20
+"""The square of a lobe that no datum of a row shows counts as this fraction of the largest: it would be a divisor 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +145,8 @@ def solved_amplitudes(gram: Array, right: Array, start: Array) -> Array:
     k, count = right.shape[-1], right[..., 0].size
     amplitudes = np.pad(start, ((0, 0), (0, 0), (0, k - start.shape[2]))).reshape(count, k)
     rows = gram.reshape(count, k, k).transpose(1, 0, 2).copy()
-    goals, squares = right.reshape(count, k).T.copy(), np.diagonal(gram, axis1=2, axis2=3).reshape(count, k).T + TINY
+    goals, squares = right.reshape(count, k).T.copy(), np.diagonal(gram, axis1=2, axis2=3).reshape(count, k).T
+    squares = np.maximum(squares, MIN_RELATIVE_SQUARE * squares.max(axis=0, initial=0.0)) + TINY
     steps = list(zip(amplitudes.T, rows, goals, squares, strict=True))
     for _ in range(AMPLITUDE_SWEEPS):
         for amplitude, row, goal, square in steps:
