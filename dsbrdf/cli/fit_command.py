@@ -11,12 +11,21 @@ from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import numpy as np
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from dsbrdf.cli.arguments import BAD_INPUT, entry_point, print_json
-from dsbrdf.cli.parameters import DEFAULT, NO_TABLE_FLAGS, AboutTable, CountOrAuto, Flags, Json, RequiredFiles
+from dsbrdf.cli.parameters import (
+    DEFAULT,
+    NO_TABLE_FLAGS,
+    AboutTable,
+    CountOrAuto,
+    Flags,
+    Json,
+    RequiredFiles,
+    read_model,
+)
 from dsbrdf.data.files import write_atomically
 from dsbrdf.engines.batch import FileFit, fit_files, measurement_files
 from dsbrdf.engines.dask import DaskEngine
@@ -26,11 +35,13 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.fitting.options import FitOptions
-from dsbrdf.fitting.report import SuggestedPair
+from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.documents import COLUMNS, component_documents, component_rows, table_csv
 from dsbrdf.output.report_text import headline, result_document, result_text
 from dsbrdf.process_settings import core_count, keep_freed_memory
+from dsbrdf.samples.plan import plan_table
 from dsbrdf.samples.reading import read_measurement, read_samples, samples_in
+from dsbrdf.samples.scattered_fit import planned_pairs
 from dsbrdf.samples.table_options import TableOptions
 
 _FILES = (".json", ".png", ".svg", ".pdf", ".csv", ".binary")
@@ -90,12 +101,47 @@ class Work:
 _HERE = Work()
 
 
+@Parameter(name="*", group=Group("Options of the plan", sort_key=4))
+@dataclass(frozen=True)
+class Plan:
+    """Hold the options for the table of directions to measure next.
+
+    Attributes
+    ----------
+    measure_next
+        Write a table of the directions at which further samples would make the fit of a table most certain, with the
+        columns of this table; the values are left to fill in.
+    next_step
+        Smallest step of the instrument; all angles are multiples of it.
+    max_theta
+        Largest angle to the normal that the instrument reaches.
+    """
+
+    measure_next: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    next_step: Annotated[float, Parameter(metavar="DEGREES")] = 1.0
+    max_theta: Annotated[float, Parameter(metavar="DEGREES")] = 80.0
+
+    def __post_init__(self) -> None:
+        if not 0.01 <= self.next_step <= 45.0 or not 10.0 <= self.max_theta <= 90.0:
+            raise InvalidArgumentError("--next-step must be from 0.01 to 45, and --max-theta from 10 to 90")
+
+    def write(self, files: Sequence[Path], options: TableOptions, model: DSBRDF) -> None:
+        """Write the plan for the samples in the files, with the columns of the first file."""
+        if self.measure_next is not None:
+            samples = read_samples(files, options)
+            pairs = planned_pairs(samples, model, self.next_step, self.max_theta)
+            write_atomically(self.measure_next, [plan_table(files[0].read_bytes(), options, pairs)])
+
+
+_NO_PLAN = Plan()
+
+
 def fit(
     *files: RequiredFiles,
     work: Work = _HERE,
     csv: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     plot: bool = False,
-    measure_next: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    plan: Plan = _NO_PLAN,
     together: Annotated[str | None, Parameter(metavar="NAME")] = None,
     json: Json = False,
     flags: Flags = DEFAULT,
@@ -112,9 +158,6 @@ def fit(
         Write the metrics of all files, with the parameters of their components, as one table.
     plot
         Write a figure NAME.png beside each fit.
-    measure_next
-        Write a .csv table of the directions at which further samples would make the fit of a table most certain,
-        sorted by incidence; the values are left to fill in.
     together
         Fit all files, tables of one material, as one measurement with this name.
     """
@@ -124,17 +167,20 @@ def fit(
             joined = Path(folder) / f"{together}.csv"
             joined.write_bytes(read_samples(files, table.options()).encode())
             work = replace(work, output=work.output or files[0].parent)
-            return fit(joined, work=work, csv=csv, plot=plot, measure_next=measure_next, json=json, flags=flags)
+            if code := fit(joined, work=work, csv=csv, plot=plot, json=json, flags=flags):
+                return code
+        plan.write(files, table.options(), read_model((work.output or files[0].parent) / f"{together}.json")[0])
+        return 0
     paths = measurement_files(files)
-    if measure_next is not None and len(paths) > 1:
-        raise InvalidArgumentError("--measure-next is for one table: name one file")
+    if plan.measure_next is not None and len(paths) > 1:
+        raise InvalidArgumentError("--measure-next is for one table: name one file, or join them with --together")
     if plot:
         require("plot", "matplotlib", purpose="dsbrdf fit --plot")
     done = _fit(paths, flags.options(), table.options(), work, quiet=json)
     if csv is not None:
         write_atomically(csv, [summary_csv(done)])
-    if measure_next is not None and done[0].result is not None:
-        write_atomically(measure_next, [plan_csv(done[0].result.report.measure_next)])
+    if done[0].result is not None:
+        plan.write(paths, table.options(), done[0].result.model)
     figures = list(_plot(done, table.options())) if plot else []
     if not json:
         print(*figures, sep="\n", end="\n" if figures else "")
@@ -242,13 +288,6 @@ def summary_table(items: Sequence[FileFit]) -> list[str]:
     if failed:
         lines.append(f"{failed} {'file' if failed == 1 else 'files'} could not be fitted")
     return lines
-
-
-def plan_csv(pairs: Sequence[SuggestedPair]) -> bytes:
-    """Return pairs of directions as a CSV table without values, sorted by theta_in."""
-    rows = sorted((pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in pairs)
-    lines = [f"{theta_in:g},0,{theta_out:g},{phi:g}," for theta_in, theta_out, phi in rows]
-    return "\n".join(["theta_in,phi_in,theta_out,phi_out,value", *lines, ""]).encode()
 
 
 def summary_csv(items: Sequence[FileFit]) -> bytes:

@@ -146,7 +146,8 @@ def _is_read(table: TextTable, options: TableOptions) -> bool:
     return bool(is_wide and is_varied and is_above.mean() > _DOUBTFUL_FRACTION and 3 * n_angles < len(pairs))
 
 
-def _in_radians(name: str, column: Column) -> Array:
+def in_radians(name: str, column: Column) -> Array:
+    """Return the angles in a column; raise MeasurementFormatError if its unit is none of angles."""
     unit = "deg" if column.unit in NO_UNIT else column.unit
     if unit == COSINE and np.all(np.abs(column.numbers) <= 1.0):
         return np.asarray(np.arccos(column.numbers))
@@ -161,7 +162,7 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
     if form is VECTORS:
         first, second = (np.stack([columns[name].numbers for name in form[i : i + 3]], axis=-1) for i in (0, 3))
         return first, second
-    angles = {name: _in_radians(name, column) for name, column in columns.items() if name in (*form, *PHIS, "phase")}
+    angles = {name: in_radians(name, column) for name, column in columns.items() if name in (*form, *PHIS, "phase")}
     if angles.keys() >= {*PHIS}:
         _check_not_exchanged(angles, columns)
     _check_sizes(angles, columns)

@@ -25,7 +25,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.rgl import read_rgl
 from dsbrdf.errors import MeasurementFormatError
-from dsbrdf.samples.cells import OLD_WORKBOOK, is_spreadsheet, spreadsheet_text, utf_16_of
+from dsbrdf.samples.cells import OLD_WORKBOOK, TextTable, is_spreadsheet, spreadsheet_text, utf_16_of
 from dsbrdf.samples.columns import Description
 from dsbrdf.samples.directions import LOWEST_COSINE, SampleRows, read_columns
 from dsbrdf.samples.layouts import table_in
@@ -203,11 +203,16 @@ def _read(data: bytes, options: TableOptions) -> SampleRows:
         columns = tuple((name, name, "") for name in CANONICAL_NAMES)
         is_grey = bool(np.all(made.values == made.values[:, :1]))
         return SampleRows(numbers, made.values, made.notes, columns, len(numbers), is_grey, is_clean=True)
+    return read_columns(cells_of(data, options), options)
+
+
+def cells_of(data: bytes, options: TableOptions) -> TextTable:
+    """Return the cells of a file with a table; raise MeasurementFormatError if the file is of another kind."""
     if (kind := measurement_kind(data[:START_BYTES])) != "samples":
         raise MeasurementFormatError(f"The file is {_NAMES[kind]}, a measurement on a grid, and no table of samples.")
     data, notes = spreadsheet_text(data) if is_spreadsheet(data) else (data, [])
-    found = read_columns(table_in(data, options), options)
-    return replace(found, notes=(*notes, *found.notes))
+    table = table_in(data, options)
+    return replace(table, notes=(*notes, *table.notes))
 
 
 def _joined(files: Sequence[tuple[str, SampleRows]], name: str, options: TableOptions) -> ScatteredSamples:

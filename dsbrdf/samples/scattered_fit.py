@@ -34,6 +34,7 @@ from dsbrdf.data.geometry import (
     directions,
     half_difference,
     incident_cosines,
+    spherical,
 )
 from dsbrdf.data.reduction import N_BINS, SAMPLES_IN_BIN, FoldedProfiles, Profiles
 from dsbrdf.fitting.fit_data import FitData
@@ -42,7 +43,7 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import LeftOutErrors, SuggestedPair
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.samples.prediction import SamplePrediction, dark_level, left_out_predictions
+from dsbrdf.samples.prediction import SamplePrediction, dark_level, left_out_predictions, thinned
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 # A node of the table gets half weight if its uncertainty equals this relative error, the smallest that lobes reach.
@@ -149,6 +150,7 @@ _UNCONFIRMED_LOG = np.log(3.0)
 # A sample is unconfirmed only if its squared error is more than this fraction of the sum over all samples.
 _UNCONFIRMED_FRACTION = 0.5
 # Suggested directions are at least 8 degrees apart, because light and detector of an instrument would cover each other.
+_MAX_SINE_IN_PLANE = np.sin(np.radians(0.5))  # Directions this near the plane of incidence lie in the plane.
 _MAX_COSINE_BETWEEN = np.cos(np.radians(8.0))
 
 
@@ -172,10 +174,10 @@ def unconfirmed_sample(samples: ScatteredSamples, values: Array) -> Iterator[str
     off = np.log((samples.values.mean(axis=1) + dark) / (values.mean(axis=1) + dark))
     at = int(np.argmax(np.abs(off)))
     if np.abs(off[at]) > _UNCONFIRMED_LOG and off[at] ** 2 > _UNCONFIRMED_FRACTION * np.sum(off**2):
-        pair = _suggested(samples.omega_in[at], samples.omega_out[at])
+        theta_in, theta_out, phi = _pair_degrees(samples.omega_in[[at]], samples.omega_out[[at]])[0]
         yield (
-            f"Much depends on one sample, at theta_in = {pair.theta_in_deg:.0f}, theta_out = {pair.theta_out_deg:.0f} "
-            f"and phi = {pair.phi_deg:.0f} degrees: it is {np.exp(off[at]):.2g} times what a fit without it has there; "
+            f"Much depends on one sample, at theta_in = {theta_in:.0f}, theta_out = {theta_out:.0f} "
+            f"and phi = {phi:.0f} degrees: it is {np.exp(off[at]):.2g} times what a fit without it has there; "
             "measure near it again, or leave it out if it is wrong."
         )
 
@@ -247,35 +249,58 @@ def _nodes() -> tuple[tuple[Array, Array, Array], Array, Array]:
     return (half[seen], diff[seen], phi[seen]), (measure * cos_in * cos_out)[seen], cos_in[seen]
 
 
-def pairs_to_measure(prediction: SamplePrediction, model: DSBRDF) -> tuple[SuggestedPair, ...]:
-    """Return pairs of directions to measure next, the most useful first."""
+def pairs_to_measure(
+    prediction: SamplePrediction,
+    model: DSBRDF,
+    step_deg: float = 1.0,
+    max_theta_deg: float = 90.0,
+    *,
+    in_plane: bool = False,
+) -> tuple[SuggestedPair, ...]:
+    """Return pairs of directions to measure next, the most useful first.
+
+    Their angles are multiples of `step_deg`, those to the normal at most `max_theta_deg`; optionally all pairs lie in
+    one plane.
+    """
     nodes, weight, cosine = _nodes()
     light = weight * cosine * model.evaluate_unmasked(*nodes).mean(axis=1)
     generator = np.random.default_rng(5)
     drawn = [generator.choice(light.size, _N_CANDIDATES // 2, p=p / p.sum()) for p in (light, weight)]
-    pairs = directions(*(angle[np.unique(drawn)] for angle in nodes))
-    far = np.sum(pairs[0] * pairs[1], axis=1) < _MAX_COSINE_BETWEEN
-    omega_in, omega_out = (side[far] for side in pairs)
+    degrees = _pair_degrees(*directions(*(angle[np.unique(drawn)] for angle in nodes)))
+    if in_plane:
+        degrees[:, 2] = np.where(degrees[:, 2] > 90.0, 180.0, 0.0)
+    degrees = np.unique(np.rint(degrees / step_deg) * step_deg, axis=0)
+    degrees = degrees[degrees[:, :2].max(axis=1) <= max_theta_deg]
+    theta_in, theta_out, phi = np.radians(degrees).T
+    omega_in, omega_out = spherical(theta_in, np.zeros_like(phi)), spherical(theta_out, phi)
+    far = np.sum(omega_in * omega_out, axis=1) < _MAX_COSINE_BETWEEN
+    omega_in, omega_out, degrees = omega_in[far], omega_out[far], degrees[far]
     angles = half_difference(omega_in, omega_out)
     squared = np.sum(prediction.evaluate_unmasked(*angles) ** 2, axis=1)
     covariance = prediction.covariance(*angles)
-    named = [_suggested(*pair) for pair in zip(omega_in, omega_out, strict=True)]
-    degrees = np.array([(pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in named])
-    free, chosen = np.ones(len(named)), list[SuggestedPair]()
+    free, chosen = np.ones(len(degrees)), list[SuggestedPair]()
     while len(chosen) < N_SUGGESTED and free.any():
         gain = free * (squared @ covariance**2) / (np.diag(covariance) + prediction.noise_variance)
         best = int(np.argmax(gain))
-        chosen.append(named[best])
+        chosen.append(SuggestedPair(*degrees[best].tolist()))
         free[np.abs(degrees - degrees[best]).max(axis=1) < _MIN_PAIR_DISTANCE_DEG] = 0.0
         column = covariance[:, best]
         covariance = covariance - np.outer(column, column) / (column[best] + prediction.noise_variance)
     return tuple(chosen)
 
 
-def _suggested(omega_in: Array, omega_out: Array) -> SuggestedPair:
-    """Return a pair of directions in whole degrees; phi is the azimuth between the directions."""
-    theta_in, theta_out = (float(np.rint(np.degrees(np.arccos(omega[2])))) for omega in (omega_in, omega_out))
-    turn = np.arctan2(omega_out[1], omega_out[0]) - np.arctan2(omega_in[1], omega_in[0])
-    return SuggestedPair(
-        theta_in, theta_out, float(np.rint(np.degrees(np.abs((turn + np.pi) % (2.0 * np.pi) - np.pi))))
-    )
+def planned_pairs(
+    samples: ScatteredSamples, model: DSBRDF, step_deg: float, max_theta_deg: float
+) -> tuple[SuggestedPair, ...]:
+    """Return pairs of directions to measure next; they lie in one plane if all samples do."""
+    _, theta_out, phi = np.radians(_pair_degrees(samples.omega_in, samples.omega_out)).T
+    in_plane = bool(np.all(np.abs(np.sin(phi)) * np.sin(theta_out) < _MAX_SINE_IN_PLANE))
+    prediction = SamplePrediction.fit(thinned(samples))
+    return pairs_to_measure(prediction, model, step_deg, max_theta_deg, in_plane=in_plane)
+
+
+def _pair_degrees(omega_in: Array, omega_out: Array) -> Array:
+    """Return theta_in, theta_out and the azimuth between directions (n, 3) [degrees], shape (n, 3)."""
+    theta_in, theta_out = (np.arccos(np.clip(omega[:, 2], -1.0, 1.0)) for omega in (omega_in, omega_out))
+    turn = np.arctan2(omega_out[:, 1], omega_out[:, 0]) - np.arctan2(omega_in[:, 1], omega_in[:, 0])
+    return np.degrees(np.stack([theta_in, theta_out, np.abs((turn + np.pi) % (2.0 * np.pi) - np.pi)], axis=1))

@@ -11,7 +11,7 @@ from dsbrdf.fitting import Metrics
 from dsbrdf.result import sample_findings
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction
-from dsbrdf.samples.scattered_fit import predicted_profiles, sample_rows, scattered_metrics
+from dsbrdf.samples.scattered_fit import planned_pairs, predicted_profiles, sample_rows, scattered_metrics
 from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
@@ -202,6 +202,12 @@ def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF)
     assert len({*report.measure_next}) == len(report.measure_next) == 20
     far = [pair for pair in report.measure_next if min(pair.theta_in_deg, pair.theta_out_deg) > 30]
     assert len(far) >= 15
+    flat = spherical(np.linspace(0.1, 1.2, 60), np.zeros(60)), spherical(np.linspace(-1.2, 1.0, 60), np.zeros(60))
+    pairs = planned_pairs(ScatteredSamples.from_arrays(*flat, truth.evaluate_directions(*flat)), truth, 7.5, 60.0)
+    assert {pair.phi_deg for pair in pairs} == {0.0, 180.0}
+    angles = np.array([(pair.theta_in_deg, pair.theta_out_deg) for pair in pairs])
+    assert angles.max() <= 60.0
+    np.testing.assert_array_equal(angles % 7.5, 0.0)
 
 
 def noisy(samples: ScatteredSamples, seed: int = 1) -> ScatteredSamples:
