@@ -36,9 +36,9 @@ def test_the_options_of_a_table_are_flags(tmp_path: Path) -> None:
     plan = ("--measure-next", tmp_path / "plan.csv", "--next-step", "5", "--max-theta", "60")
     kept = document("fit", odd, "-o", tmp_path, "--n-lobes", "1", "--ring-lobes", "0", *flags, *plan, "--json")
     assert kept["resumed"]
-    names, *rows = (tmp_path / "plan.csv").read_text().splitlines()
+    names, *lines = (tmp_path / "plan.csv").read_text().splitlines()
     assert names.split(",") == [*VECTORS, "red", "green", "azure"]
-    heights = np.array([[float(cell) for cell in row.split(",")[2:6:3]] for row in rows])
+    heights = np.array([[float(cell) for cell in row.split(",")[2:6:3]] for row in lines])
     assert heights.min() > 0.4999
     np.testing.assert_allclose(np.degrees(np.arccos(heights)) % 5.0 % 4.9999, 0.0, atol=1e-3)
     assert "beside what was measured" in printed("plot", tmp_path / "odd.json", odd, "-o", tmp_path / "odd.png", *flags)

@@ -204,7 +204,7 @@ def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF)
     assert len(far) >= 15
     flat = spherical(np.linspace(0.1, 1.2, 60), np.zeros(60)), spherical(np.linspace(-1.2, 1.0, 60), np.zeros(60))
     pairs = planned_pairs(ScatteredSamples.from_arrays(*flat, truth.evaluate_directions(*flat)), truth, 7.5, 60.0)
-    assert {pair.phi_deg for pair in pairs} == {0.0, 180.0}
+    assert {pair.phi_deg for pair in pairs} <= {0.0, 180.0}
     angles = np.array([(pair.theta_in_deg, pair.theta_out_deg) for pair in pairs])
     assert angles.max() <= 60.0
     np.testing.assert_array_equal(angles % 7.5, 0.0)
