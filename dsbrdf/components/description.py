@@ -19,6 +19,7 @@ from dsbrdf.components.shares import SurfaceSpread
 from dsbrdf.components.structures import OWN_PRIORS, LayerStructure
 from dsbrdf.components.surfaces import (
     MAX_RANGE_FACTOR,
+    MIN_ALPHA_RATIO,
     Misfit,
     OwnValues,
     Surface,
@@ -28,7 +29,6 @@ from dsbrdf.components.surfaces import (
 )
 
 _SECOND_SURFACE_COST = 40.0  # A second surface is kept only if it lowers the cost of the fit by more than this.
-_MIN_ALPHA_RATIO = 1.3  # Two surfaces with a smaller ratio of roughness count as one surface.
 _MAX_START_HALF_WIDTH = np.radians(35.0)
 
 
@@ -92,13 +92,13 @@ def describe(
     albedo = albedo_of(best.model)
     misfit = Misfit.of(own, albedo, best.model, is_diffuse=is_diffuse)
     alphas = [layer.alpha for layer in best.model.layers if isinstance(layer, SpecularLayer)]
-    if len(alphas) > 1 and max(alphas) <= _MIN_ALPHA_RATIO * min(alphas):
+    if len(alphas) > 1 and max(alphas) <= MIN_ALPHA_RATIO * min(alphas):
         alone = fit_structures(data, structures[:1], quick=True)[0]
         of_one = albedo_of(alone.model)
         misfit_of_one = Misfit.of(own, of_one, alone.model, is_diffuse=is_diffuse)
         if not (misfit_of_one.withholds_roughness or misfit_of_one.withholds_reflectance):
             best, albedo, misfit = alone, of_one, misfit_of_one
-    surfaces = () if is_diffuse else surfaces_of(best, misfit, albedo[-1] / own.albedo[-1], spread)
+    surfaces = () if is_diffuse else surfaces_of(best, misfit, own, albedo, spread)
     return Description(best.model, surfaces, misfit)
 
 

@@ -175,6 +175,8 @@ def _label(layer: Layer, is_diffuse: bool) -> str:
 
 PROBABILITY = 0.9
 """Probability with which a parameter lies in its range."""
+RANGE_HALF_WIDTH_SIGMAS = 1.645
+"""Within this number of standard deviations are 90 % of a Gaussian."""
 _POSTERIOR_FACTOR = float(np.sqrt(2.0 / EVIDENCE_SCALE))
 """Ratio of the posterior's standard deviation to the standard deviation of draws, which `EVIDENCE_SCALE` widens."""
 _RANGE_EVIDENCE_SCALE = 6.0
@@ -282,9 +284,10 @@ class DrawnLayers(NamedTuple):
         return np.asarray(np.sum(each, axis=0) @ NORMAL.weight)
 
     def surface_spread(self, labels: Sequence[str]) -> SurfaceSpread:
-        """Return the standard deviations, over all draws, of the logarithms of roughness, F0 and F70.
+        """Return the standard deviations of the logarithms of roughness, F0 and F70 over all draws.
 
-        The roughness is the one of the brightest surface; F0 and F70 are summed over all surfaces.
+        The roughness is the one of the brightest surface; F0 and F70 are summed over all surfaces. They are at least as
+        uncertain as the light of the component, and F0 is uncertain by both, because it depends on the peak alone.
         """
         own = [
             [layer for layer, found in zip(one.model.layers, one.labels, strict=True) if found in labels]
@@ -302,7 +305,10 @@ class DrawnLayers(NamedTuple):
         logs, weight = np.log(np.column_stack([alpha, f0, f70])), self.weight[there]
         variance = np.average((logs - np.average(logs, axis=0, weights=weight)) ** 2, axis=0, weights=weight)
         spread = _POSTERIOR_FACTOR * np.sqrt(variance)
-        return SurfaceSpread(float(spread[0]), spread[1:4], spread[4:])
+        light = np.maximum(np.average(self._albedo(labels), axis=0, weights=self.weight), 1e-300)
+        most = np.maximum(np.array(self.ranges(labels).albedo)[:, 1], light)
+        doubt = np.log(most / light) / RANGE_HALF_WIDTH_SIGMAS
+        return SurfaceSpread(float(spread[0]), np.hypot(spread[1:4], doubt), np.maximum(spread[4:], doubt))
 
 
 def _probable(found: Sequence[FittedStructure], scale: float) -> list[tuple[FittedStructure, float]]:

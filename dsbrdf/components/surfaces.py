@@ -1,8 +1,8 @@
 """State the rough surfaces that describe a highlight, and how far the layers of a component are from its values.
 
-A parameter with too large a misfit is None. The 90 % range of a parameter combines three errors of its logarithm as
-independent: the spread over probable structures of layers, the uncertainty of the fit, and the misfit, which counts as
-an error with 90 % probability.
+A parameter with too large a misfit is None. The 90 % range of a parameter combines several errors of its logarithm as
+independent: the spread over probable structures of layers, the light that may belong to another component, the
+uncertainty of the fit, the error of the fitted layers, and the misfit, which counts as an error with 90 % probability.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.components.layer_data import MODEL_ERROR, Points
 from dsbrdf.components.layer_fit import FittedStructure
 from dsbrdf.components.layers import GRAZING_ANGLE, Color, LayeredModel, RetroLayer, SpecularLayer, tail_norm
-from dsbrdf.components.shares import Range, RgbRange, SurfaceSpread, light_rules
+from dsbrdf.components.shares import RANGE_HALF_WIDTH_SIGMAS, Range, RgbRange, SurfaceSpread, light_rules
 
 MAX_PEAK_MISFIT = 0.25  # A component whose peak value differs more from its layers has no F0 (relative error).
 MAX_COLOR_MISFIT = 0.15  # A component whose colour differs more from its layers has no F0 (relative error).
@@ -139,8 +139,9 @@ def _half_width(values: Array) -> float:
     return float(np.interp(-0.5 * values[0], -values[last - 1 : last + 1], _WIDTH_THETA_HALF[last - 1 : last + 1]))
 
 
-_RANGE_HALF_WIDTH_SIGMAS = 1.645  # Within this number of standard deviations are 90 % of a Gaussian.
 _MIN_SLOPE_FREEDOM = 1.5  # With 1 degree of freedom or fewer, the mean slope would be infinite.
+MIN_ALPHA_RATIO = 1.3
+"""Two surfaces with a smaller ratio of roughness count as one surface."""
 MAX_RANGE_FACTOR = 2.0
 """If an end of the range of F70 differs from F70 by more than this factor, F70 is None."""
 
@@ -169,40 +170,89 @@ class Surface:
 
 
 def surfaces_of(
-    best: FittedStructure, misfit: Misfit, light_at_70: Array, spread: SurfaceSpread
+    best: FittedStructure, misfit: Misfit, own: OwnValues, albedo: Array, spread: SurfaceSpread
 ) -> tuple[Surface, ...]:
     """Return the surfaces of fitted layers, the brightest first; parameters with too large a misfit are None.
 
-    `light_at_70` (3,) is the ratio of the layers' albedo at 70 degrees to the component's albedo.
+    `own` has the values of the component, and `albedo` (3, 3) is the layers' albedo at the angles of `light_rules`. Two
+    layers of nearly one roughness are stated as one surface.
     """
-    covariance = 2.0 * np.linalg.inv(best.normal_equations)
+    peak = best.model.layer_values(_PROFILE_POINTS).sum(axis=0)[:, 0]
+    of_peak, of_light_at_70 = (
+        np.log(np.maximum(layers, 1e-300) / np.maximum(values, 1e-300)) / RANGE_HALF_WIDTH_SIGMAS
+        for layers, values in ((peak, own.profile[:, 0]), (albedo[-1], own.albedo[-1]))
+    )
     of_width, of_light = (
-        float(np.log1p(off)) / _RANGE_HALF_WIDTH_SIGMAS
+        float(np.log1p(off)) / RANGE_HALF_WIDTH_SIGMAS
         for off in (misfit.half_width or 0.0, max(misfit.albedo, misfit.color))
     )
-    of_light_at_70 = np.log(light_at_70) / _RANGE_HALF_WIDTH_SIGMAS
+    of_fit = MODEL_ERROR**2 + best.error**2
+    variances = (
+        None if misfit.withholds_roughness else MODEL_ERROR**2 + spread.alpha**2 + of_width**2,
+        None if misfit.withholds_reflectance else of_fit + spread.f0**2 + of_light**2 + of_peak**2,
+        of_fit + spread.f70**2 + of_light_at_70**2,
+    )
+    covariance = 2.0 * np.linalg.inv(best.normal_equations)
+    unknowns = np.arange(best.unknowns.size)
+    layers = [
+        (layer, unknowns[part])
+        for layer, part in zip(best.model.layers, best.structure.slices, strict=True)
+        if isinstance(layer, SpecularLayer)
+    ]
+    alphas = [layer.alpha for layer, _ in layers]
+    groups = [layers] if alphas and max(alphas) < MIN_ALPHA_RATIO * min(alphas) else [[one] for one in layers]
     found = []
-    for layer, part in zip(best.model.layers, best.structure.slices, strict=True):
-        if not isinstance(layer, SpecularLayer):
-            continue
-        own = covariance[part, part]
-        alpha = alpha_range = f0 = f0_range = f70 = f70_range = None
-        if not misfit.withholds_roughness:
-            alpha, alpha_range = layer.alpha, _around(layer.alpha, own[6, 6] + spread.alpha**2 + of_width**2)
-        if not misfit.withholds_reflectance:
-            f0, f0_range = layer.f0, _around_rgb(layer.f0, np.diag(own)[:3] + spread.f0**2 + of_light**2)
-            slopes = layer.reflectance_slopes(GRAZING_ANGLE)
-            fitted = np.sum(slopes @ own * slopes, axis=1) + MODEL_ERROR**2
-            masking = _masking_ratio(layer)
-            of_masking = np.log(masking) / _RANGE_HALF_WIDTH_SIGMAS
-            red, green, blue = (masking * np.array(layer.reflectance_at(GRAZING_ANGLE))).tolist()
-            f70 = red, green, blue
-            f70_range = _around_rgb(f70, fitted + spread.f70**2 + of_light_at_70**2 + of_masking**2)
-            if any(high > MAX_RANGE_FACTOR**2 * low for low, high in f70_range):
-                f70 = f70_range = None
-        tail_exponent = None if alpha is None else layer.tail_exponent
-        found.append((sum(layer.f0), Surface(alpha, tail_exponent, f0, f70, alpha_range, f0_range, f70_range)))
+    for group in groups:
+        places = np.concatenate([own_places for _, own_places in group])
+        together = [layer for layer, _ in group]
+        surface = _surface(together, covariance[places[:, np.newaxis], places], *variances)
+        found.append((sum(sum(layer.f0) for layer in together), surface))
     return tuple(surface for _, surface in sorted(found, key=lambda pair: -pair[0]))
+
+
+def _surface(
+    layers: Sequence[SpecularLayer], covariance: Array, of_alpha: float | None, of_f0: Array | None, of_f70: Array
+) -> Surface:
+    """State some layers as one surface.
+
+    `covariance` belongs to the layers' unknowns. The other arguments are further variances of the logarithms of alpha,
+    F0 and F70; None withholds a parameter.
+    """
+    alpha = alpha_range = tail_exponent = f0 = f0_range = f70 = f70_range = None
+    f0_sum, variance = _reflectance(layers, covariance, 0.0)
+    if of_alpha is not None:
+        weight = np.array([np.mean(layer.f0 / f0_sum) for layer in layers])
+        alpha = float(np.exp(weight @ np.log([layer.alpha for layer in layers]) / weight.sum()))
+        tail_exponent = layers[int(weight.argmax())].tail_exponent
+        places = 6 + layers[0].unknowns.size * np.arange(len(layers))
+        alpha_range = _around(alpha, float(weight @ covariance[np.ix_(places, places)] @ weight) + of_alpha)
+    if of_f0 is not None:
+        f0, f0_range = _stated(f0_sum, variance + of_f0)
+        masking = np.array([_masking_ratio(layer) for layer in layers])
+        f70_sum, variance = _reflectance(layers, covariance, GRAZING_ANGLE, masking)
+        of_masking = np.log(masking.max()) / RANGE_HALF_WIDTH_SIGMAS
+        f70, f70_range = _stated(f70_sum, variance + of_f70 + of_masking**2)
+        if any(high > MAX_RANGE_FACTOR**2 * low for low, high in f70_range):
+            f70 = f70_range = None
+    return Surface(alpha, tail_exponent, f0, f70, alpha_range, f0_range, f70_range)
+
+
+def _reflectance(
+    layers: Sequence[SpecularLayer], covariance: Array, theta_diff: float, factors: Array | float = 1.0
+) -> tuple[Array, Array]:
+    """Return the sum of the layers' reflectance times some factors, RGB, and the variance of its logarithm."""
+    each = np.array([layer.reflectance_at(theta_diff) for layer in layers]) * np.reshape(factors, (-1, 1))
+    total = each.sum(axis=0)
+    parts = zip(layers, each / total, strict=True)
+    slopes = np.hstack([part[:, np.newaxis] * layer.reflectance_slopes(theta_diff) for layer, part in parts])
+    return total, np.sum(slopes @ covariance * slopes, axis=1)
+
+
+def _stated(color: Array, variance: Array) -> tuple[Color, RgbRange]:
+    """Return a colour and its 90 % ranges from the variance of its logarithm."""
+    red, green, blue = color.tolist()
+    low, middle, high = (_around(*pair) for pair in zip(color.tolist(), variance.tolist(), strict=True))
+    return (red, green, blue), (low, middle, high)
 
 
 def _masking_ratio(layer: SpecularLayer) -> float:
@@ -228,13 +278,8 @@ def _smith_lambda(alpha: float, freedom: float) -> float:
 
 def _around(value: float, variance: float) -> Range:
     """Return the 90 % range of a positive value from the variance of its logarithm."""
-    factor = float(np.exp(_RANGE_HALF_WIDTH_SIGMAS * np.sqrt(variance)))
+    factor = float(np.exp(RANGE_HALF_WIDTH_SIGMAS * np.sqrt(variance)))
     return value / factor, value * factor
-
-
-def _around_rgb(color: Color, variance: Array) -> RgbRange:
-    red, green, blue = (_around(*pair) for pair in zip(color, variance.tolist(), strict=True))
-    return red, green, blue
 
 
 def half_width_of(layers: Sequence[SpecularLayer | RetroLayer]) -> float | None:

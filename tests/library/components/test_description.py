@@ -1,6 +1,7 @@
 """What a component says describes it: its surfaces are those of its own values, or are withheld."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -49,6 +50,17 @@ def test_two_highlights_of_nearly_one_width_are_one_component() -> None:
     assert np.all((0.9 * low < hue) & (hue < 1.1 * high))
     apart = decomposed(surface((0.10, 0.04, 0.12), 0.03), surface((0.13, 0.08, 0.02), 0.12), GROUND)
     assert apart.labels == LABELS
+
+
+def test_surfaces_of_nearly_one_roughness_are_stated_as_one() -> None:
+    """An interference film: no surface has a colour that changes with theta_diff in this way, but two together have."""
+    film = SpecularLayer((0.60, 0.02, 0.50), 0.9, 0.15, 2.0, (1.5, -0.5), 0.5, 0.0)
+    parts = decomposed(film, replace(film, f0=(0.02, 0.60, 0.02), rise=(-1.5, 1.0)))
+    ((found,),) = (part.surfaces for part in parts)
+    assert found.alpha == pytest.approx(0.15, rel=0.05)
+    assert found.f0_range is not None
+    for (low, high), true in zip(found.f0_range, (0.62, 0.62, 0.52), strict=True):
+        assert low < true < high
 
 
 class Rings(ReflectanceModel):
