@@ -1,7 +1,5 @@
 """Models, functions and GGX beside a measurement."""
 
-from dataclasses import asdict
-
 import numpy as np
 import pytest
 
@@ -46,9 +44,12 @@ def test_a_function_ggx_a_model_and_a_measurement_are_compared(measurement: Meas
         measurement,
         {"model": SURFACE, "function": surface, "ggx": "ggx", "itself": measurement, "grey": lambda i, _: i[:, :1] * 0},
     )
-    for metric, value in asdict(found["model"]).items():
-        other = getattr(found["function"], metric)
-        assert other is value is None or other == pytest.approx(value, rel=1e-2, abs=1e-4), metric
+    for name in ("model", "function"):
+        relative_rms, psnr = found[name].relative_rms, found[name].psnr
+        assert relative_rms is not None
+        assert relative_rms < 5e-3
+        assert psnr is not None
+        assert psnr > 60.0
     assert found["itself"].relative_rms is not None
     assert found["itself"].relative_rms < 1e-4
     assert found["ggx"].psnr is not None
