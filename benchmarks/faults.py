@@ -198,7 +198,7 @@ def tests_of(wing: str) -> str:
 def covering(fault: Fault, seconds: dict[str, float]) -> list[str]:
     """Return tests that cover the line of a fault, or that use the constant which it defines, the quickest first.
 
-    The tests of the same wing count as well: what a fixture has computed for many tests is recorded for the first.
+    The other tests of the wing follow: what a fixture has computed for many tests is recorded for the first.
     """
     data = coverage.CoverageData(str(KEPT / "coverage"))
     data.read()
@@ -207,11 +207,10 @@ def covering(fault: Fault, seconds: dict[str, float]) -> list[str]:
     name = lines[fault.line - 1].partition(" ")[0].rstrip(":")
     used = [fault.line, *(n for n, line in enumerate(lines, 1) if name.isidentifier() and name in line)]
     wing = next(tests_of(wing) for wing in WINGS if fault.path.startswith(wing))
-    tests = {test for line in used for test in contexts.get(line, ())} | {
-        test for test in seconds if test.startswith(wing)
-    }
+    tests = {test for line in used for test in contexts.get(line, ()) if test in seconds}
+    others = [test for test in seconds if test.startswith(wing) and test not in tests]
     chosen, total = [], 0.0
-    for test in sorted(tests & set(seconds), key=seconds.__getitem__):
+    for test in (*sorted(tests, key=seconds.__getitem__), *sorted(others, key=seconds.__getitem__)):
         total += seconds[test]
         if total <= MAX_TEST_SECONDS:
             chosen.append(test)
@@ -244,7 +243,12 @@ def run_tests(copy: Path, tests: Sequence[str]) -> NoReturn:
     sys.path[:0], sys.dont_write_bytecode = paths, True
     for name in [name for name in sys.modules if name.split(".")[0] in ("benchmarks", "tests")]:
         del sys.modules[name]
-    os._exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests]))
+    code: int = 1
+    try:
+        flags = ["-q", "-x", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+        code = pytest.main([*flags, *tests])
+    finally:
+        os._exit(code)
 
 
 def ended(child: int) -> int:
@@ -283,24 +287,29 @@ def main(argv: Sequence[str]) -> int:
     n_noticed = 0
     for name in PRELOADED:
         import_module(name)
-    with tempfile.TemporaryDirectory(prefix="dsbrdf-") as folder:
-        copy = Path(folder) / "copy"
-        names = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
-        for name in names.splitlines():
-            (copy / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / name, copy / name)
-        for number, fault in enumerate(faults, 1):
-            begin = time.monotonic()
-            tests = covering(fault, seconds) if seconds else []
-            noticed = not arguments.show and is_noticed(fault, tests, copy)
-            n_noticed += noticed
-            line, after = ((ROOT / fault.path).read_text(), planted(fault))
-            before, after = (text.splitlines()[fault.line - 1].strip() for text in (line, after))
-            verdict = "planted" if arguments.show else "noticed" if noticed else "NOT NOTICED"
-            where = f"{number:3} {fault.path}:{fault.line} {fault.kind}"
-            print(
-                f"{where}: {verdict} ({len(tests)} tests, {time.monotonic() - begin:.0f} s)\n    {before}\n    {after}",
-                flush=True,
-            )
+    folder = Path(tempfile.mkdtemp(prefix="dsbrdf-"))  # A `TemporaryDirectory` would be removed by a fork that exits.
+    copy = folder / "copy"
+    names = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    for name in names.splitlines():
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, copy / name)
+    if not arguments.show:
+        unchanged = faults[0]._replace(begin=0, end=0, text="")
+        if is_noticed(unchanged, covering(unchanged, seconds), copy):
+            raise SystemExit(f"a test fails without a fault; remove {KEPT} to record the tests anew")
+    for number, fault in enumerate(faults, 1):
+        begin = time.monotonic()
+        tests = covering(fault, seconds) if seconds else []
+        noticed = not arguments.show and is_noticed(fault, tests, copy)
+        n_noticed += noticed
+        line, after = ((ROOT / fault.path).read_text(), planted(fault))
+        before, after = (text.splitlines()[fault.line - 1].strip() for text in (line, after))
+        verdict = "planted" if arguments.show else "noticed" if noticed else "NOT NOTICED"
+        where = f"{number:3} {fault.path}:{fault.line} {fault.kind}"
+        print(
+            f"{where}: {verdict} ({len(tests)} tests, {time.monotonic() - begin:.0f} s)\n    {before}\n    {after}",
+            flush=True,
+        )
+    shutil.rmtree(folder)
     print(f"{n_noticed} of {len(faults)} faults noticed")
     return 0

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 EXAMPLES = repeats(1, 200)
 MIN_CASES = repeats(1000, 2000)
 # As few seconds for the fits that the cases start as there can be; all of them find room in the queue.
-SETTINGS = {"default_wait": "0.3", "max_wait": "0.3", "fit_seconds": "1", "queue_limit": "100000", "workers": "1"}
+SETTINGS = {"default_wait": "0.3", "max_wait": "0.3", "fit_seconds": "0.01", "queue_limit": "100000", "workers": "1"}
 
 # What a document cannot say, so that a request may conform to it and yet be refused with 422: that two parameters
 # exclude each other, are as long as each other, or are unit vectors; that knots increase; which formats hold a
