@@ -68,6 +68,11 @@ _KINDS = {
         "a dBase table (DBF)",
         "open it in a spreadsheet program, and save it as .xlsx or .csv",
     ),
+    rb"SIMPLE  =": ("a FITS file", _AS_TABLE),
+    rb"ENVI\s": ("the header of an ENVI image cube", _AS_TABLE),
+    rb"NVIDIA ARC MBSDF": ("a measured BSDF of MDL (.mbsdf)", _AS_TABLE),
+    rb"(?s).*^TypeColorModel\s": ("an Integra file (.ddr or .ddt)", _AS_TABLE),
+    rb"(?s).*^DataType\s.*^ColorModel\s": ("a libbsdf file (.ssdd)", _AS_TABLE),
     rb"\x93NUMPY": ("a NumPy array (.npy)", f"{_AS_TABLE}, as numpy.savetxt does"),
     rb"\x80[\x02-\x05]": ("a Python pickle", _AS_TABLE),
     rb"\x89HDF": ("an HDF5 file, perhaps of MATLAB or netCDF", _AS_TABLE),
@@ -82,8 +87,9 @@ _KINDS = {
     rb"(?s).*<WindowElement": ("a BSDF file of LBNL WINDOW (Klems XML or tensor tree)", _EVALUATED),
     rb"\s*<": ("XML", _AS_TABLE),
     rb"(?i)OPTIS - anisotropic bsdf": ("an anisotropic BSDF file of Speos", _AS_TABLE),
-    rb"(?i)\W*TracePro": ("a file of TracePro", _AS_TABLE),
+    rb"(?i)\W*TracePro": ("a TracePro file", _AS_TABLE),
     rb"\s*IESNA": ("the light distribution of a lamp (IES LM-63)", "a lamp has no BRDF"),
+    rb"(?i)\s*@relation": ("an ARFF file", "save it as .csv"),
     rb"\s*PDS_VERSION_ID": ("a label of the Planetary Data System", "take the file that it describes"),
 }
 

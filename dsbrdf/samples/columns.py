@@ -28,6 +28,11 @@ SPHERICAL = ("theta_in", "phi_in", "theta_out", "phi_out")
 GREY = ("value",)
 FROM_MIRROR = ("theta_in", "theta_from_mirror")
 _DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS, FROM_MIRROR)
+# Columns of these names are no values of a BRDF; the sentence says what would be.
+_OTHER_VALUES = {
+    r"(?i)btdf|transm": "light that a sample transmits is not read, only reflected light",
+    r"(?i)\bL\*?\|a\*?\|b\*?\b|\bx\|y\|Y\b": "colours must be linear sRGB or CIE XYZ",
+}
 # A column of unknown meaning is refused if its name matches this, because it may be an azimuth that the samples need.
 _AZIMUTH = re.compile(r"phi|(?:^|_)az|azi|azm|[rv]aa|phase")
 _MEANINGS = (
@@ -84,7 +89,7 @@ def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
         if others:
             raise MeasurementFormatError(
                 f"The columns {written!r} and {table.names[others[0]]!r} both seem to be {name}: leave one of them "
-                f"out, or choose, as in --columns {name}={written}."
+                f"out, or choose, as in {_option(name, written)}."
             )
         if name in (*GREY, *CHANNELS, *TRISTIMULUS) and is_logarithm(written):
             raise _logarithm(written)
@@ -127,7 +132,7 @@ def _refuse_unread_azimuth(table: TextTable, read: Container[int]) -> None:
         if at not in read and _AZIMUTH.search(name_and_unit(name)[0]) and table.varies(at):
             raise MeasurementFormatError(
                 f"The column {name!r} is not understood, and may be an azimuth, which the table lacks otherwise: name "
-                f"it, as in --columns phi_out={name}, or leave it out."
+                f"it, as in {_option('phi_out', name)}, or leave it out."
             )
 
 
@@ -171,12 +176,22 @@ def _missing(wanted: Sequence[str], table: TextTable, places: dict[str, list[int
     found = f"not understood are its columns {_listed(unknown)}" if unknown else f"it has only {_listed(understood)}"
     rest = f"; understood are {_listed(understood)}" if unknown and understood else ""
     remedy = "a spectrum alone has no directions" if "wavelength" in places else "add what is missing"
-    if unknown:
-        option = f"{lacking[0]}={table.names.index(unknown[0]) + 1 if ',' in unknown[0] else unknown[0]}"
-        quoted = f'"{option}"' if " " in option else option
-        remedy = f"say which column is which, as in --columns {quoted}"
+    if known_colors := next(
+        (kind for pattern, kind in _OTHER_VALUES.items() if re.search(pattern, "|".join(unknown))), ""
+    ):
+        remedy = known_colors
+    elif unknown:
+        # An example with columns of this table might be wrong, unless only one is left.
+        named = _option(lacking[0], unknown[0]) if len(lacking) == len(unknown) == 1 else f"--columns {lacking[0]}=NAME"
+        remedy = f"say which column is which, as in {named}"
     held = ", or give an angle that all rows have, as in --constants theta_in=30" if "theta_in" in lacking else ""
     return MeasurementFormatError(f"The table lacks {' and '.join(lacking)}: {found}{rest}; {remedy}{held}.")
+
+
+def _option(meaning: str, name: str) -> str:
+    """Return the option that names a column, as it is written on the command line."""
+    option = f"{meaning}={name}"
+    return f'--columns "{option}"' if " " in option else f"--columns {option}"
 
 
 def _logarithm(written: str) -> MeasurementFormatError:

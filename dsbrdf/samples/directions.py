@@ -146,13 +146,13 @@ def _is_read(table: TextTable, options: TableOptions) -> bool:
     return bool(is_wide and is_varied and is_above.mean() > _DOUBTFUL_FRACTION and 3 * n_angles < len(pairs))
 
 
-def in_radians(name: str, column: Column) -> Array:
+def in_radians(column: Column) -> Array:
     """Return the angles in a column; raise MeasurementFormatError if its unit is none of angles."""
     unit = "deg" if column.unit in NO_UNIT else column.unit
     if unit == COSINE and np.all(np.abs(column.numbers) <= 1.0):
         return np.asarray(np.arccos(column.numbers))
     if unit not in ANGLE_UNITS:
-        raise MeasurementFormatError(f"The column {name!r} is in {unit!r}; angles are in deg or in rad.")
+        raise MeasurementFormatError(f"The column {column.written!r} is in {unit!r}; angles are in deg or in rad.")
     angles = np.where(np.isfinite(column.numbers), column.numbers, np.nan) * ANGLE_UNITS[unit]
     return np.pi / 2.0 - angles if column.is_elevation else angles
 
@@ -162,7 +162,7 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
     if form is VECTORS:
         first, second = (np.stack([columns[name].numbers for name in form[i : i + 3]], axis=-1) for i in (0, 3))
         return first, second
-    angles = {name: in_radians(name, column) for name, column in columns.items() if name in (*form, *PHIS, "phase")}
+    angles = {name: in_radians(column) for name, column in columns.items() if name in (*form, *PHIS, "phase")}
     if angles.keys() >= {*PHIS}:
         _check_not_exchanged(angles, columns)
     _check_sizes(angles, columns)

@@ -153,14 +153,17 @@ def _rows_behind(found: re.Match[bytes] | None, data: bytes) -> Array:
 
 
 def json_table(data: bytes) -> TextTable | None:
-    """Return the samples in JSON: rows of ASAM OpenMATERIAL 3D, or columns or records of numbers by name.
+    """Return the samples in JSON: rows of ASAM OpenMATERIAL 3D, or columns, records or lines of records by name.
 
     In the BiRD project's format, the object "data" has the values and the unit of each column.
     """
     try:
         document: Any = json.loads(data) if data[:_JSON_START_BYTES].strip()[:1] in (b"{", b"[") else None
     except (ValueError, RecursionError):
-        return None
+        try:
+            document = [json.loads(line) for line in data.splitlines() if line.strip()]
+        except (ValueError, RecursionError):
+            return None
     if document is None:
         return None
     if isinstance(document, dict) and "lookupTable" in (document.get("brdf") or ()):

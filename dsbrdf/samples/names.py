@@ -9,16 +9,16 @@ from math import pi
 from dsbrdf.data.geometry import CHANNELS
 
 _SIDE_WORDS = {
-    "in": "in i inc incident incidence incoming input ill illum illumination light source src solar sol sun",
+    "in": "in i inc incident incidence incoming input ill illum illumination light source src solar sol sun quelle",
     "out": (
         "out o r s v e output ref refl reflected reflection outgoing exitant exit emergent emergence emission scat "
         "scattered scatter scattering receiver detector detection det view viewing viewer observer observation obs "
-        "sensor sen"
+        "sensor sen detektor"
     ),
 }
 _ANGLE_WORDS = {
     "theta": "theta zenith polar zen za z",
-    "phi": "phi azimuth azimuthal azim azm azi az aa a",
+    "phi": "phi azimuth azimuthal azimut azim azm azi az aa a",
     "elevation": "elevation altitude",
 }
 _SIDES = {word: side for side, words in _SIDE_WORDS.items() for word in words.split()}
@@ -51,12 +51,22 @@ _OTHERS = {
         *("ausfallswinkel", "beobachtungswinkel", "angle_de_réflexion"),
     ),
     "phi_in": ("saa",),
-    "phi_out": ("vaa", "azimut", "raa"),
+    "phi_out": ("vaa", "raa"),
     "phase": ("phase", "phase_angle"),
     "theta_from_mirror": ("angle_from_specular", "degrees_from_specular"),
     "value": (*_VALUES, *_FACTORS, *_RADIANCE_FACTORS),
     "weight": ("weight",),
-    "wavelength": ("wavelength", "wavelength_i", "lambda", "wl", "wavenumber", "wave_number"),
+    "wavelength": (
+        "wavelength",
+        "wavelength_i",
+        "lambda",
+        "wl",
+        "wavenumber",
+        "wave_number",
+        "frequency",
+        "energy",
+        "photon_energy",
+    ),
 }
 TRISTIMULUS = ("cie_x", "cie_y", "cie_z")
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDE_WORDS for axis in "xyz")
@@ -68,7 +78,8 @@ ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 """Factors that convert units of angles to radians."""
 WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
 """Factors that convert units of wavelengths to nanometres."""
-WAVENUMBER_UNITS = ("1/cm", "cm-1", "cm^-1", "cm**-1")
+RECIPROCAL_UNITS = dict.fromkeys(("1/cm", "cm-1", "cm^-1", "cm**-1"), 1e7) | {"thz": 299792.458, "ev": 1239.84198}
+"""Numerators [nm] that units of wavenumbers, frequencies and photon energies divide to give wavelengths."""
 VALUE_UNITS = ("1/sr", "sr^-1", "sr-1", "sr**-1", "per sr", "1 / sr")
 """Units of a BRDF."""
 # The first element of a Mueller matrix, if its elements are counted from 0, is the BRDF for unpolarised light.
@@ -109,7 +120,7 @@ def _spellings() -> Iterator[tuple[str, str]]:
         yield from ((name, meaning) for name in names)
     for side in _SIDE_WORDS:
         for axis in "xyz":
-            for name in (f"omega_{side}", f"omega_{side[0]}", f"w{side[0]}"):
+            for name in (f"omega_{side}", f"omega_{side[0]}", f"w{side[0]}", "l" if side == "in" else "v"):
                 yield from ((f"{name}_{axis}", f"omega_{side}_{axis}"), (f"{name}{axis}", f"omega_{side}_{axis}"))
     for name in HALF_DIFFERENCE:
         angle, _, of = name.partition("_")
@@ -286,7 +297,7 @@ def name_and_unit(cell: str) -> tuple[str, str]:
     if len(cell) > _MAX_NAME_LENGTH:
         return cell, ""
     text, unit = unicodedata.normalize("NFKC", cell).strip(), ""
-    text = re.sub(r"(?<=[a-z])(?=[A-Z])(?!B\b)", "_", text).lower()  # A decibel is no word of two.
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])(?![BV]\b)", "_", text).lower()  # dB and eV are units.
     for letter, word in _GREEK.items():
         text = text.replace(letter, word)
     text = _MARKUP.sub("", text).strip()

@@ -55,7 +55,7 @@ def _angles(pairs: Sequence[SuggestedPair], found: FoundColumns, *, is_turned: b
     """Return the angles [degrees] and the vectors of sorted pairs by meaning; `is_turned` as by the option phi."""
     rows = sorted((pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in pairs)
     theta_in, theta_out, phi = np.array(rows).reshape(-1, 3).T
-    known = np.degrees(in_radians("phi_in", found.columns["phi_in"])) if "phi_in" in found.columns else np.zeros(1)
+    known = np.degrees(in_radians(found.columns["phi_in"])) if "phi_in" in found.columns else np.zeros(1)
     phi_in = np.full_like(phi, known[np.isfinite(known)][0] if np.isfinite(known).any() else 0.0)
     phi_out = (phi_in + phi + 180.0 * is_turned) % 360.0
     omega_in, omega_out = spherical(*np.radians([theta_in, phi_in])), spherical(*np.radians([theta_out, phi_out]))

@@ -85,6 +85,9 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
     """Return the table in the lines below the column names; the first of these lines may give units."""
     check_size(len(lines), len(names))
     separator, first = ",", 0
+    numbered = [[line.strip('"') for line in line.replace(",", " ").split()] for _, line in lines[:3]]
+    if [row[:1] for row in numbered] == [["1"], ["2"], ["3"]] and {len(row) for row in numbered} == {len(names) + 1}:
+        names = ("row", *names)  # R writes the numbers of rows without a name.
     for number, line in lines[:_MAX_LINES_OF_UNITS]:
         separator = _separator_of_row(number, line, len(names))
         cells = [cell.strip(" []()") for cell in _cells(line, separator)]

@@ -9,6 +9,7 @@ light of equal energy at all wavelengths. White is adapted, by Bradford's matrix
 spectrum is linear between its wavelengths, and constant beyond the first and last.
 """
 
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -18,10 +19,10 @@ from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.columns import GREY, Column, FoundColumns
 from dsbrdf.samples.names import (
+    RECIPROCAL_UNITS,
     TRISTIMULUS,
     VALUE_UNITS,
     WAVELENGTH_UNITS,
-    WAVENUMBER_UNITS,
     factor_of,
     wavelength_of,
 )
@@ -173,14 +174,19 @@ def rgb_of(found: FoundColumns, written: Array) -> Array:
 
 
 def in_nanometres(column: Column) -> Array:
-    """Return the wavelengths in a column of wavelengths or wavenumbers."""
-    if column.unit in WAVENUMBER_UNITS or "number" in column.written.lower():
-        return np.asarray(1e7 / np.where(column.numbers > 0.0, column.numbers, np.nan))
-    largest = largest_of(column.numbers)
-    by_size = "m" if largest < _MAX_WAVELENGTH_M else "um" if largest < _MAX_WAVELENGTH_UM else "nm"
-    unit = by_size if column.unit in NO_UNIT else column.unit
+    """Return the wavelengths in a column of wavelengths, wavenumbers, frequencies or photon energies."""
+    largest, unit = largest_of(column.numbers), column.unit
+    if unit in NO_UNIT and "number" in column.written.lower():
+        unit = "1/cm"
+    elif unit in NO_UNIT and not re.search("(?i)frequency|energy", column.written):
+        unit = "m" if largest < _MAX_WAVELENGTH_M else "um" if largest < _MAX_WAVELENGTH_UM else "nm"
+    if unit in RECIPROCAL_UNITS:
+        return np.asarray(RECIPROCAL_UNITS[unit] / np.where(column.numbers > 0.0, column.numbers, np.nan))
     if unit not in WAVELENGTH_UNITS:
-        raise MeasurementFormatError(f"The wavelengths are in {unit!r}; they are in nm, um or m.")
+        raise MeasurementFormatError(
+            f"The column {column.written!r} is in {unit!r}; wavelengths are in nm, um or m, wavenumbers in 1/cm, "
+            "frequencies in THz, and photon energies in eV."
+        )
     return column.numbers * WAVELENGTH_UNITS[unit]
 
 

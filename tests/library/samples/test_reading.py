@@ -260,7 +260,7 @@ WRONG = [
     (
         table(("alpha", "beta", "gamma", "delta", *CHANNELS)),
         "The table lacks theta_in and theta_out: not understood are its columns 'alpha', 'beta', 'gamma', 'delta'; "
-        "understood are 'red', 'green', 'blue'; say which column is which, as in --columns theta_in=alpha, or give an "
+        "understood are 'red', 'green', 'blue'; say which column is which, as in --columns theta_in=NAME, or give an "
         "angle that all rows have, as in --constants theta_in=30.",
     ),
     (NO_Z, "The table lacks omega_out_z: not understood are its columns 'z'; understood are 'omega_in_x'"),
@@ -277,7 +277,7 @@ WRONG = [
         "The angles theta_in and theta_out are at most 1.48, as angles in radians are: write degrees, or name the "
         "columns theta_in_rad and so on.",
     ),
-    (renamed(*(f"{name} [gon]" for name in DIRECTION)), "'theta_in' is in 'gon'; angles are in deg or in rad."),
+    (renamed(*(f"{name} [gon]" for name in DIRECTION)), "'theta_in [gon]' is in 'gon'; angles are in deg or in rad."),
     (
         renamed(*(f"{name}_rad" for name in DIRECTION)),
         "The column 'theta_in' has an angle of 4866.96 degrees; 180 is the largest that there is.",

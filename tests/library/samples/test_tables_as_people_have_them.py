@@ -253,10 +253,18 @@ def test_further_names_are_read() -> None:
     assert "The column 'DSF' has the BRDF times the cosine of theta_out, and was divided by it." in samples.notes
     samples = parse_samples(table("sza,saa,vza,vaa,Panel BRF,BRF sd", np.column_stack([GRID, TRUE, TRUE])))
     np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-6)
-    rows = [np.column_stack([np.full(len(GRID), 1e7 / nm), GRID, TRUE]) for nm in (450.0, 550.0, 650.0)]
-    samples = parse_samples(table(("wavenumber [1/cm]", *NAMES), np.vstack(rows)))
-    assert len(samples.values) == 513  # One sample for all azimuths at the normal.
-    assert "The 3 wavelengths from 450 to 650 nm were made linear sRGB" in samples.notes[-1]
+    for name, factor in (("wavenumber [1/cm]", 1e7), ("frequency [THz]", 299792.458), ("energy [eV]", 1239.84198)):
+        rows = [np.column_stack([np.full(len(GRID), factor / nm), GRID, TRUE]) for nm in (450.0, 550.0, 650.0)]
+        samples = parse_samples(table((name, *NAMES), np.vstack(rows), number="{:.10g}".format))
+        assert len(samples.values) == 513  # One sample for all azimuths at the normal.
+        assert "The 3 wavelengths from 450 to 650 nm were made linear sRGB" in samples.notes[-1]
+
+
+@pytest.mark.parametrize("names", ["theta_i,phi_i,theta_t,phi_t,BTDF", "theta_i,phi_i,theta_r,phi_r,L*,a*,b*"])
+def test_what_is_no_reflection_or_no_linear_colour_is_told(names: str) -> None:
+    content = table(names, np.column_stack([GRID, TRUE, TRUE, TRUE])[:, : names.count(",") + 1])
+    with pytest.raises(MeasurementFormatError, match=r"transmits is not read|colours must be linear sRGB or CIE XYZ"):
+        parse_samples(content)
 
 
 def test_underscores_are_no_digits() -> None:
@@ -280,32 +288,6 @@ def test_files_of_one_material_are_told_of_together(tmp_path: Path) -> None:
         MeasurementFormatError, match=r"The file at15\.txt has one column of values, and other files have"
     ):
         read_samples(paths)
-
-
-LINES = [",".join(map(repr, row)) for row in np.column_stack([GRID - [0.0, 180.0, 0.0, 180.0], TRUE]).tolist()]
-TEXT = "\n".join([",".join(NAMES), *LINES])
-ENCODED = {
-    "title of Windows": ("Tile 5 – “black”\n" + TEXT).encode("cp1252"),
-    "title in Japanese": ("試料\n" + TEXT).encode("shift_jis"),
-    "UTF-16 without a mark": TEXT.encode("utf-16-le"),
-    "dashes and footnotes": TEXT.replace("-", "–").replace("\n", "*\n").replace("value*", "value").encode(),
-    "names behind the rows": "\n".join([*LINES[:400], "# " + ",".join(NAMES)]).encode(),
-    "matrix from 0": TEXT.replace("value", "M00,M11").replace("\n", ",7\n").replace("M11,7", "M11").encode() + b",7",
-}
-
-
-@pytest.mark.parametrize("kind", ENCODED)
-def test_texts_of_other_programs_are_read(kind: str) -> None:
-    samples = parse_samples(ENCODED[kind])
-    count = len(samples.values)
-    assert count >= 400
-    np.testing.assert_allclose(samples.values[:, 0], TRUE[:count], rtol=1e-12)
-    np.testing.assert_allclose(samples.omega_out, directions(GRID - [0, 0, 0, 180])[1][:count], atol=1e-9)
-
-
-def test_radiance_factors_are_told_with_both_options() -> None:
-    samples = parse_samples(TEXT.replace("value", "I/F").encode())
-    assert "the BRDF: if they are, set scale to 0.3183, and cosine to in" in samples.notes[0]
 
 
 @pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "missing", "n.a.", "---"])
