@@ -127,32 +127,42 @@ def table_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMN
     return text.getvalue().encode()
 
 
-_LATEX = {
-    "material": "material",
-    "part": "part",
-    "light_share": "light [\\%]",
-    "alpha": "$\\alpha$",
-    "tail_exponent": "tail",
-    "f0": "$F_0$ (r, g, b)",
-    "f70": "$F_{70}$ (r, g, b)",
-    "albedo": "albedo (r, g, b)",
-    "psnr": "dB",
-}
+_LATEX_HEADS = (
+    *("material", "part", "light [\\%]", "albedo (r, g, b)", "surface", "$\\alpha$", "tail"),
+    *("$F_0$ (r, g, b)", "$F_{70}$ (r, g, b)", "dB"),
+)
 
 
 def table_latex(rows: Iterable[Mapping[str, Any]]) -> bytes:
-    """Return rows as a LaTeX table for the package booktabs; subscript and superscript of a value give its range."""
-    lines = [f"\\begin{{tabular}}{{ll{'r' * (len(_LATEX) - 2)}}}", "\\toprule"]
-    lines += [" & ".join(_LATEX.values()) + r" \\", "\\midrule"]
-    for row in rows:
-        surface = f" {row['surface']}" if row.get("surface") else ""
-        cells = [row["material"], row["component"].replace("_", " ") + surface]
-        cells = [re.sub(r"([&%#$_{}])", r"\\\1", cell) for cell in cells]
-        cells += [_latex_range(row, "light_share", "{:.0f}", 100.0), _latex_range(row, "alpha", "{:.3g}", 1.0)]
-        cells += [_number(row.get("tail_exponent")), *(_rgb(row, name) for name in ("f0", "f70", "albedo"))]
-        cells.append(_number(row["psnr"]))
+    """Return rows as a LaTeX table for the packages booktabs and multirow.
+
+    Subscript and superscript of a value give its range. A cell that several rows share is written once.
+    """
+    rows = list(rows)
+    materials = [row["material"] for row in rows]
+    parts = [(row["material"], row["component"]) for row in rows]
+    lines = [f"\\begin{{tabular}}{{ll{'r' * (len(_LATEX_HEADS) - 2)}}}", "\\toprule"]
+    lines += [" & ".join(_LATEX_HEADS) + r" \\", "\\midrule"]
+    for index, row in enumerate(rows):
+        if index and materials[index] != materials[index - 1]:
+            lines.append("\\addlinespace")
+        texts = row["material"], row["component"].replace("_", " ")
+        name, part = (re.sub(r"([&%#$_{}])", r"\\\1", text) for text in texts)
+        cells = [_shared(materials, index, name), _shared(parts, index, part)]
+        cells += [_shared(parts, index, _latex_range(row, "light_share", "{:.0f}", 100.0))]
+        cells += [_shared(parts, index, _rgb(row, "albedo")), _number(row.get("surface"))]
+        cells += [_latex_range(row, "alpha", "{:.3g}", 1.0), _number(row.get("tail_exponent"))]
+        cells += [_rgb(row, "f0"), _rgb(row, "f70"), _shared(materials, index, _number(row["psnr"]))]
         lines.append(" & ".join(cells) + r" \\")
     return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""]).encode()
+
+
+def _shared(keys: Sequence[object], index: int, text: str) -> str:
+    """Return the text of a cell that spans all rows with one key, which is empty in all rows but the first."""
+    count = keys.count(keys[index])
+    if index and keys[index - 1] == keys[index]:
+        return ""
+    return text if count == 1 or not text else f"\\multirow{{{count}}}{{*}}{{{text}}}"
 
 
 def _latex_range(row: Mapping[str, Any], name: str, form: str, factor: float) -> str:

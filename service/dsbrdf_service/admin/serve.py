@@ -154,6 +154,8 @@ class _Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop accepting requests, and let the requests in progress end soon."""
+        if sys.stdout.isatty():
+            print(flush=True)  # The terminal has written ^C, after which the next prompt begins a line of its own.
         context: Context = cast(FastAPI, self.config.app).state.context
         # If the shutdown hangs, the process ends anyway, because accepted fits are stored and the next start runs them.
         faulthandler.dump_traceback_later(context.settings.shutdown_seconds + _CLEANUP_TIMEOUT_S, exit=True)

@@ -48,9 +48,13 @@ def test_several_models_at_once_and_their_components_as_tables(model_file: Path,
     psnr = load_fit(model_file).report.metrics.psnr
     assert {row["psnr"] for row in rows} == {str(psnr), ""}
     lines = latex.read_text().splitlines()
-    assert len(lines) == len(rows) + 6
-    assert lines[-3].startswith("50\\%\\_gloss & ")
-    assert {line.count("&") for line in lines[4:-2]} == {8}
+    body = [line for line in lines[4:-2] if line != r"\addlinespace"]
+    assert len(body) == len(rows)
+    assert {line.count("&") for line in body} == {9}
+    count = sum(row["material"] == "50%_gloss" for row in rows)
+    assert sum(rf"\multirow{{{count}}}{{*}}{{50\%\_gloss}} & " in line for line in body) == 1
+    albedo = next(row for row in rows if row["surface"] == "1")["albedo_red"]
+    assert sum(f"{float(albedo):.3g}, " in line for line in body) == 1
     answer = document("show", model_file, other, "--json")["items"]
     assert [item["file"] for item in answer] == [str(model_file), str(other)]
     assert printed("show", model_file, other).startswith(printed("show", model_file))
