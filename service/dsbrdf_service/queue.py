@@ -7,6 +7,7 @@ of the fits, and the requests that wait for a change.
 import asyncio
 import logging
 import sqlite3
+from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future
 from contextlib import asynccontextmanager
@@ -14,8 +15,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, TypeVar, TypeVarTuple
 from weakref import WeakValueDictionary
 
+import prometheus_client
 from anyio import CancelScope, move_on_after
-from prometheus_client import Counter, Histogram
 from starlette.concurrency import run_in_threadpool
 
 from dsbrdf.engines.engine import NOT_STARTED, Engine, Fault, FitDocument, FitTask, Outcome
@@ -91,9 +92,9 @@ class _RunningFit:
 class FitMeters(NamedTuple):
     """Hold the Prometheus metrics of fits."""
 
-    waiting: Histogram
-    fitting: Histogram
-    retries: Counter
+    waiting: prometheus_client.Histogram
+    fitting: prometheus_client.Histogram
+    retries: prometheus_client.Counter
 
 
 class FitQueue:
@@ -108,6 +109,7 @@ class FitQueue:
         self._loop = asyncio.get_running_loop()
         self._stopping: asyncio.Future[None] = self._loop.create_future()
         self._running: dict[FitKey, _RunningFit] = {}
+        self._followers: Counter[str] = Counter()  # Requests that follow or wait for fits, by owner.
 
     async def start(self) -> None:
         """Run the fits that an earlier process has left unfinished."""
@@ -138,8 +140,11 @@ class FitQueue:
         return row, new
 
     async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow:
-        """Wait until a fit ends, `seconds` are over or a future in `ends` is done; return the fit's row."""
-        with move_on_after(seconds):
+        """Wait until a fit ends, `seconds` are over or a future in `ends` is done; return the fit's row.
+
+        An owner whose requests already wait for as many fits as is allowed gets the row at once.
+        """
+        with move_on_after(seconds if self.has_room(key.owner) else 0.0):
             async for _ in self.watch(key, *ends, each_step=False):
                 pass
         return await run_in_threadpool(self._store.fit, key)
@@ -156,7 +161,21 @@ class FitQueue:
 
         The iteration ends early when the fit is deleted, or a future in `ends` is done.
         """
-        ends = (self._stopping, *ends)
+        self._followers[key.owner] += 1
+        try:
+            async for row in self._rows(key, (self._stopping, *ends), each_step=each_step):
+                yield row
+        finally:
+            self._followers[key.owner] -= 1
+            self._followers += Counter()  # Adding a counter removes owners without requests.
+
+    def has_room(self, owner: str) -> bool:
+        """Return whether another request of an owner may wait; a part of an owner's requests must stay for others."""
+        return self._followers[owner] < max(1, self._settings.limit_concurrency // 4)
+
+    async def _rows(
+        self, key: FitKey, ends: "tuple[asyncio.Future[None], ...]", *, each_step: bool
+    ) -> AsyncIterator[FitRow]:
         while True:
             running = self._running.get(key)
             change = None if running is None else running.changed if each_step else running.task

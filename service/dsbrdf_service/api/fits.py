@@ -5,7 +5,7 @@ from collections.abc import AsyncIterable
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import Field
 from pydantic_core import to_json
@@ -264,6 +264,13 @@ async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> Re
     raise ProblemError("fit-not-finished", f"The fit is {row.status}; only=cancel cancels it.")
 
 
+async def _check_room(context: TheContext, caller: TheCaller) -> None:
+    """Refuse a stream of events if the caller follows so many fits that only requests of other kinds are left."""
+    if not context.queue.has_room(caller.owner):
+        detail = "Your requests follow as many fits as is allowed; end one of them, or ask for the fit with GET."
+        raise ProblemError("too-many-at-once", detail, {"Connection": "close"})
+
+
 @router.get(
     "/{fit_id}/events",
     response_class=EventSourceResponse,
@@ -272,6 +279,7 @@ async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> Re
         200: {"content": {"text/event-stream": {"example": openapi.EXAMPLE_EVENTS}}},
         **openapi.problems("not-found"),
     },
+    dependencies=[Depends(_check_room)],
 )
 async def follow_fit(context: TheContext, caller: TheCaller, begin: TheRow) -> AsyncIterable[ServerSentEvent]:
     """Send an event at every step of a fit; an event's name is the fit's status, and the last event reports its end."""
