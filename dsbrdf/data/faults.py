@@ -9,8 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from dsbrdf.arrays import Array
-from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, THETA_HALF
+from dsbrdf.arrays import Array, Mask
+from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import FIRST_PHI, FoldedProfiles, Profiles, cosine_parts
 from dsbrdf.findings import Finding
@@ -41,10 +41,18 @@ _FLOOR_EDGES_HALF = np.sqrt(90.0 * np.array([25.0, 35.0, 45.0, 55.0, 65.0, 75.0]
 _FLOOR_EDGES_DIFF = (0, 15, 30, 45, 60, 70)
 _FLOOR_COSINE = float(np.cos(np.radians(75.0)))
 _MIN_FLOOR_CELLS = 8
-_MIN_FLATNESS = 0.93
-"""Minimum over cells divided by the median, beyond which there is a floor; good measurements reach 0.91."""
+_MIN_FLATNESS = 0.92
+"""Minimum over cells divided by the median, beyond which there is a floor; good grey measurements reach 0.90."""
 _MAX_FLOOR_COLOUR = 2.0
 """Stray light is about grey: channels whose minimum differs by a larger factor have no common floor."""
+_MIN_BINS_IN_SWEEP = 40
+_MAX_JUMP = 0.06
+"""Limit of the difference of logarithms between one theta_diff and its neighbours that all theta_half share.
+
+Good measurements reach 0.04.
+"""
+_MAX_REPEATED = 0.2
+"""Limit of the fraction of bins that equal the bin before, and not the one before that."""
 _SAMPLED_NODES = 20_000
 _MAX_LEVELS = 1024
 _MIN_LEVEL_STEP = 0.005
@@ -72,21 +80,32 @@ def horizon_disagreement(folded: FoldedProfiles, horizon_cutoff: float | None) -
     trust = np.ones(folded.mean.shape)
     if horizon_cutoff is None:
         return 0.0, trust
-    total, filled = folded.weight.sum(), folded.weight > 0.0
     level, swing = cosine_parts()
-    beyond = level - swing * np.cos(FIRST_PHI) < np.cos(horizon_cutoff) - 1e-12  # one sample of a bin is enough
-    dark = _DARK_FRACTION * float(np.sum(folded.weight * folded.mean)) / max(float(total), 1.0)
-    logs = np.log(folded.mean + dark + 1e-300)
-    apart = np.abs(logs[:, 1:-1] - 0.5 * (logs[:, 2:] + logs[:, :-2]))
-    apart[~(filled[:, 1:-1] & filled[:, 2:] & filled[:, :-2] & beyond[1:-1])] = np.nan
-    across = np.abs(logs[:, 2:] - logs[:, :-2])[filled[:, 2:] & filled[:, :-2] & (beyond[2:] & ~beyond[:-2])]
-    rough = apart[np.isfinite(apart)]
-    if not rough.size or not across.size:
+    beyond = level - swing * np.cos(FIRST_PHI) < np.cos(horizon_cutoff) - 1e-12  # One sample of a bin is enough.
+    filled, here = folded.weight > 0.0, beyond[1:-1]
+    dark = _DARK_FRACTION * float(np.vdot(folded.weight, folded.mean)) / max(float(folded.weight.sum()), 1.0)
+
+    def logs(rows: slice, at: Mask) -> Array:
+        """Return logarithms (3, n) of the bins in a mask of some rows; NaN without samples."""
+        return np.where(filled[:, rows][:, at], np.log(folded.mean[:, rows][:, at] + dark + 1e-300), np.nan)
+
+    before, after = slice(None, -2), slice(2, None)
+    apart = np.abs(logs(slice(1, -1), here) - 0.5 * (logs(after, here) + logs(before, here)))
+    edge = beyond[after] & ~beyond[before]
+    across = np.abs(logs(after, edge) - logs(before, edge))
+    if np.isnan(apart).all() or np.isnan(across).all():
         return 0.0, trust
-    disagreement = max(float(np.quantile(rough, 0.9)) / MIN_ROUGHNESS, float(np.quantile(across, 0.9)) / MIN_JUMP)
-    trust[:, 1:-1] = 1.0 / np.maximum(np.nan_to_num(apart) / MAX_SINGLE_ROUGHNESS, 1.0) ** MISTRUST_POWER
-    trust[:, beyond] *= max(disagreement, 1.0) ** -MISTRUST_POWER
+    disagreement = max(_ninth_decile(apart) / MIN_ROUGHNESS, _ninth_decile(across) / MIN_JUMP)
+    single = np.maximum(np.nan_to_num(apart) / MAX_SINGLE_ROUGHNESS, 1.0)
+    trust[:, 1:-1][:, here] = single**-MISTRUST_POWER
+    if disagreement > 1.0:
+        trust[:, beyond] *= disagreement**-MISTRUST_POWER
     return disagreement, trust
+
+
+def _ninth_decile(differences: Array) -> float:
+    found = differences[np.isfinite(differences)]
+    return float(np.partition(found, 9 * found.size // 10)[9 * found.size // 10])
 
 
 def profile_findings(data: Profiles) -> Iterator[Finding]:
@@ -124,6 +143,7 @@ def profile_findings(data: Profiles) -> Iterator[Finding]:
             {"disagreement": disagreement},
         )
     yield from _floor_finding(folded)
+    yield from _sweep_findings(folded)
 
 
 def _floor_finding(folded: FoldedProfiles) -> Iterator[Finding]:
@@ -151,10 +171,42 @@ def _floor_finding(folded: FoldedProfiles) -> Iterator[Finding]:
         )
 
 
+def _sweep_findings(folded: FoldedProfiles) -> Iterator[Finding]:
+    """Yield findings if the values jump from one theta_diff to the next, or if a theta_half repeats another."""
+    level, swing = cosine_parts()
+    usable = (level - swing * np.cos(FIRST_PHI) > _FLOOR_COSINE) & (folded.weight > 0.0).all(axis=0)
+    mean = folded.mean[:, :, ::2, ::3]  # a sixth of the bins is enough
+    logs = np.where(usable[:, ::2, ::3] & (mean > 0.0), np.log(np.maximum(mean, 1e-300)), np.nan)
+    bends = (logs[:, 1:-1] - 0.5 * (logs[:, 2:] + logs[:, :-2])).reshape(3, THETA_DIFF.size - 2, -1)
+    filled = np.count_nonzero(np.isfinite(bends), axis=2).min(axis=0) >= _MIN_BINS_IN_SWEEP
+    jumps = np.abs(np.nanmedian(bends[:, filled], axis=2)).max(axis=0) if filled.any() else np.zeros(1)
+    jump, row = float(jumps.max()), int(jumps.argmax())
+    if jump > _MAX_JUMP:
+        angle = float(np.degrees(THETA_DIFF[1:-1][filled][row]))
+        yield Finding(
+            "uneven-sweeps",
+            f"At theta_diff = {angle:.0f} degrees all values are {np.expm1(jump):.0%} off those of its neighbours: the "
+            "lamp may have drifted between two sweeps, or channels were exchanged. Scale the sweeps to each other.",
+            {"jump": float(np.expm1(jump)), "theta_diff_deg": angle},
+        )
+    same = folded.mean[:, :, 1:] == folded.mean[:, :, :-1]
+    pairs = (same[:, :, 1:] & ~same[:, :, :-1])[:, usable[:, 2:]] if usable.any() else same
+    if (share := float(pairs.mean())) > _MAX_REPEATED:
+        yield Finding(
+            "repeated-samples",
+            f"At {share:.0%} of the angles the values equal those at the next smaller theta_half exactly: samples seem "
+            "to be repeated, and the measurement has fewer angles than it says.",
+            {"fraction": share},
+        )
+
+
 def value_findings(measurement: Measurement) -> Iterator[Finding]:
     """Yield what single samples tell: colours outside of sRGB, and values of few levels."""
-    below = [int(np.count_nonzero((channel < 0.0) & measurement.valid)) for channel in measurement.stored]
-    share = max(below) / max(int(np.count_nonzero(measurement.valid)), 1)
+    nodes = np.flatnonzero(measurement.valid)
+    nodes = nodes[:: max(nodes.size // _SAMPLED_NODES, 1)]
+    values = measurement.stored.reshape(3, -1)[:, nodes] * measurement.scale[:, np.newaxis]
+    below = (values < 0.0).mean(axis=1)
+    share = float(below.max())
     if share > _MIN_OUTSIDE_FRACTION:
         yield Finding(
             "outside-gamut",
@@ -162,9 +214,7 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
             "sRGB; such values count as 0.",
             {"fraction": share},
         )
-    nodes = np.flatnonzero(measurement.valid)
-    nodes = nodes[:: max(nodes.size // _SAMPLED_NODES, 1)]
-    for channel in measurement.stored.reshape(3, -1)[:, nodes] * measurement.scale[:, np.newaxis]:
+    for channel in values:
         channel = channel[channel < channel.max()]  # The level of a clipped highlight is no coarse level.
         levels = np.unique(channel)
         if not 1 < levels.size <= min(_MAX_LEVELS, channel.size // 4):

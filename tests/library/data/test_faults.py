@@ -46,6 +46,8 @@ FAULTS = {
     "constant-floor": lambda values: values + 0.05,
     "bad-horizon": with_garbage,
     "outside-gamut": outside_gamut,
+    "uneven-sweeps": lambda values: values * np.where(np.arange(90) < 30, 1.0, 1.2)[:, None],
+    "repeated-samples": lambda values: np.repeat(values[:, ::2], 2, axis=1),
 }
 
 
