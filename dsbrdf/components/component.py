@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.description import Description, renderer_layers
-from dsbrdf.components.layer_data import Points, data_points, grid_points, grid_values
+from dsbrdf.components.layer_data import data_points, grid_values
 from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
-from dsbrdf.components.shares import LABELS, NORMAL, ComponentRanges, LightRule, Range, WeightedLayers
+from dsbrdf.components.points import NORMAL, LightRule, Points, grid_points
+from dsbrdf.components.shares import LABELS, ComponentRanges, Range, WeightedLayers
 from dsbrdf.components.surfaces import PROFILE, Misfit, OwnValues, Surface
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.findings import Finding
@@ -201,7 +202,7 @@ class Decomposition:
     @one_blas_thread
     def layers(self) -> LayeredModel:
         """A small model of the material for renderers: the layers of all components, fitted together."""
-        return renderer_layers(grid_values(self.model.evaluate_unmasked), self.descriptions)
+        return renderer_layers(self.model.evaluate_unmasked, self.descriptions)
 
     @cached_property
     def albedos(self) -> Array:

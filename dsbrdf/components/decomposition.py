@@ -25,14 +25,8 @@ from dsbrdf.components.description import Description, describe
 from dsbrdf.components.layer_data import grid_values, material_data
 from dsbrdf.components.layer_fit import fit_structures
 from dsbrdf.components.layers import RetroLayer
-from dsbrdf.components.shares import (
-    LABELS,
-    SPIKE_HALF_WIDTH,
-    DrawnLayers,
-    LightRule,
-    WeightedLayers,
-    light_rules,
-)
+from dsbrdf.components.points import LightRule, light_rules
+from dsbrdf.components.shares import LABELS, SPIKE_HALF_WIDTH, DrawnLayers, WeightedLayers
 from dsbrdf.components.structures import RARE_STRUCTURES, STRUCTURES
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF

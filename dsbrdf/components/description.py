@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dsbrdf.arrays import Array
+from dsbrdf.arrays import Evaluate
 from dsbrdf.components.layer_data import component_data, peak_half_width, renderer_data
 from dsbrdf.components.layer_fit import fit_structures, refined
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components.points import coarse_light_rules
 from dsbrdf.components.shares import SurfaceSpread
 from dsbrdf.components.structures import OWN_PRIORS, LayerStructure
 from dsbrdf.components.surfaces import (
@@ -29,6 +30,8 @@ from dsbrdf.components.surfaces import (
 )
 
 _SECOND_SURFACE_COST = 40.0  # A second surface is kept only if it lowers the cost of the fit by more than this.
+_FAINT_GROUND = DiffuseLayer((0.005, 0.005, 0.005), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
+"""Start of a layer for faint light far from the highlights of a material without a diffuse part."""
 _MAX_START_HALF_WIDTH = np.radians(35.0)
 
 
@@ -102,12 +105,14 @@ def describe(
     return Description(best.model, surfaces, misfit)
 
 
-def renderer_layers(values: Array, descriptions: Sequence[Description]) -> LayeredModel:
-    """Fit the layers of all components together to the values (3, N) of the whole material, for renderers."""
-    layers = tuple(layer for one in descriptions for layer in one.layers.layers)
-    data = renderer_data(values)
+def renderer_layers(evaluate: Evaluate, descriptions: Sequence[Description]) -> LayeredModel:
+    """Fit the layers of all components, and a diffuse layer, together to the whole material, for renderers."""
+    layers = [layer for one in descriptions for layer in one.layers.layers]
+    data = renderer_data(evaluate, coarse_light_rules())
     if data is None or not layers:
         return LayeredModel(())
+    if not any(isinstance(layer, DiffuseLayer) for layer in layers):
+        layers.append(_FAINT_GROUND)
     structure = LayerStructure("all", tuple(OWN_PRIORS[type(layer)] for layer in layers))
     return refined(data, structure, np.concatenate([layer.unknowns for layer in layers])).model
 

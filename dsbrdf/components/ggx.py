@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from dsbrdf.arrays import Evaluate
-from dsbrdf.components.layer_data import grid_values, renderer_data
+from dsbrdf.components.layer_data import renderer_data
 from dsbrdf.components.layer_fit import fit_structures
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, SpecularLayer
+from dsbrdf.components.points import coarse_light_rules
 from dsbrdf.components.structures import OWN_PRIORS, LayerPrior, LayerStructure
 
 
@@ -35,5 +36,5 @@ N_NUMBERS = 13
 
 def fit_ggx(evaluate: Evaluate) -> LayeredModel:
     """Fit two GGX highlights and a Lambertian ground to the values of a material, weighted by their visibility."""
-    data = renderer_data(grid_values(evaluate))
+    data = renderer_data(evaluate, coarse_light_rules())
     return LayeredModel(()) if data is None else fit_structures(data, [_STRUCTURE])[0].model

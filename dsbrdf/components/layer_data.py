@@ -1,4 +1,4 @@
-"""Compute what layers need at pairs of directions, and weigh a model's values at 668 pairs for the fits of layers.
+"""Weigh a model's values at 668 pairs of directions, to separate its layers or to describe a component.
 
 Where layers are separated, the weight of a pair is its visibility on a lit sphere. Squared errors of values f are
 divided by f**1.4, because the many small values determine the diffuse part. Absolute errors have some weight too, which
@@ -6,13 +6,14 @@ preserves the peaks of highlights.
 
 Where one component is described, squared errors of values f are divided by f. Additional weight is on relative errors
 where a highlight is above a tenth of its peak, and on relative errors of the light in four bands of theta_diff, because
-the sum of this light is the albedo.
+the sum of this light is the albedo. Where layers are fitted for a renderer, relative errors of the directional albedo
+have weight too.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
@@ -20,84 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dsbrdf.arrays import Array, Evaluate, Mask
+from dsbrdf.components.points import LightRule, Points
 from dsbrdf.data.geometry import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.reduction import center_share, interval_ends, seen_weight, trust
-
-COAT_F0 = 0.04
-"""Reflectance at normal incidence of the clear coat above a layer."""
-MIN_COSINE = 0.02
-"""Smaller cosines to the normal are clipped, because masking is steep near the horizon, where nothing is measured."""
-MAX_TAN2 = 1e4
-"""Larger values of tan(theta_half)**2 are clipped, because the tangent of 90 degrees is infinite."""
-MIN_RISE = 1e-3
-"""Smaller values of 1 - cos(theta_diff) are clipped for sheen, which uses their logarithm."""
-MIN_SINE = 3e-2
-"""Smaller values of sin(theta_half) are clipped for sheen, which uses the logarithm of sin(theta_half)."""
-
-
-class Points(NamedTuple):
-    """Hold the quantities that layers need at N pairs of directions, as arrays (N,) or stacks of such arrays."""
-
-    squared_tangent: Array  # tan(theta_half)**2
-    log_squared_secant: Array
-    cos_in: Array
-    cos_out: Array
-    fresnel: Array  # reflectance of glass at theta_diff, from 0 (normal) to 1 (grazing)
-    passed: Array  # logarithm of the fraction of light that passes a clear coat both ways
-    rise: Array  # u = 1 - cos(theta_diff), and u**2
-    ground: Array  # the six terms of a diffuse layer, see `dsbrdf.components.layers`
-    fibres: Array  # logarithms of 1 - cos(theta_diff) and of sin(theta_half), for sheen
-    squared_retro: Array  # tan(theta_half)**2 after omega_in is turned by 180 degrees about the normal
-
-    @classmethod
-    def at(cls, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Points:
-        """Compute the quantities that layers need at angles (N,) [rad]."""
-        cos_half, sin_half, cos_diff = np.cos(theta_half), np.sin(theta_half), np.cos(theta_diff)
-        level, swing = cos_diff * cos_half, np.sin(theta_diff) * sin_half * np.cos(phi_diff)
-        cos_in, cos_out = np.maximum(level - swing, MIN_COSINE), np.maximum(level + swing, MIN_COSINE)
-        squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, MAX_TAN2)
-        rise = 1.0 - np.maximum(cos_diff, 0.0)
-        to_in, to_out, fresnel = map(fresnel_rise, (cos_in, cos_out, 1.0 - rise))
-        # This equals sin(theta_in) sin(theta_out) cos(phi_in - phi_out), from which the term of Oren and Nayar is made.
-        along = 2.0 * cos_diff**2 - 1.0 - cos_in * cos_out
-        passed = np.log((1.0 - to_in) * (1.0 - to_out))
-        ground = (
-            passed,
-            cos_diff**2 * (to_in + to_out),
-            fresnel,
-            np.log(2.0 / (cos_in + cos_out)),
-            sin_half**2,
-            np.where(along > 0.0, along / np.maximum(cos_in, cos_out), along),
-        )
-        return cls(
-            squared_tangent=squared_tangent,
-            log_squared_secant=np.log1p(squared_tangent),
-            cos_in=cos_in,
-            cos_out=cos_out,
-            fresnel=fresnel,
-            passed=passed + 2.0 * np.log(1.0 - COAT_F0),
-            rise=np.stack([rise, rise**2]),
-            ground=np.stack(ground),
-            fibres=np.log(np.stack([np.maximum(rise, MIN_RISE), np.maximum(sin_half, MIN_SINE)])),
-            squared_retro=np.maximum(4.0 * np.sin(theta_diff) ** 2 - (cos_in - cos_out) ** 2, 0.0)
-            / (cos_in + cos_out) ** 2,
-        )
-
-
-def grid_points(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Points]:
-    """Yield for each theta_half the points at all pairs of theta_diff (D,) and phi_diff (P,), phi_diff fastest."""
-    diff, phi = (angle.ravel() for angle in np.meshgrid(theta_diff, phi_diff, indexing="ij"))
-    for angle in theta_half:
-        yield Points.at(np.full(diff.size, angle), diff, phi)
-
-
-def fresnel_rise(cosine: Array) -> Array:
-    """Return the reflectance of glass (index 1.5), scaled to 0 at normal incidence and to 1 at grazing incidence."""
-    refracted = np.sqrt(1.25 + cosine**2)  # This is the cosine of the refracted direction times the refractive index.
-    across = (refracted - cosine) / (refracted + cosine)
-    ratio = (cosine * (refracted + cosine) - 1.0) / (cosine * (refracted - cosine) + 1.0)
-    return np.asarray(np.maximum(0.5 * across**2 * (1.0 + ratio**2) - COAT_F0, 0.0) / (1.0 - COAT_F0))
-
 
 N_SAMPLES = 50.0
 """The values of a whole material count as this many independent samples."""
@@ -115,14 +41,15 @@ _OWN_POWER = 1.0  # Where one component is described, squared errors are divided
 _N_OWN_SAMPLES = 500.0  # Values of a component count as so many independent samples, to outweigh the prior.
 _OWN_MODEL_ERROR = 0.08  # Smaller relative errors hardly lower the cost, so they cause no second surface.
 _PEAK_ERROR_WEIGHT = 1.5  # Weight of errors at a highlight's peak, as a fraction of all other weight.
-_RENDERED_PEAK_ERROR_WEIGHT = 0.5  # Weight of peak errors where layers of all components are fitted for a renderer.
 _FULL_WEIGHT_THETA_DIFF = np.radians(50.0)  # At a larger theta_diff, the weight of errors at a highlight's peak falls.
 _AROUND_PEAK = int(np.searchsorted(_THETA_HALF, np.radians(60.0)))  # index of 60 degrees, outside of any peak
 _MIN_PEAK_HEIGHT = 0.05  # The height of a peak above its surroundings counts as at least this fraction of its top.
 _RENDERED_TRUST_POWER = 0.09  # The weight near the horizon is raised to this power in fits for renderers.
 _MIN_LOG_SCALE_THETA_HALF = np.radians(0.05)  # At smaller angles, the logarithmic scale of theta_half becomes linear.
 _BAND_WEIGHT = 6.0  # Weight of the errors of the light in bands, as a fraction of all other weight.
-_RENDERED_BAND_WEIGHT = 2.0  # Weight of band errors where layers of all components are fitted for a renderer.
+_RENDERED_BAND_WEIGHT = 1.0  # Weight of band errors where layers of all components are fitted for a renderer.
+_RENDERED_ALBEDO_WEIGHT = 4.0  # Weight of the errors of the directional albedo in these fits.
+_NODE_WEIGHT = 1e-6  # Root weight of a node of a quadrature, as a fraction of the largest root weight.
 _BAND_EDGES = np.radians([0.0, 15.0, 35.0, 52.0, 68.0])  # edges of the bands of theta_diff [rad]
 _MIN_BAND_LIGHT = 0.05  # Errors of a darker band are relative to this fraction of the mean light of all bands.
 _MAX_VALUE = 1e100  # Larger values of a model are clipped, because their squares would overflow.
@@ -233,12 +160,37 @@ def component_data(values: Array, *, has_peak: bool) -> LayerData | None:
     return replace(data, model_error=_OWN_MODEL_ERROR)
 
 
-def renderer_data(values: Array) -> LayerData | None:
-    """Weigh the values (3, N) of a whole material by visibility on a lit sphere; return None if all values are 0."""
+def renderer_data(evaluate: Evaluate, rules: Sequence[LightRule]) -> LayerData | None:
+    """Weigh the values of a whole material by visibility on a lit sphere; return None if all values are 0.
+
+    Relative errors of the directional albedo, one for each quadrature in `rules`, have additional weight.
+    """
+    values = grid_values(evaluate)
     if not values.any():
         return None
     seen = _seen(_on_grid(values), _grid().rendered, LAYER_POWER)
-    return _described_data(values, seen, _RENDERED_PEAK_ERROR_WEIGHT, _RENDERED_BAND_WEIGHT)
+    data = _described_data(values, seen, _PEAK_ERROR_WEIGHT, _RENDERED_BAND_WEIGHT)
+    for rule in rules:
+        data = _with_albedo(data, evaluate(*rule.angles).T, rule, _RENDERED_ALBEDO_WEIGHT / (3.0 * len(rules)))
+    return data
+
+
+def _with_albedo(data: LayerData, values: Array, rule: LightRule, weight: float) -> LayerData:
+    """Add the relative errors of a directional albedo, from the values (3, n) at the nodes of its quadrature."""
+    if data.sums is None:
+        return data
+    albedo = float((values @ rule.weight).max())
+    # Single errors at the nodes hardly weigh; only their sum does.
+    root = np.full(values.shape, _NODE_WEIGHT * data.root_weight.max())
+    sums = np.pad(data.sums, ((0, 0), (0, 1), (0, rule.weight.size)))
+    sums[:, -1, -rule.weight.size :] = np.sqrt(weight) * rule.weight / (max(albedo, 1e-100) * root)
+    return replace(
+        data,
+        points=Points(*(np.concatenate(pair, axis=-1) for pair in zip(data.points, rule.points, strict=True))),
+        root_weight=np.hstack([data.root_weight, root]),
+        weighted=np.hstack([data.weighted, values * root]),
+        sums=sums,
+    )
 
 
 def _described_data(values: Array, seen: Array, peak_weight: float, band_weight: float) -> LayerData:

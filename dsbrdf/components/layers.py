@@ -33,7 +33,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import COAT_F0, Points, fresnel_rise, grid_points
+from dsbrdf.components.points import COAT_F0, Points, fresnel_rise, grid_points
 from dsbrdf.model.reflectance import RenderableModel
 
 Color: TypeAlias = tuple[float, float, float]

@@ -13,16 +13,15 @@ widens the ranges of the component, as an independent error.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import Points
 from dsbrdf.components.layer_fit import EVIDENCE_SCALE, FittedStructure, structure_weights
 from dsbrdf.components.layers import GRAZING_ANGLE, Layer, LayeredModel, SpecularLayer
-from dsbrdf.model.albedo import half_vector_rule
+from dsbrdf.components.points import NORMAL, Points
 from dsbrdf.model.reflectance import ReflectanceModel
 
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
@@ -37,51 +36,8 @@ SPIKE_HALO = HALO / 25.0
 """At smaller tan(theta_half)**2, differences between a highlight and its layers are mostly assigned to the spike."""
 _DIFFERENCE_POWER = 3
 """Power p in the part f**p of the missed light that layers with the fraction f of all light of the layers receive."""
-_N_PANEL_NODES = 4  # With this number of nodes in each panel of a quadrature, its relative error is mostly below 1e-3.
 _MIN_LAYER_LIGHT = 1e-300  # This value is added to the sum of the layers, to avoid a division by zero [1/sr].
 _MAX_VALUE_RATIO = 1e100  # Larger ratios of model to layers are clipped, so that squared ratios do not overflow.
-
-
-class LightRule(NamedTuple):
-    """Hold the nodes (n,) and weights of a quadrature of the directional albedo at one angle.
-
-    Attributes
-    ----------
-    angles : tuple of Array
-        theta_half, theta_diff and phi_diff (n,) [rad].
-    points : Points
-        The nodes in the form that layers evaluate.
-    weight : Array
-        Weights (n,) [sr].
-    """
-
-    angles: tuple[Array, Array, Array]
-    points: Points
-    weight: Array
-
-
-def _normal_rule() -> LightRule:
-    """Return the quadrature at normal incidence, where theta_half = theta_diff and values do not depend on azimuth."""
-    rule = half_vector_rule(0.0)
-    angle, place = np.unique(rule.theta_half, return_inverse=True)
-    weight = np.asarray(np.bincount(place, rule.weight), dtype=np.float64)
-    angles = angle, angle, np.zeros(angle.size)
-    return LightRule(angles, Points.at(*angles), weight)
-
-
-def _light_rule(theta_out: float) -> LightRule:
-    rule = half_vector_rule(theta_out, n_panel_nodes=_N_PANEL_NODES)
-    angles = rule.theta_half, rule.theta_diff, rule.phi_diff
-    return LightRule(angles, Points.at(*angles), rule.weight)
-
-
-NORMAL = _normal_rule()
-
-
-@cache
-def light_rules() -> tuple[LightRule, LightRule, LightRule]:
-    """Return the quadratures of the directional albedo at 0, 45 and 70 degrees to the normal."""
-    return NORMAL, _light_rule(float(np.radians(45.0))), _light_rule(float(np.radians(70.0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,11 @@ import numpy as np
 from scipy.special import gammaln, stdtr
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import MODEL_ERROR, Points
+from dsbrdf.components.layer_data import MODEL_ERROR
 from dsbrdf.components.layer_fit import FittedStructure
 from dsbrdf.components.layers import GRAZING_ANGLE, Color, LayeredModel, RetroLayer, SpecularLayer, tail_norm
-from dsbrdf.components.shares import RANGE_HALF_WIDTH_SIGMAS, Range, RgbRange, SurfaceSpread, light_rules
+from dsbrdf.components.points import Points, light_rules
+from dsbrdf.components.shares import RANGE_HALF_WIDTH_SIGMAS, Range, RgbRange, SurfaceSpread
 
 MAX_PEAK_MISFIT = 0.25  # A component whose peak value differs more from its layers has no F0 (relative error).
 MAX_COLOR_MISFIT = 0.15  # A component whose colour differs more from its layers has no F0 (relative error).

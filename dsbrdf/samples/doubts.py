@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import Points
+from dsbrdf.components.points import Points
 from dsbrdf.data.geometry import half_difference, spherical
 from dsbrdf.samples.prediction import dark_level, smooth_covariance, thinned
 from dsbrdf.samples.scattered_samples import ScatteredSamples

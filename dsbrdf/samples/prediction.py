@@ -30,9 +30,10 @@ from functools import cached_property
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import LAYER_POWER, PLAIN_ERROR_WEIGHT, LayerData, Points
+from dsbrdf.components.layer_data import LAYER_POWER, PLAIN_ERROR_WEIGHT, LayerData
 from dsbrdf.components.layer_fit import FittedStructure, fit_structures, structure_weights
 from dsbrdf.components.layers import LayeredModel
+from dsbrdf.components.points import Points
 from dsbrdf.components.structures import STRUCTURES, LayerStructure
 from dsbrdf.data.geometry import half_difference, incident_cosines
 from dsbrdf.data.reduction import NORMAL_QUARTILE, OUTLIER

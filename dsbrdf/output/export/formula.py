@@ -16,8 +16,8 @@ from typing import Any
 import numpy
 
 from dsbrdf.components.component import Component
-from dsbrdf.components.layer_data import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
 from dsbrdf.components.layers import Layer, LayeredModel
+from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
 from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS, SPIKE_HALO
 from dsbrdf.data.geometry import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF

@@ -6,7 +6,7 @@ from scipy.integrate import quad
 
 from dsbrdf.arrays import Array
 from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
-from dsbrdf.components.layer_data import Points
+from dsbrdf.components.points import Points
 from dsbrdf.data import directions, spherical
 
 KINDS: list[tuple[type[Layer], int]] = [(SpecularLayer, 10), (DiffuseLayer, 9), (SheenLayer, 5), (RetroLayer, 4)]

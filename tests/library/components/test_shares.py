@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dsbrdf.components import LABELS, DiffuseLayer, LayeredModel, SpecularLayer
-from dsbrdf.components.layer_data import Points
-from dsbrdf.components.shares import NORMAL, DrawnLayers, WeightedLayers
+from dsbrdf.components.points import NORMAL, Points
+from dsbrdf.components.shares import DrawnLayers, WeightedLayers
 
 SURFACE = SpecularLayer((0.04, 0.05, 0.06), 0.9, 0.3, 2.0, (0.0, 0.0), 0.5, 0.0)
 GROUND = DiffuseLayer((0.3, 0.2, 0.1), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
