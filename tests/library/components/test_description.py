@@ -13,6 +13,7 @@ from dsbrdf.components import LABELS, Component, DiffuseLayer, Layer, LayeredMod
 from dsbrdf.components.description import Description
 from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, Misfit, Surface
 from dsbrdf.model import ReflectanceModel
+from tests.support.mixtures import mixture
 from tests.support.random_models import random_model
 
 GREEN = (0.02, 0.14, 0.08)
@@ -102,6 +103,14 @@ def test_a_lobe_below_a_spike_has_no_dent() -> None:
     parts = decomposed(surface((0.04,) * 3, 0.02), surface((0.3, 0.2, 0.1), 0.2), GROUND)
     lobe = parts["specular_lobe"].evaluate(np.radians(np.linspace(0.0, 4.0, 30)), 0.0)
     assert np.all(np.diff(lobe, axis=0) < 1e-3 * lobe[0])
+
+
+def test_a_spike_ends_where_its_highlight_does() -> None:
+    """A lobe of 1.5 degrees lies on one of 8 degrees, neither of which has the form of a layer."""
+    parts = dsbrdf.decompose(mixture(3, 2))
+    angles = np.radians([10.0, 12.0, 15.0])
+    spike, lobe = (parts[f"specular_{name}"].evaluate(angles, 0.0).sum(axis=1) for name in ("spike", "lobe"))
+    assert np.all(spike < 0.03 * (spike + lobe))
 
 
 def misfit_of(part: Component) -> tuple[float, float]:

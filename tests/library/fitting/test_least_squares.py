@@ -184,6 +184,20 @@ def test_flags_are_honest_and_the_cost_never_rises() -> None:
         assert found.cost == every[last]
 
 
+def test_a_step_that_raises_the_cost_by_little_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = problem_of(structure_of((False, False)))
+    start = truth_of(problem.structure, seed=7)
+    evaluate, cost = problem.evaluate, problem.evaluate(start).cost
+    monkeypatch.setattr(
+        MixtureProblem,
+        "evaluate",
+        lambda _, unknowns: replace(evaluate(unknowns), cost=cost * (1.0 + 1e-9 * np.any(unknowns != start))),
+    )
+    solution = minimize(problem, start, iterations=40)
+    np.testing.assert_array_equal(solution.unknowns, start)
+    assert solution.cost == cost
+
+
 def test_fixed_unknowns_keep_their_values_and_a_start_out_of_bounds_is_brought_inside() -> None:
     problem = problem_of(structure_of((False, True)))
     start, kappa = truth_of(problem.structure, seed=3), problem.structure.is_kappa()
