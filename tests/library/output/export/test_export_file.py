@@ -172,7 +172,7 @@ def test_layers_are_values_in_the_formats_that_hold_values() -> None:
 
 
 def test_an_unknown_suffix_is_one_sentence_that_lists_the_others(tmp_path: Path) -> None:
-    with pytest.raises(InvalidArgumentError, match=r"paint\.obj: the file must end in one of \.json, \.binary"):
+    with pytest.raises(InvalidArgumentError, match=r"paint\.obj: the file must end in one of .*\.json, .*\.mtlx"):
         dsbrdf.export(MODEL, tmp_path / "paint.obj")
     assert list(tmp_path.iterdir()) == []
 
@@ -180,7 +180,7 @@ def test_an_unknown_suffix_is_one_sentence_that_lists_the_others(tmp_path: Path)
 def test_a_format_of_lobes_refuses_a_component() -> None:
     part = decompose(MODEL)["diffuse"]
     for name in ("json", "csv", "materialx"):
-        said = rf"^the format {name} cannot contain .* merl, glsl, python, brdf, bsdf or bsdf-spectral, or export"
+        said = rf"^the format {name} cannot contain .* glsl, .*bsdf.*, or export the layers"
         with pytest.raises(InvalidArgumentError, match=said):
             export_model(part, name)
 
