@@ -3,7 +3,9 @@
 /** The address of the service, which may be below a prefix. */
 export const root = new URL("..", import.meta.url);
 const STORED = `key of ${root.href}`;
+const LIGHT = `light of ${root.href}`;
 const MOST_TRIES = 5;
+const UNDO_MS = 8000; // A deletion can be taken back during this time.
 const UNREACHABLE = "The service cannot be reached. Check the connection, then try again.";
 
 /** An error with the words of the service; the status is 0 if there is no answer. */
@@ -25,8 +27,8 @@ export function request(path, options = {}, send = fetch) {
   return answerTo(path, options, send).finally(() => document.body.classList.toggle("busy", Boolean(pending -= 1)));
 }
 
-/** @param {string} path @param {RequestInit & {headers?: Record<string, string>}} options @param {typeof fetch} send @returns {Promise<Response>} */
-async function answerTo(path, options, send) {
+/** Does the same without a sign on the page. @param {string} path @param {RequestInit & {headers?: Record<string, string>}} [options] @param {typeof fetch} [send] @returns {Promise<Response>} */
+export async function answerTo(path, options = {}, send = fetch) {
   for (let tries = 1; ; tries += 1) {
     const key = sessionStorage.getItem(STORED);
     const headers = { ...options.headers, ...(key && { Authorization: `Bearer ${encodeURI(key)}` }) };
@@ -38,7 +40,7 @@ async function answerTo(path, options, send) {
     else if (answer.status === 429 && tries < MOST_TRIES) await pause(1000 * Number(answer.headers.get("Retry-After") ?? 1));
     else {
       const { detail = `The service answered ${answer.status}.`, title } = await answer.json().catch(() => ({}));
-      throw new Problem(detail, title ?? "Something is wrong", answer.status);
+      throw new Problem(detail, answer.status === 404 ? "Nothing is stored here" : title ?? "Something is wrong", answer.status);
     }
   }
 }
@@ -64,6 +66,16 @@ export const openapi = () => json("openapi.json");
 export const optionsOf = (document) => document.components.schemas.FitRequest.properties.options.properties;
 /** Replaces API words in a description by words of the form. @param {string} description */
 export const sentenceOf = (description) => description.replaceAll("`", "").replaceAll("None", "none");
+
+/** Titles of options in forms and lists, in this order. */
+export const TITLES = /** @type {Record<string, string>} */ ({
+  columns: "Meaning of columns", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Weights of the samples", robust: "Give outliers less weight",
+  cosine: "Cosine contained in the values", phi: "Meaning of phi", ring_lobes: "Number of ring lobes", horizon_cutoff_deg: "Horizon cutoff",
+  variation: "Variation with theta_diff", lobe: "Family of the lobes", method: "Method", knots_deg: "Knots", mask: "Mask of the paper", em_iterations: "Iterations of the paper's method",
+});
+const VALUES = /** @type {Record<string, string>} */ ({ true: "yes", false: "no", auto: "automatic", none: "not set", null: "not set" });
+export const titleOf = (/** @type {string} */ option) => TITLES[option] ?? words(option);
+export const valueOf = (/** @type {unknown} */ value) => VALUES[String(value)] ?? String(value);
 
 export const pause = (/** @type {number} */ milliseconds) => new Promise((resolve) => { setTimeout(resolve, milliseconds); });
 
@@ -128,13 +140,15 @@ export function act(part, name, call) {
   find(part, `[data-act=${name}]`).onclick = call;
 }
 
-/** Shows a message of success or failure until it is read. @param {string} text @param {boolean} [wrong] */
-export function say(text, wrong = false) {
+/** Shows a message of success or failure until it is read. @param {string} text @param {boolean} [wrong] @param {{undo?: () => unknown, close?: () => unknown}} [calls] */
+export function say(text, wrong = false, { undo, close = () => say("") } = {}) {
   const said = find(document, "#said");
   said.className = wrong ? "fault" : "panel";
   said.hidden = !text;
   find(said, "span").textContent = text;
-  find(said, "button").onclick = () => say("");
+  find(said, "[data-act=undo]").hidden = !undo;
+  act(said, "undo", undo ?? (() => undefined));
+  act(said, "close", close);
 }
 
 /** Calls a function once, when an element is about to become visible. @param {Element} element @param {() => unknown} call */
@@ -161,9 +175,8 @@ export async function showPicture(image, path) {
   await image.decode().catch(() => undefined);
 }
 
-/** Downloads a file of the service under its name. @param {string} path */
-export async function download(path) {
-  const answer = await request(path);
+/** Saves a file of the service under its name. @param {Response} answer */
+export async function save(answer) {
   const [, name] = /filename\*?=(?:UTF-8''|")([^;"]+)/.exec(answer.headers.get("Content-Disposition") ?? "") ?? [];
   const address = URL.createObjectURL(await answer.blob());
   make("a", { href: address, download: decodeURIComponent(name) }).click();
@@ -177,11 +190,26 @@ export async function share() {
   say(copied ? "The link to this view is copied." : `The browser did not allow copying. The link is the address of this page: ${location.href}`);
 }
 
-/** Deletes after a confirmation, and goes to the list. @param {string} path @param {string} question @param {() => unknown} [then] */
-export async function remove(path, question, then = () => location.assign(root)) {
-  if (!confirm(question)) return;
-  await request(path, { method: "DELETE" });
-  then();
+/** Hides what is to be deleted, and deletes it after some seconds unless the user takes this back; a page that is left
+ * deletes at once. @param {string} path @param {string} words @param {HTMLElement} shown @param {() => unknown} [then] */
+export function remove(path, words, shown, then = () => location.assign(root)) {
+  const hide = (/** @type {boolean} */ gone) => { shown.classList.toggle("gone", shown.inert = gone); };
+  const stop = () => {
+    clearTimeout(timer);
+    removeEventListener("pagehide", finish);
+    say("");
+  };
+  const finish = async () => {
+    stop();
+    await request(path, { method: "DELETE", keepalive: true }).then(then, (error) => {
+      hide(false);
+      throw error;
+    });
+  };
+  const timer = setTimeout(finish, UNDO_MS);
+  addEventListener("pagehide", finish);
+  hide(true);
+  say(words, false, { close: finish, undo: () => { stop(); hide(false); } });
 }
 
 /** Returns a function that describes progress in per cent and the remaining time. @param {string} lead @returns {(done: number) => string} */
@@ -194,8 +222,8 @@ export function progressOf(lead) {
   };
 }
 
-/** @param {Fit} fit @param {() => unknown} [then] */
-export const removeFit = (fit, then) => remove(`v1/fits/${fit.id}?only=delete`, `Delete this fit of ${nameOf(fit)}? Its measurement is kept.`, then);
+/** @param {Fit} fit @param {HTMLElement} shown @param {() => unknown} [then] */
+export const removeFit = (fit, shown, then) => remove(`v1/fits/${fit.id}?only=delete`, `The fit of ${nameOf(fit)} is deleted. Its measurement is kept.`, shown, then);
 
 /** Yields the states of a fit until it has ended. @param {Fit} fit @returns {AsyncGenerator<Fit>} */
 export async function* follow(fit) {
@@ -210,7 +238,7 @@ export async function* follow(fit) {
   }
 }
 
-export const nameOf = (/** @type {{name: string | null, measurement: string}} */ fit) => fit.name ?? `${fit.measurement.slice(0, 12)}…`;
+export const nameOf = (/** @type {{name: string | null, measurement: string}} */ fit) => fit.name ?? `${fit.measurement.slice(0, 8)}\u2060…`; // The ellipsis stays on the line of the name.
 const STATES = /** @type {Record<string, string>} */ ({ accepted: "waiting", running: "fitting", failed: "failed", cancelled: "cancelled", succeeded: "fitted" });
 /** Describes the state of a fit in one or two words. @param {Fit} fit */
 export function stateOf({ status, progress, likeness, metrics }) {
@@ -229,13 +257,14 @@ const fields = () => /** @type {HTMLInputElement[]} */ ([...document.querySelect
 
 /** Sets the fields from the address. */
 export function readAddress() {
-  const given = new URLSearchParams(location.hash.slice(1));
+  const given = new URLSearchParams(location.hash.slice(1) || sessionStorage.getItem(LIGHT) || ""); // The light stays between fits.
   for (const field of fields()) {
     const value = given.get(field.name);
     if (value === null) continue;
     if (field.type === "checkbox") field.checked = value === "1";
     else if (!(field instanceof HTMLSelectElement) || field.querySelector(`[value=${CSS.escape(value)}]`)) field.value = value;
   }
+  write();
 }
 
 function write() {
@@ -245,6 +274,7 @@ function write() {
     if (field.type === "checkbox" && field.checked !== field.defaultChecked) changed.set(field.name, String(Number(field.checked)));
     else if (field.type !== "checkbox" && field.value !== usual) changed.set(field.name, field.value);
   }
+  if (document.querySelector("#controls")) sessionStorage.setItem(LIGHT, String(new URLSearchParams([...changed].filter(([name]) => ["lighting", "highlight", "exposure"].includes(name)))));
   const hash = changed.size ? `#${changed.toString().replaceAll("%2C", ",")}` : "";
   history.replaceState(null, "", location.pathname + location.search + hash);
 }
@@ -286,7 +316,7 @@ addEventListener("unhandledrejection", (event) => {
 });
 find(document, "#sign-out").hidden = !sessionStorage.getItem(STORED);
 find(document, "#sign-out").onclick = () => {
-  sessionStorage.removeItem(STORED);
+  sessionStorage.clear();
   location.assign(root);
 };
 open();

@@ -1,5 +1,6 @@
 // Shows one fit (its progress, its failure or its result with downloads), or two fits side by side under one light.
-import { act, dateOf, download, fill, find, follow, json, make, nameOf, openapi, Problem, progressOf, removeFit, request, root, say, setTitle, share, showPicture, template, whenOpened, whenSeen } from "./app.js";
+import { act, answerTo, dateOf, fill, find, follow, json, make, nameOf, openapi, Problem, progressOf, removeFit, request, root, save, say, setTitle, share, showPicture, template, whenOpened, whenSeen } from "./app.js";
+import { fitStored } from "./options.js";
 import { place, showComponents, showSide, showSpheres, storedOf, subjectOf } from "./result.js";
 import { colourOf } from "./shader.js";
 import { running } from "./sphere.js";
@@ -32,9 +33,9 @@ export async function show(main, id) {
 function showResult(main, fit, stored) {
   const name = nameOf(fit);
   setTitle(name);
-  fill(main, { name, about: `Fitted ${dateOf(fit.created)}. ${stored ? "" : "Its measurement was deleted, so only the fit is shown."}` }, { measurement: `measurements/${fit.measurement}` });
+  fill(main, { name, about: `Fitted ${dateOf(fit.created)}. ${stored ? "" : "Its measurement is not stored here, so only the fit is shown."}` }, { measurement: `measurements/${fit.measurement}` });
   showSide(find(main, ".side"), fit);
-  showComponents(find(main, ".side"), [fit]);
+  showComponents(find(main, ".parts"), [fit]);
   find(main, "a[data-link=measurement]").hidden = find(main, "#figures").hidden = !stored;
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   for (const image of find(main, "#figures").querySelectorAll("img")) whenOpened(image, () => showPicture(image, `v1/fits/${fit.id}/figures/${image.id}.svg?dark=${dark}`));
@@ -43,7 +44,7 @@ function showResult(main, fit, stored) {
 /** Gives the buttons their actions before the fit has arrived, so that no click is lost. @param {HTMLElement} main @param {string} path @param {Promise<Fit>} asked */
 function showActions(main, path, asked) {
   act(main, "share", share);
-  act(main, "delete", async () => removeFit(await asked));
+  act(main, "delete", async () => removeFit(await asked, main));
   act(main, "compare", async () => compareWith(await asked));
   act(main, "rename", async () => {
     const wanted = prompt("New name of the fit", find(main, "h1").textContent ?? "")?.trim();
@@ -75,12 +76,17 @@ async function watch(main, fit) {
   main.removeAttribute("aria-busy");
   const [bar, fault] = [find(main, "progress", HTMLProgressElement), find(main, ".fault")];
   act(main, "cancel", () => request(`${path}?only=cancel`, { method: "DELETE" }));
-  act(main, "delete", () => removeFit(fit));
+  act(main, "delete", () => removeFit(fit, main));
+  act(main, "repeat", async () => {
+    await fitStored(fit.name, fit.measurement, fit.options);
+    location.reload();
+  });
   const words = progressOf(STATES.running);
   for await (const { status, progress, error } of follow(fit)) {
     const unfinished = status === "accepted" || status === "running";
     bar.hidden = find(main, "[data-act=cancel]").hidden = !unfinished;
     find(main, "[data-act=delete]").hidden = unfinished;
+    find(main, "[data-act=repeat]").hidden = unfinished || error?.origin === "input"; // An equal request would fail again.
     bar.value = progress;
     fault.hidden = !error;
     fault.textContent = error?.message ?? "";
@@ -107,8 +113,10 @@ export async function compare(main) {
   const stored = await Promise.all(fits.map(storedOf));
   const figures = fits.map((fit) => {
     const made = find(template("compared", { name: nameOf(fit), about: dateOf(fit.created) }, { fit: `fits/${fit.id}` }), "section");
-    find(main, ".two").append(made);
-    showSide(find(made, ".side"), fit);
+    const side = make("section", { className: "panel", ariaLabel: `Result of ${nameOf(fit)}` });
+    find(main, ".spheres").append(made);
+    find(main, ".sides").append(side);
+    showSide(side, fit);
     return place(made);
   });
   showComponents(find(main, ".both"), fits);
@@ -142,10 +150,13 @@ function showDifference([first, second]) {
   first.onpaint();
 }
 
+// Common programs come first; formats without an entry are listed last.
 const PROGRAMS = /** @type {Record<string, string>} */ ({
   bsdf: "Mitsuba 3", materialx: "Blender, Arnold, Maya", glsl: "three.js and other shaders", brdf: "BRDF Explorer", python: "NumPy, PyTorch, JAX",
   "bsdf-spectral": "pbrt-v4, spectral Mitsuba", merl: "Programs that read MERL files", components: "A spreadsheet: components", csv: "A spreadsheet: lobes", json: "dsbrdf itself, Mitsuba's plugin",
 });
+
+const SLOW = ["materialx"]; // The service needs up to minutes for these files.
 
 /** Fills the list of downloads from the formats that the API has. @param {HTMLElement} list @param {string} path of the fit */
 async function showDownloads(list, path) {
@@ -162,12 +173,27 @@ async function showDownloads(list, path) {
   }));
 }
 
-/** Makes a button that downloads a file. @param {string} text @param {string} path @param {string} [more] additional words for screen readers */
+/** Makes a button that downloads a file; a slow file is prepared when the page is idle. @param {string} text @param {string} path @param {string} [more] additional words for screen readers */
 function button(text, path, more = "") {
-  const made = make("button", { className: "button", type: "button" }, text, make("span", { className: "sr" }, more));
-  made.onclick = () => {
+  const [name, made] = [make("span", {}, text), make("button", { className: "button", type: "button" })];
+  made.append(name, make("span", { className: "sr" }, more));
+  /** @type {Promise<Response> | null} */
+  let prepared = null;
+  const ask = () => (prepared ??= answerTo(path).catch((error) => {
+    prepared = null;
+    throw error;
+  }));
+  if (SLOW.includes(text)) requestIdleCallback(() => ask().catch(() => undefined));
+  made.onclick = async () => {
     made.disabled = true;
-    return download(path).finally(() => { made.disabled = false; });
+    const preparing = setTimeout(() => { name.textContent = "Preparing…"; }, 300);
+    try {
+      await save((await ask()).clone());
+    } finally {
+      clearTimeout(preparing);
+      name.textContent = text;
+      made.disabled = false;
+    }
   };
   return made;
 }

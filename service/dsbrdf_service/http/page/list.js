@@ -1,6 +1,6 @@
 // Shows the list of all fits and the area where files are dropped, and sends the files.
-import { act, fill, find, follow, make, nameOf, progressOf, removeFit, request, root, say, showPicture, sizeOf, stateOf, template, whenOpened, whenSeen } from "./app.js";
-import { chosen, fitStored, showForm, showTable } from "./options.js";
+import { act, fill, find, follow, make, nameOf, progressOf, removeFit, request, root, say, showPicture, sizeOf, stateOf, template, titleOf, valueOf, whenOpened, whenSeen } from "./app.js";
+import { chosen, fitStored, showForm, showTable, typedOptions } from "./options.js";
 import { cosines } from "./plots.js";
 
 /** @param {HTMLElement} main */
@@ -33,12 +33,19 @@ export async function show(main) {
 /** @param {Fit} fit @param {number} place @param {Fit[]} same fits of its name */
 function card(fit, place, same) {
   const differing = Object.entries(fit.options).filter(([name, value]) => same.some((other) => String(other.options[name]) !== String(value)));
-  const options = differing.map(([name, value]) => `${name} = ${value ?? "none"}`).join(", ");
+  const options = differing.map(([name, value]) => `${titleOf(name)}: ${valueOf(value)}`).join(", ");
   const item = find(template("card", { name: ` ${nameOf(fit)}`, options }, { fit: `fits/${fit.id}` }), "li");
   find(item, ".card-name").append(...nameOf(fit).split(/(?<=_)/).flatMap((part) => [part, make("wbr")]));
   Object.assign(item.dataset, { name: nameOf(fit), newest: place });
   find(item, "input", HTMLInputElement).value = fit.id;
-  act(item, "delete", () => removeFit(fit, () => item.remove()));
+  item.draggable = true;
+  item.ondragstart = ({ dataTransfer }) => dataTransfer?.setData(DRAGGED, fit.id);
+  item.ondragover = (event) => { if (event.dataTransfer?.types.includes(DRAGGED)) event.preventDefault(); };
+  item.ondrop = ({ dataTransfer }) => {
+    const dragged = dataTransfer?.getData(DRAGGED);
+    if (dragged && dragged !== fit.id) openComparison([dragged, fit.id]);
+  };
+  act(item, "delete", () => removeFit(fit, item, () => item.remove()));
   update(item, fit);
   return item;
 }
@@ -69,9 +76,10 @@ function takeFiles(main) {
   for (const kind of ["dragover", "dragleave", "drop"]) {
     addEventListener(kind, async (event) => {
       const { relatedTarget, dataTransfer } = /** @type {DragEvent} */ (event);
+      if (!dataTransfer?.types.includes("Files")) return;
       event.preventDefault();
       form.classList.toggle("over", kind === "dragover" || (kind === "dragleave" && relatedTarget !== null)); // The pointer may have moved to another part of the form.
-      if (kind === "drop") await take([...(dataTransfer?.files ?? [])]);
+      if (kind === "drop") await take([...dataTransfer.files]);
     });
   }
 }
@@ -102,9 +110,13 @@ function compare(main, cards) {
   };
   for (const box of boxes) box.onchange = change;
   change();
-  button.onclick = () => location.assign(new URL(`compare?${new URLSearchParams(ticked().map((box) => ["fit", box.value]))}`, root));
+  button.onclick = () => openComparison(ticked().map((box) => box.value));
 }
 
+/** @param {string[]} fits */
+const openComparison = (fits) => location.assign(new URL(`compare?${new URLSearchParams(fits.map((fit) => ["fit", fit]))}`, root));
+
+const DRAGGED = "text/x-fit";
 const TABLE = /\.(csv|tsv|txt|astm|xlsx|ods|xls)$/i;
 /** @type {AbortController | null} */
 let sending = null;
@@ -138,7 +150,7 @@ async function sendAll(main, files, options) {
       fits.push((await submit(main, file, options, signal)).id);
     } catch (error) {
       const { message } = /** @type {Error} */ (error);
-      faults.push(files.length > 1 ? `${file.name}: ${message}` : message);
+      faults.push(`${file.name}: ${message}`);
     }
   }
   sending = null;
@@ -154,7 +166,7 @@ async function submit(main, file, options, signal) {
   const bar = find(main, "progress", HTMLProgressElement);
   bar.removeAttribute("value");
   const measurement = await sha256(file);
-  const known = measurement && await fitStored(file.name.replace(/(?<=.)\.\w+$/, ""), measurement, chosen(options, "[name]:not(.of-table)")).catch((error) => {
+  const known = measurement && await fitStored(file.name.replace(/(?<=.)\.\w+$/, ""), measurement, typedOptions(chosen(options, "[name]:not(.of-table)"))).catch((error) => {
     if (error.status !== 404) throw error;
   });
   if (known) return known;

@@ -1,14 +1,9 @@
 // Builds the form of all options of the API, with a plain title and the API's description, common options first; and
 // shows how the service reads a table of samples with them, before its fit.
-import { fill, find, json, make, openapi, optionsOf, request, sentenceOf, template, words } from "./app.js";
+import { fill, find, json, make, openapi, optionsOf, request, sentenceOf, template, TITLES, titleOf, valueOf } from "./app.js";
 import { tableRow, warningsOf } from "./result.js";
 
-const COMMON = /** @type {Record<string, string>} */ ({ columns: "Meaning of columns", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Weights of the samples", robust: "Give outliers less weight" });
-const OTHERS = /** @type {Record<string, string>} */ ({
-  cosine: "Cosine contained in the values", phi: "Meaning of phi", ring_lobes: "Number of ring lobes", horizon_cutoff_deg: "Horizon cutoff",
-  variation: "Variation with theta_diff", lobe: "Family of the lobes", method: "Method", knots_deg: "Knots", mask: "Mask of the paper", em_iterations: "Iterations of the paper's method",
-});
-const VALUES = /** @type {Record<string, string>} */ ({ true: "yes", false: "no", auto: "automatic", none: "not set" });
+const COMMON = ["columns", "scale", "missing", "n_lobes", "weighting", "robust"]; // The other options are behind "More".
 
 /** Fills a box with the form: first the options of a table of samples, except for a measurement on a grid, then the options of the fit. @param {HTMLElement} box @param {boolean} [onGrid] */
 export async function showForm(box, onGrid = false) {
@@ -17,12 +12,12 @@ export async function showForm(box, onGrid = false) {
   for (const isTable of onGrid ? [false] : [true, false]) {
     box.append(make("h3", {}, isTable ? "A table of samples" : "The fit"));
     const described = isTable ? tableOptionsOf(document) : optionsOf(document);
-    const rows = [...new Set([...Object.keys(COMMON), ...Object.keys(OTHERS), ...Object.keys(described)])].filter((name) => name in described).map((name) => {
+    const rows = [...new Set([...Object.keys(TITLES), ...Object.keys(described)])].filter((name) => name in described).map((name) => {
       const field = fieldOf(name, described[name]);
-      const sentence = make("span", { className: "note", id: `about-${name}` }, make("code", {}, name), ` ${sentenceOf(described[name].description)}`);
+      const sentence = make("span", { className: "note", id: `about-${name}` }, sentenceOf(described[name].description));
       Object.assign(field, { id: `option-${name}` }).setAttribute("aria-describedby", sentence.id);
       field.classList.toggle("of-table", isTable);
-      return make("div", { "data-common": name in COMMON }, make("label", { htmlFor: field.id }, COMMON[name] ?? OTHERS[name] ?? words(name)), field, sentence);
+      return make("div", { "data-common": COMMON.includes(name) }, make("label", { htmlFor: field.id }, titleOf(name)), field, sentence);
     });
     const [common, others] = [true, false].map((isCommon) => rows.filter(({ dataset }) => dataset.common === String(isCommon)));
     box.append(...common, make("details", {}, make("summary", {}, isTable ? "More for tables" : "More for fits"), make("div", { className: "options" }, ...others)));
@@ -47,7 +42,7 @@ function fieldOf(name, schema) {
     return all ?? { boolean: ["false", "true"], null: ["none"] }[/** @type {string} */ (type)];
   });
   if (!choices.every(Boolean)) return make("input", { name, value: usual, "data-usual": usual, autocomplete: "off" });
-  return make("select", { name, "data-usual": usual }, ...choices.flat().map((word) => make("option", { value: word, selected: word === usual }, VALUES[word] ?? word)));
+  return make("select", { name, "data-usual": usual }, ...choices.flat().map((word) => make("option", { value: word, selected: word === usual }, valueOf(word))));
 }
 
 /** Returns the options that differ from their defaults, as text. @param {HTMLElement} box @param {string} [which] a selector @returns {[string, string][]} */
@@ -56,11 +51,11 @@ export function chosen(box, which = "[name]") {
   return [...fields].filter(({ value, dataset }) => value.trim() && value.trim() !== dataset.usual).map(({ name, value }) => [name, value.trim()]);
 }
 
-/** Fits a stored measurement with the chosen options. @param {string | null} name @param {string} measurement @param {[string, string][]} options @returns {Promise<Fit>} */
-export function fitStored(name, measurement, options) {
-  const typedOptions = Object.fromEntries(options.map(([key, text]) => [key, typed(text)]));
-  return json(`v1/fits?${new URLSearchParams(name ? { name } : {})}`, "POST", { measurement, options: typedOptions });
-}
+/** Fits a stored measurement with the chosen options. @param {string | null} name @param {string} measurement @param {Record<string, unknown>} options @returns {Promise<Fit>} */
+export const fitStored = (name, measurement, options) => json(`v1/fits?${new URLSearchParams(name ? { name } : {})}`, "POST", { measurement, options });
+
+/** Parses texts of options. @param {[string, string][]} options */
+export const typedOptions = (options) => Object.fromEntries(options.map(([key, text]) => [key, typed(text)]));
 
 /** Parses a text into a JSON value. @param {string} text @returns {unknown} */
 function typed(text) {
@@ -82,7 +77,7 @@ export async function showTable(box, file, options, { fit, understood }) {
   await showForm(options);
   box.replaceChildren(template("understood", { name: file.name }));
   const [button, fault] = [find(box, "[data-act=fit]", HTMLButtonElement), find(box, ".fault")];
-  button.hidden = !fit;
+  find(box, ".always").hidden = !fit;
   button.onclick = fit ?? null;
   const show = async () => {
     button.disabled = fault.hidden = true;

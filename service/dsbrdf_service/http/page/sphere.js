@@ -10,7 +10,6 @@ const FIRST_PICTURE_PX = 128; // Size of the first picture, and minimum size of 
 const MAX_MOVING_PICTURE_MS = 50; // During a movement, a slower picture gets fewer pixels.
 const MAX_SILENT_PICTURE_MS = 200; // A slower picture is announced as "Drawing…".
 const KEYS = "Keys: arrows move the light, + and − change the exposure, [ and ] move the line between halves, R resets.";
-export const USUAL = `Drag to move the light.${matchMedia("(hover: hover)").matches ? " Point at the sphere to read values." : ""}`;
 // Key light from the upper left, fill light from the right, rim light from behind: as `lighting=three_lights`. The form's
 // `highlight` is the point of the sphere that reflects the first light to the viewer.
 const LIGHTS = [[40, 125, 1], [80, -20, 0.5], [140, 70, 0.5]].map(([polar, azimuth, share]) => {
@@ -37,8 +36,11 @@ export function look() {
 /** Waits until the page is painted: without a graphics card, compilation and drawing block the page. */
 const seenByNow = () => new Promise((resolve) => { requestAnimationFrame(() => requestAnimationFrame(resolve)); });
 
+/** Says what a pointer does. */
+const usual = () => (look().lighting === "environment" ? "Drag to replace the sky by lights that you move." : `Drag to move the light.${matchMedia("(hover: hover)").matches ? " Point at the sphere to read values." : ""}`);
+
 /** @param {number[]} highlight */
-export function lightAt([a, b]) {
+function lightAt([a, b]) {
   const c = Math.sqrt(Math.max(1 - a * a - b * b, 0));
   return [2 * c * a, 2 * c * b, 2 * c * c - 1];
 }
@@ -54,7 +56,6 @@ export class Sphere {
     this.canvas = find(figure, "canvas", HTMLCanvasElement);
     this.gl = /** @type {WebGL2RenderingContext} */ (this.canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true }));
     this.hint = find(figure, ".hint");
-    this.hint.textContent = USUAL;
     this.stage = find(figure, ".stage");
     /** Programs and data of pictures, by name. @type {Map<string, Promise<any>>} */
     this.loaded = new Map();
@@ -64,7 +65,7 @@ export class Sphere {
     this.turns = this.rest = 0;
     this.painted = Promise.resolve();
     this.onpaint = () => {};
-    this.canvas.setAttribute("aria-label", `Lit sphere of ${subject.name}. ${USUAL} ${KEYS}`);
+    this.canvas.setAttribute("aria-label", `Lit sphere of ${subject.name}. ${KEYS}`);
     this.canvas.title = KEYS;
     /** The checkboxes of the components, if there are several. */
     this.boxes = subject.parts.length < 2 ? [] : subject.parts.map(({ label }) => make("input", { type: "checkbox", name: `${subject.fit?.slice(0, 6)}-${label}`, value: label, defaultChecked: true }));
@@ -77,15 +78,15 @@ export class Sphere {
   async start() { // This throws without WebGL 2.
     if (!this.gl) throw new Error("This browser has no WebGL 2. The service draws the sphere, and its light cannot be moved.");
     for (const unit of [0, 1, 2]) setTexture(this.gl, unit, [1, 1, 1], new Uint16Array(3));
-    await Promise.all([this.load("glsl"), this.lookAround(look(), null)]);
+    await this.lookAround(look(), null);
     this.canvas.hidden = false;
     new ResizeObserver(() => this.draw()).observe(this.canvas);
   }
 
-  /** Requests data of a picture once, and again after a failure. @param {string} name */
-  load(name) {
+  /** Requests data of a picture once, and again after a failure. @param {string} name @param {boolean} [quietly] */
+  load(name, quietly = false) {
     if (!this.loaded.has(name)) {
-      this.work(name === "measured" ? "Loading the measurement, 9 MB…" : name.startsWith("environment") || name.startsWith("panorama") ? "Computing the reflection of the surroundings…" : "Preparing the sphere…");
+      if (!quietly) this.work(name === "measured" ? "Loading the measurement, 9 MB…" : "Preparing the sphere…");
       const asked = this.fetch(name);
       this.loaded.set(name, asked);
       asked.catch(() => this.loaded.delete(name));
@@ -99,14 +100,15 @@ export class Sphere {
     find(this.stage, ".work").textContent = text;
   }
 
-  // Names are "glsl" for a program of the whole fit, "parts" for a program with weights of components, "measured" for the
-  // table of the measurement, and for example "environment/fit" or "panorama 1/fit" for radiance under a lighting.
+  // Names are "glsl" for a program of the whole fit, "parts" for a program with weights of components, "pictures" for a
+  // program that shows pictures, "measured" for the table of the measurement, and for example "environment/fit" or
+  // "panorama 1/fit" for radiance under a lighting.
   /** @param {string} name @returns {Promise<any>} */
   async fetch(name) {
     const { subject: { fit, measured, parts }, gl } = this;
     if (name === "measured") return setTexture(gl, 0, [180, 90, 90], await askArray(`v1/measurements/${measured}/table.npy`));
     await seenByNow();
-    if (!fit && name === "glsl") return programOf(gl, "", "vec3(0.0)");
+    if (name === "pictures" || (!fit && name === "glsl")) return programOf(gl, "", "vec3(0.0)");
     if (name === "glsl" || name === "parts") {
       const part = name === "parts" ? `&component=${parts[0].label}` : "";
       const source = (!part && await this.source) || await (await request(`v1/fits/${fit}/export?format=glsl${part}`)).text();
@@ -137,7 +139,7 @@ export class Sphere {
     const isWhole = shown.length === this.boxes.length;
     const isAround = now.lighting === "environment"; // Pictures under an environment need no program of the material.
     try {
-      const [program, seen] = await Promise.all([this.load(isWhole || isAround ? "glsl" : "parts"), this.lookAround(now, isWhole ? null : shown)]);
+      const [program, seen] = await Promise.all([this.load(isAround ? "pictures" : isWhole ? "glsl" : "parts"), this.lookAround(now, isWhole ? null : shown)]);
       if (!isAround && now.show !== "fit") await this.load("measured");
       await Promise.all([this.painted, new Promise(requestAnimationFrame)]);
       if (turn !== this.turns) return; // A later change has begun to draw the sphere.
@@ -203,6 +205,7 @@ export class Sphere {
     else canvas.dataset.rough = String(size);
     this.onpaint();
     if (size < full && !moving) this.draw();
+    else if (now.lighting === "environment") requestIdleCallback(() => this.load("glsl", true)); // The first movement of the light needs this program.
   }
 }
 
@@ -229,6 +232,7 @@ function set(name, value) {
 /** @param {number[]} point */
 function aim([x, y]) {
   const shrink = Math.min(1, 0.97 / Math.hypot(x, y));
+  if (look().lighting === "environment") find(controls(), "[name=lighting]", HTMLSelectElement).value = "three_lights"; // The sky does not move.
   set("highlight", [x * shrink, y * shrink].map((value) => value.toFixed(4)).join());
 }
 
@@ -259,6 +263,7 @@ function listen(sphere) {
     const { point, isLine } = at(event);
     canvas.style.cursor = isLine ? "ew-resize" : "";
     clearTimeout(asked);
+    if (look().lighting === "environment") return undefined; // A point has a value for each light, not for all of the sky.
     asked = setTimeout(async () => {
       const { highlight, zoom } = look();
       const onSphere = point.map((value, i) => highlight[i] + (value - highlight[i]) / zoom);
@@ -268,7 +273,7 @@ function listen(sphere) {
   };
   canvas.onpointerleave = () => {
     clearTimeout(asked);
-    hint.textContent = USUAL;
+    hint.textContent = usual();
   };
   canvas.onkeydown = (event) => {
     const { stops, wipe, highlight } = look();
@@ -300,7 +305,10 @@ function control() {
     find(form, ".wipe").hidden = show !== "half" || !hasBoth;
     find(form, ".panorama").hidden = lighting !== "environment";
     if (!own.value) panorama.file = null;
-    for (const sphere of running) sphere.draw(moving);
+    for (const sphere of running) {
+      if (!moving) sphere.hint.textContent = usual();
+      sphere.draw(moving);
+    }
   };
   form.oninput = () => change(true);
   form.onchange = () => change(false);

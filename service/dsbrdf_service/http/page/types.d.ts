@@ -1,6 +1,7 @@
 // Global types: documents of the API, as far as the page reads them, and values that modules exchange.
 type Rgb = [number, number, number];
 type Interval = [number, number];
+type Format = (value: number, largest: number) => string;
 
 interface Component {
   label: string; light_share: number; albedo: Rgb; color: Rgb; remarks: string[];

@@ -86,7 +86,7 @@ def test_file_is_hashed_then_sent_once_and_may_be_cancelled(visit: Visit, plasti
     page.locator("#file").set_input_files(plastic_file)
     expect(page.get_by_role("status").filter(has_text="Sending plastic.binary, 35.0 MB")).to_be_visible()
     page.get_by_role("button", name="Cancel").click()
-    expect(page.locator("#said")).to_contain_text("The upload was cancelled.")
+    expect(page.locator("#said")).to_contain_text("plastic.binary: The upload was cancelled.")
     page.unroute_all()
     for _ in range(2):
         page.get_by_text("Options").click()
@@ -117,14 +117,19 @@ def test_fit_without_a_result_says_why_and_is_deleted(visit: Visit, site: Site, 
     expect(page.locator(".fault:visible")).to_have_text(own.read(f"/v1/fits/{failing}").json()["error"]["message"])
     expect(page.get_by_text("The measurement or the options do not allow a fit.")).to_be_visible()
     expect(page.get_by_role("progressbar")).to_be_hidden()
-    page.on("dialog", lambda dialog: dialog.accept())
+    expect(page.get_by_role("button", name="Fit again")).to_be_hidden()  # An equal request would fail again.
     page.get_by_role("button", name="Delete").click()
+    page.get_by_role("button", name="Undo").click()
+    assert own.read(f"/v1/fits/{failing}").status_code == 200
+    page.get_by_role("button", name="Delete").click()
+    page.get_by_role("button", name="Close").click()  # The message is read, so the time to undo is over.
     page.wait_for_url(f"{site.address}/")
     expect(page.locator(".card-name")).to_have_text(["endless"])
     expect(page.get_by_role("button", name="Delete endless")).to_be_hidden()
     page.locator(".menu summary").click()
     page.get_by_role("button", name="Delete endless").click()
-    expect(page.locator(".card")).to_have_count(0)
+    page.reload()  # A page that is left deletes at once.
+    expect(page.get_by_role("heading", name="Fit your first material")).to_be_visible()
     assert own.read("/v1/fits").json()["items"] == []
 
 
@@ -192,6 +197,7 @@ def test_page_of_a_fit_has_a_verdict_a_name_figures_and_downloads(visit: Visit, 
     names = iter(("<b>matt & dry", "glossy"))
     page.on("dialog", lambda dialog: dialog.accept(next(names)))
     for name in ("<b>matt & dry", "glossy"):
+        page.get_by_text("More", exact=True).click()
         page.get_by_role("button", name="Rename").click()
         expect(page.locator("h1")).to_have_text(name)
     page.set_viewport_size({"width": 390, "height": 844})
@@ -294,7 +300,6 @@ def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic
     expect(page.locator(".card").nth(1)).to_be_visible()
     cards = page.locator(".card").count()
     visitor.context.set_offline(True)
-    page.once("dialog", lambda dialog: dialog.accept())
     page.locator(".card", has_text="glossy").locator(".menu summary").click()
     attempts: tuple[Callable[[], object], ...] = (
         page.get_by_role("button", name="Delete glossy").click,
@@ -302,6 +307,8 @@ def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic
     )
     for attempt in attempts:
         attempt()
+        if attempt is attempts[0]:
+            page.get_by_role("button", name="Close").click()
         expect(page.locator("#said")).to_contain_text("cannot be reached")
         page.get_by_role("button", name="Close").click()
         expect(page.locator("#said")).to_be_hidden()
@@ -316,7 +323,7 @@ def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic
     visitor.context.set_offline(False)
     folded.click()
     folded.click()  # what could not be had is asked for again
-    expect(page.locator(".fitted-by")).to_contain_text("n_lobes")
+    expect(page.locator(".fitted-by")).to_contain_text("Number of lobes")
     assert all("ERR_INTERNET_DISCONNECTED" in fault for fault in visitor.faults)
     visitor.faults.clear()
     assert site.read(f"/v1/fits/{site.fits['glossy']}").status_code == 200

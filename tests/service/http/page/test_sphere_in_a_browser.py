@@ -61,8 +61,8 @@ def box_of(page: Page, selector: str) -> "FloatRect":
 
 
 def painted(visit: Visit, site: Site, **options: Any) -> Page:
-    """The page of a fit whose sphere is there."""
-    page: Page = visit(f"/fits/{site.fits['glossy']}", **options).page
+    """The page of a fit whose sphere is there, under the lights that move."""
+    page: Page = visit(f"/fits/{site.fits['glossy']}#lighting=three_lights", **options).page
     page.locator(PAINTED).wait_for()
     return page
 
@@ -114,7 +114,11 @@ def test_light_line_and_exposure_are_under_mouse_and_keyboard(visit: Visit, site
     assert darker.mean() < dragged.mean()
     assert choose(page, "lighting", "one").mean() < darker.mean()
     canvas.focus()
-    assert np.array_equal(repaint(page, lambda: page.keyboard.press("r")), first)
+    sky = repaint(page, lambda: page.keyboard.press("r"))
+    expect(page.locator("[name=lighting]")).to_have_value("environment")
+    assert not np.array_equal(sky, first)
+    repaint(page, lambda: page.keyboard.press("ArrowLeft"))  # The sky does not move, so lights replace it.
+    expect(page.locator("[name=lighting]")).to_have_value("three_lights")
     light, wipe = (page.locator(f"[name={name}]") for name in ("highlight", "wipe"))
     before = light.input_value()
     choose(page, "show", "half")
@@ -145,13 +149,18 @@ def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) ->
     expect(page).to_have_url(re.compile("highlight"))
     before, address = pixels(page), page.url
     page.goto("/")
+    page.goto(f"/fits/{site.fits['glossy']}")  # The light stays, what is shown does not.
+    page.locator(PAINTED).wait_for()
+    expect(page.locator("[name=lighting]")).to_have_value("one")
+    expect(page.locator("#controls")).to_contain_text("-1.5 EV")
+    expect(page.locator(BOXES).first).to_be_checked()
     page.goto(address)
     page.locator(PAINTED).wait_for()
     expect(page.get_by_label("theta_diff in degrees")).to_have_value("40")
     expect(page.locator("#controls")).to_contain_text("-1.5 EV")
     assert np.array_equal(pixels(page), before)
     repaint(page, page.get_by_role("button", name="Reset").click)
-    expect(page.locator("[name=lighting]")).to_have_value("three_lights")
+    expect(page.locator("[name=lighting]")).to_have_value("environment")
 
 
 def test_fewer_pixels_are_painted_while_the_light_is_dragged(visit: Visit, site: Site) -> None:
