@@ -1,7 +1,7 @@
 // Draws lit spheres of a fit, of its measurement, or of both, under a light that pointer and keyboard move; shows the
 // values at the point below the pointer. The form of controls applies to all spheres of a view.
 import { askArray, find, LABELS, make, request, say, showPicture, words } from "./app.js";
-import { exposureOf, finished, programOf, setTexture } from "./shader.js";
+import { exposureOf, finished, MEASURED, programOf, setTexture } from "./shader.js";
 
 const SHOWN = ["fit", "measured", "half", "difference"];
 const ENVIRONMENT_PICTURE_PX = 256; // Size of pictures under environment light.
@@ -76,7 +76,7 @@ export class Sphere {
   }
 
   async start() { // This throws without WebGL 2.
-    if (!this.gl) throw new Error("This browser has no WebGL 2. The service draws the sphere, and its light cannot be moved.");
+    if (!["EXT_color_buffer_float", "EXT_color_buffer_half_float"].some((name) => this.gl?.getExtension(name))) throw new Error("This browser has no WebGL 2 that draws on textures. The service draws the sphere, and its light cannot be moved.");
     for (const unit of [0, 1, 2]) setTexture(this.gl, unit, [1, 1, 1], new Uint16Array(3));
     await this.lookAround(look(), null);
     this.canvas.hidden = false;
@@ -100,15 +100,18 @@ export class Sphere {
     find(this.stage, ".work").textContent = text;
   }
 
-  // Names are "glsl" for a program of the whole fit, "parts" for a program with weights of components, "pictures" for a
-  // program that shows pictures, "measured" for the table of the measurement, and for example "environment/fit" or
-  // "panorama 1/fit" for radiance under a lighting.
+  // Names are "glsl" for a program that lights the whole fit, "parts" for one with weights of components, "measured" for one
+  // with the table of the measurement, "pictures" for the program that shows pictures, and for example "environment/fit"
+  // or "panorama 1/fit" for radiance under a lighting.
   /** @param {string} name @returns {Promise<any>} */
   async fetch(name) {
     const { subject: { fit, measured, parts }, gl } = this;
-    if (name === "measured") return setTexture(gl, 0, [180, 90, 90], await askArray(`v1/measurements/${measured}/table.npy`));
+    if (name === "measured") {
+      setTexture(gl, 0, [180, 90, 90], await askArray(`v1/measurements/${measured}/table.npy`));
+      return programOf(gl, MEASURED, "measured(a, b)");
+    }
     await seenByNow();
-    if (name === "pictures" || (!fit && name === "glsl")) return programOf(gl, "", "vec3(0.0)");
+    if (name === "pictures") return programOf(gl);
     if (name === "glsl" || name === "parts") {
       const part = name === "parts" ? `&component=${parts[0].label}` : "";
       const source = (!part && await this.source) || await (await request(`v1/fits/${fit}/export?format=glsl${part}`)).text();
@@ -139,11 +142,11 @@ export class Sphere {
     const isWhole = shown.length === this.boxes.length;
     const isAround = now.lighting === "environment"; // Pictures under an environment need no program of the material.
     try {
-      const [program, seen] = await Promise.all([this.load(isAround ? "pictures" : isWhole ? "glsl" : "parts"), this.lookAround(now, isWhole ? null : shown)]);
-      if (!isAround && now.show !== "fit") await this.load("measured");
+      const lit = isAround ? [] : [now.show !== "measured" && (isWhole ? "glsl" : "parts"), now.show !== "fit" && "measured"];
+      const [seen, program, ...programs] = await Promise.all([this.lookAround(now, isWhole ? null : shown), this.load("pictures"), ...lit.map((name) => name && this.load(name))]);
       await Promise.all([this.painted, new Promise(requestAnimationFrame)]);
       if (turn !== this.turns) return; // A later change has begun to draw the sphere.
-      this.painted = this.paint(program, now, isWhole ? LABELS : shown, seen, moving);
+      this.painted = this.paint(program, programs, now, isWhole ? LABELS : shown, seen, moving);
       await this.painted;
     } finally {
       if (turn === this.turns) {
@@ -172,8 +175,8 @@ export class Sphere {
     const [all, measured, ...pictures] = await Promise.all(names.map((name) => this.load(`${light}/${name}`)));
     return { key, exposure: exposureOf(all), pictures: isAround ? [all.map((_, i) => pictures.reduce((sum, picture, k) => sum + (takesAway && k ? -picture[i] : picture[i]), 0)), measured] : [] };
   }
-  /** @param {Program} program @param {Look} now @param {string[]} shown @param {Sphere["seen"]} seen @param {boolean} moving */
-  async paint({ program, at }, now, shown, seen, moving) {
+  /** @param {Program} program @param {(Program | false)[]} programs that light fit and measurement @param {Look} now @param {string[]} shown @param {Sphere["seen"]} seen @param {boolean} moving */
+  async paint({ program, at }, programs, now, shown, seen, moving) {
     const { canvas, gl } = this;
     const full = Math.min(Math.max(Math.round(canvas.clientWidth * devicePixelRatio), 64), 1024);
     const quick = Math.min(full, this.cost ? Math.max(Math.round(full * Math.sqrt(MAX_MOVING_PICTURE_MS / this.cost)), FIRST_PICTURE_PX) : FIRST_PICTURE_PX);
@@ -187,16 +190,29 @@ export class Sphere {
     if (this.stage.ariaBusy === "true") await seenByNow();
     const begun = performance.now();
     gl.viewport(0, 0, size, size);
-    gl.useProgram(program);
-    const numbers = { size, wipe: now.wipe, zoom: now.zoom, exposure: Math.min(...running.map((sphere) => sphere.seen.exposure)) * 2 ** now.stops };
-    for (const [name, value] of Object.entries(numbers)) gl.uniform1f(at(name), value);
-    gl.uniform1i(at("count"), now.lighting === "one" ? 1 : LIGHTS.length);
+    const use = (/** @type {Program} */ one, /** @type {Record<string, number>} */ numbers) => {
+      gl.useProgram(one.program);
+      for (const [name, value] of Object.entries({ size, zoom: now.zoom, ...numbers })) gl.uniform1f(one.at(name), value);
+      gl.uniform2fv(one.at("highlight"), now.highlight);
+    };
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE); // Lights add up.
+    for (const [i, one] of programs.entries()) {
+      if (!one) continue;
+      setTexture(gl, i + 1, [size, size, 1], null);
+      gl.clear(gl.COLOR_BUFFER_BIT);
+      for (const { towards, irradiance } of now.lighting === "one" ? LIGHTS.slice(0, 1) : LIGHTS) {
+        use(one, { irradiance });
+        gl.uniform3fv(one.at("towards"), towards === LIGHTS[0].towards ? lightAt(now.highlight) : towards);
+        gl.uniform3fv(one.at("shown"), LABELS.map((label) => Number(shown.includes(label))));
+        gl.drawArrays(gl.TRIANGLES, 0, 3);
+      }
+    }
+    gl.disable(gl.BLEND);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    use({ program, at }, { wipe: now.wipe, exposure: Math.min(...running.map((sphere) => sphere.seen.exposure)) * 2 ** now.stops });
     gl.uniform1i(at("show"), SHOWN.indexOf(now.show));
     gl.uniform1i(at("surrounded"), Number(now.lighting === "environment"));
-    gl.uniform2fv(at("highlight"), now.highlight);
-    gl.uniform3fv(at("towards"), LIGHTS.flatMap(({ towards }, i) => (i ? towards : lightAt(now.highlight))));
-    gl.uniform1fv(at("irradiance"), LIGHTS.map(({ irradiance }) => irradiance));
-    gl.uniform3fv(at("shown"), LABELS.map((label) => Number(shown.includes(label))));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     await finished(gl);
     this.cost = (performance.now() - begun) * (full / size) ** 2;
@@ -205,7 +221,7 @@ export class Sphere {
     else canvas.dataset.rough = String(size);
     this.onpaint();
     if (size < full && !moving) this.draw();
-    else if (now.lighting === "environment") requestIdleCallback(() => this.load("glsl", true)); // The first movement of the light needs this program.
+    else if (now.lighting === "environment" && this.subject.fit) requestIdleCallback(() => this.load("glsl", true)); // The first movement of the light needs this program.
   }
 }
 
