@@ -306,8 +306,8 @@ export async function open() {
   }
 }
 
-addEventListener("click", ({ target }) => { // A click elsewhere closes a menu.
-  for (const menu of document.querySelectorAll("details.menu[open]")) if (!menu.contains(/** @type {Node} */ (target))) menu.removeAttribute("open");
+addEventListener("click", ({ target }) => { // A choice, or a click elsewhere, closes a menu.
+  for (const menu of document.querySelectorAll("details.menu[open]")) if (!(target instanceof Element && menu.contains(target) && target.closest("summary"))) menu.removeAttribute("open");
 });
 addEventListener("unhandledrejection", (event) => {
   const lost = String(event.reason).includes("dynamically imported module"); // A module of the page could not be fetched.

@@ -228,6 +228,7 @@ def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visi
     page.get_by_role("button", name="Compare the two").click()
     expect(page.get_by_role("heading", level=1)).to_contain_text(" and ")
     expect(page.locator(PAINTED)).to_have_count(2)
+    page.locator("#controls [name=lighting]").select_option("three_lights")
     heads = page.locator("table.components tr").first.get_by_role("columnheader")
     expect(heads.filter(has_text="diffuse")).to_have_text([re.compile("diffuse(glossy|rough)")] * 2)
     expect(page.locator("table.surfaces tr")).not_to_have_count(1)

@@ -154,6 +154,7 @@ def test_address_keeps_light_exposure_view_and_zoom(visit: Visit, site: Site) ->
     expect(page.locator("[name=lighting]")).to_have_value("one")
     expect(page.locator("#controls")).to_contain_text("-1.5 EV")
     expect(page.locator(BOXES).first).to_be_checked()
+    page.goto("/")
     page.goto(address)
     page.locator(PAINTED).wait_for()
     expect(page.get_by_label("theta_diff in degrees")).to_have_value("40")
