@@ -46,9 +46,9 @@ def test_samples_all_around_tell_that_a_highlight_is_longer_across_the_plane(
 ) -> None:
     """In one plane they cannot: the prediction lies between that of microfacets, 0.13, and the truth."""
     random = np.random.default_rng(3)
-    half, diff = random.uniform(0.0, np.radians((20.0, 65.0)), (300, 2)).T
-    phi = np.zeros(300) if is_in_plane else random.uniform(0.0, np.pi, 300)
-    values = stretched(half, diff, phi) * (1.0 + 0.02 * random.standard_normal((300, 1)))
+    half, diff = random.uniform(0.0, np.radians((20.0, 65.0)), (150, 2)).T
+    phi = np.zeros(150) if is_in_plane else random.uniform(0.0, np.pi, 150)
+    values = stretched(half, diff, phi) * (1.0 + 0.02 * random.standard_normal((150, 1)))
     first, second = directions(half, diff, phi)
     above = np.minimum(first[:, 2], second[:, 2]) > 0.1
     prediction = SamplePrediction.fit(ScatteredSamples.from_arrays(first[above], second[above], values[above]))
