@@ -40,7 +40,7 @@ Constants = dict[str, float]
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """Hold the cells of a table, and further columns whose numbers are not in its cells.
+    """Cells of a table, and further columns whose numbers are not in its cells.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ Description = tuple[tuple[str, str, str], ...]
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Hold a column of a table: its name and unit as written in the file, and its numbers (n,)."""
+    """A column of a table: its name and unit as written in the file, and its numbers (n,)."""
 
     written: str
     unit: str
@@ -56,7 +56,7 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class FoundColumns:
-    """Hold the columns of a table by their meaning, such as theta_in.
+    """The columns of a table by their meaning, such as theta_in.
 
     `form` lists the meanings of the columns for directions, and `values` the meanings of the columns for values. If the
     values are spectra, `wavelengths` [nm] has the wavelength of each column of values; otherwise it is empty.

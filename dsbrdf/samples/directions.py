@@ -49,7 +49,7 @@ LOWEST_COSINE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SampleRows:
-    """Hold rows of samples, and a description of the columns of the table that contained the rows.
+    """Rows of samples, and a description of the columns of the table that contained the rows.
 
     The columns of `numbers` (n, 10) are omega_in (3) and omega_out (3), not yet of unit length, the values of red,
     green and blue, and the weight. A missing number is NaN.

@@ -69,7 +69,7 @@ _SPIKE_THETA_HALF = np.radians(3.0)
 
 @dataclass(frozen=True)
 class SampleDoubts:
-    """Hold properties of samples that a user should check.
+    """Properties of samples that a user should check.
 
     Attributes
     ----------

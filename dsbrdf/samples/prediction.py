@@ -65,7 +65,7 @@ def dark_level(samples: ScatteredSamples) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SampleLayers:
-    """Hold structures of layers fitted to samples; the value is the weighted geometric mean over all structures."""
+    """Structures of layers fitted to samples, whose value is the weighted geometric mean over all structures."""
 
     found: tuple[FittedStructure, ...]
     stretches: tuple[float, ...]

@@ -140,7 +140,7 @@ _DARK_FRACTION = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ReadTable:
-    """Hold the samples of a table that was read, a description of its columns, and the number of its rows."""
+    """Samples of a table that was read, a description of its columns, and the number of its rows."""
 
     columns: Description
     n_rows: int

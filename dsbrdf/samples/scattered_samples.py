@@ -1,4 +1,4 @@
-"""Hold scattered samples, which are values of a BRDF at any pairs of directions, and store samples in files.
+"""Check scattered samples, which are values of a BRDF at any pairs of directions, and store samples in files.
 
 A file of samples is an ASCII table. The file has the line ``# dsbrdf samples 1``, a line ``# `` with each note, the
 names of eight columns, and a line for each sample: theta_in, phi_in, theta_out, phi_out in degrees, red, green and blue
@@ -34,7 +34,7 @@ _ANGLE_DECIMALS = 9
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScatteredSamples:
-    """Hold values of a BRDF at n pairs of directions; make instances by `from_arrays`, which checks the arrays.
+    """Values of a BRDF at n pairs of directions; make instances by `from_arrays`, which checks the arrays.
 
     Attributes
     ----------

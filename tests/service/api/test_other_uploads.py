@@ -14,6 +14,7 @@ from dsbrdf.data import encode_merl, parse_rgl
 from dsbrdf.output import export_model, from_json
 from dsbrdf.output.documents import summary_of_table
 from dsbrdf.samples.reading import parse_samples, read_table
+from tests.library.samples.test_kinds_of_files import KINDS
 from tests.library.samples.test_spreadsheet import spreadsheet
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.models import assert_same_bits
@@ -175,6 +176,13 @@ def test_what_is_wrong_is_told_soon_and_nothing_is_stored(server: Server, bsdf: 
     problem = assert_problem(post(server, change(bsdf), name), status)  # for which the client waits a minute at most
     assert words in problem
     assert sorted(server.files()) == before
+
+
+@pytest.mark.parametrize("words", KINDS)
+def test_another_kind_of_file_is_named_as_by_the_library(server: Server, words: str) -> None:
+    for path in ("/v1/measurements", "/v1/tables"):
+        answer = server.http.post(path, content=KINDS[words], headers={"Content-Type": "application/octet-stream"})
+        assert f"The file is {words}" in assert_problem(answer, 422)
 
 
 def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: bytes) -> None:
