@@ -170,7 +170,7 @@ def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch:
     ]
     lines = list(dict.fromkeys(lines))  # what more than one page shows is run once
     used = {line.split()[1] for line in lines}
-    assert used == {"fit", "show", "eval", "decompose", "export", "convert", "render", "plot", "compare"}
+    assert used == {"materials", "fit", "show", "eval", "decompose", "export", "convert", "render", "plot", "compare"}
     (tmp_path / "paint.binary").hardlink_to(folder / "paint.binary")  # the one file to be fitted
     # The fit of a MaterialX surface has tests of its own.
     surface = materialx.FoundSurface(OpenPBR((0.5, 0.5, 0.5)), {"three_lights": 30.0}, {"highlight": 25.0})
