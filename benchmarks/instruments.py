@@ -32,20 +32,25 @@ def _random(values: Array) -> np.random.Generator:
     return np.random.default_rng(values.shape[1])
 
 
+def _highlight(values: Array) -> float:
+    """Return a typical value of the highlight, 3 degrees from its centre."""
+    return float(values[:, 16, :30].mean())
+
+
 def clipped(values: Array) -> Array:
-    """Clip at 30 % of the highlight at normal incidence."""
-    return np.minimum(values, 0.3 * values[:, :, :30].max(axis=(1, 2, 3), keepdims=True))
+    """Clip the highlight at its value 3 degrees from the centre."""
+    return np.minimum(values, _highlight(values))
 
 
 def eight_bits(values: Array) -> Array:
-    """Round to 255 steps of the largest value of all channels."""
-    step = values.max() / 255.0
-    return np.round(values / step) * step
+    """Round to steps of a hundredth of the highlight, as 8 bits do whose exposure just holds the highlight."""
+    step = 0.01 * _highlight(values)
+    return np.minimum(np.round(values / step), 255.0) * step
 
 
 def stray_light(values: Array) -> Array:
-    """Add a hundredth of the highlight at normal incidence to every sample."""
-    return values + 0.01 * values[:, :, :30].max()
+    """Add a tenth of the highlight to every sample."""
+    return values + 0.1 * _highlight(values)
 
 
 def bad_horizon(values: Array) -> Array:
@@ -65,8 +70,8 @@ def saturated_colour(values: Array) -> Array:
 
 
 def dead_time(values: Array) -> Array:
-    """Lose counts of a detector at high rates: a quarter of the highlight at normal incidence."""
-    return values / (1.0 + values / (3.0 * values[:, :, :30].max()))
+    """Lose counts of a detector at high rates: a quarter of them in the highlight."""
+    return values / (1.0 + values / (3.0 * _highlight(values)))
 
 
 def lamp_drift(values: Array) -> Array:
@@ -87,7 +92,7 @@ def tilted(values: Array) -> Array:
 
 def exposure_step(values: Array) -> Array:
     """Merge two exposures whose calibration differs by 10 %."""
-    return np.where(values > 0.1 * values[:, :, :30].max(), 1.1 * values, values)
+    return np.where(values > 0.5 * _highlight(values), 1.1 * values, values)
 
 
 def repeated(values: Array) -> Array:

@@ -270,7 +270,11 @@ def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult
     clock.lap("metrics")
     complete = replace(
         report,
-        findings_of_fit=(*report.findings_of_fit, *value_findings(measurement), *accuracy_findings(metrics)),
+        findings_of_fit=(
+            *report.findings_of_fit,
+            *value_findings(measurement),
+            *accuracy_findings(metrics, is_clipped=result.is_clipped),
+        ),
         metrics=metrics,
         by_channel=by_channel,
         by_theta_diff=by_theta_diff,

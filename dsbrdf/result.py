@@ -125,7 +125,7 @@ class FitReport:
 
         The findings about the components need `dsbrdf.decompose`, which takes 0.1 s when they are first asked for.
         """
-        return self.findings_of_fit + (() if self._model is None else decompose(self._model).findings)
+        return self.findings_of_fit + (() if self._model is None else decompose(FitResult(self._model, self)).findings)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -162,6 +162,11 @@ class FitResult:
         bound = replace(self.report)  # The report of another result may be the same object.
         object.__setattr__(bound, "_model", self.model)
         object.__setattr__(self, "report", bound)
+
+    @property
+    def is_clipped(self) -> bool:
+        """Whether the highlight of the measurement is clipped, so that its height and width are guesses."""
+        return any(finding.code == "clipped-highlight" for finding in self.report.findings_of_fit)
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return RGB values of the model, shape (..., 3) [1/sr], at angles [rad]; see `DSBRDF.evaluate`."""
@@ -226,8 +231,11 @@ def convergence_finding(knots: KnotReport, *, in_slices: bool) -> Finding:
     )
 
 
-def accuracy_findings(metrics: Metrics) -> Iterator[Finding]:
-    """Yield findings about large errors of a fit; none if the metrics are None."""
+def accuracy_findings(metrics: Metrics, *, is_clipped: bool = False) -> Iterator[Finding]:
+    """Yield findings about large errors of a fit; none if the metrics are None.
+
+    The metrics compare with the values of a clipped highlight, which the fit exceeds rightly.
+    """
     error, floor, albedo_error = metrics.relative_rms, metrics.symmetric_floor, metrics.albedo_error
     if error is None or floor is None or albedo_error is None:
         return
@@ -239,7 +247,7 @@ def accuracy_findings(metrics: Metrics) -> Iterator[Finding]:
             "anisotropic; no model of this kind can be more accurate.",
             {"symmetric_floor": floor},
         )
-    if misses_highlight(metrics):
+    if misses_highlight(metrics) and not is_clipped:
         possible = "below 0.1%" if floor < 1e-3 else f"{floor:.1%}"
         look = "A lit sphere hardly shows it" if (metrics.psnr or 0.0) >= VERY_CLOSE_DB else "A lit sphere shows it"
         yield Finding(
@@ -248,7 +256,7 @@ def accuracy_findings(metrics: Metrics) -> Iterator[Finding]:
             f"reach {possible}: the lobes do not follow the highlight. {look}; compare pictures of both.",
             {"relative_rms": error, "symmetric_floor": floor},
         )
-    if albedo_error > _MAX_ALBEDO_ERROR:
+    if albedo_error > _MAX_ALBEDO_ERROR and not is_clipped:
         yield Finding(
             "wrong-brightness",
             f"The model reflects {albedo_error:.1%} more or less light than the measurement, on average over angles "

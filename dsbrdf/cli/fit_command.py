@@ -310,7 +310,7 @@ def _rows(item: FileFit) -> Iterator[dict[str, Any]]:
         "findings": " ".join(finding.code for finding in report.findings),
         "warnings": " ".join(report.warnings),
     }
-    rows = [*component_rows(item.file.stem, component_documents(model), report.metrics.psnr)]
+    rows = [*component_rows(item.file.stem, component_documents(item.result), report.metrics.psnr)]
     # A model that reflects nothing has no components, but gets a row.
     for row in rows or [{"material": item.file.stem}]:
         yield row | about

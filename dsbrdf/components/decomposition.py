@@ -40,10 +40,12 @@ _MIN_WIDTH_RATIO = 1.7  # Two highlights with a smaller ratio of half widths are
 
 
 class Fitted(Protocol):
-    """Declare what has a model, such as the result of `dsbrdf.fit`."""
+    """Declare what `decompose` reads of the result of `dsbrdf.fit`."""
 
     @property
     def model(self) -> DSBRDF: ...  # noqa: D102
+    @property
+    def is_clipped(self) -> bool: ...  # noqa: D102
 
 
 def decompose(model: DSBRDF | Fitted) -> Decomposition:
@@ -52,7 +54,8 @@ def decompose(model: DSBRDF | Fitted) -> Decomposition:
     Parameters
     ----------
     model : DSBRDF or FitResult
-        Any model: fitted, loaded, or fitted by the paper's method.
+        Any model: fitted, loaded, or fitted by the paper's method. With the result of a fit to a clipped highlight, the
+        components have no widths, alpha and F0.
 
     Returns
     -------
@@ -68,7 +71,10 @@ def decompose(model: DSBRDF | Fitted) -> Decomposition:
     if not isinstance(fitted, ReflectanceModel):
         kind = type(model).__name__
         raise InvalidArgumentError(f"only a model can be decomposed, such as the result of dsbrdf.fit, not a {kind}")
-    return _decompose(fitted)
+    parts = _decompose(fitted)
+    if not getattr(model, "is_clipped", False):
+        return parts
+    return replace(parts, descriptions=tuple(one.without_highlight() for one in parts.descriptions))
 
 
 @lru_cache(maxsize=32)

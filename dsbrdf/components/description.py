@@ -7,7 +7,7 @@ misfit is the distance of the fitted layers from the values; a parameter with to
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -52,6 +52,11 @@ class Description:
     def surface_half_width(self) -> float | None:
         """Half width [rad] of the distribution of slopes of all surfaces, whatever the misfit is."""
         return half_width_of([layer for layer in self.layers.layers if isinstance(layer, (SpecularLayer, RetroLayer))])
+
+    def without_highlight(self) -> "Description":
+        """Withhold what the shape of a highlight determines, because the highlight of the measurement is clipped."""
+        withheld = tuple(Surface(*[None] * len(fields(Surface))) for _ in self.surfaces)
+        return replace(self, surfaces=withheld, misfit=replace(self.misfit, half_width=None))
 
     def remarks(self, label: str) -> tuple[str, ...]:
         """Return a sentence about each parameter that the misfit or the uncertainty withholds."""

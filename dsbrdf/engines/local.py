@@ -273,7 +273,7 @@ def fit_quietly(
 
 def document_of(result: FitResult, drawn: Measurement | ScatteredSamples | None = None) -> FitDocument:
     """Return the stored form of a fit; if `drawn` is a measurement, add a thumbnail of the measurement and the fit."""
-    text = to_json(result.model, result.report, decompose(result.model))
+    text = to_json(result.model, result.report, decompose(result))
     return FitDocument(text, asdict(result.report.metrics), None if drawn is None else thumbnail(result.model, drawn))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.component import Component
-from dsbrdf.components.decomposition import decompose
+from dsbrdf.components.decomposition import Fitted, decompose
 from dsbrdf.components.description import Description
 from dsbrdf.components.shares import ComponentRanges
 from dsbrdf.data.geometry import CHANNELS
@@ -32,8 +32,8 @@ LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
 """Angles theta_diff [degrees] for which a document lists the component's values at theta_half = 0."""
 
 
-def component_documents(model: DSBRDF) -> list[dict[str, Any]]:
-    """Return the JSON documents of a model's components, the narrowest component first."""
+def component_documents(model: DSBRDF | Fitted) -> list[dict[str, Any]]:
+    """Return the JSON documents of the components of a model or a fit, the narrowest component first."""
     return [component_document(component) for component in decompose(model)]
 
 

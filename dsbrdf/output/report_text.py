@@ -142,7 +142,7 @@ def samples_tables(report: FitReport) -> list[str]:
     return lines
 
 
-def model_text(model: DSBRDF, *, remarks: bool = True) -> list[str]:
+def model_text(model: DSBRDF | FitResult, *, remarks: bool = True) -> list[str]:
     """Return the components of a model and their surfaces, optionally with remarks."""
     components = component_documents(model)
     return [*components_table(components), "", *component_surfaces_table(components, remarks=remarks)]
@@ -152,7 +152,7 @@ def result_text(file: Path, result: FitResult) -> list[str]:
     """Return the report of one fit: verdict, warnings, metrics, components and errors."""
     warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
     lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
-    lines += model_text(result.model, remarks=False)  # The warnings of the report include the remarks.
+    lines += model_text(result, remarks=False)  # The warnings of the report include the remarks.
     for table in (
         samples_tables(result.report),
         search_table(result.report),
@@ -179,12 +179,13 @@ def _percent(error: float) -> str:
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
     """Return a JSON document of metrics, warnings, findings and components, followed by the stored model and report."""
-    findings = () if report is None else FitResult(model, report).report.findings
+    found = model if report is None else FitResult(model, report)
+    findings = found.report.findings if isinstance(found, FitResult) else ()
     about = {
         "metrics": None if report is None else asdict(report.metrics),
         "warnings": [finding.sentence for finding in findings],
         "findings": [asdict(finding) for finding in findings],
-        "components": component_documents(model),
+        "components": component_documents(found),
     }
     stored: dict[str, Any] = json.loads(to_json(model, report))
     return about | stored

@@ -1,5 +1,6 @@
 import copy
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,3 +133,11 @@ def test_findings_are_those_of_the_fit_and_of_the_components(result: FitResult) 
     assert known.report.warnings == ("Grey.", *decompose(known).remarks)
     assert result.report.findings == decompose(result).findings
     assert known.report.to_dict()["findings_of_fit"] == [{"code": "grey", "sentence": "Grey.", "numbers": {}}]
+
+
+def test_the_page_on_faults_lists_every_code() -> None:
+    root = Path(__file__).parents[2]
+    sources = "".join(path.read_text() for path in sorted((root / "dsbrdf").rglob("*.py")))
+    codes = {*re.findall(r'Finding\(\s*"([\w-]+)"', sources), "sheen", "retro-reflection"}
+    assert {code for code in codes if f"`{code}`" not in (root / "docs/faults.md").read_text()} == set()
+    assert len(codes) > 20

@@ -90,6 +90,10 @@ def test_samples_of_a_clipped_highlight_count_as_lower_bounds(metal: Measurement
     peak, level = float(metal.values[0, 0, 0, 0]), float(spoiled.values[0, 0, 0, 0])
     assert float(result.model.evaluate(0.0, 0.0)[0]) > level + 0.2 * (peak - level)
     assert "clipped-highlight" in [found.code for found in result.report.findings]
+    parts, known = dsbrdf.decompose(result), dsbrdf.decompose(result.model)
+    assert any(part.half_width is not None for part in known)
+    assert all(part.half_width is None for part in parts)
+    assert {surface.alpha for part in parts for surface in part.surfaces} <= {None}
 
 
 @pytest.mark.parametrize("fault", [with_garbage, lambda values: np.where(BEYOND, 0.0, values)], ids=["noise", "zero"])
