@@ -83,7 +83,7 @@ OPTION_PARAMETERS, TABLE_PARAMETERS = (
 """Query parameters for the options of a fit, and of a table."""
 CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
 
-_PIECE_BYTES = 1 << 15  # Every unfinished upload keeps one piece of this size in memory.
+_PIECE_BYTES = 1 << 17  # Every unfinished upload keeps one piece of this size in memory.
 _MAX_SHORT_TEXT_BYTES = 1 << 16  # A longer text takes over a second to read, so its reading is a long computation.
 _ZIP = b"PK"  # Every .xlsx or .ods file begins with these bytes.
 _MAX_CONVERTED_BYTES = 1 << 23  # Reading an RGL file or a table takes up to 70 times as much memory.

@@ -9,8 +9,10 @@ import re
 from collections import Counter
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
+from email.message import Message
+from email.utils import collapse_rfc2231_value
 from functools import partial
-from urllib.parse import quote, unquote_to_bytes
+from urllib.parse import quote
 
 from anyio import CapacityLimiter, to_thread
 from starlette.requests import Request
@@ -27,7 +29,6 @@ from ..wire import check_name
 
 _SUFFIX = ".binary"
 _MAX_HEADER_LENGTH = 1024  # [characters] A longer Content-Disposition is refused.
-_PARAMETER = re.compile(r';\s*([^\s=;"]+)\s*=\s*("(?:[^"\\]|\\.)*"|[^\s;"]+)\s*')
 _MAX_BODIES_BYTES = 64_000_000  # If unanswered bodies of a caller exceed this size, the next body is refused.
 BINARY = "application/octet-stream"
 JSON = "application/json"
@@ -59,22 +60,17 @@ def given_name(request: Request) -> str | None:
 
 def _file_name(header: str) -> str | None:
     """Return the file name in a ``Content-Disposition``, preferably ``filename*`` (RFC 8187)."""
-    if len(header) > _MAX_HEADER_LENGTH:
+    if len(header) > _MAX_HEADER_LENGTH:  # The parser takes a time that grows with the square of the length.
         raise InvalidArgumentError(f"A Content-Disposition has at most {_MAX_HEADER_LENGTH} characters.")
-    found: dict[str, str] = {}
-    place = header.find(";")
-    while place >= 0 and (parameter := _PARAMETER.match(header, place)):
-        found.setdefault(parameter[1].lower(), parameter[2])
-        place = parameter.end()
-    charset, _, rest = found.get("filename*", "").partition("'")
+    message = Message()
+    message["Content-Disposition"] = header
+    parameters = dict(message.get_params([], "content-disposition"))  # The parser puts `filename*` last.
+    if "filename" not in parameters:
+        return None
+    name = None
     with suppress(UnicodeError):
-        if charset.lower() in ("utf-8", "iso-8859-1"):
-            return unquote_to_bytes(rest.partition("'")[2]).decode(charset)
-    name = found.get("filename")
-    if name is not None:
-        name = re.sub(r"\\(.)", r"\1", name[1:-1]) if name.startswith('"') else name
-        with suppress(UnicodeError):
-            return name.encode("latin-1").decode()  # Many programs send UTF-8, although headers are decoded as Latin-1.
+        name = collapse_rfc2231_value(parameters["filename"])
+        name = name.encode("latin-1").decode()  # Many programs send UTF-8, although headers are decoded as Latin-1.
     return name
 
 

@@ -74,7 +74,7 @@ def test_open_upload_takes_half_a_megabyte(own_server: Callable[..., Server], da
     with ExitStack() as stack:
         connections = [stack.enter_context(closing(server.connection(head))) for _ in range(n_uploads)]
         for connection in connections:
-            connection.sendall(data[:500_000])
+            connection.sendall(data[:600_000])
         temporary = server.data_dir / "tmp"
         wait_until(lambda: sum(path.stat().st_size > 460_000 for path in temporary.iterdir()) == n_uploads, 60)
         assert server.memory() - before < 0.5 * n_uploads
