@@ -11,8 +11,8 @@ from tests.support.processes import ONE_CORE
 
 MAIN = "def main("
 """Modules of this package that contain this text are benchmarks; the others are helpers."""
-BY_NAME_ONLY = ("durability", "faults", "installation", "soak")
-"""Benchmarks that take half an hour, or install all packages; they are run by name only."""
+BY_NAME_ONLY = ("atlas", "durability", "faults", "installation", "soak")
+"""Benchmarks that take half an hour, install all packages or write into the package; they are run by name only."""
 
 
 def known() -> list[str]:

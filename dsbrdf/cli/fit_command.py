@@ -104,7 +104,7 @@ _HERE = Work()
 @Parameter(name="*", group=Group("Options of the plan", sort_key=4))
 @dataclass(frozen=True)
 class Plan:
-    """Hold the options for the table of directions to measure next.
+    """Options for the table of directions to measure next.
 
     Attributes
     ----------

@@ -140,7 +140,7 @@ _DEFAULTS = {"phi_diff": (90.0,), "phi_out": (180.0,)}
 @Parameter(name="*", group=Group("Points", sort_key=2))
 @dataclass(frozen=True)
 class Points:
-    """Hold the options for the angles or pairs of directions at which a model is evaluated.
+    """Options for the angles or pairs of directions at which a model is evaluated.
 
     Attributes
     ----------

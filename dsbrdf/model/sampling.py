@@ -63,7 +63,7 @@ FRACTION_ITERATIONS = 20
 
 
 class Samples(NamedTuple):
-    """Hold directions drawn by `dsbrdf.DSBRDF.sample`; below the horizon (z < 0), pdf and weight are 0."""
+    """Directions drawn by `dsbrdf.DSBRDF.sample`; below the horizon (z < 0), pdf and weight are 0."""
 
     omega_in: Array  # drawn directions, unit vectors (..., 3)
     pdf: Array  # density per solid angle [1/sr], (...)

@@ -47,7 +47,7 @@ Panels: TypeAlias = dict[str, Array]
 
 @dataclass(frozen=True, eq=False)
 class SphereComparison:
-    """Hold lit spheres of a measurement and its fit, or of any two materials.
+    """Lit spheres of a measurement and its fit, or of any two materials.
 
     The dict `panels` has pictures by title: measured, fit, difference, and optionally each component of the fit. PSNR
     and SSIM are computed by `dsbrdf.rendering.sphere.sphere_likeness`; `light` describes the lighting in words.

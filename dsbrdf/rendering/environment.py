@@ -46,7 +46,7 @@ _RINGS_PER_PASS = 16  # Rings are rendered in groups of this size, whose maps fi
 
 @dataclass(frozen=True)
 class Light:
-    """Hold a distant light: the unit vector towards the light, and the RGB irradiance of a surface facing it."""
+    """Distant light: the unit vector towards the light, and the RGB irradiance of a surface facing it."""
 
     direction: tuple[float, ...]
     irradiance: tuple[float, ...]

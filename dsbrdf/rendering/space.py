@@ -28,7 +28,7 @@ _MIN_EDGE_LENGTH = 1e-6  # Shorter edges of the graph are lengthened, because Sc
 
 @dataclass(frozen=True, eq=False)
 class MaterialSpace:
-    """Hold materials, their distances and their coordinates on a map.
+    """Materials, their distances and their coordinates on a map.
 
     Attributes
     ----------

@@ -59,7 +59,7 @@ _MAX_GRAZING_COSINE = np.cos(np.radians(60.0))
 
 
 class FoundSurface(NamedTuple):
-    """Hold a surface, and the PSNR [dB] of its lit spheres by lighting and by region."""
+    """Surface, and the PSNR [dB] of its lit spheres by lighting and by region."""
 
     surface: OpenPBR
     by_lighting: dict[str, float]

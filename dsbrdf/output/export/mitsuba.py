@@ -154,11 +154,8 @@ class Table:
 
     def __init__(self, values: Any) -> None:
         self._drjit, self._float = import_module("drjit"), import_module("mitsuba").Float
-        if self._drjit.is_array_v(values):
-            self._values = values
-        else:
-            flat = np.ravel(np.asarray(values, dtype=np.float32))
-            self._values = flat.tolist() if self._float is float else self._float(flat)
+        flat = np.ravel(np.asarray(values, dtype=np.float32))
+        self._values = flat.tolist() if self._float is float else self._float(flat)
 
     def __getitem__(self, index: Number) -> Number:
         return self._values[index] if self._float is float else self._drjit.gather(self._float, self._values, index)

@@ -42,7 +42,7 @@ _ALBEDO_COEFFICIENTS = np.array(
 
 @dataclass(frozen=True)
 class OpenPBR:
-    """Hold the inputs of an OpenPBR surface; all inputs except the indices of refraction (ior) are from 0 to 1."""
+    """Inputs of an OpenPBR surface; all inputs except the indices of refraction (ior) are from 0 to 1."""
 
     base_color: Color = (0.8, 0.8, 0.8)  # linear RGB of the diffuse part or of the metal
     base_metalness: float = 0.0
@@ -95,7 +95,7 @@ class OpenPBR:
 
 @dataclass(frozen=True, eq=False)
 class _Facets:
-    """Hold a rough boundary: cos(theta_diff), value without Fresnel term, and factors of F0 and F90 in its albedo."""
+    """Rough boundary: cos(theta_diff), value without Fresnel term, and factors of F0 and F90 in its albedo."""
 
     diff: Array
     value: Array

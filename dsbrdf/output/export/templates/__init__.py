@@ -1,4 +1,4 @@
-"""Hold the templates of exported files, each in a file of its own language."""
+"""Read and fill the templates of exported files, each in a file of its own language."""
 
 from collections.abc import Mapping
 from pathlib import Path
