@@ -190,9 +190,13 @@ def _stamp(status: os.stat_result) -> tuple[int, ...]:
 
 
 def _sync_folder(folder: Path) -> None:
+    """Write a folder durably to the disk, where the file system can do that; SQLite does the same."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
     finally:
         os.close(descriptor)
 

@@ -1,8 +1,10 @@
 """A fault of one row or file is that row's or file's; a fault of the folder passes, and readiness reports it."""
 
+import errno
 import os
 import shutil
 import sqlite3
+import stat
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -99,6 +101,22 @@ def test_folder_that_is_away_is_no_damage_of_its_files(store: Store, tmp_path: P
         shutil.rmtree(blobs, ignore_errors=True)
         away.rename(blobs)
         assert store.sound_file(sha256).read_bytes() == b"content"
+
+
+def test_folders_need_no_fsync_but_files_do(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    fsync, are_folders = os.fsync, True
+
+    def refuse(descriptor: int) -> None:
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode) is are_folders:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    store.check()
+    assert store.sound_file(add(store)).read_bytes() == b"content"
+    are_folders = False
+    with pytest.raises(OSError, match="Invalid argument"):
+        store.blobs.check()
 
 
 def test_full_disk_keeps_a_file_that_another_key_has(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
