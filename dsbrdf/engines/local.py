@@ -239,7 +239,8 @@ def _kill(process: Any) -> None:
 
 
 def _fault_of_exit(code: int | None) -> Fault:
-    if code == OUT_OF_MEMORY:
+    # Native libraries abort if an allocation fails.
+    if code in (OUT_OF_MEMORY, -signal.SIGABRT):
         return MEMORY_LIMIT
     reason = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
     if reason == "SIGXCPU":

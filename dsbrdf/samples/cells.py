@@ -236,7 +236,11 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
             _check_extent(data)
         with CalamineWorkbook.from_filelike(io.BytesIO(data)) as book:
             texts = {name: _text(book.get_sheet_by_name(name).to_python(False)) for name in book.sheet_names}
-    except (CalamineError, zipfile.BadZipFile, zlib.error, EOFError) as error:
+    except BaseException as error:
+        # A panic of the library, at some damaged files, is no Exception, and its class has no public name.
+        unreadable = isinstance(error, CalamineError | zipfile.BadZipFile | zlib.error | EOFError | RuntimeError)
+        if not unreadable and type(error).__name__ != "PanicException":
+            raise
         raise MeasurementFormatError("The spreadsheet cannot be read; save its sheet as .csv.") from error
     title = max(texts, key=lambda name: len(texts[name]), default="")
     notes = [f"The spreadsheet has {len(texts)} sheets; the longest was read, {title!r}."] if len(texts) > 1 else []

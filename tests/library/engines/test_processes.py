@@ -58,6 +58,7 @@ def test_end_of_a_process_is_told_while_others_start(processes: Processes) -> No
 
 def test_what_a_process_does_to_itself_is_a_crash(processes: Processes) -> None:
     assert run_alone(do_nothing, memory_mb=1) == MEMORY_LIMIT  # but for one that has no memory to begin
+    assert processes.call(die, signal.SIGABRT).result(PATIENCE) == MEMORY_LIMIT
     crash, end = processes.call(die, signal.SIGSEGV), processes.call(exit_with, 3)
     assert crash.result(PATIENCE) == Fault("compute", "ProcessCrashed", "The fit's process crashed (SIGSEGV).")
     assert end.result(PATIENCE) == Fault("compute", "ProcessCrashed", "The fit's process crashed (exit code 3).")

@@ -5,7 +5,9 @@ import sys
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -182,3 +184,10 @@ def test_without_the_extra_the_way_out_is_said(monkeypatch: pytest.MonkeyPatch) 
         "python_calamine must be installed for spreadsheets, which can also be saved as .csv: "
         "pip install 'dsbrdf[xlsx]'"
     )
+
+
+def test_a_panic_of_the_library_is_a_damaged_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    panic = type("PanicException", (BaseException,), {})
+    monkeypatch.setattr("python_calamine.CalamineWorkbook", SimpleNamespace(from_filelike=Mock(side_effect=panic)))
+    with pytest.raises(MeasurementFormatError, match="The spreadsheet cannot be read; save its sheet"):
+        parse_samples(VALID_SPREADSHEET)
