@@ -15,7 +15,7 @@ from dsbrdf.arrays import Evaluate
 from dsbrdf.components.layer_data import component_data, peak_half_width, renderer_data
 from dsbrdf.components.layer_fit import fit_structures, refined
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
-from dsbrdf.components.points import coarse_light_rules
+from dsbrdf.components.points import light_rules
 from dsbrdf.components.shares import SurfaceSpread
 from dsbrdf.components.structures import OWN_PRIORS, LayerStructure
 from dsbrdf.components.surfaces import (
@@ -113,7 +113,7 @@ def describe(
 def renderer_layers(evaluate: Evaluate, descriptions: Sequence[Description]) -> LayeredModel:
     """Fit the layers of all components, and a diffuse layer, together to the whole material, for renderers."""
     layers = [layer for one in descriptions for layer in one.layers.layers]
-    data = renderer_data(evaluate, coarse_light_rules())
+    data = renderer_data(evaluate, light_rules()[:2])
     if data is None or not layers:
         return LayeredModel(())
     if not any(isinstance(layer, DiffuseLayer) for layer in layers):

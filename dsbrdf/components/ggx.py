@@ -12,7 +12,7 @@ from dsbrdf.arrays import Evaluate
 from dsbrdf.components.layer_data import renderer_data
 from dsbrdf.components.layer_fit import fit_structures
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, SpecularLayer
-from dsbrdf.components.points import coarse_light_rules
+from dsbrdf.components.points import light_rules
 from dsbrdf.components.structures import OWN_PRIORS, LayerPrior, LayerStructure
 
 
@@ -36,5 +36,5 @@ N_NUMBERS = 13
 
 def fit_ggx(evaluate: Evaluate) -> LayeredModel:
     """Fit two GGX highlights and a Lambertian ground to the values of a material, weighted by their visibility."""
-    data = renderer_data(evaluate, coarse_light_rules())
+    data = renderer_data(evaluate, light_rules()[:2])
     return LayeredModel(()) if data is None else fit_structures(data, [_STRUCTURE])[0].model

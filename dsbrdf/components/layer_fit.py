@@ -275,9 +275,9 @@ def _trials(data: LayerData, structures: Sequence[LayerStructure], *, quick: boo
         data = data.thinned(_QUICK_TRIAL_STRIDE)
     trials: dict[str, Descent] = {}
     for structure in structures:
-        if structure.parent in trials:
-            structure = structure.started_from(trials[structure.parent].model)
-        trials[structure.name] = _best_trial(data, structure, _QUICK_TRIAL_STEPS if quick else _TRIAL_STEPS)
+        started = structure.started_from(trials[structure.parent].model) if structure.parent in trials else structure
+        if started is not None:
+            trials[structure.name] = _best_trial(data, started, _QUICK_TRIAL_STEPS if quick else _TRIAL_STEPS)
     return sorted(trials.values(), key=lambda trial: trial.prospect)
 
 

@@ -139,7 +139,7 @@ _RANGE_EVIDENCE_SCALE = 6.0
 """Ranges use this larger scale instead of `EVIDENCE_SCALE`, because the priors of structures are uncertain too."""
 _MIN_WEIGHT = 0.01  # A structure of layers with a smaller weight is dropped.
 _MIN_DRAWS = 4  # The layers of every structure are drawn at least this number of times.
-_N_SHARED_DRAWS = 40  # This number of further draws is divided among structures by weight.
+_N_SHARED_DRAWS = 30  # This number of further draws is divided among structures by weight.
 
 Range: TypeAlias = tuple[float, float]
 RgbRange: TypeAlias = tuple[Range, Range, Range]

@@ -141,6 +141,7 @@ _FIBRES = _prior(
 
 
 _MAX_START_HALF_WIDTH_DEG = 35.0
+_MAX_FIRST_ALPHA_FACTOR = 3.0  # A fit hardly changes the roughness of its start by a larger factor.
 _INTERREFLECTION_POWER = 2.4  # Light reflected several times between facets grows with this power of alpha.
 _INTERREFLECTION_LOG_SCALE = float(np.log(0.106) - _INTERREFLECTION_POWER * np.log(0.3))
 _INTERREFLECTION = replace(
@@ -214,8 +215,10 @@ class LayerStructure:
     only_in_ranges: bool = False
     other_sides: tuple[bool, ...] | None = None
 
-    def started_from(self, parent: LayeredModel) -> "LayerStructure":
-        """Return the structure with a start at the half widths of its parent's layers."""
+    def started_from(self, parent: LayeredModel) -> "LayerStructure | None":
+        """Return the structure with a start at its parent's half widths; None if these are far below its own bounds."""
+        if parent.layers[0].unknowns[6] < self.layers[0].lower[6] - np.log(_MAX_FIRST_ALPHA_FACTOR):
+            return None
         widths = [float(np.degrees(one.half_width)) for one in parent.layers if isinstance(one, SpecularLayer)]
         start = tuple(min(widths[number] * factor, _MAX_START_HALF_WIDTH_DEG) for number, factor in self.start_factors)
         return replace(self, starts=(start,))
