@@ -42,7 +42,8 @@ _COMPUTATION_PROCESSOR_LIMIT_S = 60.0
 _COMPUTATION_NICENESS = 5
 _SWITCH_INTERVAL_S = 0.0005  # A busy thread delays the event loop by at most this time, a tenth of Python's default.
 
-_DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements in the MERL format.
+_DESCRIPTION = """Fits the Directional Statistics BRDF model to measurements: MERL files, RGL `.bsdf` files and
+tables of samples.
 
 `POST /v1/fits` with a file as the body answers with the fitted model; the fit then gives BRDF values and its
 decomposition into specular spike, specular lobe and diffuse part. Angles are in degrees, directions are unit
@@ -117,7 +118,7 @@ def create_app(settings: Settings, store: Store | None = None) -> FastAPI:
     stack = AsyncExitStackMiddleware(app.router)  # FastAPI's routes need this middleware.
     app.middleware_stack = RequestLogMiddleware(stack, access, settings, metrics)
     # Routes are tried in this order, so the routes with the quickest answers come first.
-    of_fits = (values.router, fits.router, results.router, pictures.router)
+    of_fits = (values.router, fits.router, fits.materials, results.router, pictures.router)
     routers = (*of_fits, values.measured, measurements.router, about.router, about.page)
     given = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     for route in given:

@@ -30,6 +30,7 @@ from ..http.messages import (
     prefix_of,
     tagged_reply,
 )
+from ..storage.atlas import ATLAS, atlas_row
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
 from ..wire import MAX_NAME_LENGTH, canonical, check_name, from_query, from_wire
@@ -138,6 +139,7 @@ class FitList(Document):
 
 
 router = APIRouter(prefix="/v1/fits", tags=["fits"], dependencies=CHECKED_QUERY)
+materials = APIRouter(prefix="/v1/materials", tags=["fits"], dependencies=CHECKED_QUERY)
 
 _MAX_JSON_BYTES = 1 << 16
 _NO_RESULT = to_json({"warnings": [], "findings": [], "measure_next": []} | dict.fromkeys(RESULT_MEMBERS[3:]))
@@ -220,6 +222,13 @@ async def list_fits(
     )
     items = b",".join(_summary(context, row) for row in rows[: page.limit])
     return Response(b'{"items":[%b]}' % items, 200, next_page(request, page, rows), JSON)
+
+
+@materials.get("", response_model=FitList, responses=openapi.problems())
+async def list_materials(context: TheContext, caller: TheCaller) -> Response:
+    """Return the fits of measured materials that come with the service; they cannot be renamed or deleted."""
+    rows = [await run_in_threadpool(atlas_row, FitKey(caller.owner, fit_id)) for fit_id in ATLAS]
+    return Response(b'{"items":[%b]}' % b",".join(_summary(context, row) for row in rows), media_type=JSON)
 
 
 @router.get("/{fit_id}", response_model=FitDocument, responses=openapi.TAGGED | openapi.problems("not-found"))

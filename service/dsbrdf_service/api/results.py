@@ -147,8 +147,11 @@ async def export_fit(
     check_shader_options(wanted.format, wanted.name, sampling=wanted.sampling)
     if wanted.component not in (None, LAYERS):
         check_holds_component(wanted.format)
-    name = "-".join(part for part in (row.name or row.id, wanted.component) if part)
-    file = f"{name}.{FORMATS[wanted.format].suffix}"
+    suffix = FORMATS[wanted.format].suffix
+    is_first = wanted.format == next(name for name, kind in FORMATS.items() if kind.suffix == suffix)
+    kind = None if is_first else wanted.format.removeprefix(f"{suffix}-")  # Files of one fit have different names.
+    name = "-".join(part for part in (row.name or row.id, wanted.component, kind) if part)
+    file = f"{name}.{suffix}"
     headers = {"Content-Disposition": content_disposition(file), "Content-Type": FORMATS[wanted.format].media_type}
     model = loaded.decomposition.layers if wanted.component == LAYERS else loaded.part(wanted.component)
     key, place = ("export", row.key, row.name, *wanted.model_dump().values()), FORMATS[wanted.format].time

@@ -88,6 +88,10 @@ _KIND_OF_ERROR: dict[type[Exception], str] = {
     FitError: "fit-impossible",
     MissingExtraError: "not-installed",
 }
+_IDS = {
+    ("path", "fit_id"): "id of a fit, which has 32 hexadecimal digits; GET /v1/fits lists your fits",
+    ("path", "sha256"): "id of a measurement, which has 64 hexadecimal digits; GET /v1/measurements lists yours",
+}
 _FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
 
 logger = logging.getLogger(__name__)
@@ -111,8 +115,11 @@ def problem_of(request: Request, error: Exception) -> ProblemError:
     if isinstance(error, ClientDisconnect):  # Nobody receives this answer, but the log and the metrics record it.
         return ProblemError("bad-request", "The client disconnected before the end of the body.")
     if isinstance(error, RequestValidationError):
-        if any(fault["loc"][0] == "path" for fault in error.errors()):  # An ill-formed id is answered as not found.
-            return _nothing_at(path)
+        for fault in error.errors():  # An ill-formed id is answered as not found.
+            if fault["loc"] in _IDS:
+                return ProblemError("not-found", f"{str(fault['input'])[:64]!r} is no {_IDS[fault['loc']]}.")
+            if fault["loc"][0] == "path":
+                return _nothing_at(path)
         return ProblemError("invalid-argument", validation_sentence(error.errors()))
     if isinstance(error, HTTPException) and error.status_code == 404:
         return _nothing_at(path)

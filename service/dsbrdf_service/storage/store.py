@@ -19,6 +19,7 @@ from typing import Any
 import dsbrdf
 
 from ..errors import FitNotFoundError, MeasurementDamagedError, MeasurementNotFoundError, ProblemError
+from .atlas import ATLAS, atlas_result, atlas_row
 from .database import RESERVE, Database, own_folder
 from .files import Blobs, Incoming, Writing, check_key, check_queue, check_storage
 from .maintenance import remove_files, remove_rows
@@ -222,6 +223,8 @@ class Store:
         """Return a fit's row; raise FitNotFoundError if there is no such fit."""
         for row in self.database.rows(f"{_SELECT_FIT} {_WHERE_FIT}", *key):
             return FitRow.from_values(row)
+        if key.id in ATLAS:
+            return atlas_row(key)
         raise FitNotFoundError(key.id)
 
     def rename_fit(self, key: FitKey, name: str | None) -> FitRow:
@@ -267,6 +270,8 @@ class Store:
     def _result(self, key: FitKey) -> tuple[bytes, bytes | None]:
         query = f"SELECT status, CAST(result AS BLOB), thumbnail, metrics, checksum FROM fits {_WHERE_FIT}"  # noqa: S608
         rows = self.database.rows(query, *key)
+        if not rows and key.id in ATLAS:
+            return atlas_result(key.id), None
         if not rows:
             raise FitNotFoundError(key.id)
         status, document, thumbnail, metrics, written = rows[0]
@@ -284,7 +289,7 @@ class Store:
     def result_stamp(self, key: FitKey) -> int | None:
         """Return the checksum of a fit's result, None without a result; the query suits the event loop."""
         row = self.database.row_now(f"SELECT checksum FROM fits {_WHERE_FIT} AND status = 'succeeded'", *key)  # noqa: S608
-        return None if row is None else int(row[0])
+        return int(row[0]) if row is not None else 0 if key.id in ATLAS else None
 
     def start_fit(self, key: FitKey) -> FitRow | None:
         """Mark a fit as running, also after the loss of its process; return None if the fit has ended already."""

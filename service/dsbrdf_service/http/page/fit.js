@@ -33,9 +33,10 @@ export async function show(main, id) {
 function showResult(main, fit, stored) {
   const name = nameOf(fit);
   setTitle(name);
-  fill(main, { name, about: `Fitted ${dateOf(fit.created)}. ${stored ? "" : "Its measurement is not stored here, so only the fit is shown."}` }, { measurement: `measurements/${fit.measurement}` });
+  fill(main, { name, about: fit.started ? `Fitted ${dateOf(fit.created)}. ${stored ? "" : "Its measurement is not stored here, so only the fit is shown."}` : "A measured material that comes with dsbrdf." }, { measurement: `measurements/${fit.measurement}` });
   showSide(find(main, ".side"), fit);
   showComponents(find(main, ".parts"), [fit]);
+  for (const name of ["rename", "delete"]) find(main, `[data-act=${name}]`).hidden = !fit.started;
   find(main, "a[data-link=measurement]").hidden = find(main, "#figures").hidden = !stored;
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   for (const image of find(main, "#figures").querySelectorAll("img")) whenOpened(image, () => showPicture(image, `v1/fits/${fit.id}/figures/${image.id}.svg?dark=${dark}`));

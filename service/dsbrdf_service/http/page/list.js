@@ -1,5 +1,5 @@
 // Shows the list of all fits and the area where files are dropped, and sends the files.
-import { act, fill, find, follow, make, nameOf, progressOf, removeFit, request, root, say, showPicture, sizeOf, stateOf, template, titleOf, valueOf, whenOpened, whenSeen } from "./app.js";
+import { act, fill, find, follow, json, make, nameOf, progressOf, removeFit, request, root, say, showPicture, sizeOf, stateOf, template, titleOf, valueOf, whenOpened, whenSeen } from "./app.js";
 import { chosen, fitStored, showForm, showTable, typedOptions } from "./options.js";
 import { cosines } from "./plots.js";
 
@@ -28,10 +28,24 @@ export async function show(main) {
     find(main, ".cards").append(...cards.filter((item) => item.isConnected).sort((a, b) => textOf(a).localeCompare(textOf(b), "en", { numeric: true })));
   };
   compare(main, cards);
+  await showAtlas(find(main, "#atlas", HTMLDetailsElement), isNew);
 }
 
-/** @param {Fit} fit @param {number} place @param {Fit[]} same fits of its name */
-function card(fit, place, same) {
+/** Shows the materials that come with the service. @param {HTMLDetailsElement} box @param {boolean} isOpen */
+async function showAtlas(box, isOpen) {
+  /** @type {Fit[]} */
+  const fits = (await json("v1/materials")).items;
+  find(box, ".cards").append(...fits.map((fit) => {
+    const made = card(fit, 0, [], "sphere.png?size=112&lighting=environment");
+    for (const part of made.querySelectorAll(".menu, .pick")) part.remove();
+    return made;
+  }));
+  box.hidden = false;
+  box.open = isOpen;
+}
+
+/** @param {Fit} fit @param {number} place @param {Fit[]} same fits of its name @param {string} [picture] */
+function card(fit, place, same, picture = "thumbnail.png") {
   const differing = Object.entries(fit.options).filter(([name, value]) => same.some((other) => String(other.options[name]) !== String(value)));
   const options = differing.map(([name, value]) => `${titleOf(name)}: ${valueOf(value)}`).join(", ");
   const item = find(template("card", { name: ` ${nameOf(fit)}`, options }, { fit: `fits/${fit.id}` }), "li");
@@ -46,20 +60,20 @@ function card(fit, place, same) {
     if (dragged && dragged !== fit.id) openComparison([dragged, fit.id]);
   };
   act(item, "delete", () => removeFit(fit, item, () => item.remove()));
-  update(item, fit);
+  update(item, fit, picture);
   return item;
 }
 
-/** Shows the state of a fit until it has ended, then its picture. @param {HTMLElement} item @param {Fit} fit */
-async function update(item, fit) {
+/** Shows the state of a fit until it has ended, then its picture. @param {HTMLElement} item @param {Fit} fit @param {string} picture */
+async function update(item, fit, picture) {
   for await (const now of follow(fit)) {
     const { id, status, metrics } = now;
     fill(item, { state: stateOf(now) });
     item.dataset.likeness = (1000 - (metrics?.psnr ?? 0)).toFixed(6); // Sorting puts the best fit first.
-    find(item, ".pick").hidden = status !== "succeeded";
-    find(item, "[data-act=delete]").hidden = status === "accepted" || status === "running";
+    for (const part of item.querySelectorAll(".pick")) part.toggleAttribute("hidden", status !== "succeeded");
+    for (const part of item.querySelectorAll("[data-act=delete]")) part.toggleAttribute("hidden", status === "accepted" || status === "running");
     const image = find(item, "img", HTMLImageElement);
-    if (status === "succeeded") whenSeen(image, () => showPicture(image, `v1/fits/${id}/figures/thumbnail.png`).catch(() => undefined));
+    if (status === "succeeded") whenSeen(image, () => showPicture(image, `v1/fits/${id}/figures/${picture}`).catch(() => undefined));
   }
 }
 

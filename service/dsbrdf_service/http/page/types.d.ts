@@ -14,7 +14,7 @@ interface Surface { alpha: number | null; tail_exponent: number | null; f0: Rgb 
 
 interface Fit {
   id: string; name: string | null; status: string; progress: number; measurement: string; likeness: string | null;
-  options: Record<string, unknown>; metrics: Record<string, number | null> | null; created: string;
+  options: Record<string, unknown>; metrics: Record<string, number | null> | null; created: string; started: string | null;
   error: { origin: "input" | "compute" | "system"; message: string } | null;
   warnings: string[]; measure_next?: { theta_in_deg: number; theta_out_deg: number; phi_deg: number }[]; components: Component[]; model: { amplitude: number[][][]; center: number[][][] };
 }
