@@ -64,7 +64,7 @@ def test_table_is_understood_before_it_is_sent(visit: Visit, guarded: Guarded, t
     table.write_text("\n".join(["AOI,AOR,signal", *rows]))
     page.locator("#file").set_input_files(table)
     shown = page.locator("#table")
-    expect(shown.get_by_role("alert")).to_contain_text("The table lacks columns for the values")
+    expect(shown.get_by_role("alert")).to_contain_text("The table lacks value")
     button = page.get_by_role("button", name="Fit this table")
     expect(button).to_be_disabled()
     page.get_by_label("Read signal as").select_option("value")
