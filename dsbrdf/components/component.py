@@ -104,8 +104,13 @@ class Component(ReflectanceModel):
 
     @property
     def structure(self) -> str:
-        """The most probable structure that has the component, in words, such as "dielectric over diffuse"."""
-        return next(one for one in self.whole.structures if self.label in one.labels).name
+        """The most probable structure that has the component, in words, such as "dielectric over diffuse".
+
+        The width of the mean over all structures names a single highlight, as a spike or as a lobe. If no structure has
+        this name, this is the most probable structure.
+        """
+        structures = self.whole.structures
+        return next((one for one in structures if self.label in one.labels), structures[0]).name
 
     @property
     def albedo(self) -> Array:
