@@ -145,8 +145,8 @@ def _invert_linear(start: Array, end: Array, area: Array) -> Array:
 
 
 _MAGIC = b"tensor_file\0\x01\x00"
-# The file gives the type of an array as a position in this tuple, counted from 1.
-_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8")
+# The types of arrays by their numbers in the file.
+_TYPES = dict(enumerate(("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"), 1))
 _ALIGNMENT_BYTES = 8
 _MAX_FIELDS = 64
 _MAX_AXES = 8
@@ -161,7 +161,7 @@ def encode_tensors(fields: Mapping[str, NDArray[Any]]) -> bytes:
     for name, array in arrays.items():
         gap = -offset % _ALIGNMENT_BYTES
         offset += gap
-        code = _TYPES.index(array.dtype.str[1:]) + 1
+        code = next(code for code, kind in _TYPES.items() if kind == array.dtype.str[1:])
         heads += [struct.pack("<H", len(names[name])), names[name], struct.pack("<HBQ", array.ndim, code, offset)]
         heads.append(struct.pack(f"<{array.ndim}Q", *array.shape))
         bodies += [bytes(gap), array.tobytes()]
@@ -176,35 +176,27 @@ def parse_tensors(data: bytes) -> dict[str, NDArray[Any]]:
     """
     if data[: len(_MAGIC)] != _MAGIC:
         raise MeasurementFormatError("The file is not a tensor file of version 1.0, as an RGL .bsdf file must be.")
-    try:
-        return _fields(data)
-    # NumPy raises ValueError or OverflowError if an array is longer than the data.
-    except (struct.error, ValueError, OverflowError):
-        raise MeasurementFormatError("The tensor file is damaged or cut off: a field lies outside of it.") from None
+    place, fields = len(_MAGIC), {}
 
-
-def _fields(data: bytes) -> dict[str, NDArray[Any]]:
-    place = len(_MAGIC)
-
-    def take(code: str) -> tuple[Any, ...]:
+    def take(code: str, most: float = np.inf) -> tuple[Any, ...]:
+        """Return the next numbers, the first of which is at most `most`."""
         nonlocal place
         values = struct.unpack_from(f"<{code}", data, place)
         place += struct.calcsize(f"<{code}")
+        if most < np.inf and values[0] > most:
+            raise ValueError
         return values
 
-    (count,) = take("I")
-    if count > _MAX_FIELDS:
-        raise ValueError
-    fields = {}
-    for _ in range(count):
-        (length,) = take("H")
-        (raw,) = take(f"{length}s")
-        axes, code, offset = take("HBQ")
-        shape = take(f"{axes}Q")
-        if axes > _MAX_AXES or not 1 <= code <= len(_TYPES):
-            raise ValueError
-        kind = np.dtype("<" + _TYPES[code - 1])
-        fields[raw.decode()] = np.frombuffer(data, kind, prod(shape), offset).reshape(shape)
+    try:
+        for _ in range(*take("I", _MAX_FIELDS)):
+            (raw,) = take(f"{take('H')[0]}s")
+            axes, code, offset = take("HBQ", _MAX_AXES)
+            shape = take(f"{axes}Q")
+            kind = np.dtype(f"<{_TYPES[code]}")
+            fields[raw.decode()] = np.frombuffer(data, kind, prod(shape), offset).reshape(shape)
+    # NumPy raises ValueError or OverflowError if an array is longer than the data.
+    except (struct.error, ValueError, OverflowError, KeyError):
+        raise MeasurementFormatError("The tensor file is damaged or cut off: a field lies outside of it.") from None
     return fields
 
 
@@ -237,8 +229,7 @@ class RglMaterial:
         second = check_directions("omega_out", omega_out, below_horizon=True)
         above = np.flatnonzero((first[:, 2] > 0.0) & (second[:, 2] > 0.0))
         values = np.zeros((len(first), 3))
-        for start in range(0, above.size, _POINTS_PER_BLOCK):
-            block = above[start : start + _POINTS_PER_BLOCK]
+        for block in np.split(above, range(_POINTS_PER_BLOCK, above.size, _POINTS_PER_BLOCK)):
             values[block] = self._values(first[block], second[block])
         return values
 
@@ -265,8 +256,7 @@ class RglMaterial:
 
     def _values(self, first: Array, second: Array) -> Array:
         half = first + second
-        theta_i = np.arctan2(np.hypot(first[:, 0], first[:, 1]), first[:, 2])
-        theta_half = np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
+        theta_i, theta_half = (np.arctan2(np.hypot(one[:, 0], one[:, 1]), one[:, 2]) for one in (first, half))
         azimuth = np.arctan2(half[:, 1], half[:, 0]) - np.arctan2(first[:, 1], first[:, 0])
         u, v = np.sqrt(theta_half * 2.0 / np.pi), (azimuth / (2.0 * np.pi) + 0.5) % 1.0
         last = self.theta_i.size - 1
@@ -275,14 +265,9 @@ class RglMaterial:
         share = at - lower
         x, y = self.vndf.invert(lower, share, u, v)
         upper = np.minimum(lower + 1, last)
-        rgb = np.stack(
-            [
-                (1.0 - share) * bilinear(self.rgb[:, channel], x, y, lower)
-                + share * bilinear(self.rgb[:, channel], x, y, upper)
-                for channel in range(3)
-            ],
-            axis=-1,
-        )
+        ends = ([bilinear(self.rgb[:, channel], x, y, at) for channel in range(3)] for at in (lower, upper))
+        below, above = (np.stack(end, axis=-1) for end in ends)
+        rgb = (1.0 - share)[:, None] * below + share[:, None] * above
         sigma = bilinear(self.sigma, np.sqrt(theta_i * 2.0 / np.pi), np.full_like(u, 0.5))
         factor = bilinear(self.ndf, u, v) / (4.0 * sigma * second[:, 2])
         return np.maximum(rgb * factor[:, np.newaxis], 0.0)
@@ -351,11 +336,8 @@ def _check(fields: Mapping[str, NDArray[Any]]) -> None:
         raise MeasurementFormatError(
             f"The material is anisotropic: it has {count} azimuths of the first direction; this model is isotropic."
         )
-    angles, (_, n_angles, *square), (_, n_rgb, channels, *grid) = (
-        np.asarray(fields["theta_i"], dtype=np.float64),
-        fields["vndf"].shape,
-        fields["rgb"].shape,
-    )
+    angles = np.asarray(fields["theta_i"], dtype=np.float64)
+    (_, n_angles, *square), (_, n_rgb, channels, *grid) = fields["vndf"].shape, fields["rgb"].shape
     smallest = min(*square, *grid, *fields["ndf"].shape, *fields["sigma"].shape)
     if not angles.size == n_angles == n_rgb or channels != 3 or smallest < 2:
         raise MeasurementFormatError("The fields of the .bsdf file have inconsistent shapes: the file is damaged.")
