@@ -1,7 +1,7 @@
 """Define the dependencies of routes: the parts of the running service, the caller, and common parameters."""
 
 from collections import Counter
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -13,7 +13,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.samples.table_options import TableOptions
 
 from ..access import CALLER, Keys
-from ..compute.computations import Computations, LoadedFit, ModelCache, Place
+from ..compute.computations import Computations, Duration, LoadedFit, ModelCache
 from ..compute.steps import StoredMeasurement
 from ..errors import ProblemError
 from ..http.messages import Bodies
@@ -45,11 +45,10 @@ class Context:
     async def in_process(
         self,
         request: Request,
-        key: Hashable,
         step: Callable[..., Any],
         *arguments: Any,
         max_bytes: int = 0,
-        place: Place = "medium",
+        duration: Duration = "medium",
     ) -> Any:
         """Compute a step in a separate process; return its result or, with `max_bytes`, the file that it writes.
 
@@ -58,9 +57,9 @@ class Context:
         """
         try:
             if not max_bytes:
-                return await self.computations.run_in_process(request, key, step, *arguments, place=place)
-            named: dict[str, Any] = {"writing": self.store.writing, "max_bytes": max_bytes, "place": place}
-            return await self.computations.make_file(request, key, step, *arguments, **named)
+                return await self.computations.run_in_process(request, step, *arguments, duration=duration)
+            named: dict[str, Any] = {"writing": self.store.writing, "max_bytes": max_bytes, "duration": duration}
+            return await self.computations.make_file(request, step, *arguments, **named)
         except ProblemError:
             for stored in arguments:
                 if isinstance(stored, StoredMeasurement):

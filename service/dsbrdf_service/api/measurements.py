@@ -4,7 +4,6 @@ An upload is a MERL file, an RGL ``.bsdf`` file or a table. It is hashed and che
 held whole in memory; nothing of a wrong file is stored.
 """
 
-import hashlib
 import os
 from collections.abc import AsyncIterator
 from datetime import datetime
@@ -32,7 +31,7 @@ from dsbrdf.output.documents import ANGLE_NAMES
 from dsbrdf.samples.reading import START_BYTES, measurement_kind
 from dsbrdf.samples.table_options import TableOptions
 
-from ..compute.computations import Place
+from ..compute.computations import Duration
 from ..compute.steps import conversion_step, understood_step
 from ..errors import MeasurementNotFoundError, ProblemError
 from ..http import openapi
@@ -111,8 +110,8 @@ async def receive_upload(
                 await _receive_merl(request, start, pieces, incoming)
             else:
                 await _write(start, pieces, incoming, _MAX_CONVERTED_BYTES, "A .bsdf file or a table")
-                key, place = ("upload", incoming.path), _place_of_table(start, incoming.size)
-                found = await _read_table(request, context, key, conversion_step, incoming.path, options, place=place)
+                duration = _duration_of_table(start, incoming.size)
+                found = await _read_table(request, context, conversion_step, incoming.path, options, duration=duration)
                 incoming.sha256, incoming.size, incoming.valid_nodes = found
             return await in_thread(context.store.add_measurement, caller, incoming, name)
 
@@ -158,8 +157,8 @@ async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming,
     await in_thread(incoming.close)
 
 
-def _place_of_table(start: bytes, size: int) -> Place:
-    """Return how long the reading of a table takes, as a `Place`: `medium` for a short text, otherwise `long`."""
+def _duration_of_table(start: bytes, size: int) -> Duration:
+    """Return how long the reading of a table takes: `medium` for a short text, otherwise `long`."""
     is_short_text = size <= _MAX_SHORT_TEXT_BYTES and measurement_kind(start) == "samples" and start[:2] != _ZIP
     return "medium" if is_short_text else "long"
 
@@ -218,18 +217,15 @@ class TableDocument(BaseModel):
         **openapi.body("A table of scattered samples.", CONTENT),
     },
 )
-async def describe_table(
-    request: Request, context: TheContext, caller: TheCaller, options: TheTableOptions
-) -> TableDocument:
+async def describe_table(request: Request, context: TheContext, options: TheTableOptions) -> TableDocument:
     """Return columns, units, ranges, warnings and the first samples of the table in the body.
 
     Nothing is stored, so the right options can be found before the upload.
     """
     media_type_of(request, *UPLOADED)
     async with context.bodies.received(request, _MAX_CONVERTED_BYTES) as content:
-        key = caller.owner, "table", hashlib.sha256(content).hexdigest(), options
-        place = _place_of_table(content[:START_BYTES], len(content))
-        found = await _read_table(request, context, key, understood_step, content, options, place=place)
+        duration = _duration_of_table(content[:START_BYTES], len(content))
+        found = await _read_table(request, context, understood_step, content, options, duration=duration)
     return TableDocument(**found)
 
 

@@ -74,12 +74,12 @@ class _Drawing:
         With `max_bytes`, the step writes a file of at most this length.
         """
         path = self._request.scope["path"]
-        key = self._caller.owner, path, self._request.url.query, of
-        headers = {"ETag": tag_of(repr((dsbrdf.__version__, *key)).encode())}
+        drawn_from = dsbrdf.__version__, self._caller.owner, path, self._request.url.query, of
+        headers = {"ETag": tag_of(repr(drawn_from).encode())}
         if known := not_modified(self._request, headers):
             return known
         headers["Content-Type"] = _MEDIA_TYPES[path.rpartition(".")[2]]
-        drawn = await self._context.in_process(self._request, key, step, *arguments, max_bytes=max_bytes)
+        drawn = await self._context.in_process(self._request, step, *arguments, max_bytes=max_bytes)
         if max_bytes:
             return OpenFileResponse(drawn, headers)
         return await long_reply(self._context.store.writing, self._caller, drawn, headers)

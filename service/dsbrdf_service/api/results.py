@@ -154,16 +154,16 @@ async def export_fit(
     file = f"{name}.{suffix}"
     headers = {"Content-Disposition": content_disposition(file), "Content-Type": FORMATS[wanted.format].media_type}
     model = loaded.decomposition.layers if wanted.component == LAYERS else loaded.part(wanted.component)
-    key, place = ("export", row.key, row.name, *wanted.model_dump().values()), FORMATS[wanted.format].time
+    duration = FORMATS[wanted.format].time
     if wanted.example and wanted.format != "glsl":  # Other examples only name the exported file, so no export is made.
         return _example(Path(file), wanted, b"")
-    if place != "short":
+    if duration != "short":
         arguments = model, wanted.format, name
-        made = await context.in_process(request, key, export_step, *arguments, max_bytes=FILE_SIZE, place=place)
+        made = await context.in_process(request, export_step, *arguments, max_bytes=FILE_SIZE, duration=duration)
         return OpenFileResponse(made, headers)
     report = loaded.report if wanted.component is None else None
     export = partial(export_model, model, wanted.format, report, name=wanted.name, sampling=wanted.sampling)
-    content = await context.computations.run(request, key, export)
+    content = await context.computations.run(request, export)
     return _example(Path(file), wanted, content) if wanted.example else Response(content, 200, headers)
 
 

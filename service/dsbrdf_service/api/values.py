@@ -162,14 +162,14 @@ async def _values(request: Request, context: Context, fit: FitKey, label: str | 
         values = await context.models.evaluate(fit, label, *points)
         return Response(to_json({"values": values.tolist()}), media_type=JSON)
     model = (await context.models.get(fit)).part(label)
-    content = await context.computations.run(request, object(), lambda: _encoded(_in_blocks(model, points), media_type))
+    content = await context.computations.run(request, lambda: _encoded(_in_blocks(model, points), media_type))
     return await long_reply(context.store.writing, request.scope[CALLER], content, {"Content-Type": media_type})
 
 
 async def _measured_values(request: Request, context: Context, stored: StoredMeasurement) -> Response:
     """Return a measurement's values, interpolated in a separate process."""
     points, media_type = await _points(request, context)
-    values = await context.in_process(request, object(), measured_step, stored, *points)
+    values = await context.in_process(request, measured_step, stored, *points)
     content = await run_in_threadpool(_encoded, values, media_type)
     return await long_reply(context.store.writing, request.scope[CALLER], content, {"Content-Type": media_type})
 
@@ -185,10 +185,10 @@ async def _points(request: Request, context: Context) -> tuple[Points, str]:
     media_type = media_type_of(request, JSON, NPY)
     async with context.bodies.received(request, _MAX_BODY_BYTES) as body:
         if len(body) > _MAX_INLINE_JSON_BYTES and media_type == JSON:
-            points = await context.computations.run_in_process(request, object(), batch_step, body)
+            points = await context.computations.run_in_process(request, batch_step, body)
         else:
             read = from_npy if media_type == NPY else from_json
-            points = await context.computations.run(request, object(), partial(read, body))
+            points = await context.computations.run(request, partial(read, body))
     if points.theta_half.size > _MAX_POINTS:
         detail = (
             f"{points.theta_half.size} points are more than the {_MAX_POINTS} of one request; send several requests."

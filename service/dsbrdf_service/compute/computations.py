@@ -1,18 +1,17 @@
 """Run computations for requests, and cache fitted models with their components.
 
-Equal computations run once, callers take turns, and unneeded computations are cancelled. Every route that computes more
-than a few values uses `Computations`. A computation that takes more than some 50 ms runs in a separate process.
+Callers take turns, and a computation ends when its client has left. Every route that computes more than a few values
+uses `Computations`. A computation that takes more than some 50 ms runs in a separate process.
 """
 
 import asyncio
 import errno
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Hashable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, TypeVar, get_args
-from weakref import WeakValueDictionary
 
 import numpy as np
 from anyio import CancelScope
@@ -36,7 +35,7 @@ from . import steps
 
 T = TypeVar("T")
 
-Place = Literal["short", "medium", "long"]
+Duration = Literal["short", "medium", "long"]
 """Class of a computation by its duration: at most some 50 ms, about a second, or longer."""
 _TOO_COSTLY = {
     "MemoryLimit": "The computation takes more than {0.memory_mb} MB, its limit; ask for fewer values at once.",
@@ -44,56 +43,42 @@ _TOO_COSTLY = {
 }
 
 
-@dataclass
-class _Computation:
-    """Hold a computation that runs or waits for its turn, and the number of requests that wait for its result."""
-
-    task: "asyncio.Task[Any]"
-    scope: CancelScope
-    n_waiting: int = 0
-
-
 class Computations:
-    """Run at most one computation of each `Place` at a time; callers take turns.
+    """Run at most one computation of each `Duration` at a time; callers take turns.
 
-    A computation is cancelled when the last client that waits for it has closed its connection. The process of a
-    cancelled computation is killed, but a call in a thread keeps its turn until the call returns. Every process has the
-    `limits`, except that their niceness applies only to long computations.
+    A computation is cancelled when its client has closed the connection. The process of a cancelled computation is
+    killed, but a call in a thread keeps its turn until the call returns. Every process has the `limits`, except that
+    their niceness applies only to long computations.
     """
 
     def __init__(self, limits: FitLimits) -> None:
         preload(steps.__name__)
-        self._turns = {place: FairTurns() for place in get_args(Place)}
+        self._turns = {duration: FairTurns() for duration in get_args(Duration)}
         self._limits = limits
         at_once = replace(limits, niceness=0)
         self._processes = {"medium": Processes(1, at_once), "long": Processes(1, limits)}
-        self._in_progress: dict[Hashable, _Computation] = {}
-        # Files that are still being sent, by the key of their computation, so that equal requests share a file.
-        self._files: WeakValueDictionary[Hashable, OpenFile] = WeakValueDictionary()
+        self._unfinished: dict[asyncio.Task[Any], CancelScope] = {}
 
-    async def run(self, request: Request, key: Hashable, compute: Callable[[], T]) -> T:
-        """Call `compute` in a thread and return its result.
-
-        Simultaneous requests with an equal `key`, which contains the owner, share one call. The body of the `request`
-        must have been read.
+    async def run(self, request: Request, compute: Callable[[], T]) -> T:
+        """Call `compute` in a thread and return its result; the body of the `request` must have been read.
 
         Raises ClientDisconnect if the client has closed the connection.
         """
-        result: T = await self._wait(request, key, partial(run_in_threadpool, compute), "short")
+        result: T = await self._wait(request, partial(run_in_threadpool, compute), "short")
         return result
 
     async def run_in_process(
-        self, request: Request, key: Hashable, step: Callable[..., Any], *arguments: Any, place: Place = "medium"
+        self, request: Request, step: Callable[..., Any], *arguments: Any, duration: Duration = "medium"
     ) -> Any:
         """Call ``step(*arguments, on_progress)`` in a separate process and return its result.
 
-        `step` must be importable without the service, and `arguments` must be picklable; `key` is as for `run`. Raises
-        the errors of `run`, InvalidArgumentError if the step refuses its arguments, and ProblemError if the step fails.
+        `step` must be importable without the service, and `arguments` must be picklable. Raises the errors of `run`,
+        InvalidArgumentError if the step refuses its arguments, and ProblemError if the step fails.
         """
-        return await self._wait(request, key, partial(self._called, place, step, *arguments), place)
+        return await self._wait(request, partial(self._called, duration, step, *arguments), duration)
 
-    async def _called(self, place: Place, step: Callable[..., Any], *arguments: Any) -> Any:
-        found = await result_of(self._processes[place].call(step, *arguments))
+    async def _called(self, duration: Duration, step: Callable[..., Any], *arguments: Any) -> Any:
+        found = await result_of(self._processes[duration].call(step, *arguments))
         if not isinstance(found, Fault):
             return found
         if found.origin == "input":
@@ -109,16 +94,15 @@ class Computations:
     async def make_file(
         self,
         request: Request,
-        key: Hashable,
         step: Callable[..., Any],
         *arguments: Any,
         writing: Writing,
         max_bytes: int,
-        place: Place = "medium",
+        duration: Duration = "medium",
     ) -> OpenFile:
         """Call ``step(*arguments, path, on_progress)`` as `run_in_process` does, and return the file that it writes.
 
-        The file is deleted when the last answer has sent it; until then, all requests with its `key` get this file.
+        The file is deleted when the answer has sent it.
 
         Raises the errors of `run_in_process`, OSError if the file cannot be written, and ProblemError if the caller has
         too many files in progress.
@@ -126,53 +110,44 @@ class Computations:
 
         async def work() -> OpenFile:
             async with writing.answer(request.scope[CALLER], max_bytes) as (file, path):
-                await self._called(place, step, *arguments, path)
-            self._files[key] = file
+                await self._called(duration, step, *arguments, path)
             return file
 
-        made: OpenFile = self._files.get(key) or await self._wait(request, key, work, place)
+        made: OpenFile = await self._wait(request, work, duration)
         return made
 
     async def close(self) -> None:
         """Cancel all computations, and wait for their processes to end."""
-        unfinished = list(self._in_progress.values())
-        for computation in unfinished:
-            computation.scope.cancel()
-        await asyncio.gather(*(computation.task for computation in unfinished), return_exceptions=True)
+        for scope in self._unfinished.values():
+            scope.cancel()
+        await asyncio.gather(*self._unfinished, return_exceptions=True)
         for processes in self._processes.values():
             await asyncio.to_thread(processes.close)
 
-    async def _wait(self, request: Request, key: Hashable, work: Callable[[], Awaitable[Any]], place: Place) -> Any:
-        """Return the result of `work`, or of the running computation with an equal key."""
+    async def _wait(self, request: Request, work: Callable[[], Awaitable[Any]], duration: Duration) -> Any:
+        """Return the result of `work`, which is cancelled when the client closes the connection."""
+        scope = CancelScope()
 
-        async def compute(scope: CancelScope) -> Any:
+        async def compute() -> Any:
             with scope:
-                async with self._turns[place].turn(request.scope[CALLER_NAME]):
+                async with self._turns[duration].turn(request.scope[CALLER_NAME]):
                     return await work()
 
-        computation = self._in_progress.get(key)
-        if computation is None:
-            scope = CancelScope()
-            computation = self._in_progress[key] = _Computation(asyncio.create_task(compute(scope)), scope)
-            computation.task.add_done_callback(lambda task: self._forget(key, task))
-        computation.n_waiting += 1
-        gone = asyncio.create_task(departure(request))
+        task, gone = asyncio.create_task(compute()), asyncio.create_task(departure(request))
+        self._unfinished[task] = scope
+        task.add_done_callback(self._forget)
         try:
-            await asyncio.wait((computation.task, gone), return_when=asyncio.FIRST_COMPLETED)
-            if not computation.task.done():
+            await asyncio.wait((task, gone), return_when=asyncio.FIRST_COMPLETED)
+            if not task.done():
                 raise ClientDisconnect
-            return computation.task.result()
+            return task.result()
         finally:
             gone.cancel()
-            computation.n_waiting -= 1
-            if not computation.n_waiting and not computation.task.done():
-                self._forget(key, computation.task)  # A request that comes now starts a new computation.
-                computation.scope.cancel()
+            scope.cancel()
 
-    def _forget(self, key: Hashable, task: "asyncio.Task[Any]") -> None:
-        if key in self._in_progress and self._in_progress[key].task is task:
-            del self._in_progress[key]
-        if task.done() and not task.cancelled():
+    def _forget(self, task: "asyncio.Task[Any]") -> None:
+        del self._unfinished[task]
+        if not task.cancelled():
             task.exception()  # Unless the exception is read here, asyncio logs that nobody read it.
 
 

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import tempfile
-import threading
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future
 from contextlib import closing
@@ -14,18 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.types import Message
 
 from dsbrdf.components import decomposition
-from dsbrdf.engines import Fault, FitLimits, Processes
+from dsbrdf.engines import Fault, Processes
 from dsbrdf.engines.engine import MEMORY_LIMIT
 from dsbrdf_service.access import CALLER_NAME
 from dsbrdf_service.api import measurements, pictures, results, values
 from dsbrdf_service.compute import steps
-from dsbrdf_service.compute.computations import Computations
-from dsbrdf_service.http.messages import PIECE_BYTES, OpenFileResponse
-from dsbrdf_service.storage.files import OpenFile
+from dsbrdf_service.http.messages import PIECE_BYTES
 from dsbrdf_service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
@@ -73,14 +70,6 @@ def block(monkeypatch: pytest.MonkeyPatch) -> Block:
     return replace
 
 
-async def until_waiting(running: Application, n_requests: int) -> None:
-    """Return when so many requests wait for a computation."""
-    computations = running.app.state.context.computations
-    async with asyncio.timeout(60.0):
-        while sum(one.n_waiting for one in computations._in_progress.values()) < n_requests:
-            await asyncio.sleep(0.005)
-
-
 @pytest.mark.parametrize(
     ("place", "name", "targets"),
     [
@@ -106,17 +95,6 @@ async def test_components_come_with_the_fit(running: Application, key: str, monk
     asked = [running.ask(target, key) for target in OF_COMPONENTS]
     batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
     assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
-
-
-async def test_one_picture_is_drawn_once_for_all_who_wait_for_it(running: Application, key: str, block: Block) -> None:
-    blocked, alice, bob = block(pictures, "sphere_step"), key, running.new_key()
-    first, second, others = (running.ask(SPHERE, who) for who in (alice, alice, bob))
-    await until_waiting(running, 3)
-    await first.leave()
-    blocked.may_return.set()
-    await asyncio.gather(second.end(), others.end())
-    assert second.body == others.body != b""
-    assert len(blocked.calls) == 2  # one for the fit of each key
 
 
 async def test_a_long_computation_holds_up_no_other(running: Application, key: str, block: Block) -> None:
@@ -176,7 +154,9 @@ async def test_keys_take_turns_with_long_batches(running: Application, key: str,
     of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
     await blocked.until_called()
     of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
-    await until_waiting(running, 7)
+    async with asyncio.timeout(60.0):
+        while len(running.app.state.context.computations._unfinished) < 7:
+            await asyncio.sleep(0.005)
     blocked.may_return.set()
     await asyncio.gather(*(one.end() for one in (*of_alice, of_bob)))
     assert [one.status for one in of_alice] == [200] * 6
@@ -250,49 +230,6 @@ async def test_only_what_may_succeed_is_to_be_asked_for_again(
         answer = await running.ask(address, key).end()
         assert answer.status == status
         assert ("retry-after" in answer.headers) == (b"try again" in answer.body) == asks_again
-
-
-async def test_an_export_is_made_once_for_all_to_whom_it_is_being_sent(
-    running: Application, key: str, monkeypatch: pytest.MonkeyPatch, block: Block
-) -> None:
-    made, kept = block(steps, "export_model"), []
-    made.may_return.set()
-
-    def keep(file: OpenFile, headers: dict[str, str]) -> OpenFileResponse:
-        kept.append(file)
-        return OpenFileResponse(file, headers)
-
-    monkeypatch.setattr(results, "OpenFileResponse", keep)
-    bodies = {(await running.ask(EXPORT, key).end()).body for _ in range(3)}
-    assert (len(made.calls), len(bodies)) == (1, 1)
-    kept.clear()
-    await running.ask(EXPORT, key).end()
-    assert len(made.calls) == 2
-
-
-async def test_end_of_a_computation_that_was_given_up_leaves_the_next_one_shared() -> None:
-    computed: list[str] = []
-    busy, first, computations = threading.Event(), Client(), Computations(FitLimits(10.0, 1024))
-
-    async def ask(client: Client, name: str, steps: int = 0) -> None:
-        for _ in range(steps):
-            await asyncio.sleep(0)
-        compute = busy.wait if name == "busy" else lambda: computed.append(name)
-        await computations.run(client.request, name, compute)
-
-    before, given_up = asyncio.create_task(ask(Client(), "busy")), asyncio.create_task(ask(first, "values"))
-    await asyncio.sleep(0)
-    first.leaves.set()
-    with pytest.raises(ClientDisconnect):
-        await given_up
-    # The third comes when the task of the first has ended, the second at once: before its next step.
-    third = asyncio.create_task(ask(Client(), "values", steps=10))
-    asyncio.get_running_loop().call_later(0.1, busy.set)
-    async with asyncio.timeout(60.0):
-        await ask(Client(), "values")
-        await asyncio.gather(before, third)
-    await computations.close()
-    assert computed == ["values"]
 
 
 def test_process_of_an_export_ends_when_its_client_leaves(own_server: Callable[..., Server], data: bytes) -> None:
