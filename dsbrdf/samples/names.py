@@ -146,32 +146,33 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
         if f"{word}_x" in names
         for axis in "xyz"
     }
-    found = [
-        special.get(name) or vectors.get(name) or _meaning(name) or _angle_by_unit(name, unit)
+    known = {
+        name: special.get(name) or vectors.get(name) or _meaning(name) or _angle_by_unit(name, unit)
         for name, unit in zip(names, units, strict=True)
-    ]
+    }
+
+    def having(meaning: str) -> list[str]:
+        return [name for name in names if known[name] == meaning]
+
     # A scattering angle beside another theta_out is the angle between light and viewer, and is ignored.
-    ignored = {"scattering_angle"} if found.count("theta_out") > 1 else set()
-    relative = {name for name in names if name == "raa" or _RELATIVE & {*name.split("_")}}
-    if found.count("phi_out") > 1 and relative:
+    ignored = {"scattering_angle"} if len(having("theta_out")) > 1 else set()
+    relative, viewers = {name for name in names if name == "raa" or _RELATIVE & {*name.split("_")}}, having("phi_out")
+    if len(viewers) > 1 and relative:
         # If there is no azimuth of the light, a relative azimuth is used instead of the azimuth of the viewer.
-        viewers = {name for name, known in zip(names, found, strict=True) if known == "phi_out"}
-        ignored |= relative if "phi_in" in found else viewers - relative
+        ignored |= relative if having("phi_in") else {*viewers} - relative
     for angle in ("theta", "phi"):
         # An angle without a side, beside one of the viewer, is the light's if the light has no other.
-        if found.count(f"{angle}_out") > 1 and f"{angle}_in" not in found and not relative:
-            found = [
-                f"{angle}_in" if _ANGLES.get(name) == angle else known for name, known in zip(names, found, strict=True)
-            ]
-    values = {name for name, known in zip(names, found, strict=True) if known == "value"}
-    if values & _EXACT.keys():
-        ignored |= values - _EXACT.keys()
-    if {*"xyz"} <= {*names} and not {"value", *CHANNELS} & {*found}:
-        found = [f"cie_{name}" if name in {*"xyz"} else known for name, known in zip(names, found, strict=True)]
-    if first := [name for name in names if _FIRST_OF_MATRIX.fullmatch(name)]:
-        found = ["value" if name in first else known for name, known in zip(names, found, strict=True)]
-        ignored |= {name.replace("00", "11") for name in first}
-    return [None if name in ignored else known for name, known in zip(names, found, strict=True)]
+        if len(having(f"{angle}_out")) > 1 and not having(f"{angle}_in") and not relative:
+            known |= {name: f"{angle}_in" for name in names if _ANGLES.get(name) == angle}
+    if _EXACT.keys() & {*having("value")}:
+        ignored |= {*having("value")} - _EXACT.keys()
+    has_values = {"value", *CHANNELS} & {*known.values()} or any(map(wavelength_of, cells))
+    if known.keys() >= {*"xyz"} and not has_values and {*units} <= {"", "deg", "rad", *VALUE_UNITS}:
+        known |= {axis: f"cie_{axis}" for axis in "xyz"}
+    for first in filter(_FIRST_OF_MATRIX.fullmatch, names):
+        known[first] = "value"
+        ignored.add(first.replace("00", "11"))
+    return [None if name in ignored else known[name] for name in names]
 
 
 def meaning_of(cell: str) -> str | None:

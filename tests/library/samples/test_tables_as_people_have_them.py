@@ -205,6 +205,16 @@ def test_colours_in_cie_xyz_are_read() -> None:
         np.testing.assert_allclose(named.values, TRUE[:, None] * expected, atol=2e-4 * TRUE.max())
 
 
+def test_places_on_a_sample_are_no_colour() -> None:
+    place = np.full((len(GRID), 3), 7.0)
+    for names in (
+        (*DIRECTION, *"xyz", "500 nm", "600 nm"),
+        (*DIRECTION, "x [mm]", "y [mm]", "z [mm]", "brdf", "other"),
+    ):
+        samples = parse_samples(table(names, np.column_stack([GRID, place, TRUE, TRUE])))
+        np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
+
+
 def test_a_bare_angle_beside_that_of_the_viewer_is_the_lights() -> None:
     for names in ("thetai,phi,thetar,phir,brdf", "theta,phi,theta_v,phi_v,brdf"):
         samples = parse_samples(table(names, np.column_stack([GRID, TRUE])))
