@@ -122,3 +122,14 @@ def test_search_says_what_it_tried() -> None:
     assert [(step.n_lobes, step.kept) for step in steps] == [(MAX_SEARCHED_LOBES, True), (1, False), (2, True)]
     assert steps[2].error < 0.1 * steps[1].error < steps[1].error < 1.0
     assert steps[2].error == pytest.approx(share_left(mixture, data_of(TWO, HELD_OUT_ROWS, noise=0.02)), rel=1e-9)
+
+
+def test_lobes_that_miss_the_shape_of_a_material_are_all_kept() -> None:
+    """A tiny change of the data would decide on a removal, if the lobes of a material with ripples could go."""
+    ripple = 1.0 + 0.3 * np.sin(25.0 * THETA_HALF[COLUMNS])[:, None]
+    parts = (data_of(TWO, rows) for rows in (ROWS, HELD_OUT_ROWS))
+    data = SearchData(*(replace(part, mean=part.mean * ripple) for part in parts))
+    empty = Structure((), (KNOTS, KNOTS[[0, 3]], KNOTS[:1]), TWO.lobe)
+    mixture, steps = search(data, empty, Wanted("auto", "auto"), lambda _: data, lambda: None)
+    assert [(step.n_lobes, step.kept) for step in steps] == [(MAX_SEARCHED_LOBES, True)]
+    assert steps[0].error == pytest.approx(share_left(mixture, data.held_out), rel=1e-6)
