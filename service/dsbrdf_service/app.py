@@ -35,6 +35,7 @@ from .settings import Settings
 from .storage.store import Store
 
 _REFERENCED: tuple[type[BaseModel], ...] = (FitRequest, NewName, *FORMS, MeasurementDetails)
+_MAX_CACHED_MODELS = 256  # They take 30 MB.
 _MAX_WORKER_THREADS = 8  # A thread keeps its own heap after its first request, so more threads take more memory.
 # These limits suit the longest computation of a request, 15 s of processor time at a lower priority than fits.
 _COMPUTATION_TIMEOUT_S = 120.0
@@ -64,7 +65,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     store: Store = app.state.store or Store(settings.data_dir)
     try:
         engine = make_engine(settings)
-        models = ModelCache(store, settings.model_cache)
+        models = ModelCache(store, _MAX_CACHED_MODELS)
         keys.open(store.database)
         readiness = Readiness(store, engine, settings)
         limits = FitLimits(

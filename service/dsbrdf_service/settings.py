@@ -62,8 +62,6 @@ class Settings(BaseSettings):
     """Time that a POST waits for its fit by default [s]."""
     max_wait: Annotated[float, Field(ge=0)] = 300.0
     """Maximum time that any request may wait [s]."""
-    model_cache: Annotated[int, Field(ge=1, lt=_MAX_LIMIT)] = 256
-    """Number of models in the cache for evaluation."""
     min_free_mb: Annotated[int, Field(ge=0, lt=_MAX_LIMIT)] = 256
     """Free disk space below which the service is not ready [MB]."""
 

@@ -22,6 +22,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from dsbrdf.engines import Fault, FitLimits, Processes
 from dsbrdf_service.log import LineFormatter, LogWriter, bind
 from dsbrdf_service.storage.database import FILE_NAME
+from dsbrdf_service.storage.schema import checksum
 from tests.support.processes import free_port, wait_until
 from tests.support.server import ENDLESS, QUICK, Server, assert_problem
 
@@ -134,13 +135,13 @@ def test_internal_error_is_logged_once(own_server: Callable[..., Server], data: 
     server = own_server()
     fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
     with closing(sqlite3.connect(server.data_dir / FILE_NAME)) as database, database:
-        database.execute("UPDATE fits SET created = 1e300")
-    answer = server.http.get(f"/v1/fits/{fit}", headers={"X-Request-ID": "broken"})
+        database.execute("UPDATE fits SET result = '5', metrics = NULL, checksum = ?", (checksum(None, b"5"),))
+    answer = server.http.get(f"/v1/fits/{fit}/components", headers={"X-Request-ID": "broken"})
     assert_problem(answer, 500, "internal")
     assert answer.headers["x-request-id"] == "broken"
     with_reason, request = lines_of(server, "broken")
     assert (with_reason["level"], request["level"]) == ("error", "error")
-    assert "OverflowError" in with_reason["exception"]
+    assert "TypeError" in with_reason["exception"]
     assert sum("Traceback" in line for line in server.log.read_text().splitlines()) == 1
 
 
