@@ -299,7 +299,7 @@ export async function open() {
     await (await import(`./${module}.js`))[view](main, id);
   } catch (error) {
     const { title, message } = error instanceof Problem ? error : { title: "Something is wrong with this page", message: String(error) };
-    main.replaceChildren(template("problem", { title, detail: message }));
+    main.replaceChildren(template("problem", { title, detail: message.replace(/; GET [^;]*\.$/, ".") })); // The remedy is for programs.
     act(main, "again", () => location.reload());
   } finally {
     main.removeAttribute("aria-busy");
