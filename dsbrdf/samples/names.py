@@ -56,17 +56,7 @@ _OTHERS = {
     "theta_from_mirror": ("angle_from_specular", "degrees_from_specular"),
     "value": (*_VALUES, *_FACTORS, *_RADIANCE_FACTORS),
     "weight": ("weight",),
-    "wavelength": (
-        "wavelength",
-        "wavelength_i",
-        "lambda",
-        "wl",
-        "wavenumber",
-        "wave_number",
-        "frequency",
-        "energy",
-        "photon_energy",
-    ),
+    "wavelength": ("wavelength", "wavelength_i", "lambda", "wl", "wavenumber", "wave_number"),
 }
 TRISTIMULUS = ("cie_x", "cie_y", "cie_z")
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDE_WORDS for axis in "xyz")
@@ -147,7 +137,7 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
         for axis in "xyz"
     }
     known = {
-        name: special.get(name) or vectors.get(name) or _meaning(name) or _angle_by_unit(name, unit)
+        name: special.get(name) or vectors.get(name) or _meaning(name) or _meaning_by_unit(name, unit)
         for name, unit in zip(names, units, strict=True)
     }
 
@@ -178,11 +168,13 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
 def meaning_of(cell: str) -> str | None:
     """Return the meaning of a column with this name, or None if the name is unknown."""
     name, unit = name_and_unit(cell)
-    return _meaning(name) or _angle_by_unit(name, unit)
+    return _meaning(name) or _meaning_by_unit(name, unit)
 
 
-def _angle_by_unit(name: str, unit: str) -> str | None:
-    """Return the meaning of a name such as "incident [deg]", whose unit says that it is an angle."""
+def _meaning_by_unit(name: str, unit: str) -> str | None:
+    """Return the meaning of a name such as "incident [deg]" or "energy [eV]", whose unit says what it is."""
+    if unit in RECIPROCAL_UNITS and name in {"frequency", "energy", "photon_energy"}:
+        return "wavelength"
     return _meaning(f"{name}_angle") if unit in ANGLE_UNITS else None
 
 

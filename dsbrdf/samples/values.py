@@ -9,7 +9,6 @@ light of equal energy at all wavelengths. White is adapted, by Bradford's matrix
 spectrum is linear between its wavelengths, and constant beyond the first and last.
 """
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -178,7 +177,7 @@ def in_nanometres(column: Column) -> Array:
     largest, unit = largest_of(column.numbers), column.unit
     if unit in NO_UNIT and "number" in column.written.lower():
         unit = "1/cm"
-    elif unit in NO_UNIT and not re.search("(?i)frequency|energy", column.written):
+    elif unit in NO_UNIT:
         unit = "m" if largest < _MAX_WAVELENGTH_M else "um" if largest < _MAX_WAVELENGTH_UM else "nm"
     if unit in RECIPROCAL_UNITS:
         return np.asarray(RECIPROCAL_UNITS[unit] / np.where(column.numbers > 0.0, column.numbers, np.nan))

@@ -209,7 +209,7 @@ def test_places_on_a_sample_are_no_colour() -> None:
     place = np.full((len(GRID), 3), 7.0)
     for names in (
         (*DIRECTION, *"xyz", "500 nm", "600 nm"),
-        (*DIRECTION, "x [mm]", "y [mm]", "z [mm]", "brdf", "other"),
+        (*DIRECTION, "x [mm]", "energy [mJ]", "z [mm]", "brdf", "frequency"),
     ):
         samples = parse_samples(table(names, np.column_stack([GRID, place, TRUE, TRUE])))
         np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
