@@ -77,7 +77,7 @@ def end_with_parent() -> None:
 
     Raises MemoryError if there is not enough memory for the thread.
     """
-    from multiprocessing import connection, parent_process
+    from multiprocessing import connection, parent_process  # Only processes that are started need them.
 
     parent = parent_process()
     if parent is None:
@@ -105,7 +105,7 @@ def reserve_blas_memory() -> None:
 
     Raises MemoryError if an existing limit leaves too little memory.
     """
-    import numpy as np
+    import numpy as np  # The command line asks for one thread before NumPy is imported.
     from scipy.linalg import lapack
 
     try:

@@ -229,7 +229,7 @@ def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work
 
 def _plot(items: list[FileFit], table: TableOptions) -> Iterator[str]:
     """Write a figure of each fit beside the file of its model, and yield a message on each figure."""
-    from dsbrdf.output.figure_panels import encode_figure
+    from dsbrdf.output.figure_panels import encode_figure  # It needs Matplotlib, an extra.
     from dsbrdf.output.plots import plot
 
     for item in items:

@@ -54,7 +54,7 @@ def _run(words: list[str]) -> int:
     if words[0] == "fit" and "numpy" not in sys.modules:
         os.environ.update(ONE_BLAS_THREAD)
     require("cli", "cyclopts", "rich", purpose="the command line")
-    from dsbrdf.cli.commands import run_command
+    from dsbrdf.cli.commands import run_command  # After the environment and the extra are as it needs them.
 
     return run_command(words)
 

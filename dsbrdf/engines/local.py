@@ -87,7 +87,7 @@ def start_fork_server() -> None:
     """
     if _context().get_start_method() != "forkserver":
         return
-    from multiprocessing import forkserver
+    from multiprocessing import forkserver  # Windows does not have it.
 
     with _START_LOCK:
         # The resource tracker starts first, because its start unblocks SIGINT, which must be blocked below.

@@ -50,6 +50,19 @@ def test_library_modules_import_only_allowed_packages() -> None:
         assert imported_roots(list(tree.body)) <= allowed, path
 
 
+def test_an_import_inside_a_function_is_of_an_extra_or_has_its_reason_beside_it() -> None:
+    extras = {"distributed", "matplotlib", "mitsuba", "OpenEXR", "httpx", "python_calamine"}
+    wrong = []
+    for path in (path for path in SOURCES if "benchmarks" not in path.parts):
+        lines = path.read_text().splitlines()
+        functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)]
+        for node in (node for function in functions for node in ast.walk(function)):
+            if isinstance(node, ast.Import | ast.ImportFrom) and not imported_roots([node]) & extras:
+                near = lines[node.lineno - 3 : node.end_lineno]
+                wrong += [] if any("#" in line for line in near) else [f"{name_of(path)}:{node.lineno}"]
+    assert wrong == []
+
+
 def test_what_the_package_offers_to_its_command_line_exists() -> None:
     offered = [*entry_points(group="dsbrdf.commands"), *entry_points(group="dsbrdf.engines")]
     assert sorted(point.name for point in offered) == sorted([*SERVICE_COMMANDS, "url"])
