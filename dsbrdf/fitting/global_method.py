@@ -159,11 +159,11 @@ def _found(structure: Structure, solution: Solution, has_data: Mask) -> tuple[Fo
 
 def fit_weights(data: Profiles, options: FitOptions) -> Array:
     """Return the weights of all bins of the profiles in a fit; masked bins have the weight 0."""
-    _, trust = horizon_disagreement(data.folded, options.horizon_cutoff)
+    kept = (THETA_HALF <= np.pi / 2 - options.resolved_mask * THETA_DIFF[:, None] + 1e-9)[..., None]
+    unmasked = replace(data.folded, weight=np.where(kept, data.folded.weight, 0.0))
+    _, trust = horizon_disagreement(unmasked, options.horizon_cutoff)
     trusted = replace(data.folded, weight=data.folded.weight * trust)
-    weight = bin_weights(trusted, options.resolved_weighting, options.horizon_cutoff)
-    kept = THETA_HALF <= np.pi / 2 - options.resolved_mask * THETA_DIFF[:, None] + 1e-9
-    weight = np.where(kept[..., None], weight, 0.0)
+    weight = np.where(kept, bin_weights(trusted, options.resolved_weighting, options.horizon_cutoff), 0.0)
     if np.count_nonzero(weight) < MIN_SAMPLES or not np.sum(weight * data.folded.mean) > 0.0:
         raise FitError("the mask and the horizon cutoff leave no valid samples: raise the cutoff or lower the mask")
     return weight
