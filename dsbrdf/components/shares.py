@@ -32,8 +32,6 @@ HALO = float(np.tan(np.radians(30.0))) ** 2
 """At smaller tan(theta_half)**2, values above the sum of all layers are mostly assigned to the highlight."""
 EXCESS_HALO = HALO / 4.0
 """At smaller tan(theta_half)**2, values below the sum of all layers are mostly subtracted from the highlight."""
-SPIKE_HALO = HALO / 25.0
-"""At smaller tan(theta_half)**2, differences between a highlight and its layers are mostly assigned to the spike."""
 _DIFFERENCE_POWER = 3
 """Power p in the part f**p of the missed light that layers with the fraction f of all light of the layers receive."""
 _MIN_LAYER_LIGHT = 1e-300  # This value is added to the sum of the layers, to avoid a division by zero [1/sr].
@@ -85,8 +83,8 @@ class WeightedLayers:
         rest = values - ground
         if not (place == 0).any():
             return np.stack([np.zeros_like(rest), rest, ground])
-        missed = (_ratio(rest, specular) - 1.0) * _outside(points, SPIKE_HALO)
-        lobe = np.minimum(rest, wide * (1.0 + missed * (wide / specular) ** _DIFFERENCE_POWER))
+        # The square keeps the lobe smooth below a bright spike, and the spike free of the colour of a bright lobe.
+        lobe = np.minimum(rest, wide + (rest - specular) * (wide / specular) ** 2)
         return np.stack([rest - lobe, lobe, ground])
 
     def doubtful(self, values: Array, points: Points, labels: Sequence[str]) -> Array:

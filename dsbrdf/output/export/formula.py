@@ -18,7 +18,7 @@ import numpy
 from dsbrdf.components.component import Component
 from dsbrdf.components.layers import Layer, LayeredModel
 from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
-from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS, SPIKE_HALO
+from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS
 from dsbrdf.data.geometry import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import FAMILIES, GRAZING_COSINE
@@ -148,9 +148,9 @@ def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: b
     odds, missed = xp.exp(xp.clip(specular - diffuse, -60.0, 60.0)), whole - xp.exp(specular) - ground
     s, halo = 1.0 / (1.0 + odds), 1.0 / (1.0 + xp.where(missed > 0.0, tan2 / HALO, tan2 / EXCESS_HALO) ** 2)
     rest = odds * s * (whole + missed * (1.0 - halo) * s * (1.0 + s * (1.0 + s))) + missed * halo * s
-    rest, v, core = xp.clip(rest, 0.0, None), xp.exp(wide - specular), 1.0 / (1.0 + (tan2 / SPIKE_HALO) ** 2)
-    narrower = xp.exp(narrow - specular) * (rest * (1.0 + v) * (1.0 + v**2) - xp.exp(wide) * (1.0 + v + v**2))
-    spike = xp.minimum(xp.clip(narrower + core * (rest - xp.exp(wide) - narrower), 0.0, None), rest)
+    rest = xp.clip(rest, 0.0, None)
+    spike = xp.exp(narrow - specular) * (rest * (1.0 + xp.exp(wide - specular)) - xp.exp(wide))
+    spike = xp.minimum(xp.clip(spike, 0.0, None), rest)
     return [spike, rest - spike, xp.minimum(whole, ground + (whole * s - ground) * (1.0 - halo) * s**3)]
 
 
@@ -166,7 +166,7 @@ _TEMPLATES = sections("python_file.txt")
 _LOBE_FUNCTIONS: dict[str, Callable[..., Any]] = {"hemi_epd": _hemi_epd, "student": _student}
 _LAYER_FUNCTIONS: _Functions = (_rise, _facets, _layers)
 _CONSTANTS = (
-    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO", "EXCESS_HALO", "SPIKE_HALO"),
+    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO", "EXCESS_HALO"),
     *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE"),
 )
 

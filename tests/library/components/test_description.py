@@ -11,6 +11,7 @@ import dsbrdf
 from dsbrdf.arrays import Array
 from dsbrdf.components import LABELS, Component, DiffuseLayer, Layer, LayeredModel, SpecularLayer
 from dsbrdf.components.description import Description
+from dsbrdf.components.points import Points
 from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, Misfit, Surface
 from dsbrdf.model import ReflectanceModel
 from tests.support.mixtures import mixture
@@ -97,6 +98,21 @@ def test_layers_of_all_components_are_as_bright_as_the_model() -> None:
     angles = np.radians([0.0, 30.0, 60.0])
     np.testing.assert_allclose(layers.evaluate(0.0, angles), model.evaluate(0.0, angles), rtol=0.05)
     np.testing.assert_allclose(layers.albedo(angles), model.albedo(angles), rtol=0.05)
+
+
+def test_a_coat_stays_white_over_a_lobe_that_no_layer_describes() -> None:
+    """Light that passes a coloured film twice changes its colour with the angle, which no layer's reflectance does."""
+    coat, gold = surface((0.04,) * 3, 0.04), surface((0.95, 0.72, 0.30), 0.15)
+
+    class Coated(Rings):
+        def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
+            angles, points = (theta_half, theta_diff, phi_diff), Points.at(theta_half, theta_diff, phi_diff)
+            path = 1.0 / points.cos_in + 1.0 / points.cos_out
+            film = np.exp(-path[:, np.newaxis] * (0.02, 0.4, 0.5))
+            return np.asarray(coat.values(points).T + film * LayeredModel((gold,)).evaluate_unmasked(*angles))
+
+    spike = dsbrdf.decompose(cast(dsbrdf.DSBRDF, Coated()))["specular_spike"]
+    np.testing.assert_allclose(spike.color, 1.0, atol=0.4)
 
 
 def test_a_lobe_below_a_spike_has_no_dent() -> None:
