@@ -20,6 +20,7 @@ from dsbrdf.data.files import write_atomically
 from dsbrdf.data.merl import encode_merl
 from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.model.dsbrdf import DSBRDF
+from dsbrdf.model.reflectance import RenderableModel
 from dsbrdf.output.documents import component_documents, component_rows, table_csv
 from dsbrdf.output.export.formula import python_file
 from dsbrdf.output.export.glsl import NAME, glsl_function
@@ -54,6 +55,7 @@ class ExportFormat:
     media_type: str  # MIME type for HTTP
     encode: Callable[[Any, Extras], bytes | str]  # function from a model, layers or a component to a file's content
     holds_parameters: bool = False  # whether the format stores parameters, which a single component does not have
+    needs_values_only: bool = False  # whether it also takes models without parameters, such as blends and functions
     time: Literal["short", "medium", "long"] = "short"  # duration of the encoding: about 50 ms, 1 s or several seconds
 
 
@@ -83,6 +85,7 @@ FORMATS = {
         "binary",
         _BINARY_TYPE,
         lambda source, _: encode_merl(source.tabulate()),
+        needs_values_only=True,
         time="medium",
     ),
     "glsl": ExportFormat("a function for shaders", "glsl", _TEXT_TYPE, _glsl),
@@ -113,13 +116,19 @@ FORMATS = {
         holds_parameters=True,
     ),
     "bsdf": ExportFormat(
-        "a table of values for Mitsuba 3", "bsdf", _BINARY_TYPE, lambda source, _: rgl_bsdf(source), time="medium"
+        "a table of values for Mitsuba 3",
+        "bsdf",
+        _BINARY_TYPE,
+        lambda source, _: rgl_bsdf(source),
+        needs_values_only=True,
+        time="medium",
     ),
     "bsdf-spectral": ExportFormat(
         "a table of spectra for pbrt-v4 and spectral variants of Mitsuba 3",
         "bsdf",
         _BINARY_TYPE,
         lambda source, _: rgl_bsdf(source, spectral=True),
+        needs_values_only=True,
         time="medium",
     ),
     "materialx": ExportFormat(
@@ -145,7 +154,7 @@ def part_of(model: DSBRDF, part: str | None) -> DSBRDF | Component | LayeredMode
 
 
 def export_model(
-    source: DSBRDF | LayeredModel | Component,
+    source: RenderableModel | Component,
     file_format: str,
     report: FitReport | None = None,
     *,
@@ -165,6 +174,12 @@ def export_model(
     check_shader_options(file_format, name, sampling=sampling)
     if isinstance(source, Component):
         check_holds_component(file_format)
+    elif not isinstance(source, DSBRDF | LayeredModel) and not FORMATS[file_format].needs_values_only:
+        able = [name for name, kind in FORMATS.items() if kind.needs_values_only]
+        raise InvalidArgumentError(
+            f"the format {file_format} cannot contain a {type(source).__name__}, which has no parameters: "
+            f"use {one_of(able)}"
+        )
     content = FORMATS[file_format].encode(source, Extras(report, name, sampling, title))
     return content.encode() if isinstance(content, str) else content
 
@@ -186,7 +201,7 @@ def check_holds_component(file_format: str) -> None:
 
 
 def export(
-    source: DSBRDF | LayeredModel | Component | FitResult,
+    source: RenderableModel | Component | FitResult,
     path: str | os.PathLike[str],
     file_format: str = "auto",
     *,
@@ -197,7 +212,8 @@ def export(
 
     Parameters
     ----------
-    source : DSBRDF, LayeredModel, Component or FitResult
+    source : DSBRDF, LayeredModel, Component, FitResult or another model
+        A model without parameters, such as a blend, can be written as a table of values only.
     path : path-like
         The file; its suffix is ``.json``, ``.binary`` (MERL), ``.glsl``, ``.py``, ``.brdf``,
         ``.csv``, ``.bsdf`` (Mitsuba 3) or ``.mtlx`` (MaterialX).

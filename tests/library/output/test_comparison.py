@@ -9,6 +9,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.components import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.components.ggx import fit_ggx
 from dsbrdf.data import directions, nodes_above_horizon
+from dsbrdf.output import export_model
 
 # Two GGX highlights over a Lambertian ground: the tail exponent is 2, and the masking 0 is height-correlated.
 SHARP_LAYER = SpecularLayer((0.04, 0.05, 0.06), 0.9, 0.05, 2.0, (0.0, 0.0), 0.0, 0.0)
@@ -75,6 +76,8 @@ def test_a_function_is_a_model_like_any_other_and_reciprocal() -> None:
     np.testing.assert_allclose(model.evaluate_directions(first, second), model.evaluate_directions(second, first))
     assert not model.evaluate_directions(first, second)[1].any()
     assert dsbrdf.render_sphere(model, size=16).shape == (16, 16, 3)
+    with pytest.raises(InvalidArgumentError, match=r"glsl cannot contain a FunctionModel, .*: use merl, bsdf or"):
+        export_model(model, "glsl")
 
 
 @pytest.mark.parametrize("wrong", [lambda i, _: i[:, 0], lambda i, _: np.full((len(i), 3), np.nan)])
