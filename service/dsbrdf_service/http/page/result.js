@@ -35,7 +35,7 @@ export function subjectOf(fit, stored) {
 /** Inserts a sphere into a view; until it is drawn, it shows the picture of a fit or a measurement. @param {HTMLElement} part @param {string} [path] */
 export function place(part, path) {
   find(part, ".place").prepend(template("sphere"));
-  if (path) showPicture(find(part, ".fallback", HTMLImageElement), `${path}/figures/sphere.png?lighting=environment&size=64`).catch(() => undefined);
+  if (path) showPicture(find(part, ".fallback", HTMLImageElement), `${path}/figures/sphere.png?lighting=environment&size=32`).catch(() => undefined);
   return find(part, "figure.sphere");
 }
 
