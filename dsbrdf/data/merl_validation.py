@@ -56,21 +56,17 @@ def check_header(header: bytes | bytearray | memoryview) -> None:
     if sorted(found) == sorted(GRID_SHAPE):
         raise MeasurementFormatError(f"The dimensions in the header are swapped: {found}; {right}.")
     if not all(abs(size) < _MAX_LIKELY_SIZE for size in found):
-        raise MeasurementFormatError(_other_kind(start))
+        text = start.decode("utf-8", "ignore")
+        if len(text) > HEADER_SIZE - 4 and all(letter.isprintable() or letter.isspace() for letter in text):
+            first = text.split("\n")[0]
+            raise MeasurementFormatError(f"The data is a text that begins with {first!r}, and no MERL measurement.")
+        raise MeasurementFormatError(f"The data is no MERL measurement, which begins with the dimensions {GRID_SHAPE}.")
     wrong = [
         f"{axis} is {size} and not {expected}"
         for axis, size, expected in zip(_AXES, found, GRID_SHAPE, strict=True)
         if size != expected
     ]
     raise MeasurementFormatError(f"The dimensions in the header are {found}: {', '.join(wrong)}; {right}.")
-
-
-def _other_kind(start: bytes) -> str:
-    """Return an error message for a file that is a text or of an unknown kind."""
-    text = start.decode("utf-8", "ignore")
-    if len(text) > HEADER_SIZE - 4 and all(letter.isprintable() or letter.isspace() for letter in text):
-        return f"The data is a text that begins with {text.split(chr(10))[0]!r}, and no MERL measurement."
-    return f"The data is no MERL measurement, which begins with the dimensions {GRID_SHAPE}."
 
 
 def check_length(n_bytes: int) -> None:

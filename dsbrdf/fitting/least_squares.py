@@ -92,7 +92,9 @@ class MixtureProblem:
     def evaluate(self, unknowns: Array) -> "Evaluation":
         """Return the cost, and the intermediate arrays from which `linearize` computes the cost's derivatives."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
-        pull, parts = self._pull(unknowns), []
+        smoothed = zip(self._pulls, self.structure.split(unknowns), strict=True)
+        # Half the gradient of the smoothing's part of the cost.
+        pull, parts = np.concatenate([(matrix @ part).ravel() for matrix, part in smoothed]), []
         cost = float(unknowns @ pull)
         for block in self.data.blocks:
             curves, kinds = self._lobes(parameters, block.rows, block.along, block.across)
@@ -179,11 +181,6 @@ class MixtureProblem:
         """
         spread = self._pairs[i, j] @ blocks.reshape(len(blocks), -1)
         return spread.reshape(self.bases[i].shape[1], self.bases[j].shape[1], *blocks.shape[1:])
-
-    def _pull(self, unknowns: Array) -> Array:
-        """Return half the gradient of the smoothing's part of the cost."""
-        parts = zip(self._pulls, self.structure.split(unknowns), strict=True)
-        return np.concatenate([(matrix @ part).ravel() for matrix, part in parts])
 
     def _lobes(
         self, parameters: tuple[Array, Array, Array], rows: slice, along: Array, across: Array

@@ -149,7 +149,7 @@ def test_report_is_complete_and_plain(plastic_fit: FitResult) -> None:
     assert {"profiles", "search", "refine", "metrics", "albedo"} <= set(report.timings)
     assert report.options == FitOptions()
     assert report.versions == versions()
-    assert report.warnings == ()
+    assert report.findings_of_fit == ()
 
 
 def test_lobe_at_a_bound_is_said() -> None:
