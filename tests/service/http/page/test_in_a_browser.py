@@ -38,7 +38,7 @@ def test_key_is_asked_for_kept_in_the_tab_and_forgotten(visit: Visit, site: Site
     assert page.evaluate("localStorage.length") == 0
     assert [url for _, url, _ in visitor.requests if site.key in url] == []
     page.get_by_role("link", name="Fits").click()
-    expect(page.locator(".card").nth(1)).to_be_visible()
+    expect(page.locator("#fits .card").nth(1)).to_be_visible()
     page.get_by_role("button", name="Sign out").click()
     expect(dialog).to_be_visible()
     assert page.evaluate("sessionStorage.length") == 0
@@ -98,7 +98,7 @@ def test_file_is_hashed_then_sent_once_and_may_be_cancelled(visit: Visit, plasti
         expect(page.get_by_role("heading", name="plastic")).to_be_visible()
         expect(page.get_by_text("Result:")).to_contain_text("dB")
         page.get_by_role("link", name="Fits").click()
-    expect(page.locator(".card")).to_have_count(1)
+    expect(page.locator("#fits .card")).to_have_count(1)
     sent = [kind.removeprefix("application/") for method, _, kind in visitor.requests if method == "POST"]
     assert sent == ["json", "octet-stream", "json", "octet-stream", "json"]
 
@@ -124,7 +124,7 @@ def test_fit_without_a_result_says_why_and_is_deleted(visit: Visit, site: Site, 
     page.get_by_role("button", name="Delete").click()
     page.get_by_role("button", name="Close").click()  # The message is read, so the time to undo is over.
     page.wait_for_url(f"{site.address}/")
-    expect(page.locator(".card-name")).to_have_text(["endless"])
+    expect(page.locator("#fits .card-name")).to_have_text(["endless"])
     expect(page.get_by_role("button", name="Delete endless")).to_be_hidden()
     page.locator(".menu summary").click()
     page.get_by_role("button", name="Delete endless").click()
@@ -211,7 +211,7 @@ def test_page_of_a_fit_has_a_verdict_a_name_figures_and_downloads(visit: Visit, 
 
 def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visit, site: Site) -> None:
     page = visit("/").page
-    cards = page.locator(".card:visible")
+    cards = page.locator("#fits .card:visible")
     cards.nth(1).wait_for()
     search = page.get_by_role("searchbox")
     search.fill("GLOS")
@@ -220,7 +220,7 @@ def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visi
     expect(page.get_by_text("No fits found for “nothing like it”.")).to_be_visible()
     search.fill("")
     page.get_by_label("Sort by").select_option("likeness")
-    expect(page.locator(".card-name").first).to_have_text("glossy")
+    expect(page.locator("#fits .card-name").first).to_have_text("glossy")
     expect(page.get_by_role("button", name="Tick two to compare")).to_be_disabled()
     page.get_by_label("compare glossy").check()
     expect(page.get_by_role("button", name="Tick one more to compare")).to_be_disabled()
@@ -287,7 +287,7 @@ def test_list_takes_several_files_says_what_is_wrong_with_one_and_is_sorted(
     expect(page.locator("#said")).to_contain_text("bad.csv: The table lacks")
     expect(page.locator("#said")).to_contain_text("Sent: 2 of 3.")
     page.goto("/")
-    names = page.locator(".card-name")
+    names = page.locator("#fits .card-name")
     expect(names).to_have_text(["b", "a"])
     page.get_by_label("Sort by").select_option("name")
     expect(names).to_have_text(["a", "b"])
@@ -298,10 +298,10 @@ def test_list_takes_several_files_says_what_is_wrong_with_one_and_is_sorted(
 def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic_file: Path) -> None:
     visitor = visit("/", webgl=False, offline=False)
     page = visitor.page
-    expect(page.locator(".card").nth(1)).to_be_visible()
-    cards = page.locator(".card").count()
+    expect(page.locator("#fits .card").nth(1)).to_be_visible()
+    cards = page.locator("#fits .card").count()
     visitor.context.set_offline(True)
-    page.locator(".card", has_text="glossy").locator(".menu summary").click()
+    page.locator("#fits .card", has_text="glossy").locator(".menu summary").click()
     attempts: tuple[Callable[[], object], ...] = (
         page.get_by_role("button", name="Delete glossy").click,
         lambda: page.locator("#file").set_input_files(plastic_file),
@@ -313,7 +313,7 @@ def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic
         expect(page.locator("#said")).to_contain_text("cannot be reached")
         page.get_by_role("button", name="Close").click()
         expect(page.locator("#said")).to_be_hidden()
-    expect(page.locator(".card")).to_have_count(cards)
+    expect(page.locator("#fits .card")).to_have_count(cards)
     visitor.context.set_offline(False)
     page.goto(f"/fits/{site.fits['glossy']}")
     folded = page.get_by_text("Options of the fit")

@@ -50,7 +50,7 @@ def test_newcomer_tries_an_example_and_sees_its_samples(visit: Visit, guarded: G
     expect(page.locator("#profiles .plot .curve")).to_have_count(0)
     expect(page.locator(".samples tr").filter(has_text="Largest")).to_be_visible()
     page.get_by_role("link", name="Fits").click()
-    expect(page.locator(".card")).to_have_count(1)
+    expect(page.locator("#fits .card")).to_have_count(1)
     expect(page.get_by_role("button", name="Try an example")).to_be_hidden()
 
 
