@@ -50,7 +50,7 @@ SPHERE_PIXELS = 64
 COLUMN_GROUPS = 9
 SINGLE: Any = np.float32
 PHI_STEP = 2
-"""Every second phi_diff is enough: the errors of 71 materials differ by at most 1 % from those at every phi_diff."""
+"""Every second phi_diff is enough: total errors of 71 materials differ by less than 1 % from those of all phi_diff."""
 
 
 @dataclass(frozen=True)
