@@ -109,7 +109,12 @@ def test_every_block_is_run() -> None:
     languages = {name: {language for language, _ in blocks_of(text)} for name, text in PAGES.items()}
     assert set().union(*languages.values()) - SPHINX == {"python", "sh", "text", "ini", "yaml"}
     assert {name for name, used in languages.items() if "{code-cell}" in used} == RUN_BY_SPHINX
-    assert {name for name, used in languages.items() if "python" in used} == {"index.md", "python.md", "http.md"}
+    assert {name for name, used in languages.items() if "python" in used} == {
+        "faults.md",
+        "index.md",
+        "python.md",
+        "http.md",
+    }
     shell = [command.split()[0] for text in blocks("sh", http=False) for command in commands(text)]
     assert set(shell) == {"dsbrdf"}
 
@@ -239,7 +244,7 @@ def test_glossary_names_all_metrics_and_parameters() -> None:
 def test_the_table_becomes_a_sphere_with_a_purple_highlight_and_says_what_its_fit_is_worth(tmp_path: Path) -> None:
     model, table = tmp_path / "satin-purple.json", DOCS / "_static" / "satin-purple.csv"
     said = run_main(cli.main, "fit", str(table), "-o", str(tmp_path)).stdout
-    assert re.search(r"error \d+% at the samples, probably below \d+% over all directions", said)
+    assert re.search(r"error [\d.]+% at the samples, probably below [\d.]+% over all directions", said)
     mitsuba = mitsuba_variant("scalar_rgb")
     assert cli.main(["export", str(model), "-o", str(tmp_path / "satin.bsdf"), "--example"]) == 0
     picture = np.array(mitsuba.render(mitsuba.load_file(str(tmp_path / "satin.xml")), spp=4))
