@@ -1,4 +1,4 @@
-"""Hold the result of a fit, the model and its report, and find what a user should know before using it.
+"""Keep the result of a fit, the model and its report, and find what a user should know before using it.
 
 Here is made all that a result says: in Python, on the command line, over HTTP, on the page and in notebooks. A report
 consists of frozen dataclasses, tuples and numbers, so that reports can be compared, hashed and pickled.
@@ -145,7 +145,7 @@ class FitReport:
 
 @dataclass(frozen=True)
 class FitResult:
-    """Hold a model and the report of its fit.
+    """A model and the report of its fit.
 
     A result can be drawn, decomposed, saved and evaluated like its model, as in `dsbrdf.render_sphere(result)`.
 

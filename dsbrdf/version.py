@@ -13,7 +13,7 @@ ALGORITHM_VERSION = "11"
 
 @dataclass(frozen=True)
 class Versions:
-    """Hold all versions that can affect the result of a fit."""
+    """All versions that can affect the result of a fit."""
 
     algorithm: str
     dsbrdf: str

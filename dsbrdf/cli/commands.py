@@ -45,7 +45,7 @@ Whole = Parameter(converter=_whole_number, metavar="N")
 _MAX_HELP_COLUMNS = 100
 _NO_LINES = Box("    \n" * 8)
 
-# For each command, by group, this has the module and function that run the command, and a sentence for the help.
+# The commands by group: the module and function that run each, and its sentence in the help.
 _COMMANDS = {
     "Models": {
         "fit": ("fit_command:fit", "Fit models to measurements."),

@@ -1,4 +1,4 @@
-"""Hold the components of a model, and divide the model's values among them."""
+"""Represent the components of a model, and divide the model's values among them."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class Component(ReflectanceModel):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decomposition:
-    """Hold the components of a model that reflect light; their values sum to the model's values.
+    """The components of a model that reflect light; their values sum to the model's values.
 
     Iteration yields the components from narrow to wide; ``decomposition[label]`` returns one component.
 

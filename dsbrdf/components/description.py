@@ -37,7 +37,7 @@ _MAX_START_HALF_WIDTH = np.radians(35.0)
 
 @dataclass(frozen=True)
 class Description:
-    """Hold the layers fitted to a component, the surfaces among these layers, and the misfit of the layers."""
+    """The layers fitted to a component, the surfaces among these layers, and the misfit of the layers."""
 
     layers: LayeredModel
     surfaces: tuple[Surface, ...]

@@ -58,7 +58,7 @@ _MIN_COSINE = 1e-3  # Pairs of directions with a smaller cosine to the normal ar
 
 @dataclass(frozen=True, eq=False)
 class LayerData:
-    """Hold RGB values at points and the weights of their errors; weights times squared values sum to 1.
+    """RGB values at points and the weights of their errors; weights times squared values sum to 1.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class LayerData:
 
 
 class _Grid(NamedTuple):
-    """Hold a grid of pairs of directions, of which N pairs are above the horizon.
+    """A grid of pairs of directions, of which N pairs are above the horizon.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ _MAX_DAMPING_TRIES = 8
 
 @dataclass(frozen=True, eq=False)
 class FittedStructure:
-    """Hold a structure with the most probable values of its unknowns, and their uncertainty."""
+    """A structure with the most probable values of its unknowns, and their uncertainty."""
 
     structure: LayerStructure
     unknowns: Array
@@ -220,7 +220,9 @@ _QUICK_TRIAL_STRIDE = 2  # Trials of a complete material use every second pair o
 _MAX_FIRST_STEPS = 10
 _MAX_STEPS = 60
 _MAX_REFINING_STEPS = 20
-_MAX_TRIAL_COST_LEAD = 40.0  # After the trials, structures whose cost is higher than the best by more are dropped.
+_MAX_TRIAL_COST_LEAD = (
+    40.0  # After the trials, a structure is dropped if its cost exceeds the lowest cost by more than this.
+)
 _MAX_COST_LEAD = 30.0  # After the first steps, a structure whose cost is higher than the best by more is dropped.
 _MIN_CHANNEL_START = 0.05  # The colour of a layer starts with at least this fraction of its brightest channel.
 

@@ -17,8 +17,8 @@ passes a clear coat both ways; t is 1 for a layer below a coat, and otherwise 0.
 where rho is the colour and p are six exponents. The six terms X are the logarithm of (1 - s(cos_in)) (1 - s(cos_out)),
 the fraction of light that passes glass both ways; Burley's retro-reflection (2012); s; log(2 / (cos_in + cos_out));
 sin(theta_half)**2; and the angular term of Oren and Nayar (1994). **Sheen**, light that fibres reflect at grazing
-angles, is ``f = c u**a sin(theta_half)**b``. A **retro layer** reflects like a GGX surface about the direction back to
-the light.
+angles, is ``f = c u**a sin(theta_half)**b``, with u = 1 - cos(theta_diff) as above. A **retro layer** reflects like a
+GGX surface about the direction back to the light.
 
 In a fit, the unknowns of a layer are the logarithms of the three channels of its colour, then its other parameters.
 Positive parameters are replaced by their logarithms.
@@ -42,7 +42,7 @@ GRAZING_ANGLE = float(np.radians(70.0))
 
 
 class Linearized(NamedTuple):
-    """Hold the values of a layer at N points, and the derivatives of the values in the layer's unknowns."""
+    """The values of a layer at N points, and the derivatives of the values in the layer's unknowns."""
 
     values: Array  # values at the points, (3, N) [1/sr]
     own: Array  # derivative of the values of a channel in the logarithm of its colour, (3, N) [1/sr]

@@ -28,7 +28,7 @@ _N_PANEL_NODES = 3  # With this number of nodes in each panel of a quadrature, i
 
 
 class Points(NamedTuple):
-    """Hold the quantities that layers need at N pairs of directions, as arrays (N,) or stacks of such arrays."""
+    """The quantities that layers need at N pairs of directions, as arrays (N,) or stacks of such arrays."""
 
     squared_tangent: Array  # tan(theta_half)**2
     log_squared_secant: Array
@@ -92,7 +92,7 @@ def fresnel_rise(cosine: Array) -> Array:
 
 
 class LightRule(NamedTuple):
-    """Hold the nodes (n,) and weights of a quadrature of the directional albedo at one angle.
+    """The nodes (n,) and weights of a quadrature of the directional albedo at one angle.
 
     Attributes
     ----------

@@ -145,12 +145,12 @@ RgbRange: TypeAlias = tuple[Range, Range, Range]
 
 @dataclass(frozen=True)
 class ComponentRanges:
-    """Hold the ranges (low, high) of a component's light and colour.
+    """Ranges (low, high) of a component's light and colour.
 
     Attributes
     ----------
     light_share : tuple of float
-        Fraction of all light at normal incidence.
+        Fraction of the light that the material reflects at normal incidence.
     albedo, color : tuple of tuple of float
         Directional albedo at normal incidence, and this albedo divided by its largest channel.
     """
@@ -161,7 +161,7 @@ class ComponentRanges:
 
 
 class SurfaceSpread(NamedTuple):
-    """Hold standard deviations of the logarithms of a component's roughness, and of F0 and F70 in each channel."""
+    """Standard deviations of the logarithms of a component's roughness, and of F0 and F70 in each channel."""
 
     alpha: float
     f0: Array
@@ -169,7 +169,7 @@ class SurfaceSpread(NamedTuple):
 
 
 class DrawnLayers(NamedTuple):
-    """Hold D draws of a model's layers, and the light of each component in `LABELS` at normal incidence.
+    """D draws of a model's layers, and the light of each component in `LABELS` at normal incidence.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ Pair: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class LayerPrior:
-    """Hold the prior on the U unknowns of a layer."""
+    """The prior on the U unknowns of a layer."""
 
     kind: type[Layer]
     is_diffuse: bool

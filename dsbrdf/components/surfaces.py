@@ -37,7 +37,7 @@ _PROFILE_POINTS = Points.at(*PROFILE)
 
 @dataclass(frozen=True, eq=False)
 class OwnValues:
-    """Hold the values of one component.
+    """The values of one component.
 
     Attributes
     ----------

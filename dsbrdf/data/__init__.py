@@ -1,4 +1,4 @@
-"""Hold measured reflectance: the angles, the grid, file formats, interpolation and the reduction to profiles."""
+"""Represent measured reflectance: the angles, the grid, file formats, interpolation and the reduction to profiles."""
 
 from dsbrdf.data.geometry import (
     CHANNELS,

@@ -95,5 +95,5 @@ _KINDS = {
 
 
 def known_kind(start: bytes) -> FileKind | None:
-    """Return the kind of a file that is no measurement from its first bytes; None if it is unknown."""
+    """Name the kind of a file that is no measurement by its first bytes; return None for an unknown kind."""
     return next((FileKind(*kind) for pattern, kind in _KINDS.items() if re.match(pattern, start, re.M)), None)

@@ -131,7 +131,7 @@ def _nearest_valid(valid: Mask) -> tuple[NDArray[np.int8], NDArray[np.int32]]:
 
 @dataclass(frozen=True, repr=False)
 class Measurement:
-    """Hold the measurement of one material; measurements with equal bytes and names are equal.
+    """The measurement of one material; measurements with equal bytes and names are equal.
 
     Attributes
     ----------

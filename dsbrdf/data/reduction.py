@@ -83,7 +83,7 @@ _MIN_SAMPLES_FOR_MEDIAN = 5
 
 @dataclass(frozen=True, eq=False)
 class FoldedProfiles:
-    """Hold samples up to the horizon, summed over bins of the folded phi_diff.
+    """Samples up to the horizon, summed over bins of the folded phi_diff.
 
     For each (channel, theta_diff, theta_half, bin), `mean` is the mean value [1/sr] and `weight` the number of samples.
     In a robust reduction, a sample counts as less than one if it is far from the other samples of its bin.
@@ -96,7 +96,7 @@ class FoldedProfiles:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Profiles:
-    """Hold the sums over phi_diff that a fit needs of a measurement.
+    """The sums over phi_diff that a fit needs of a measurement.
 
     Attributes
     ----------

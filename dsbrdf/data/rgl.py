@@ -50,7 +50,7 @@ from dsbrdf.errors import MeasurementFormatError
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """Hold one warp, or a stack of warps for increasing values of a parameter, interpolated linearly in between."""
+    """One warp, or a stack of warps for increasing values of a parameter, interpolated linearly in between."""
 
     density: Array  # density at each node, axes (..., row, column)
     conditional: Array  # integral of the density along each row, up to each node, axes (..., row, column)
@@ -211,7 +211,7 @@ _MIN_RECIPROCITY_COSINE = float(np.cos(np.radians(75.0)))
 
 @dataclass(frozen=True, eq=False)
 class RglMaterial:
-    """Hold the tables of an isotropic material of the RGL database."""
+    """The tables of an isotropic material of the RGL database."""
 
     theta_i: Array  # angles of the first direction to the normal, increasing [rad]
     ndf: Array  # (H, W)

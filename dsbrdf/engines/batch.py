@@ -26,7 +26,7 @@ _CLUSTER_TIMEOUT_S = 15.0  # A cluster without a usable worker for this time is 
 
 @dataclass(frozen=True)
 class FileFit:
-    """Hold the fit of one file, or the reason why the fit failed."""
+    """The fit of one file, or the reason why the fit failed."""
 
     file: Path
     output: Path | None = None  # file of the model; None if the fit failed

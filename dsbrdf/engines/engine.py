@@ -29,7 +29,7 @@ NOT_STARTED = "ProcessNotStarted"
 
 @dataclass(frozen=True)
 class FitLimits:
-    """Hold the limits of one fit."""
+    """The limits of one fit."""
 
     seconds: float = math.inf  # elapsed time after which the fit is stopped [s]
     memory_mb: int | None = None  # address space of the process [MB]; None means no limit
@@ -56,7 +56,7 @@ class FitTask:
 
 @dataclass(frozen=True)
 class FitDocument:
-    """Hold the stored form of a fit that has succeeded."""
+    """The stored form of a fit that has succeeded."""
 
     text: str  # the model, its report and its components, as JSON from `to_json`
     metrics: dict[str, float | None]  # metrics of the fit by name; the names are the fields of `Metrics`

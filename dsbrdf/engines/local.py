@@ -55,7 +55,7 @@ _UNKNOWN_EXIT_CODE = 255  # `multiprocessing` reports this code if the fork serv
 # If a process ends for one of these reasons, which lie outside of the fit, another attempt may succeed.
 _FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", f"exit code {_UNKNOWN_EXIT_CODE}")
 _NOTHING = object()  # replaces the outcome if a process dies without sending an outcome
-# Modules that the fork server imports once for all workers; the first one sets variables for the others.
+# The fork server imports these modules once for all workers; the first limits the BLAS threads of all others.
 _preloaded = ["dsbrdf.engines.fork_server_preload"]
 
 # A start also collects other processes' exit codes, so no process is started while an exit code is collected.

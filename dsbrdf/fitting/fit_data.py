@@ -1,4 +1,4 @@
-"""Hold the data of a fit of lobes: values and weights in rows of theta_diff."""
+"""The data of a fit of lobes: values and weights in rows of theta_diff."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ MAX_SINGLE_VALUE = 1e9
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """Hold values and weights in R rows of theta_diff, N columns of theta_half and P bins of phi_diff."""
+    """Values and weights in R rows of theta_diff, N columns of theta_half and P bins of phi_diff."""
 
     mean: Array  # mean value of each bin [1/sr], (channels, rows, columns, bins)
     weight: Array  # weight of each bin in the fit, (channels, rows, columns, bins)
@@ -81,7 +81,7 @@ class FitData:
 
     @cached_property
     def squared_tangents(self) -> tuple[Array, Array]:
-        """tan(theta_half)**2 times cos(phi_diff)**2, and times sin(phi_diff)**2, both (rows, 1, columns * bins)."""
+        """Return tan(theta_half)**2 times cos(phi_diff)**2 and sin(phi_diff)**2, each (rows, 1, columns * bins)."""
         squared = np.tan(self.theta_half).astype(self.mean.dtype)[..., None] ** 2
         shape = len(self.theta_diff), 1, -1
         return (squared * self.cos2_phi).reshape(shape), (squared * (1.0 - self.cos2_phi)).reshape(shape)
@@ -95,7 +95,7 @@ class FitData:
 
     @cached_property
     def blocks(self) -> list["Block"]:
-        """Blocks of the rows in each of `slices`, without most of the samples that have the weight 0."""
+        """Blocks of the rows in each of `slices`, cut down to leave out most samples of weight 0."""
         counts = self.rows[1].any(axis=1)
         order, most, blocks = np.argsort(~counts, axis=1, kind="stable"), counts.sum(axis=1), []
         for rows in self.slices:
@@ -107,7 +107,7 @@ class FitData:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Hold neighbouring rows of theta_diff with all samples of these rows that have a weight."""
+    """Neighbouring rows of theta_diff with all samples of these rows that have a weight."""
 
     rows: slice  # indices of the rows of this block among all rows
     mean: Array  # values [1/sr], (rows, 3, samples)

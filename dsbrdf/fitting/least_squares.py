@@ -200,7 +200,7 @@ class MixtureProblem:
         return curves[0] if len(curves) == 1 else np.concatenate(curves, axis=1), kinds
 
     def _slopes(self, block: Block, kind: "_Kind") -> list[tuple[slice, Array]]:
-        """Return derivatives of lobes in the parameters common to all channels, each with a slice of columns."""
+        """Return derivatives of lobes with respect to the parameters that all channels share, with their columns."""
         k, slopes = self.structure.n_lobes, kind.slopes()
         start, stop, end = kind.part.start, kind.part.stop, 3 * k + self.structure.n_rings
         by_elongation = kind.far - kind.near
@@ -216,7 +216,7 @@ class MixtureProblem:
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Hold intermediate arrays of either the lobes about the normal, or the ring lobes."""
+    """Intermediate arrays of either the lobes about the normal, or the ring lobes."""
 
     part: slice  # indices of the lobes of this kind among all lobes of the mixture
     slopes: Callable[[], LobeSlopes]
@@ -226,7 +226,7 @@ class _Kind:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Hold the cost of a mixture on its data, with intermediate arrays for the derivatives of the cost."""
+    """The cost of a mixture on its data, with intermediate arrays for the derivatives of the cost."""
 
     unknowns: Array
     cost: float  # weighted squared error plus the cost of the smoothing
@@ -238,7 +238,7 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Hold the unknowns that `minimize` found, and the course of the iterations."""
+    """The unknowns that `minimize` found, and the course of the iterations."""
 
     unknowns: Array
     cost: float

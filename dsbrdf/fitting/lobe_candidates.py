@@ -42,7 +42,7 @@ MIN_RELATIVE_SQUARE = 1e-20
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Hold candidates for lobes, all of height 1, and the weighted products of these lobes with the data."""
+    """Candidates for lobes, all of height 1, and the weighted products of these lobes with the data."""
 
     width: Array  # half width of each candidate [rad]
     center: Array  # center of each candidate [rad]

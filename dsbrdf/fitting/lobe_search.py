@@ -73,7 +73,7 @@ class SearchStep:
 
 @dataclass(frozen=True)
 class Wanted:
-    """Hold the number of all lobes and the number of ring lobes that a user wants, as in `FitOptions`."""
+    """The number of all lobes and the number of ring lobes that a user wants, as in `FitOptions`."""
 
     n_lobes: int | Literal["auto"]
     ring_lobes: int | Literal["auto"]
@@ -106,7 +106,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class SearchData:
-    """Hold the data that lobes are fitted to, and the validation data that determine the number of lobes."""
+    """The data that lobes are fitted to, and the validation data that determine the number of lobes."""
 
     fitted: FitData
     held_out: FitData
@@ -114,7 +114,7 @@ class SearchData:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """Hold the input of a search: data, the knots of parameters, candidates for lobes, and the wanted numbers."""
+    """The input of a search: data, the knots of parameters, candidates for lobes, and the wanted numbers."""
 
     data: FitData
     empty: Structure

@@ -55,7 +55,7 @@ PHI_STEP = 2
 
 @dataclass(frozen=True)
 class RelativeErrors:
-    """Hold errors of a fit over some samples, without unit, by the formulas at the top of this file."""
+    """Errors of a fit over some samples, without unit, by the formulas at the top of this file."""
 
     relative_rms: float
     floor: float
@@ -66,21 +66,21 @@ class RelativeErrors:
 
 @dataclass(frozen=True)
 class ChannelErrors(RelativeErrors):
-    """Hold errors of one channel: "red", "green" or "blue"."""
+    """Errors of one channel: "red", "green" or "blue"."""
 
     channel: str
 
 
 @dataclass(frozen=True)
 class BandErrors(RelativeErrors):
-    """Hold errors in one band of theta_diff, from a first angle to a last angle [rad], which is excluded."""
+    """Errors in one band of theta_diff, from a first angle to a last angle [rad], which is excluded."""
 
     theta_diff: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """Hold the errors of a whole fit; ``metrics["excess"]`` looks up a metric by its name.
+    """The errors of a whole fit; ``metrics["excess"]`` looks up a metric by its name.
 
     All metrics are None if only profiles were fitted.
 
@@ -211,7 +211,7 @@ def sample_metrics(model: ReflectanceModel, measurement: Measurement, sums: Arra
     PSNR and SSIM compare spheres under three lights; PSNR is at most 200 dB.
     """
     errors, data = relative_errors(sums), measurement.interpolated
-    # A table has no lobes narrower than the distance of its rows, so the quadrature need not be divided at knots.
+    # A table has no lobes narrower than the spacing of its rows, so the quadrature need not be divided at knots.
     measured = directional_albedo(data.evaluate, ALBEDO_ANGLES)
     albedo_error = float(np.mean(np.abs(albedo - measured) / np.where(measured > MIN_ALBEDO, measured, np.inf)))
     lit = render_sphere(data.evaluate, size=SPHERE_PIXELS)

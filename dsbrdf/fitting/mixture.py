@@ -203,7 +203,7 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Hold the structure of a mixture of lobes, and the values of its unknowns."""
+    """The structure of a mixture of lobes, and the values of its unknowns."""
 
     structure: Structure
     unknowns: Array

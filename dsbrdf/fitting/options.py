@@ -95,7 +95,7 @@ MAX_LOBES = 10
 MAX_RING_LOBES = MAX_LOBES - 1
 OPTION_DECIMALS = 9
 """Options are rounded to this number of decimals: conversions to radians and back change later digits."""
-# Choices that the method "paper" allows for some options, with the end of the sentence that refuses another choice.
+# The choices that the method "paper" allows for some options, and the end of the error message for any other choice.
 _PAPER_CHOICES: dict[str, tuple[tuple[object, ...], str]] = {
     "ring_lobes": (("auto", 0), 'has no ring lobes: use ring_lobes 0 or "auto"'),
     "knots_deg": (("auto",), "has its slices every 5 degrees: leave the knots out"),

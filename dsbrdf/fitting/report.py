@@ -48,7 +48,7 @@ class KnotReport:
 
 @dataclass(frozen=True, eq=False)
 class FoundModel:
-    """Hold the model that a method of fitting found, and what the method adds to the `FitReport`."""
+    """The model that a method of fitting found, and what the method adds to the `FitReport`."""
 
     model: DSBRDF
     knots: KnotReport
@@ -58,7 +58,7 @@ class FoundModel:
 
 @dataclass(frozen=True)
 class DirectionalAlbedo:
-    """Hold the fraction of light from some directions that a model reflects."""
+    """The fraction of light from some directions that a model reflects."""
 
     theta_out: tuple[float, ...]  # angles to the normal [rad]
     rgb: tuple[tuple[float, ...], ...]  # fraction of the light from each angle that is reflected, by channel

@@ -50,7 +50,7 @@ def directional_albedo(evaluate: Evaluate, theta_out: Array, knots: Array = _NO_
 
 
 class HalfVectorRule(NamedTuple):
-    """Hold the nodes (n,) of a quadrature over omega_in; angles are in radians."""
+    """The nodes (n,) of a quadrature over omega_in; angles are in radians."""
 
     theta_half: Array
     theta_diff: Array

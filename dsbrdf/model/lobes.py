@@ -160,7 +160,7 @@ GRAZING_COSINE = 0.08
 
 
 class LobeSlopes(NamedTuple):
-    """Hold derivatives of lobes of height 1."""
+    """Derivatives of lobes of height 1."""
 
     by_log_kappa: Array
     by_log_gamma: Array

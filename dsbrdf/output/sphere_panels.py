@@ -174,7 +174,7 @@ _SPHERE_ZOOM = 0.38
 
 
 def space_figure(found: MaterialSpace, models: Mapping[str, Source]) -> Figure:
-    """Draw a map: at the coordinates of each material, its sphere under three lights, with an exposure of its own."""
+    """Draw a map of materials as spheres under three lights, each with its own exposure."""
     from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 
     figure = empty_figure(

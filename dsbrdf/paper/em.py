@@ -42,7 +42,7 @@ M_STEP_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class SliceFits:
-    """Hold mixtures fitted to a batch of slices: parameters (slices, lobes), and the convergence (slices,)."""
+    """Mixtures fitted to a batch of slices: parameters (slices, lobes), and the convergence (slices,)."""
 
     kappa: Array
     gamma: Array

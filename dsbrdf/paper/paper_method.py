@@ -70,7 +70,7 @@ _CERTAIN_CRITICAL_VALUE = 18.0
 
 @dataclass(frozen=True)
 class WilliamsRow:
-    """Hold the result of the test for one number of lobes.
+    """The result of the test for one number of lobes.
 
     Attributes
     ----------

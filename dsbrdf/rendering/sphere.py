@@ -51,7 +51,8 @@ def _axes(towards: Array) -> Array:
     return np.array([across, np.cross(across, towards), towards])
 
 
-# The widths of edges, in radians or slopes, exceed the spacing of the map of directions, so that it resolves edges.
+# Edges of lights and of the horizon are blurred by more than a pixel of the environment map, which could not show
+# sharper ones. Their widths are in radians, or in slopes (tangents of the angle).
 _ZENITH_COLOR = np.array([0.25, 0.45, 0.9])
 _HORIZON_COLOR = np.array([0.9, 0.95, 1.0])
 _GROUND_COLOR = np.array([0.22, 0.19, 0.16])

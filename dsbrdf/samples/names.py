@@ -23,7 +23,7 @@ _ANGLE_WORDS = {
 }
 _SIDES = {word: side for side, words in _SIDE_WORDS.items() for word in words.split()}
 _ANGLES = {word: angle for angle, words in _ANGLE_WORDS.items() for word in words.split()}
-# These short names are angles only behind a long word, as in "sun_z", because "in_z" is a component of a vector.
+# These short names are angles only after a long word, as in "sun_z"; after a short one, "in_z", they belong to vectors.
 _SHORT_ANGLES = {"za", "z", "aa", "a"}
 _SHORT_SIDES = {"in", "out", "i", "o", "r", "s", "v", "e"}
 _RELATIVE = {"relative", "rel", "delta", "difference", "d"}

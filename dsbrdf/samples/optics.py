@@ -25,7 +25,7 @@ _LIGHTTOOLS_BLOCK = re.compile(r"((?:^[ \t]*[A-Za-z]\w*[ \t]+\S+[ \t\r]*\n)+)([-
 # The possessive *+ prevents backtracking, which would be slow for a file of many blank lines.
 _FRED = re.compile(rb"\A(?:[ \t]*(?:[#!].*)?\r?\n)*+[ \t]*(?:type\s+)?bsdf_data\b")
 _SPEOS = b"OPTIS - brdf surface file"
-# Names of the columns of the tables that this module reads; a block is a part of a file at one angle of incidence.
+# Column names of the tables that this module reads; a block is a part of a file with one angle of incidence.
 _NAMES = ("theta_out", "phi_out", "value", "theta_in", "phi_in", "wavelength")
 
 

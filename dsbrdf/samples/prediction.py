@@ -138,7 +138,7 @@ class SampleLayers:
 
 
 def _points(theta_half: Array, theta_diff: Array, phi_diff: Array, stretch: float) -> Points:
-    """Return the points at angles, with theta_half changed to stretch highlights across the plane of incidence."""
+    """Return the points of angles, with theta_half rescaled to widen highlights out of the plane of incidence."""
     points = Points.at(theta_half, theta_diff, phi_diff)
     if stretch == 0.0:
         return points

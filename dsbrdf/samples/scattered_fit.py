@@ -83,7 +83,7 @@ def sample_rows(
     """Return the data of a fit: the samples, moved to whole degrees of theta_diff, and the table predicted from them.
 
     When a sample moves, its value is multiplied by the ratio of the model's values at the new and the old theta_diff.
-    Samples are weighted relative to each other like nodes of the table.
+    Two samples have the same ratio of weights as the nodes of the predicted table at their angles.
     """
     weight, folded = fit_weights(table, options), table.folded
     cells = np.stack(np.nonzero(folded.weight[0])).astype(np.intp)

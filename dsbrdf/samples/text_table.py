@@ -30,7 +30,7 @@ from dsbrdf.samples.names import constants_in, count_names, meaning_of, name_and
 
 NumberedLines = Sequence[tuple[int, str]]
 """Lines of a text, each with its number in the file, from 1."""
-_N_TRIED_LINES = 50  # If a table does not name its columns, this number of lines determines the separator.
+_N_TRIED_LINES = 50  # If a table does not name its columns, the separator is found from at most this number of lines.
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
 _BEGINS_NUMBER = tuple("+-.0123456789")
 _NUMBERS = re.compile(r"[-+.,;\s\deE]*")

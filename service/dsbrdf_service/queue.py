@@ -76,7 +76,7 @@ _LOST_DELAY = 0.5  # [s] Wait before a lost fit is repeated, because a shutdown 
 
 @dataclass
 class _RunningFit:
-    """Hold an unfinished fit of this process; its scope cancels the task after calls in threads have returned."""
+    """An unfinished fit of this process; its scope cancels the task after calls in threads have returned."""
 
     task: "asyncio.Task[None]"
     scope: CancelScope
@@ -90,7 +90,7 @@ class _RunningFit:
 
 
 class FitMeters(NamedTuple):
-    """Hold the Prometheus metrics of fits."""
+    """The Prometheus metrics of fits."""
 
     waiting: prometheus_client.Histogram
     fitting: prometheus_client.Histogram
@@ -167,7 +167,7 @@ class FitQueue:
                 yield row
         finally:
             self._followers[key.owner] -= 1
-            self._followers += Counter()  # Adding a counter removes owners without requests.
+            self._followers += Counter()  # Adding an empty counter drops owners whose count is zero.
 
     def has_room(self, owner: str) -> bool:
         """Return whether another request of an owner may wait; a part of an owner's requests must stay for others."""

@@ -17,7 +17,7 @@ _MAX_LIMIT = 10**12  # A much larger setting could neither be stored nor be conv
 
 
 class Settings(BaseSettings):
-    """Hold the settings of one service; the environment variable of ``data_dir`` is ``DSBRDF_DATA_DIR``, and so on."""
+    """The settings of one service; the environment variable of ``data_dir`` is ``DSBRDF_DATA_DIR``, and so on."""
 
     model_config = SettingsConfigDict(
         env_prefix=PREFIX, env_ignore_empty=True, frozen=True, use_attribute_docstrings=True

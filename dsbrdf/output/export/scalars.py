@@ -41,7 +41,7 @@ def array_library(is_scalar: Callable[[Any], bool], functions: Mapping[str, Call
 
     def each(name: str, of_numbers: Callable[..., Any], count: int) -> Any:
         def call(*arguments: Any) -> Any:
-            # NumPy's own numbers would take a scalar to their right for an array.
+            # Return a Python float: a NumPy number times one of our scalars would treat the scalar as an array.
             return functions[name](*arguments) if any(map(is_scalar, arguments)) else float(of_numbers(*arguments))
 
         return np.frompyfunc(call, count, 1)

@@ -161,7 +161,7 @@ def _purge(
 ) -> int:
     if older_than is None and not files_without_rows:
         return refuse("name what to remove: --older-than AGE, such as 30d, --files-without-rows, or both")
-    from ..storage.maintenance import purge_folder  # It imports NumPy, which the help does without.
+    from ..storage.maintenance import purge_folder  # This module imports NumPy, and `--help` must not wait for NumPy.
 
     before = None if older_than is None else time.time() - older_than.total_seconds()
     purged = purge_folder(_data_folder(data_dir), before, files_without_rows=files_without_rows)

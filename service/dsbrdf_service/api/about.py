@@ -33,7 +33,7 @@ class Health(BaseModel):
 
 router = APIRouter(tags=["health"], dependencies=CHECKED_QUERY)
 page = APIRouter(include_in_schema=False)
-# The page loads its own scripts and styles, answers of the service, and pictures that it makes.
+# The page may load its own scripts and styles, answers of the service, and pictures that the page itself makes.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"

@@ -30,7 +30,7 @@ from .fields import FIT_ID, SHA256
 
 @dataclass(frozen=True)
 class Context:
-    """Hold the parts of one service, which are opened when the service starts and closed when it stops."""
+    """The parts of one service, which are opened when the service starts and closed when it stops."""
 
     settings: Settings
     store: Store

@@ -78,7 +78,7 @@ _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # Every model is 0 at these half a
 
 
 class Points(NamedTuple):
-    """Hold half and difference angles, shape (n,) each [rad]."""
+    """Half and difference angles, shape (n,) each [rad]."""
 
     theta_half: Array
     theta_diff: Array

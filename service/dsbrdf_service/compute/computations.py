@@ -152,7 +152,7 @@ class Computations:
 
 
 async def departure(request: Request) -> None:
-    """Return when the client has closed the connection."""
+    """Wait until the client has closed the connection."""
     with suppress(ProblemError):  # A client that sends the rest of a body too slowly counts as gone.
         while (await request.receive())["type"] != "http.disconnect":
             pass
@@ -160,7 +160,7 @@ async def departure(request: Request) -> None:
 
 @dataclass(frozen=True)
 class LoadedFit:
-    """Hold the model of a fit with its components, and the report of the fit."""
+    """The model of a fit with its components, and the report of the fit."""
 
     decomposition: Decomposition
     report: FitReport | None
@@ -183,7 +183,7 @@ class LoadedFit:
 
 @dataclass
 class _Batch:
-    """Hold the angles of simultaneous requests for values of one model, and the task that evaluates all of them."""
+    """The angles of simultaneous requests for values of one model, and the task that evaluates all of them."""
 
     task: "asyncio.Task[Array]"
     angles: list[tuple[Array, ...]] = field(default_factory=list)

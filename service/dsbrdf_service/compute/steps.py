@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StoredMeasurement:
-    """Hold the path, the sha256 and the name of a stored measurement."""
+    """The path, the sha256 and the name of a stored measurement."""
 
     path: Path
     sha256: str

@@ -42,7 +42,7 @@ ABORT = "dsbrdf.abort"
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 IS_HEAD = "dsbrdf.is_head"
 """Member of the ASGI scope of a HEAD, which routes see as a GET."""
-# A response must not run as a script, be framed, be read by a page of another site, or be shown with another key.
+# A browser must not run a response as a script or frame it; another site's page must not read it, nor a cache keep it.
 _SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
     (b"x-frame-options", b"DENY"),
@@ -74,7 +74,7 @@ class Connection(HttpToolsProtocol, asyncio.BufferedProtocol):
         return self._received
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Parse the bytes in the buffer; refuse a head that is too long before it is complete."""
+        """Parse the bytes in the buffer; refuse a head as soon as it is too long, without waiting for its end."""
         self._n_head_bytes += nbytes
         self.data_received(bytes(self._received[:nbytes]))
         if self._n_head_bytes > _MAX_HEAD_BYTES and not self.transport.is_closing():
@@ -237,7 +237,7 @@ class RequestLogMiddleware:
 
 
 class _Exchange:
-    """Hold one request and the state of its response."""
+    """One request and the state of its response."""
 
     __slots__ = (
         *("_abort", "_idle_timeout", "_min_rate", "_n_sent", "_send", "_waited"),

@@ -55,7 +55,7 @@ def is_passing(error: Exception) -> bool:
 
 
 class Database:
-    """Hold the connections of this process: one connection writes; the others read and never wait for the writer.
+    """The connections of this process: one connection writes; the others read and never wait for the writer.
 
     The folder is made if it does not exist, for the user of the service only. A server is `exclusive` and holds the
     lock on the folder as long as it runs; a command takes no lock, so that a server may run or start.
@@ -262,7 +262,7 @@ def _cannot_be_opened(folder: Path, error: sqlite3.DatabaseError) -> DataFolderE
 
 @contextmanager
 def _lock(folder: Path) -> Iterator[None]:
-    """Hold the exclusive lock on a folder; raise DataFolderError if another server holds it."""
+    """The exclusive lock on a folder; raise DataFolderError if another server holds it."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
