@@ -95,7 +95,7 @@ _BATCH = openapi.body(
         JSON: {"schema": {"oneOf": [openapi.reference(form) for form in FORMS]}, "examples": openapi.EXAMPLE_POINTS},
         NPY: openapi.file(NPY),
     },
-)
+) | {"parameters": [openapi.header_parameter("Accept", f"`{NPY}` asks for the values as an array.")]}
 _GET_PROBLEMS = openapi.problems("not-found", "fit-not-finished")
 _POST_RESPONSES = {
     200: {"description": "One RGB triple for each point.", "content": {NPY: openapi.file(NPY)}},
