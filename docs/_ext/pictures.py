@@ -17,8 +17,8 @@ from dsbrdf.output.sphere_panels import compare_spheres, cut_out
 
 README_PICTURE = Path(__file__).parents[1] / "_static" / "spheres.webp"
 README_MATERIALS = ("rgl_aurora_white", "rgl_satin_purple", "rgl_acrylic_felt_pink")
-_README_COLUMNS = ("measured", "fit", "specular spike", "specular lobe", "diffuse")
-_README_SPHERE_SIZE = 320  # pixels
+_README_COLUMNS = ("measured", "fit", "specular", "diffuse")
+_README_SPHERE_SIZE = 384  # pixels
 _README_GAP = 16  # pixels
 _README_LINE_HEIGHT = 44  # pixels
 MEASURED = Path(__file__).parents[1] / "_static" / "measured"
@@ -46,8 +46,9 @@ def readme_picture(folder: Path, materials: Sequence[str] = README_MATERIALS) ->
         title = name.removeprefix("rgl_").replace("_", " ")
         canvas.figure.text(22 / width, (below + step / 2) / height, title, rotation=90, **text)
         for column, panel in enumerate(_README_COLUMNS):
-            if panel in panels:
-                canvas.figure.figimage(cut_out(panels[panel]), _README_LINE_HEIGHT + step * column, below)
+            drawn = [spheres for label, spheres in panels.items() if label.startswith(panel)]
+            if drawn:  # None of these materials has both a spike and a lobe.
+                canvas.figure.figimage(cut_out(drawn[0]), _README_LINE_HEIGHT + step * column, below)
     for column, panel in enumerate(_README_COLUMNS):
         place = _README_LINE_HEIGHT + step * (column + 0.5)
         canvas.figure.text(place / width, 1.0 - _README_LINE_HEIGHT / 2 / height, panel, **text)
