@@ -286,7 +286,7 @@ class Decomposition:
                 "open-split",
                 f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to "
                 f"{high:.0%}. Probable structures: {names}."
-                + (" A metal rougher than alpha 0.6 would look alike." if self._may_be_rough_metal else ""),
+                + (" A metal rougher than alpha 0.6 may look alike." if self._may_be_rough_metal else ""),
                 {"low": low, "high": high},
             )
 
