@@ -55,10 +55,10 @@ docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
 WORKERS = $$($(BIN)/python -c 'import os; print(min(os.cpu_count() + 1, 4))')
 
 test: $(TESTS_READY)  ## run all tests, on up to four cores
-	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadgroup --no-loadscope-reorder
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile --no-loadscope-reorder
 
 quick: $(TESTS_READY)  ## run the tests of library and service that are not marked as slow
-	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadgroup -m 'not slow' tests/library tests/service
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile -m 'not slow' tests/library tests/service
 
 check: $(TESTS_READY)  ## check format, lint, prose, types and security
 	$(BIN)/ruff format --check .

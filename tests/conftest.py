@@ -22,8 +22,6 @@ from tests.support.server import Server
 from tests.support.soak import SOAK
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
-GROUPS = {"cluster": "dask", "own_cluster": "dask", "browser": "browser", "quick_fits": "paper"}
-"""Groups of the files that use a fixture which takes seconds."""
 
 # A busy machine is no fault of the code under test, and a change is judged by the same examples each time;
 # `make soak` looks for others, and for longer.
@@ -50,19 +48,12 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with files that have slow tests, so that the quick ones fill the end of all workers.
-
-    The files of a group go to one worker, which starts a program or computes fits once; any other file is a group.
-    """
+    """Begin with files that have slow tests, so that the quick ones fill the end of all workers."""
     if not SOAK and (left := [item for item in items if item.get_closest_marker("soak")]):
         config.hook.pytest_deselected(items=left)
         items[:] = [item for item in items if item not in left]
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
-    used = ((item.path, name) for item in items for name in getattr(item, "fixturenames", ()))
-    groups = {path: GROUPS[name] for path, name in used if name in GROUPS}
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(groups.get(item.path, item.path.stem)))
 
 
 @pytest.fixture(scope="session")
