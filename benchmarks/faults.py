@@ -45,8 +45,8 @@ PRELOADED = (
 OWN_PACKAGES = ("benchmarks", "dsbrdf", "dsbrdf_service", "tests")
 """Packages that a run with a fault imports anew, from the copy."""
 FURTHER_TESTS = {
-    "access": ["tests/service/http/test_limits.py"],
-    "queue": ["tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
+    "access": ["tests/service/test_owners.py", "tests/service/http/test_limits.py"],
+    "queue": ["tests/service/test_turns.py", "tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
     "fitting": ["tests/library/test_result.py"],
 }
 MAX_TEST_SECONDS = 200.0  # A fault that survives the quickest tests of this time counts as not noticed.
@@ -205,9 +205,11 @@ class Recorder:
 
 
 def tests_of(wing: str) -> list[str]:
-    """Return the folder of a wing's tests, and the files of other wings that test it too."""
-    own = wing.replace(SERVICE, "tests/service").replace("dsbrdf/", "tests/library/").removesuffix(".py")
-    return [own, *FURTHER_TESTS.get(Path(own).name, [])]
+    """Return the folder or the file of a wing's tests, and the files of other wings that test it too."""
+    folder = wing.replace(SERVICE, "tests/service").replace("dsbrdf/", "tests/library/")
+    above, _, name = folder.rpartition("/")
+    own = f"{above}/test_{name}" if name.endswith(".py") else folder
+    return [own, *FURTHER_TESTS.get(name.removesuffix(".py"), [])]
 
 
 def covering(fault: Fault, seconds: dict[str, float]) -> list[str]:
