@@ -6,6 +6,7 @@ import pytest
 
 from dsbrdf import FitResult, Measurement, Profiles, fit, profiles
 from dsbrdf.model import sampling
+from dsbrdf.output.export import glsl, mitsuba
 
 
 @pytest.fixture(scope="session")
@@ -33,5 +34,6 @@ def coarse_sampling() -> Iterator[None]:
     For modules with models of their own: a table does not go with another number of angles.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sampling, "ANGLES", sampling.ANGLES[::10])
+        for module in (sampling, glsl, mitsuba):
+            patch.setattr(module, "ANGLES", module.ANGLES[::10])
         yield

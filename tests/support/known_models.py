@@ -4,6 +4,7 @@ import numpy as np
 
 from dsbrdf import DSBRDF
 from dsbrdf.arrays import Array
+from dsbrdf.components import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.data.geometry import random_directions
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model, random_model
@@ -14,6 +15,13 @@ MODELS = {
     "student": random_model(2, family="student"),
     "paper": papers_model(),
 }
+COAT = SpecularLayer((0.04, 0.041, 0.042), 0.9, 0.05, 2.0, (0.2, -0.3), 0.4, 0.0)
+METAL = SpecularLayer((0.9, 0.6, 0.3), 1.1, 0.3, 5.0, (-0.1, 0.2), 0.8, 1.0)
+GROUND = DiffuseLayer((0.4, 0.2, 0.05), (0.7, 0.1, -0.2, 0.3, 0.5, -0.6))
+SHEEN = SheenLayer((0.02, 0.03, 0.1), (2.0, 3.0))
+RETRO = RetroLayer((0.1, 0.2, 0.3), 0.1)
+LAYERS = LayeredModel((COAT, METAL, GROUND, SHEEN, RETRO))
+"""A layer of each kind, one of them under a coat."""
 
 
 def single_lobe(

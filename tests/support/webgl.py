@@ -19,9 +19,8 @@ SOFTWARE_RENDERER = ("--use-angle=swiftshader-webgl", "--enable-unsafe-swiftshad
 """Arguments with which the browser runs WebGL without a graphics card, and draws the rest of a page without WebGL."""
 _TIMEOUT = 600.0  # seconds; a page takes about 2 on a quiet machine
 _PAGE = """<!doctype html><pre id=out></pre><script>
-const width = 128;
+const width = 128, gl = document.createElement("canvas").getContext("webgl2");
 function evaluated(input) {
-  const gl = document.createElement("canvas").getContext("webgl2");
   if (!gl || !gl.getExtension("EXT_color_buffer_float")) throw "no WebGL 2 with float targets";
   function compile(kind, source) {
     const shader = gl.createShader(kind);

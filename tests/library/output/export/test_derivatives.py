@@ -16,22 +16,19 @@ from numpy.typing import NDArray
 import dsbrdf
 from dsbrdf import DSBRDF, InvalidArgumentError, decompose
 from dsbrdf.arrays import Array
-from dsbrdf.components import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components import LayeredModel
 from dsbrdf.components.component import Component
 from dsbrdf.data import half_difference
 from dsbrdf.output import export_model
 from dsbrdf.output.export.mitsuba import PARAMETERS, register
 from tests.support import array_libraries
 from tests.support.array_libraries import WITHOUT_DERIVATIVES, loaded
-from tests.support.known_models import MODELS, pairs_of_directions
+from tests.support.known_models import LAYERS, MODELS, pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
 
 LIBRARIES = [name for name in ("jax", "torch") if importlib.util.find_spec(name) is not None]
-GROUND = DiffuseLayer((0.4, 0.2, 0.05), (0.7, 0.1, -0.2, 0.3, 0.5, -0.6))
-METAL = SpecularLayer((0.9, 0.6, 0.3), 1.1, 0.3, 5.0, (-0.1, 0.2), 0.8, 1.0)
-CLOTH = LayeredModel((RetroLayer((0.1, 0.2, 0.3), 0.1), GROUND, SheenLayer((0.02, 0.03, 0.1), (2.0, 3.0)), METAL))
 TWO_KNOT_MODEL = DSBRDF(  # JAX compiles every knot
     np.radians([0.0, 80.0]),
     amplitude=np.random.default_rng(0).uniform(0.1, 3.0, (3, 4, 3)),
@@ -49,7 +46,7 @@ def test_values_and_derivatives_in_other_libraries(library: str, tmp_path: Path)
     component = decompose(MODELS["mixture"])["specular_lobe"]
     sources: dict[str, DSBRDF | LayeredModel | Component] = {
         "model": TWO_KNOT_MODEL,
-        "layers": CLOTH,
+        "layers": LayeredModel(LAYERS.layers[1:]),
         f"{WITHOUT_DERIVATIVES}_component": component,
     }
     for name, source in sources.items():

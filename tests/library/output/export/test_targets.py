@@ -1,11 +1,13 @@
 """Every target that computes values, over one list of materials: Python, GLSL, Mitsuba and tables for Mitsuba."""
 
+import copy
 import itertools
 import re
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,7 +18,7 @@ import pytest
 import dsbrdf
 from dsbrdf import DSBRDF, Measurement, decompose
 from dsbrdf.arrays import Array
-from dsbrdf.components import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components import LayeredModel, SpecularLayer
 from dsbrdf.components.component import Component
 from dsbrdf.data import half_difference
 from dsbrdf.data.rgl import parse_tensors
@@ -25,44 +27,54 @@ from dsbrdf.output.export.mitsuba import register
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from tests.support import known_models
 from tests.support.array_libraries import loaded
+from tests.support.known_models import COAT, GROUND, METAL, RETRO, SHEEN
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
-from tests.support.random_models import random_model
+from tests.support.random_models import papers_model, random_model
 from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
 
 Source = DSBRDF | LayeredModel | Component
 
-GROUND = DiffuseLayer((0.4, 0.2, 0.05), (0.7, 0.1, -0.2, 0.3, 0.5, -0.6))
-COAT = SpecularLayer((0.04, 0.041, 0.042), 0.9, 0.05, 2.0, (0.2, -0.3), 0.4, 0.0)
-METAL = SpecularLayer((0.9, 0.6, 0.3), 1.1, 0.3, 5.0, (-0.1, 0.2), 0.8, 1.0)
-PARTS = decompose(known_models.MODELS["mixture"])
-SOURCES: dict[str, Source] = {
-    **known_models.MODELS,
+# Copies, whose tables of densities are theirs alone.
+MODELS: dict[str, DSBRDF] = {
+    **{name: copy.copy(model) for name, model in known_models.MODELS.items()},
     "one knot": known_models.single_lobe(2.0, 900.0, 0.5, family="student"),
     "long stretch": known_models.single_lobe(1.5, 40.0, 0.5, center=0.2, elongation=6.0),
     "no lobes": random_model(0, n_lobes=0),
+}
+LAYERED = {
     "dielectric over diffuse": LayeredModel((COAT, GROUND)),
     "coat over metal": LayeredModel((COAT, METAL)),
     "mirror with long tails": LayeredModel((SpecularLayer((0.5, 0.5, 0.5), 1.0, 0.004, 0.8, (0.0, 0.0), 0.0, 0.0),)),
-    "cloth": LayeredModel((RetroLayer((0.1, 0.2, 0.3), 0.1), GROUND, SheenLayer((0.02, 0.03, 0.1), (2.0, 3.0)))),
+    "cloth": LayeredModel((RETRO, GROUND, SHEEN)),
     "no layers": LayeredModel(()),
-    **{part.label: part for part in PARTS},
-    "part of rings": next(iter(decompose(known_models.MODELS["elongated rings and cusps"]))),
-    "only part": next(iter(decompose(known_models.single_lobe(2.0, 900.0, 0.5, family="student")))),
-    "part of paper": next(iter(decompose(known_models.MODELS["paper"]))),
 }
-MODELS = {name: source for name, source in SOURCES.items() if isinstance(source, DSBRDF)}
-COMPONENTS = [name for name, source in SOURCES.items() if isinstance(source, Component)]
+COMPONENTS: dict[str, tuple[DSBRDF, int]] = {
+    **{f"part {number} of mixture": (MODELS["mixture"], number) for number in range(3)},
+    "part of rings": (random_model(1, 2), 0),
+    "only part": (MODELS["one knot"], 0),
+    "part of paper": (papers_model(1), 0),
+}
+NAMES = (*MODELS, *LAYERED, *COMPONENTS)
+WEIGHTED = ("part 1 of mixture", "only part")
 SAMPLED = ("mixture", "coat over metal")
-PAIRS = known_models.pairs_of_directions(128 * 40, lowest=0.05, spread=0.03)
-"""Pairs in single precision, in 40 rows of 128 pixels; the directions are not quite of length 1."""
+PAIRS = known_models.pairs_of_directions(128 * 16, lowest=0.05, spread=0.03)
+"""Pairs in single precision, in 16 rows of 128 pixels; the directions are not quite of length 1."""
 BELOW = np.array([[0.6, 0.0, 0.8], [0.6, 0.0, -0.8]])
 TOWARDS = np.array([0.5, 0.0, np.sqrt(0.75)])
 WEIGHTS = {"specular_spike": 3.0, "specular_lobe": 2.0, "diffuse": 0.5}
 FRAME = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 """Axes x, y, z of a turned surface, in its columns."""
 MAX_PYTHON_LINES = 150
+
+
+@cache
+def source_of(name: str) -> Source:
+    if name in COMPONENTS:
+        model, number = COMPONENTS[name]
+        return list(decompose(model))[number]
+    return (MODELS | LAYERED)[name]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +101,15 @@ def largest_error(values: Array, wanted: Expected) -> float:
     return float(np.max(np.abs(values - wanted.values) / wanted.level))
 
 
-@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("name", NAMES)
 def test_python(name: str, tmp_path: Path) -> None:
-    content = export_model(SOURCES[name], "python")
+    content = export_model(source_of(name), "python")
     assert len(content.decode().splitlines()) <= MAX_PYTHON_LINES
     path = tmp_path / "material.py"
     path.write_bytes(content)
     evaluate = loaded(path).evaluate
     unit = [one / np.linalg.norm(one, axis=1)[:, None] for one in PAIRS]
-    source, steep = SOURCES[name], np.minimum(unit[0][:, 2], unit[1][:, 2]) > np.cos(np.radians(80.0))
+    source, steep = source_of(name), np.minimum(unit[0][:, 2], unit[1][:, 2]) > np.cos(np.radians(80.0))
     wanted = source.evaluate(*half_difference(*unit))
     whole = source.whole.model.evaluate(*half_difference(*unit)) if isinstance(source, Component) else wanted
     assert np.all((np.abs(evaluate(*unit) - wanted) <= 1e-12 * np.maximum(whole, 1e-12))[steep])
@@ -111,26 +123,26 @@ def test_python(name: str, tmp_path: Path) -> None:
 
 def test_python_needs_nothing_of_this_library(tmp_path: Path) -> None:
     path = tmp_path / "diffuse.py"
-    path.write_bytes(export_model(PARTS["diffuse"], "python"))
+    path.write_bytes(export_model(decompose(MODELS["mixture"])["diffuse"], "python"))
     code = f"import sys; sys.modules['dsbrdf'] = None; exec(open({str(path)!r}).read()); evaluate([0,0,1], [0,0,1])"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path)
 
 
 @pytest.fixture(scope="module")
-def glsl(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
+def glsl(tmp_path_factory: pytest.TempPathFactory, coarse_sampling: None) -> dict[str, Array]:
     """What one browser computes for each material, with two pairs that have a direction below the horizon."""
     if CHROMIUM is None:
         pytest.skip('"chromium" is not installed')
     first, second = np.vstack([PAIRS[0], BELOW]), np.vstack([PAIRS[1], BELOW[::-1]])
-    written = {name: export_model(source, "glsl").decode() for name, source in SOURCES.items()}
+    written = {name: export_model(source_of(name), "glsl").decode() for name in NAMES}
     calls = {name: ShaderCall(source, "dsbrdf(a, b)", first, second) for name, source in written.items()}
     weights = f"vec3({', '.join(map(str, WEIGHTS.values()))})"
-    for name in COMPONENTS:
+    for name in WEIGHTED:
         calls[f"{name}, weighted"] = ShaderCall(written[name], f"dsbrdf_shown(a, b, {weights})", *PAIRS)
-    two = "".join(export_model(SOURCES[name], "glsl", name=name).decode() for name in ("mixture", "cloth"))
+    two = "".join(export_model(source_of(name), "glsl", name=name).decode() for name in ("mixture", "cloth"))
     calls["two"] = ShaderCall(two, "gl_FragCoord.x < 64.0 ? mixture(a, b) : cloth(a, b)", *PAIRS, precision="")
     for name in SAMPLED:
-        source = export_model(SOURCES[name], "glsl", sampling=True).decode()
+        source = export_model(source_of(name), "glsl", sampling=True).decode()
         numbers = np.random.default_rng(4).random(PAIRS[0].shape)
         calls[f"{name}, pdf"] = ShaderCall(source, "vec3(dsbrdf_pdf(a, b))", *PAIRS)
         calls[f"{name}, sample"] = ShaderCall(
@@ -144,25 +156,25 @@ def glsl(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
 
 def brdf_sections() -> dict[str, str]:
     """Sections of a .brdf file, read as that program does: a line of the kind first, then blocks."""
-    text = export_model(SOURCES["mixture"], "brdf").decode()
+    text = export_model(MODELS["mixture"], "brdf").decode()
     assert text.splitlines()[0] == "analytic"
     found = dict(re.findall(r"^::begin (\w+)\n(.*?)^::end \1$", text, re.MULTILINE | re.DOTALL))
     assert re.fullmatch(r"float scale [\d.]+ [\d.]+ 1\n", found["parameters"])
     return found
 
 
-@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("name", NAMES)
 def test_glsl(name: str, glsl: dict[str, Array]) -> None:
-    assert largest_error(glsl[name][:-2], expected(SOURCES[name], *PAIRS)) < 1e-4
+    assert largest_error(glsl[name][:-2], expected(source_of(name), *PAIRS)) < 1e-4
     assert not glsl[name][-2:].any()
 
 
-@pytest.mark.parametrize("name", COMPONENTS)
+@pytest.mark.parametrize("name", WEIGHTED)
 def test_glsl_of_a_component_has_the_others_too(name: str, glsl: dict[str, Array]) -> None:
     angles = half_difference(*PAIRS)
-    whole = SOURCES[name].whole  # type: ignore[union-attr]
+    whole = source_of(name).whole  # type: ignore[union-attr]
     weighted = np.sum([WEIGHTS[part.label] * part.evaluate(*angles) for part in whole], axis=0)
-    level = expected(SOURCES[name], *PAIRS).level + weighted
+    level = expected(source_of(name), *PAIRS).level + weighted
     assert largest_error(glsl[f"{name}, weighted"], Expected(weighted, level)) < 1e-4
 
 
@@ -170,13 +182,13 @@ def test_glsl_of_two_materials_in_a_program_without_precision_and_of_brdf_explor
     for name, half in (("mixture", np.s_[:64]), ("cloth", np.s_[64:])):
         alone, together = (glsl[key][: len(PAIRS[0])].reshape(-1, 128, 3)[:, half] for key in (name, "two"))
         np.testing.assert_array_equal(together, alone)
-    np.testing.assert_allclose(glsl["turned"], 2.0 * expected(SOURCES["mixture"], *PAIRS).values, rtol=1e-3)
+    np.testing.assert_allclose(glsl["turned"], 2.0 * expected(MODELS["mixture"], *PAIRS).values, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", SAMPLED)
 def test_glsl_samples(name: str, glsl: dict[str, Array]) -> None:
     """The mean of 1 / density over the samples in a ring about the mirror direction is the ring's solid angle."""
-    source = SOURCES[name]
+    source = source_of(name)
     assert not isinstance(source, Component)
     # The tabulated mixture of a direction halfway between two angles is another after rounding.
     density = source.pdf(*PAIRS)
@@ -262,7 +274,7 @@ def test_mitsuba_draws_a_row_of_tiles_in_a_furnace_as_bright_as_their_albedo(tmp
 
 @pytest.fixture(scope="module")
 def table() -> bytes:
-    return rgl_bsdf(SOURCES["mixture"])
+    return rgl_bsdf(MODELS["mixture"])
 
 
 def measured(module: ModuleType, content: bytes, folder: Path) -> Any:
@@ -273,7 +285,7 @@ def measured(module: ModuleType, content: bytes, folder: Path) -> Any:
 @pytest.mark.parametrize("kind", ["model", "measurement"])
 def test_a_table_for_mitsuba(kind: str, table: bytes, tmp_path: Path, metal: Measurement) -> None:
     wi, wo = known_models.pairs_of_directions(1000, spread=None)
-    module, model = mitsuba_variant("llvm_ad_rgb"), SOURCES["mixture"]
+    module, model = mitsuba_variant("llvm_ad_rgb"), MODELS["mixture"]
     evaluate: Callable[..., Array] = model.evaluate if kind == "model" else metal.interpolated.evaluate
     content = table if kind == "model" else rgl_bsdf(metal, metal.name)
     values = eval_and_pdf(module, measured(module, content, tmp_path), wi, wo)[0]
@@ -298,11 +310,11 @@ def test_samples_of_a_table_return_the_albedo(table: bytes, tmp_path: Path) -> N
 
 def test_spectral_variants_add_three_spectra(tmp_path: Path) -> None:
     module, described = mitsuba_with_models("scalar_spectral", tmp_path)
-    spectral = rgl_bsdf(SOURCES["mixture"], spectral=True)
+    spectral = rgl_bsdf(MODELS["mixture"], spectral=True)
     wi, wo = known_models.pairs_of_directions(100, spread=None)
     at = [400.0, 470.0, 615.0, 720.0]
     spectra = np.stack([np.interp(at, WAVELENGTHS, row) for row in SPECTRA])
-    wanted = expected(SOURCES["mixture"], wo, wi).values * wo[:, 2:] @ spectra
+    wanted = expected(MODELS["mixture"], wo, wi).values * wo[:, 2:] @ spectra
     exact = eval_and_pdf(module, module.load_dict(described["mixture"]), wi, wo, wavelengths=at)[0]
     np.testing.assert_allclose(exact, wanted, rtol=1e-5)
     interpolated = eval_and_pdf(module, measured(module, spectral, tmp_path), wi, wo, wavelengths=at)[0]
