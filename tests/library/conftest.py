@@ -7,6 +7,7 @@ import pytest
 from dsbrdf import FitResult, Measurement, Profiles, fit, profiles
 from dsbrdf.model import sampling
 from dsbrdf.output.export import glsl, mitsuba
+from tests.support.mixtures import COARSE_ANGLES
 
 
 @pytest.fixture(scope="session")
@@ -29,11 +30,8 @@ def two_lobe_fit(plastic: Measurement) -> FitResult:
 
 @pytest.fixture(scope="module")
 def coarse_sampling() -> Iterator[None]:
-    """A table of densities for every 15th degree instead of 1.5, which a model makes before it draws a direction.
-
-    For modules with models of their own: a table does not go with another number of angles.
-    """
+    """Tabulate densities coarsely, for modules with models of their own."""
     with pytest.MonkeyPatch.context() as patch:
         for module in (sampling, glsl, mitsuba):
-            patch.setattr(module, "ANGLES", module.ANGLES[::10])
+            patch.setattr(module, "ANGLES", COARSE_ANGLES)
         yield

@@ -1,6 +1,7 @@
 """The Python client gives the library's objects and raises the library's errors."""
 
 import hashlib
+import json
 import re
 import time
 from contextlib import closing
@@ -16,6 +17,7 @@ from dsbrdf.engines import FitTask
 from dsbrdf_service.client import Client, ClientEngine, ServiceError
 from dsbrdf_service.wire import canonical
 from tests.support import endless_fit
+from tests.support.command_line import QUICK, document, sentence
 from tests.support.guarded import Guarded
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.models import assert_same_bits
@@ -207,3 +209,17 @@ def test_client_without_a_service_says_where_nothing_answers() -> None:
         pytest.raises(ConnectionError, match="nothing answers at"),
     ):
         client.get("0" * 32)
+
+
+def test_fit_of_the_command_on_a_server_is_the_fit_here(
+    guarded: Guarded, plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address = ["--url", str(guarded.server.http.base_url)]
+    assert "the environment variable DSBRDF_KEY" in sentence("fit", plastic_file, *address)
+    monkeypatch.setenv("DSBRDF_KEY", guarded.alice["Authorization"].removeprefix("Bearer "))
+    there = document("fit", plastic_file, "--json", "-o", tmp_path, *address, *QUICK)
+    assert there["model"] == document("fit", plastic_file, "--json", "-o", tmp_path / "here", *QUICK)["model"]
+    assert json.loads((tmp_path / "plastic.json").read_text())["model"] == there["model"]
+    no_measurement = tmp_path / "cut.binary"
+    no_measurement.write_bytes(plastic_file.read_bytes()[:1000])
+    assert "1000" in sentence("fit", no_measurement, *address)

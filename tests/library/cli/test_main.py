@@ -5,17 +5,20 @@ import pty
 import re
 import subprocess
 import sys
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import dsbrdf
-from dsbrdf import extras, save
+from dsbrdf import FitResult, extras, save
+from dsbrdf.cli import fit_command
 from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
-from tests.support.command_line import QUICK, printed, run, sentence
+from dsbrdf.engines import FileFit
+from tests.support.command_line import printed, run, sentence
 from tests.support.commands import start_in_vain
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 
@@ -63,7 +66,6 @@ def test_commands_that_compute_nothing_import_no_numpy() -> None:
     """NumPy and SciPy would take most of the time of such a command; the version needs no extra either."""
     program = """
 import sys
-from contextlib import suppress
 from dsbrdf.cli.main import main
 for words in ["--version"], ["--help"], ["keys", "--help"], ["purge", "--help"]:
     main(words)
@@ -108,21 +110,28 @@ def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch: 
     assert "\x1b[36m" not in printed("eval", "--help")
 
 
-def test_progress_is_gone_when_the_last_result_is_printed(plastic_file: Path, tmp_path: Path) -> None:
-    (tmp_path / "again.binary").hardlink_to(plastic_file)
+def test_progress_is_gone_when_the_last_result_is_printed(
+    two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def known(files: list[Path], *_: Any, progress: Callable[[float], None], **__: Any) -> Iterator[FileFit]:
+        for number, file in enumerate(files, 1):
+            yield FileFit(file, result=two_lobe_fit)
+            progress(number)
+
+    monkeypatch.setattr(fit_command, "fit_files", known)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
     leader, terminal = pty.openpty()
-    command = [sys.executable, "-m", "dsbrdf.cli.main", "fit", str(plastic_file), "again.binary", "-o", "out", *QUICK]
-    environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
-    with subprocess.Popen(command, stdout=terminal, stderr=terminal, cwd=tmp_path, env=environment):
-        os.close(terminal)
-        shown = b""
-        with suppress(OSError):  # the terminal is closed with the process
-            while part := os.read(leader, 4096):
-                shown += part
+    with os.fdopen(terminal, "w") as screen:
+        monkeypatch.setattr(sys, "stdout", screen)
+        monkeypatch.setattr(sys, "stderr", screen)
+        assert cli.main(["fit", "plastic.binary", "again.binary"]) == 0
+        screen.flush()
+        shown = os.read(leader, 1 << 16)
     os.close(leader)
     text = shown.decode()
     assert "0 of 2 files" in text
-    last = max(text.index("again: "), text.index("plastic: "))
+    last = text.index("again: ")
     assert " of 2 files" not in text[last:]
     assert "\x1b[2K" in text[text.rindex(" of 2 files") : last]  # its line is empty again
 
@@ -237,7 +246,7 @@ MISTAKES = {
 
 
 @pytest.fixture(scope="module")
-def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory, coarse_sampling: None) -> Path:
+def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Good files, and such that are not what their names or the commands say; tests must not change them."""
     path = tmp_path_factory.mktemp("mistakes")
     for name, content in FILES.items():

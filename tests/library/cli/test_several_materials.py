@@ -87,11 +87,6 @@ def test_compare_names_models_and_puts_their_components_side_by_side(tmp_path: P
     assert diffuse["likeness"]["psnr"] == pytest.approx(sphere_likeness(*spheres)[0])
 
 
-def test_plot_of_a_measurement_alone(plastic_file: Path, tmp_path: Path) -> None:
-    run("plot", plastic_file, "-o", tmp_path / "plastic.png")
-    assert min(shape_of(tmp_path / "plastic.png")) > 300
-
-
 def shape_of(path: Path) -> tuple[int, int]:
     with Image.open(path) as picture:
         return picture.size

@@ -161,17 +161,6 @@ def test_ended_command_leaves_no_process_and_no_file(
     wait_until(lambda: not list(temporary.iterdir()), PATIENCE)
 
 
-def test_batch_that_was_ended_resumes_where_it_stopped(files: list[Path], tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with closing(fit_files(files, QUICK, LocalEngine(1), out)) as items:
-        assert next(items).output == out / "one.json"
-    before = (out / "one.json").read_bytes()
-    assert not (out / "three.json").exists()
-    with closing(fit_files(files, QUICK, LocalEngine(1), out)) as items:
-        assert [(item.file, item.resumed) for item in items][::2] == [(files[0], True), (files[2], False)]
-    assert (out / "one.json").read_bytes() == before
-
-
 def test_unreachable_cluster_is_one_sentence(
     files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
