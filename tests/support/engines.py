@@ -2,13 +2,18 @@
 
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar
 
-from dsbrdf import FitOptions
-from dsbrdf.engines import DaskEngine, Engine, FitLimits, FitTask, LocalEngine, Outcome, dask
+from dsbrdf import ConvergenceWarning, FitOptions, FitResult, decompose, fit
+from dsbrdf.engines import DaskEngine, Engine, FitDocument, FitLimits, FitTask, LocalEngine, Outcome, dask
 from dsbrdf.engines.dask import compute_on_cluster
+from dsbrdf.output import to_json
 from tests.support import endless_fit
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.launcher import ForkedProcess
@@ -16,8 +21,9 @@ from tests.support.processes import wait_until
 
 T = TypeVar("T")
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=3)
-MIDDLE = FitOptions(method="paper", n_lobes=4, em_iterations=100)
+MIDDLE = FitOptions(method="paper", n_lobes=4, em_iterations=40)
 SLOW_FIT = FitOptions(n_lobes=8, ring_lobes=2)
+OF_SAMPLES = FitOptions(n_lobes=1, ring_lobes=0)
 ENDLESS = endless_fit.OPTIONS
 LIMITS = FitLimits(seconds=120.0, memory_mb=4096)
 PATIENCE = 120.0
@@ -89,8 +95,20 @@ def compute_impatiently(*arguments: Any, **named: Any) -> Outcome:
     return compute_on_cluster(*arguments, **named)
 
 
-def content(document: str) -> Any:
-    """A stored fit without its timings."""
-    plain = json.loads(document)
-    del plain["report"]["timings"]
-    return plain
+@cache
+def fitted_by_library(file: Path, options: FitOptions) -> tuple[FitResult, list[str]]:
+    """What the library makes of a file, and its warnings; every engine is compared with it."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", ConvergenceWarning)
+        result = fit(file, options)
+    return result, [str(warning.message) for warning in said]
+
+
+def assert_same(outcome: Outcome, expected: FitResult) -> None:
+    """Compare the document of a fit with a result of the library, bit for bit but for its timings."""
+    assert isinstance(outcome, FitDocument)
+    plain = [json.loads(text) for text in (outcome.text, to_json(expected.model, expected.report, decompose(expected)))]
+    for document in plain:
+        del document["report"]["timings"]
+    assert plain[0] == plain[1]
+    assert outcome.metrics == asdict(expected.report.metrics)

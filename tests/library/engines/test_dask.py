@@ -24,11 +24,14 @@ from tests.support.engines import (
     ENDLESS,
     LIMITS,
     MIDDLE,
+    OF_SAMPLES,
     PATIENCE,
     QUICK,
     Stage,
+    assert_same,
     compute_impatiently,
     fault_of,
+    fitted_by_library,
     ignore,
     started,
     until,
@@ -60,8 +63,9 @@ def sockets_that_dask_leaves() -> Iterator[None]:
         gc.collect()
 
 
-def test_fits_wait_for_the_cluster_and_go_to_a_worker_that_comes_later(
-    own_cluster: DaskCluster, plastic_file: Path
+@pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
+def test_fits_wait_for_a_cluster_are_those_of_the_library_and_survive_the_loss_of_a_worker(
+    own_cluster: DaskCluster, plastic_file: Path, samples_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     address = own_cluster.address
     with closing(DaskEngine(address, 3, LIMITS)) as engine:
@@ -72,7 +76,15 @@ def test_fits_wait_for_the_cluster_and_go_to_a_worker_that_comes_later(
         until(lambda: fault_of(engine), lambda fault: fault == f"The Dask cluster at {address} has no workers.")
         assert not fit.done()
         own_cluster.add_worker()
-        assert isinstance(fit.result(PATIENCE), FitDocument)
+        assert_same(fit.result(PATIENCE), fitted_by_library(plastic_file, QUICK)[0])
+        fit = engine.submit(FitTask("samples", samples_file, OF_SAMPLES), ignore)
+        assert_same(fit.result(PATIENCE), fitted_by_library(samples_file, OF_SAMPLES)[0])
+        found = asdict(versions())
+        with monkeypatch.context() as patch:
+            patch.setattr(dask, "versions", lambda: Versions(**dict.fromkeys(found, "0.1")))
+            other = " and ".join(f"{name} {one}, not 0.1" for name, one in found.items())
+            assert str(fault_of(engine)).endswith(f" has {other}.")
+        assert fault_of(engine) is None
         fits = [engine.submit(FitTask("two", plastic_file, MIDDLE), ignore) for _ in range(2)]
         own_cluster.add_worker()
         wait_until(lambda: own_cluster.log().count("Registered to:") == 2, PATIENCE)
@@ -182,16 +194,6 @@ def test_scheduler_that_hangs_is_a_fault_until_it_answers(own_cluster: DaskClust
 def test_versions_are_those_of_what_computes() -> None:
     expected = numpy.__version__, scipy.__version__, platform.python_version()
     assert (versions().numpy, versions().scipy, versions().python) == expected
-
-
-def test_worker_with_other_versions_is_not_used(cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = asdict(versions())
-    monkeypatch.setattr(dask, "versions", lambda: Versions(**dict.fromkeys(found, "0.1")))
-    with closing(DaskEngine(cluster.address, 1)) as engine:
-        other = " and ".join(f"{name} {one}, not 0.1" for name, one in found.items())
-        until(lambda: fault_of(engine), lambda fault: str(fault).endswith(f" has {other}."))
-        monkeypatch.undo()
-        until(lambda: fault_of(engine), lambda fault: fault is None)
 
 
 @pytest.mark.soak

@@ -6,35 +6,32 @@ import signal
 import subprocess
 import sys
 import time
-import warnings
 from concurrent.futures import CancelledError
-from dataclasses import asdict
-from functools import cache
 from pathlib import Path
 
 import pytest
 
-import dsbrdf
-from dsbrdf import FitOptions, FitResult, read_measurement
+from dsbrdf import FitOptions, read_measurement
 from dsbrdf.engines import Fault, FitDocument, FitLimits, FitTask, LocalEngine
-from dsbrdf.output import result_from_json, to_json
+from dsbrdf.output import result_from_json
 from dsbrdf.output.sphere_panels import thumbnail
 from tests.support.dask_cluster import DaskCluster, forked
 from tests.support.engines import (
     ENDLESS,
     LIMITS,
+    OF_SAMPLES,
     PATIENCE,
     QUICK,
     SLOW_FIT,
     Stage,
-    content,
+    assert_same,
+    fitted_by_library,
     ignore,
     run,
     started,
     until,
     until_fitting,
 )
-from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.processes import alive, wait_until
 from tests.support.soak import SOAK
 
@@ -50,19 +47,11 @@ def stage(request: pytest.FixtureRequest) -> Stage:
     return Stage(None if request.param == "local" else request.getfixturevalue("cluster"))
 
 
-@pytest.fixture(scope="module")
-def samples_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("samples") / "samples.csv"
-    path.write_bytes(samples_table(scattered_samples(mixture(1, 0), 60)))
-    return path
-
-
-@pytest.mark.parametrize("stage", ["local", "dask"], indirect=True)
 @pytest.mark.parametrize(
     ("data", "options"),
     [
         ("plastic", FitOptions(2, "paper", em_iterations=5, weighting="log", robust=True, horizon_cutoff_deg=69)),
-        ("samples", FitOptions(n_lobes=1, ring_lobes=0)),
+        ("samples", OF_SAMPLES),
     ],
     ids=["paper, log and robust", "scattered samples"],
 )
@@ -74,24 +63,13 @@ def test_result_equals_that_of_the_library_bit_for_bit(
     outcome, shares = run(stage, FitTask("one", path, options, with_thumbnail=True))
     assert isinstance(outcome, FitDocument)
     assert outcome.thumbnail == thumbnail(expected.model, read_measurement(path))
-    found, document = outcome.text, to_json(expected.model, expected.report, dsbrdf.decompose(expected))
-    assert content(found) == content(document)
-    assert outcome.metrics == asdict(expected.report.metrics)
-    report = result_from_json(found).report
+    assert_same(outcome, expected)
+    report = result_from_json(outcome.text).report
     assert list(report.timings) == list(expected.report.timings)
     assert all(seconds > 0 for seconds in report.timings.values())
     assert said == [text for text in report.warnings if " converged: " in text]
     assert shares == sorted(set(shares))
     assert shares[-1] == 1.0
-
-
-@cache
-def fitted_by_library(file: Path, options: FitOptions) -> tuple[FitResult, list[str]]:
-    """What the library makes of a file, and its warnings; every engine is compared with it."""
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always", dsbrdf.ConvergenceWarning)
-        result = dsbrdf.fit(file, options)
-    return result, [str(warning.message) for warning in said]
 
 
 @pytest.mark.parametrize(
