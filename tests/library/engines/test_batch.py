@@ -142,7 +142,7 @@ def test_killed_fit_process_loses_only_its_file(
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["three.json", "two.json"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_ended_command_leaves_no_process_and_no_file(
     command: "subprocess.Popen[str]", tmp_path: Path, temporary: Path, number: signal.Signals
 ) -> None:
