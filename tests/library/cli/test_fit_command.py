@@ -4,7 +4,6 @@ import csv
 import errno
 import json
 import os
-import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -118,20 +117,6 @@ def test_fit_replaces_nothing_beside_its_measurement_but_a_fit(plastic_file: Pat
         == f"dsbrdf: {measured}: {other} is there already and is no fit; save the fit elsewhere with -o DIR\n"
     )
     assert other.read_text() == '{"made": "in March"}'
-
-
-def test_one_bad_file_does_not_stop_the_others(plastic_file: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.binary"
-    cut.write_bytes(plastic_file.read_bytes()[:1000])
-    captured = run("fit", cut, tmp_path / "none.binary", plastic_file, "-o", tmp_path / "out", *QUICK, code=2)
-    with pytest.raises(dsbrdf.MeasurementFormatError) as refusal:
-        dsbrdf.read_merl(cut)
-    errors = [f"dsbrdf: {cut}: {refusal.value}", f"dsbrdf: {tmp_path / 'none.binary'}: No such file or directory"]
-    said = captured.stderr.splitlines()
-    assert set(errors) < set(said)
-    assert all(line.startswith(f"dsbrdf: {plastic_file}: ") for line in said if line not in errors)
-    assert re.match(r"plastic: strongly different \(.*\); 1 lobe; ", captured.stdout)
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["plastic.json"]
 
 
 def test_lost_fit_process_exits_with_1(monkeypatch: pytest.MonkeyPatch) -> None:

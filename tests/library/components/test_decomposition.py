@@ -145,12 +145,6 @@ def test_a_component_says_its_physical_parameters_with_ranges(paint_model: DSBRD
         np.testing.assert_allclose(component.height(np.radians([0.0, 40.0])), own, rtol=1e-12)
 
 
-def test_layers_together_look_like_the_model(paint_model: DSBRDF) -> None:
-    layers = decompose(paint_model).layers
-    assert layers.n_numbers <= 40
-    np.testing.assert_allclose(layers.albedo(0.5), paint_model.albedo(0.5), rtol=0.05)
-
-
 def test_a_lobe_that_nobody_put_there_is_not_found(paint: Measurement) -> None:
     parts = decompose(dsbrdf.fit(dsbrdf.profiles(paint), n_lobes=2).model)
     assert parts.labels == ("specular_spike", "diffuse")

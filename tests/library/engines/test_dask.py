@@ -1,15 +1,11 @@
 """A Dask cluster that is not there, is broken, or has other software: no fit is lost, and what is wrong is said."""
 
 import gc
-import os
 import platform
-import random
 import signal
-import time
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import CancelledError
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
@@ -19,7 +15,7 @@ import scipy
 
 from dsbrdf.engines import DaskEngine, Fault, FitDocument, FitTask, dask
 from dsbrdf.version import Versions, versions
-from tests.support.dask_cluster import DaskCluster, forked
+from tests.support.dask_cluster import DaskCluster
 from tests.support.engines import (
     ENDLESS,
     LIMITS,
@@ -194,24 +190,3 @@ def test_scheduler_that_hangs_is_a_fault_until_it_answers(own_cluster: DaskClust
 def test_versions_are_those_of_what_computes() -> None:
     expected = numpy.__version__, scipy.__version__, platform.python_version()
     assert (versions().numpy, versions().scipy, versions().python) == expected
-
-
-@pytest.mark.soak
-def test_fit_is_cancelled_at_any_moment(cluster: DaskCluster, plastic_file: Path) -> None:
-    stage, moments = Stage(cluster), random.Random(4)
-    with started(DaskEngine(cluster.address, 2, LIMITS)) as engine:
-        for last in (0.1, 0.3, 1.0) * repeats(1, 4):
-            fits = [
-                engine.submit(FitTask(name, plastic_file, options), ignore)
-                for name, options in (("one", QUICK), ("two", ENDLESS))
-            ]
-            time.sleep(moments.uniform(0.0, last))
-            for fit in fits:
-                fit.cancel()
-            for fit in fits:
-                with suppress(CancelledError):  # the first may have ended before
-                    fit.result(PATIENCE)
-            assert forked(os.getpid()) == []
-            wait_until(lambda: not stage.fitting(), PATIENCE)
-        fit = engine.submit(FitTask("two", plastic_file, QUICK), ignore)
-        assert isinstance(fit.result(PATIENCE), FitDocument)

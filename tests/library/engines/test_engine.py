@@ -3,8 +3,6 @@
 import multiprocessing
 import os
 import signal
-import subprocess
-import sys
 import time
 from concurrent.futures import CancelledError
 from pathlib import Path
@@ -15,7 +13,7 @@ from dsbrdf import FitOptions, read_measurement
 from dsbrdf.engines import Fault, FitDocument, FitLimits, FitTask, LocalEngine
 from dsbrdf.output import result_from_json
 from dsbrdf.output.sphere_panels import thumbnail
-from tests.support.dask_cluster import DaskCluster, forked
+from tests.support.dask_cluster import forked
 from tests.support.engines import (
     ENDLESS,
     LIMITS,
@@ -153,43 +151,6 @@ def test_fits_at_once_are_as_many_as_the_engine_has_workers(plastic_file: Path) 
         wait_until(lambda: bool(shares[0] and shares[1]), PATIENCE)
         assert not shares[2]
         assert len(forked(os.getpid())) == 2
-
-
-PROGRAM = """
-import sys
-from pathlib import Path
-from tests.support.engines import ENDLESS, QUICK, DaskEngine, FitTask, ignore, started
-
-if __name__ == "__main__":
-    with started(DaskEngine(sys.argv[1], 1)) as engine:
-        for options in (QUICK, ENDLESS):
-            outcome = engine.submit(FitTask("one", Path(sys.argv[2]), options), ignore).result()
-            print(type(outcome).__name__, flush=True)
-"""
-
-
-@pytest.mark.soak
-def test_no_process_outlives_a_killed_program(cluster: DaskCluster, plastic_file: Path, tmp_path: Path) -> None:
-    """The program reads in a process of its own and fits on the cluster."""
-    program = tmp_path / "program.py"
-    program.write_text(PROGRAM)
-    process = subprocess.Popen(
-        [sys.executable, str(program), cluster.address, str(plastic_file)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "FitDocument\n"
-        wait_until(lambda: bool(cluster.fitting()), PATIENCE)
-        victims = forked(process.pid) + cluster.fitting()
-    finally:
-        process.kill()
-        said = process.communicate()
-    assert said == ("", "")
-    wait_until(lambda: not any(map(alive, victims)))
 
 
 def test_without_fork_server_processes_are_spawned(plastic_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

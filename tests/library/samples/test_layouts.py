@@ -1,4 +1,4 @@
-"""Files as instruments write them, of a known truth: each is read right, or what it is is told."""
+"""Files as instruments and other programs write them, of a known truth: read right, or told what they are."""
 
 from pathlib import Path
 
@@ -7,6 +7,8 @@ import pytest
 
 from dsbrdf import MeasurementFormatError, read_measurement, read_samples
 from dsbrdf.arrays import Array
+from dsbrdf.samples import layouts
+from dsbrdf.samples.reading import parse_samples, read_table
 
 MIRROR_60 = 0.48
 """The truth at 60 degrees, in the mirror direction [1/sr]."""
@@ -41,3 +43,102 @@ def test_a_zemax_file_may_end_in_bsdf(tmp_path: Path) -> None:
     path = tmp_path / "tile.bsdf"
     path.write_bytes((LAYOUTS / "zemax.txt").read_bytes())
     np.testing.assert_array_equal(read_measurement(path).values, read_samples(LAYOUTS / "zemax.txt").values)
+
+
+FOLDER = Path(__file__).parent / "published"
+SOURCES = {
+    "alta.dat": "ALTA (Inria), isotropic formulation with theta view, theta light and |dphi|",
+    "alta_half.alta": "ALTA (Inria), RUSIN_TH_TD_PD",
+    "asphalt.xompt": "ASAM OpenMATERIAL 3D 1.1, material_brdf_schema.json",
+    "azimuth_scans.txt": "a scan of the polar angle after each azimuth, which a line gives",
+    "bird.brdf": "EURAMET project BiRD, data_json_schema_v1.0.json",
+    "blacklab.txt": "ua-loft/bsdf-tools, a laboratory's spectra with src_z, src_a, view_z, view_a",
+    "cornell_spectra.brdf": "pbrt-v2, src/materials/measured.cpp, and scenes/brdfs",
+    "cosines.dat": "radiative transfer codes, cosines of angles and a relative azimuth",
+    "e2387.txt": "ASTM E2387, names after VARS",
+    "field_spectra.csv": "remote sensing, theta_s for the sun, theta_v for the viewer, -9999 for what is missing",
+    "fields.txt": "NIST GOSI, a line for the name of each column",
+    "fred.txt": "Photon Engineering, FRED help, Tabulated BSDF; ua-loft/bsdf-tools, write_fred.m",
+    "fred_in_plane.txt": "Photon Engineering, FRED help, Tabulated BSDF, in-plane",
+    "fred_scaled.txt": "ua-loft/bsdf-tools, rt300s_to_bsdf_iso.m, head without the words type and format",
+    "grouped.csv": "a spreadsheet with groups of columns, radiance factors at two wavelengths",
+    "kernels.dat": "AMBRALS, jgomezdans/BRDF_modelling, data.r2023.c87.dat",
+    "lighttools.bsdf": "libbsdf, LightToolsBsdfReader",
+    "micrometres.csv": "a column of wavelengths in um, exit zenith",
+    "matrices.txt": "a matrix of the polar by the azimuth angle after each incidence",
+    "mueller.csv": "a Mueller matrix in columns, f_r11 its first element",
+    "pgii.txt": "pab advanced technologies' pgII and Mountain; Radiance, pabopto2bsdf(1)",
+    "photometry.tab": "Planetary Data System, incidence, emission and phase angles",
+    "polar_by_azimuth.csv": "a matrix of the polar by the azimuth angle, the incidence in its head",
+    "rami.txt": "JRC, RAMI benchmark, measurements brfpp and brfop",
+    "records.json": "a table saved by pandas as JSON records",
+    "scans.csv": "a scan after each angle of incidence, which a line gives",
+    "scatterometer.txt": "TMA CASI, angles from the mirror direction, a title before each scan",
+    "speos.brdf": "Ansys help, Structure of BRDF files; Ansys' BSDF converter",
+    "tekari.txt": "rgl-epfl/tekari, src/data_io.cpp",
+    "transposed.csv": "a spreadsheet whose columns stand in lines, as J&C's RT-300S writes A, I, R",
+    "two_azimuths.csv": "remote sensing, azimuths from north and from the sun, and a scattering angle",
+    "viewing_by_wavelength.csv": "NIST STARR, wavelengths down and viewing angles across",
+}
+
+
+REFUSED_TEXTS = {
+    "The column 'camera azimuth' is not understood, and may be an azimuth, which the table lacks": (
+        "theta_in,camera azimuth,theta_out,brdf\n10,20,30,1\n10,40,30,1\n"
+    ),
+    "In 2 of 2 rows the phase angle is not between the difference and the sum of theta_in and theta_out": (
+        "incidence phase emission value\n10 70 20 1\n30 5 60 1\n"
+    ),
+    "The JSON has no lists of numbers by name, such as theta_in": '{"data": {"theta_i": [], "brdf": "dark"}}',
+    "is a label of the Planetary Data System; take the file that it describes": "PDS_VERSION_ID = PDS3\n",
+    "begins with 'ScatterAzimuth 1', as tabular BSDF of Zemax, text of LightTools": (
+        "ScatterAzimuth 1\n0\nScatterRadial 1\n0\nDataBegin\nAOI 0\n1e\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED_TEXTS)
+def test_other_files_are_refused_with_the_reason(words: str) -> None:
+    with pytest.raises(MeasurementFormatError, match=words):
+        parse_samples(REFUSED_TEXTS[words].encode())
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_published_layouts_are_read(name: str) -> None:
+    samples = read_samples(FOLDER / name)
+    assert len(samples.values) >= 60
+    np.testing.assert_allclose(samples.values, truth(samples.omega_in, samples.omega_out), rtol=2e-5)
+    assert {path.name for path in FOLDER.iterdir()} == {*SOURCES}
+
+
+KINDS = {
+    "a Fourier BSDF (SCATFUN), the coefficients of a model; evaluate it": b"SCATFUN\x01" + bytes(56),
+    "a binary file of ALTA; write it as a text": b"#DIM 3 1\n#PARAM_IN CARTESIAN\n#FORMAT binary\n" + bytes(99),
+    "a Git LFS pointer in place of the file; fetch": b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n",
+    "a dBase table (DBF); open it in a spreadsheet": b"\x03\x7a\x05\x11\x60\0\0\0\xa1\0\x29\0" + bytes(150),
+    "an OpenEXR image; a picture has no directions": b"v/1\x01\x02\0\0\0channels\0chlist\0",
+    "packed by gzip; unpack it first": b"\x1f\x8b\x08\0" + bytes(40),
+    "a NumPy array (.npy); write its samples as a table": b"\x93NUMPY\x01\0v\0{'descr': '<f8'}\n" + bytes(800),
+    "a web page; download the file itself": b"\n<!DOCTYPE html>\n<html><body>Sign in</body></html>",
+    "an HDF5 file, perhaps of MATLAB or netCDF; write": b"\x89HDF\r\n\x1a\n" + bytes(80),
+    "of an unknown kind: neither a MERL file": b"\x7fELF\x02\x01\x01" + bytes(80),
+}
+
+
+@pytest.mark.parametrize("words", KINDS)
+def test_every_reader_names_another_kind_of_file_alike(words: str, tmp_path: Path) -> None:
+    path = tmp_path / "paint.bsdf"
+    path.write_bytes(KINDS[words])
+    sentences = set()
+    for read in (read_measurement, read_samples, lambda file: read_table(file.read_bytes())):
+        with pytest.raises(MeasurementFormatError) as caught:
+            read(path)
+        sentences.add(str(caught.value))
+    (sentence,) = sentences
+    assert sentence.startswith(f"The file is {words}")
+
+
+def test_the_page_on_formats_lists_every_layout_with_its_example() -> None:
+    page = (Path(__file__).parents[3] / "docs/formats.md").read_text()
+    rows = [f"| {layout.name} | `{layout.example}` |" for layout in layouts.LAYOUTS]
+    assert "\n".join(rows) in page

@@ -14,7 +14,7 @@ from dsbrdf.data import encode_merl, parse_rgl
 from dsbrdf.output import export_model, from_json
 from dsbrdf.output.documents import summary_of_table
 from dsbrdf.samples.reading import parse_samples, read_table
-from tests.library.samples.test_kinds_of_files import KINDS
+from tests.library.samples.test_layouts import KINDS
 from tests.library.samples.test_spreadsheet import spreadsheet
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.models import assert_same_bits
