@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.foreign_catalogue import CATALOGUE, burley_diffuse
 from benchmarks.truth import drawn, load_truth, save_truth
 from dsbrdf.arrays import Array
 from dsbrdf.data import spherical
 from tests.support.foreign_bsdfs import (
-    burley_diffuse,
     dielectric_transmittance,
     lambert,
     oren_nayar,
     principled_diffuse,
 )
-from tests.support.foreign_materials import CATALOGUE, Material
+from tests.support.foreign_materials import Material
 from tests.support.foreign_truth import RULES, Truth, judged
 
 OCHRE = (0.6, 0.4, 0.2)

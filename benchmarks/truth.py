@@ -15,14 +15,12 @@ from pathlib import Path
 import numpy as np
 
 import dsbrdf
+from benchmarks.foreign_catalogue import CATALOGUE, ashikhmin_shirley, materials_of_kinds, ward_duer
 from dsbrdf import ConvergenceWarning, Measurement
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, directions, nodes_above_horizon
-from tests.support.foreign_bsdfs import Color, lambert, ward_duer
-from tests.support.foreign_kinds import materials as materials_of_kinds
+from tests.support.foreign_bsdfs import Color, lambert
 from tests.support.foreign_materials import (
-    CATALOGUE,
     Material,
-    ashikhmin_shirley,
     car_paint,
     metal,
     plastic_material,
