@@ -69,6 +69,13 @@ def test_true_zeros_of_a_black_sample_are_kept(kind: str) -> None:
     assert np.count_nonzero(samples.values[:, 0] == 0.0) > 50
 
 
+def test_one_stray_sample_at_an_incidence_of_its_own_is_no_reason_to_doubt_the_unit() -> None:
+    far = GRID[(GRID[:, 0] == 65.0) & (GRID[:, 2] >= 55.0)]
+    rows = np.vstack([far, [15.0, 180.0, 80.0, 60.0]])
+    values = np.append(np.full(len(far), 0.1), 30.0)
+    assert not sample_doubts(parse_samples(table(NAMES, np.column_stack([rows, values])))).sentences
+
+
 def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubted() -> None:
     values = TRUE.copy()
     for at, (theta_in, _, _, _) in enumerate(GRID):
