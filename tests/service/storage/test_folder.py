@@ -125,8 +125,10 @@ def test_folder_of_the_service_loses_nothing_that_others_have_put_there(folder: 
     assert snapshot(folder.parent).items() >= before.items()
 
 
-def test_folder_of_a_start_that_was_killed_is_taken(tmp_path: Path) -> None:
-    (tmp_path / FILE_NAME).touch()
+@pytest.mark.parametrize("names", [[FILE_NAME], [FILE_NAME, f"{FILE_NAME}-journal"]])
+def test_folder_of_a_start_that_was_killed_is_taken(tmp_path: Path, names: list[str]) -> None:
+    for name in names:
+        (tmp_path / name).touch()
     Store(tmp_path).close()
 
 
