@@ -48,6 +48,7 @@ FURTHER_TESTS = {
     "access": ["tests/service/test_owners.py", "tests/service/http/test_limits.py"],
     "queue": ["tests/service/test_turns.py", "tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
     "fitting": ["tests/library/test_result.py"],
+    "storage": ["tests/service/api/test_materials.py"],
 }
 MAX_TEST_SECONDS = 200.0  # A fault that survives the quickest tests of this time counts as not noticed.
 MAX_RUN_SECONDS = 200.0  # A fault may cause an endless loop, which counts as noticed.
@@ -127,6 +128,8 @@ def _changes(node: ast.AST, lines: Sequence[str]) -> Iterator[tuple[Place, Place
 
 def _is_threshold(node: ast.expr) -> bool:
     """Return whether a node is a constant that a floating-point number equals by chance only."""
+    if isinstance(node, ast.BinOp):
+        return _is_threshold(node.left) or _is_threshold(node.right)
     if isinstance(node, ast.Name):
         return node.id.isupper()
     return isinstance(node, ast.Constant) and isinstance(node.value, float)
