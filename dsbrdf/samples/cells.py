@@ -193,7 +193,7 @@ def as_number(cell: str, separator: str) -> float | None:
         return float("nan")
     if separator != "," and "," in text:
         thousands = "." if text.rfind(",") > text.rfind(".") else ","
-        text = text.replace(thousands, "").replace(",", ".", 1)
+        text = text.replace(thousands, "").replace(",", ".")
     try:
         return None if "_" in text else float(_FORTRAN_EXPONENT.sub("e", text))
     except ValueError:
