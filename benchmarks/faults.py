@@ -49,6 +49,7 @@ FURTHER_TESTS = {
     "queue": ["tests/service/test_turns.py", "tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
     "fitting": ["tests/library/test_result.py"],
     "storage": ["tests/service/api/test_materials.py"],
+    "model": ["tests/library/output/test_comparison.py"],
 }
 MAX_TEST_SECONDS = 200.0  # A fault that survives the quickest tests of this time counts as not noticed.
 MAX_RUN_SECONDS = 200.0  # A fault may cause an endless loop, which counts as noticed.
