@@ -125,10 +125,10 @@ def test_folder_of_the_service_loses_nothing_that_others_have_put_there(folder: 
     assert snapshot(folder.parent).items() >= before.items()
 
 
-@pytest.mark.parametrize("names", [[FILE_NAME], [FILE_NAME, f"{FILE_NAME}-journal"]])
-def test_folder_of_a_start_that_was_killed_is_taken(tmp_path: Path, names: list[str]) -> None:
-    for name in names:
-        (tmp_path / name).touch()
+@pytest.mark.parametrize("name", [FILE_NAME, f"{FILE_NAME}-journal"])
+def test_folder_of_a_start_that_was_killed_is_taken(tmp_path: Path, name: str) -> None:
+    for made in {FILE_NAME, name}:
+        (tmp_path / made).touch()
     Store(tmp_path).close()
 
 
@@ -320,9 +320,7 @@ def test_upload_looks_at_no_file_that_another_key_has(store: Store, steps: list[
     assert done[0] == done[1] != []
 
 
-def test_deletion_that_cannot_be_committed_keeps_the_file(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_deletion_that_cannot_be_committed_keeps_the_file(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     transaction = store.database.transaction
 
     @contextmanager
@@ -341,9 +339,7 @@ def test_deletion_that_cannot_be_committed_keeps_the_file(
     assert not store.blobs.path(sha256).exists()
 
 
-def test_measurement_is_deleted_also_where_its_file_cannot_be(
-    store: Store, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_measurement_is_deleted_also_where_its_file_cannot_be(store: Store, caplog: pytest.LogCaptureFixture) -> None:
     sha256 = add(store, b"content")
     store.blobs.path(sha256).unlink()
     store.blobs.path(sha256).mkdir()  # what cannot be removed as a file, by nobody
