@@ -84,9 +84,7 @@ def test_noisy_measurement() -> None:
         (0.1, 0.1, 0.2, ["The model reflects 20.0% more or less light than the measurement"]),
     ],
 )
-def test_errors_far_above_the_floor_are_named(
-    error: float, floor: float, albedo_error: float, beginnings: list[str]
-) -> None:
+def test_errors_above_a_floor_are_told(error: float, floor: float, albedo_error: float, beginnings: list[str]) -> None:
     metrics = Metrics(relative_rms=error, symmetric_floor=floor, albedo_error=albedo_error)
     for found, beginning in zip(accuracy_findings(metrics), beginnings, strict=True):
         assert found.sentence.startswith(beginning)

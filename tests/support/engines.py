@@ -8,11 +8,10 @@ from contextlib import closing, contextmanager
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from dsbrdf import ConvergenceWarning, FitOptions, FitResult, decompose, fit
-from dsbrdf.engines import DaskEngine, Engine, FitDocument, FitLimits, FitTask, LocalEngine, Outcome, dask
-from dsbrdf.engines.dask import compute_on_cluster
+from dsbrdf.engines import DaskEngine, Engine, FitDocument, FitLimits, FitTask, LocalEngine, Outcome
 from dsbrdf.output import to_json
 from tests.support import endless_fit
 from tests.support.dask_cluster import DaskCluster, forked
@@ -87,12 +86,6 @@ def run(stage: Stage, task: FitTask, limits: FitLimits = LIMITS) -> tuple[Outcom
     shares: list[float] = []
     with started(stage.engine(limits)) as engine:
         return engine.submit(task, shares.append).result(PATIENCE), shares
-
-
-def compute_impatiently(*arguments: Any, **named: Any) -> Outcome:
-    """Compute on a cluster, but give up a lost scheduler and lost workers soon."""
-    vars(dask).update(_SCHEDULER_TIMEOUT_S=1.0, _LOST_WORKER_TIMEOUT_S=0.5)
-    return compute_on_cluster(*arguments, **named)
 
 
 @cache

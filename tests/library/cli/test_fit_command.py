@@ -260,9 +260,7 @@ def test_server_that_does_not_answer_is_named(plastic_file: Path) -> None:
     assert said.startswith(nobody)
 
 
-def test_a_measurement_becomes_a_bsdf_file_and_a_file_of_its_own_kind_a_copy(
-    plastic_file: Path, tmp_path: Path
-) -> None:
+def test_a_measurement_becomes_a_bsdf_file_and_one_of_its_own_kind_a_copy(plastic_file: Path, tmp_path: Path) -> None:
     output = tmp_path / "plastic.bsdf"
     run("convert", plastic_file, output)
     assert parse_tensors(output.read_bytes())["rgb"].shape[2] == 3

@@ -110,9 +110,7 @@ def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch: 
     assert "\x1b[36m" not in printed("eval", "--help")
 
 
-def test_progress_is_gone_when_the_last_result_is_printed(
-    two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_is_gone_with_the_last_result(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> None:
     def known(files: list[Path], *_: Any, progress: Callable[[float], None], **__: Any) -> Iterator[FileFit]:
         for number, file in enumerate(files, 1):
             yield FileFit(file, result=two_lobe_fit)

@@ -131,9 +131,7 @@ def test_show_prints_the_report_that_the_fit_printed(plastic_file: Path, model_f
     assert {line for line in shown[2:] if line.strip() not in " ".join(remarks)} <= set(before)
 
 
-def test_show_prints_the_lobes_tried_or_compared_and_the_largest_errors(
-    two_lobe_fit: FitResult, tmp_path: Path
-) -> None:
+def test_show_prints_the_lobes_tried_or_compared_and_the_errors(two_lobe_fit: FitResult, tmp_path: Path) -> None:
     elimination = (
         SearchStep(3, 1, 1.2e-3, kept=True),
         SearchStep(n_lobes=2, ring_lobes=1, error=1.23e-3, kept=False),
@@ -202,9 +200,7 @@ def drawn(folder: Path, *words: object, size: int = 32) -> tuple[NDArray[np.floa
 
 
 @pytest.mark.parametrize("lighting", ["three_lights", "environment"])
-def test_picture_is_that_of_the_library(
-    model_file: Path, two_lobe_fit: FitResult, lighting: str, tmp_path: Path
-) -> None:
+def test_picture_is_of_the_library(model_file: Path, two_lobe_fit: FitResult, lighting: str, tmp_path: Path) -> None:
     pixels, about = drawn(tmp_path, model_file, "--lighting", lighting, size=48)
     expected = displayed(render_sphere(two_lobe_fit.model, lighting=lighting, size=48), about["exposure"])
     assert np.abs(pixels - expected).max() < 0.003
@@ -225,9 +221,7 @@ def test_a_measurement_is_drawn(plastic_file: Path, tmp_path: Path) -> None:
     assert np.abs(pixels - displayed(render_sphere(read_merl(plastic_file), size=32), 0.5)).max() < 0.003
 
 
-def test_measurement_and_fit_are_compared_under_a_panorama(
-    plastic_file: Path, model_file: Path, two_lobe_fit: FitResult, tmp_path: Path
-) -> None:
+def test_compare_in_a_panorama(plastic_file: Path, model_file: Path, two_lobe_fit: FitResult, tmp_path: Path) -> None:
     openexr = pytest.importorskip("OpenEXR")
     panorama, output = tmp_path / "even.exr", tmp_path / "both.png"
     openexr.File({}, {"RGB": np.ones((4, 8, 3), np.float32)}).write(str(panorama))
@@ -240,9 +234,7 @@ def test_measurement_and_fit_are_compared_under_a_panorama(
     assert pixels_of(output).shape == (24, (3 + len(labels)) * 24, 3)
 
 
-def test_plot_draws_the_profiles_of_a_measurement_and_lobes_on_request(
-    model_file: Path, plastic_file: Path, tmp_path: Path
-) -> None:
+def test_plot_draws_profiles_and_lobes_on_request(model_file: Path, plastic_file: Path, tmp_path: Path) -> None:
     output, pictures = tmp_path / "figure.png", []
     for arguments in ([], [plastic_file], [plastic_file, "--lobes"]):
         about = document("plot", model_file, *arguments, "-o", output, "--json")
@@ -254,9 +246,7 @@ def test_plot_draws_the_profiles_of_a_measurement_and_lobes_on_request(
     assert "2 materials compared" in printed("plot", model_file, model_file, "-o", output)
 
 
-def test_compare_a_measurement_with_its_fit(
-    model_file: Path, plastic_file: Path, two_lobe_fit: FitResult, tmp_path: Path
-) -> None:
+def test_compare_with_its_fit(model_file: Path, plastic_file: Path, two_lobe_fit: FitResult, tmp_path: Path) -> None:
     picture = tmp_path / "both.png"
     lines = printed("compare", plastic_file, model_file, "-o", picture).splitlines()
     assert lines[0].split() == ["plastic", "plastic"]

@@ -109,7 +109,7 @@ def test_roughness_and_reflectance_of_a_layer_come_out_as_they_were_put_in(name:
         ("car_paint_blue", LOBE, (1 / 3, 0.16 / 0.3, 1.0)),
     ],
 )
-def test_metal_and_flakes_give_their_highlight_their_colour_and_a_coat_none(
+def test_metal_and_flakes_colour_their_highlight_and_a_coat_none(
     name: str, label: str, color: tuple[float, float, float]
 ) -> None:
     np.testing.assert_allclose(known(name)[0][label].color, color, atol=0.1 if label == SPIKE else 0.04)

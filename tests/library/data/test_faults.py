@@ -74,7 +74,7 @@ def test_a_missing_centre_is_noticed(paint: Measurement) -> None:
     assert one.numbers == {"theta_half_deg": pytest.approx(14**2 / 90)}
 
 
-def test_good_measurements_have_no_fault(
+def test_there_are_no_false_alarms(
     plastic: Measurement, matte: Measurement, metal: Measurement, paint: Measurement
 ) -> None:
     lambertian = changed(matte, lambda values: np.full_like(values, 0.1))
@@ -97,9 +97,7 @@ def test_samples_of_a_clipped_highlight_count_as_lower_bounds(metal: Measurement
 
 
 @pytest.mark.parametrize("fault", [with_garbage, lambda values: np.where(BEYOND, 0.0, values)], ids=["noise", "zero"])
-def test_garbage_beyond_the_cutoff_does_not_change_what_lies_inside(
-    plastic: Measurement, fault: Callable[[Array], Array]
-) -> None:
+def test_garbage_beyond_a_cutoff_changes_nothing_inside(plastic: Measurement, fault: Callable[[Array], Array]) -> None:
     spoiled = changed(plastic, fault)
     models = (dsbrdf.fit(data, n_lobes=1, ring_lobes=0).model for data in (plastic, spoiled))
     good, found = (relative_errors(sample_errors(model, plastic, CUTOFF)) for model in models)

@@ -234,9 +234,7 @@ def judged_at_once(data: bytes) -> str:
 
 @examples(0.3)
 @given(damage=damages(), length=st.one_of(st.just(FILE_SIZE), near_an_end))
-def test_damaged_file_is_judged_row_by_row_as_at_once(
-    data: bytes, damage: list[tuple[int, bytes]], length: int
-) -> None:
+def test_damaged_file_is_judged_by_rows_as_at_once(data: bytes, damage: list[tuple[int, bytes]], length: int) -> None:
     changed = bytearray(data)
     for place, content in damage:
         changed[place : place + len(content)] = content

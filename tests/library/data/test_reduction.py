@@ -55,9 +55,7 @@ def weigh(weighting: str, cosine: Array, typical: float) -> Array:
 
 @pytest.mark.parametrize("cutoff", [DEFAULT_HORIZON_CUTOFF, None, 0.6])
 @pytest.mark.parametrize("weighting", ["plain", "cosine", "log"])
-def test_cells_are_those_of_a_loop_over_the_samples(
-    speckled: Measurement, cutoff: float | None, weighting: str
-) -> None:
+def test_cells_are_those_of_a_loop_over_samples(speckled: Measurement, cutoff: float | None, weighting: str) -> None:
     found = profiles(speckled, horizon_cutoff=cutoff, weighting=weighting)
     filled = 0
     for (i, j), channel in itertools.product(CELLS, (0, 2)):
@@ -152,9 +150,7 @@ def test_robust_weights_fall_with_the_distance_from_the_median_of_a_cell_or_a_bi
     assert n_graded > 20
 
 
-def test_a_robust_bin_of_two_samples_is_judged_with_the_bins_beside_it(
-    matte: Measurement, robust_matte: Profiles
-) -> None:
+def test_a_robust_bin_of_two_samples_is_judged_with_those_beside_it(matte: Measurement, robust_matte: Profiles) -> None:
     count = profiles(matte).folded.weight[1]
     j, i, fold = np.argwhere(count == 2.0)[0]
     members = np.flatnonzero(matte.valid[i, j] & (IN_BIN[:, fold] > 0))
@@ -218,9 +214,7 @@ def test_plain_cosine_and_log_are_the_formulas_within_the_cutoff(folded: FoldedP
 
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
-def test_what_was_not_measured_counts_nothing_the_center_little_and_the_rest_something(
-    folded: FoldedProfiles, weighting: str
-) -> None:
+def test_what_was_not_measured_counts_nothing_and_the_center_little(folded: FoldedProfiles, weighting: str) -> None:
     holes = np.random.default_rng(1).uniform(size=folded.weight.shape) < 0.3
     speckled = replace(folded, weight=np.where(holes, 0.0, folded.weight))
     weight = bin_weights(speckled, weighting, CUTOFF)

@@ -130,9 +130,7 @@ def test_fit_processes_have_one_thread_and_end_with_the_iterator_and_the_environ
     assert not any(map(alive, workers))
 
 
-def test_killed_fit_process_loses_only_its_file(
-    files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_process_loses_only_its_file(files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(local, "compute", compute_unless_named_one)
     with closing(fit_files(files, QUICK, LocalEngine(1), tmp_path / "out")) as items:
         first, *others = items
@@ -161,7 +159,7 @@ def test_ended_command_leaves_no_process_and_no_file(
     wait_until(lambda: not list(temporary.iterdir()), PATIENCE)
 
 
-def test_unreachable_cluster_is_one_sentence(
+def test_lost_cluster_is_a_sentence(
     files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT_S", 0.5)

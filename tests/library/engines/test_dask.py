@@ -25,17 +25,14 @@ from tests.support.engines import (
     QUICK,
     Stage,
     assert_same,
-    compute_impatiently,
     fault_of,
     fitted_by_library,
     ignore,
     started,
     until,
     until_busy,
-    until_fitting,
 )
 from tests.support.processes import wait_until
-from tests.support.soak import repeats
 
 pytestmark = [
     pytest.mark.slow,
@@ -106,34 +103,7 @@ def test_fit_that_loses_four_workers_fails_and_they_leave_nothing(own_cluster: D
 
 
 @pytest.mark.soak
-def test_fit_survives_the_loss_of_the_scheduler_and_of_its_only_worker(
-    own_cluster: DaskCluster, plastic_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(dask, "compute_on_cluster", compute_impatiently)
-    own_cluster.start_scheduler()
-    own_cluster.add_worker()
-    stage, shares = Stage(own_cluster), list[float]()
-    with started(stage.engine()) as engine:
-        fit = engine.submit(FitTask("one", plastic_file, MIDDLE), shares.append)
-        for _ in range(repeats(1, 4)):
-            until_fitting(stage)
-            own_cluster.kill_scheduler()
-            wait_until(lambda: fault_of(engine) is not None, PATIENCE)
-            wait_until(lambda: not stage.fitting(), PATIENCE)
-            own_cluster.start_scheduler()
-            own_cluster.add_worker()  # Dask's workers end when their scheduler is lost
-        until_fitting(stage)
-        own_cluster.kill_worker(own_cluster.workers[-1])
-        wait_until(lambda: fault_of(engine) is not None, PATIENCE)
-        own_cluster.add_worker()
-        assert isinstance(fit.result(PATIENCE), FitDocument)
-    assert shares == sorted(set(shares))
-
-
-@pytest.mark.soak
-def test_worker_without_permission_for_child_processes_is_not_used(
-    own_cluster: DaskCluster, plastic_file: Path
-) -> None:
+def test_worker_that_may_not_start_processes_is_not_used(own_cluster: DaskCluster, plastic_file: Path) -> None:
     own_cluster.start_scheduler()
     own_cluster.add_worker(nanny=True)
     with closing(Stage(own_cluster).engine()) as engine:

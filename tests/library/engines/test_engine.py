@@ -99,9 +99,7 @@ def test_failed_fit_is_a_fault_that_says_why(
     wait_until(lambda: not stage.fitting())
 
 
-def test_progress_rises_until_cancelling_ends_the_process_and_closing_all_others(
-    stage: Stage, plastic_file: Path
-) -> None:
+def test_progress_rises_until_cancelling_ends_a_process_and_closing_the_rest(stage: Stage, plastic_file: Path) -> None:
     shares: list[float] = []
     with started(stage.engine()) as engine:
         fit = engine.submit(FitTask("one", plastic_file, ENDLESS), shares.append)

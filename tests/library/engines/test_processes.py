@@ -90,9 +90,7 @@ def test_arguments_that_cannot_be_sent_are_an_error_of_their_call(processes: Pro
     assert processes.call(do_nothing).result(PATIENCE) is None
 
 
-def test_cancel_while_a_call_prepares_its_process_is_not_lost(
-    processes: Processes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cancel_while_a_process_is_prepared_is_not_lost(processes: Processes, monkeypatch: pytest.MonkeyPatch) -> None:
     make_pair, begun, cancelled = socket.socketpair, Event(), Event()
 
     def make_pair_after_the_cancel() -> tuple[socket.socket, socket.socket]:

@@ -115,9 +115,7 @@ def test_profiles_give_the_same_model_without_metrics(plastic_profiles: Profiles
     assert len(shares) > 8
 
 
-def test_warning_only_where_the_bound_on_iterations_was_met(
-    plastic_profiles: Profiles, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_warning_only_where_iterations_ran_out(plastic_profiles: Profiles, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(global_method, "MAX_ITERATIONS", 500)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

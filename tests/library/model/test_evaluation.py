@@ -196,9 +196,7 @@ CHANGES: list[dict[str, Any]] = [
 @pytest.mark.parametrize("family", FAMILIES)
 @INTERPOLATIONS
 @pytest.mark.parametrize("changed", CHANGES)
-def test_many_points_have_the_values_of_the_definition(
-    interpolation: str, changed: dict[str, Any], family: str
-) -> None:
+def test_many_points_have_the_values_of_definition(interpolation: str, changed: dict[str, Any], family: str) -> None:
     model = random_model(interpolation, family=family, **changed)
     angles = points(4000)
     found = model.evaluate_unmasked(*angles)

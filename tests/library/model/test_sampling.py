@@ -92,9 +92,7 @@ def test_variance_is_below_that_of_cosine_sampling(name: str, angles: tuple[floa
 
 
 @pytest.mark.parametrize(("elongation", "disc", "angle"), [(1.0, 0.0, 69.9), (0.0, 2e3, 45.0)])
-def test_many_samples_have_the_stretch_and_the_disc_of_the_density(
-    elongation: float, disc: float, angle: float
-) -> None:
+def test_many_samples_have_the_stretch_and_disc_of_the_density(elongation: float, disc: float, angle: float) -> None:
     model = single_lobe(2.0, 50.0, 5.0, elongation=elongation, delta=disc)
     theta_edges = np.radians([0.0, 0.7, 0.95, 1.0, 1.05, 2.0, 5.0, 8.0, 12.0])
     assert p_value(model, angle, theta_edges, 16, 400_000) > 1e-3

@@ -82,9 +82,7 @@ def lines_of(ax: Axes, label: str) -> list[tuple[NDArray[np.float64], NDArray[np
     ]
 
 
-def test_overview_draws_measured_means_and_the_fit_within_its_limits(
-    overview: Figure, plastic_profiles: Profiles
-) -> None:
+def test_overview_draws_means_and_the_fit_within_its_limits(overview: Figure, plastic_profiles: Profiles) -> None:
     for (at, ax), (index, channel) in itertools.product(enumerate(overview.axes[:4]), enumerate(CHANNELS)):
         row = (0, 0, 45, 45)[at]
         ((angles, values),) = lines_of(ax, f"{channel}, fit")
@@ -211,9 +209,7 @@ def test_legend_is_below_the_labels_of_the_axes(lobes: Figure) -> None:
     assert row.legends[0].get_window_extent().y1 <= lowest + 1.0
 
 
-def test_the_peak_is_drawn_to_four_half_widths_and_what_rises_towards_the_horizon_is_none(
-    plastic_profiles: Profiles,
-) -> None:
+def test_the_peak_is_drawn_to_four_half_widths_and_a_rise_to_the_horizon_is_none(plastic_profiles: Profiles) -> None:
     def drawn(model: Any) -> tuple[float, str]:
         ax = profiles_figure(plastic_profiles, model).axes[1]
         return ax.get_xlim()[1], ax.get_title()
@@ -307,9 +303,7 @@ def axes_of(figure: Figure) -> list[Axes]:
     return [ax for ax in figure.findobj(Axes) if isinstance(ax, Axes)]
 
 
-def test_samples_near_slices_and_planes_are_drawn_with_the_fit(
-    samples: ScatteredSamples, two_lobe_fit: FitResult
-) -> None:
+def test_samples_near_slices_and_planes_are_drawn_beside_it(samples: ScatteredSamples, two_lobe_fit: FitResult) -> None:
     *slices, first, second, _, _ = axes_of(dsbrdf.plot(two_lobe_fit, samples))
     theta_half, theta_diff, _ = np.degrees(half_difference(samples.omega_in, samples.omega_out))
     for ax in slices:
@@ -337,9 +331,7 @@ def test_residual_is_drawn_at_every_sample(samples: ScatteredSamples, two_lobe_f
             )
 
 
-def test_samples_out_of_their_plane_and_black_ones_are_drawn_without_a_warning(
-    samples: ScatteredSamples, two_lobe_fit: FitResult
-) -> None:
+def test_black_samples_and_those_off_their_plane_are_drawn(samples: ScatteredSamples, two_lobe_fit: FitResult) -> None:
     aside = replace(samples, omega_out=spherical(np.radians(np.maximum(np.abs(VIEWER), 10.0)), np.pi / 2))
     dark = replace(aside, values=np.where(samples.values > np.median(samples.values), samples.values, 0.0))
     drawn = samples_figure(dark, two_lobe_fit.model).findobj(Text)

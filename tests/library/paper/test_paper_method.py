@@ -122,9 +122,7 @@ def test_mask_hides_what_lies_outside(plastic_profiles: Profiles, mask: float | 
     assert other.kappa.tolist() != expected.kappa.tolist()
 
 
-def test_centre_is_not_used_for_the_lobes_and_the_delta_term_is_never_negative(
-    plastic_profiles: Profiles, one_lobe: FitResult
-) -> None:
+def test_centre_is_not_used_for_lobes_and_no_delta_is_negative(plastic_profiles: Profiles, one_lobe: FitResult) -> None:
     for value in (1e4, 0.0):
         mean = np.where(THETA_HALF < np.radians(1.0), value, plastic_profiles.mean)
         found = fit(dataclasses.replace(plastic_profiles, mean=mean), paper(n_lobes=1)).model
@@ -156,9 +154,7 @@ class StopError(Exception):
 
 @pytest.mark.parametrize("method", ["paper", "global"])
 @pytest.mark.parametrize("number", [1, 2, 6])
-def test_what_progress_raises_ends_the_fit_and_reaches_the_caller(
-    plastic_profiles: Profiles, number: int, method: str
-) -> None:
+def test_what_progress_raises_ends_the_fit_and_is_raised(plastic_profiles: Profiles, number: int, method: str) -> None:
     calls: list[float] = []
 
     def stop(share: float) -> None:

@@ -41,9 +41,7 @@ def stretched(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
 
 
 @pytest.mark.parametrize(("is_in_plane", "lowest", "highest"), [(False, 0.8, 1.25), (True, 0.25, 0.7)])
-def test_samples_all_around_tell_that_a_highlight_is_longer_across_the_plane(
-    is_in_plane: bool, lowest: float, highest: float
-) -> None:
+def test_samples_all_around_tell_an_elongated_highlight(is_in_plane: bool, lowest: float, highest: float) -> None:
     """In one plane they cannot: the prediction lies between that of microfacets, 0.13, and the truth."""
     random = np.random.default_rng(3)
     half, diff = random.uniform(0.0, np.radians((20.0, 65.0)), (150, 2)).T

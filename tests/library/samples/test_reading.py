@@ -326,9 +326,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("content", "words"), WRONG, ids=[words for _, words in WRONG])
-def test_what_is_no_table_is_told_what_is_wrong_and_what_would_be_right(
-    content: bytes, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_table_is_told_the_remedy(content: bytes, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cells, "MAX_CELLS", 50_000)  # A hundredth of the usual number is as good.
     with pytest.raises(MeasurementFormatError) as caught:
         parse_samples(content)

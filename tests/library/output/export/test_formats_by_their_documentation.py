@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 import dsbrdf
-from dsbrdf.components import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components import LayeredModel
 from dsbrdf.output import export_model
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.materialx import FoundSurface
 from dsbrdf.output.export.openpbr import OpenPBR
+from tests.support.known_models import LAYERS
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model
 
@@ -138,17 +139,6 @@ def test_csv(kind: str) -> None:
         return Parameters(*shapes, column("elongation")[0], np.zeros(3))
 
     assert_is(brdf(model.lobe, at), model)
-
-
-LAYERS = LayeredModel(
-    (
-        SpecularLayer((0.03, 0.04, 0.05), 0.8, 0.08, 2.5, (0.2, -0.3), 0.3, 0.0),
-        SpecularLayer((0.15, 0.1, 0.05), 0.9, 0.3, 1.3, (-0.4, 0.1), 0.0, 1.0),
-        DiffuseLayer((0.3, 0.15, 0.05), (0.5, 0.2, -0.3, 0.4, -0.2, 0.6)),
-        SheenLayer((0.02, 0.03, 0.04), (2.5, 1.5)),
-        RetroLayer((0.01, 0.02, 0.01), 0.2),
-    )
-)
 
 
 def glass(cosine: Array) -> Array:
