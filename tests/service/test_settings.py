@@ -100,3 +100,11 @@ def test_empty_environment_variable_is_ignored(monkeypatch: pytest.MonkeyPatch) 
     for name in Settings.model_fields:
         monkeypatch.setenv(f"DSBRDF_{name.upper()}", "")
     assert Settings() == Settings(_env_prefix="NOTHING_")  # type: ignore[call-arg]
+
+
+def test_help_names_the_defaults(tmp_path: Path) -> None:
+    code, text = start_in_vain(tmp_path, "--help")
+    assert code == 0
+    words = " ".join(text.split())
+    assert "Default: one for each core." in words
+    assert "Default: 127.0.0.1." in words

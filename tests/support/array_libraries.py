@@ -1,7 +1,7 @@
 """A program that evaluates exported Python files with PyTorch or JAX, and differentiates them.
 
 ``python array_libraries.py jax FOLDER`` writes for each NAME.py in the folder the values, and the derivatives of their
-sum, weighted as pairs.npz says, in double precision; or the values alone in single precision.
+sum, weighted as pairs.npz says, in double precision.
 """
 
 import importlib.util
@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-WITHOUT_DERIVATIVES = "values_only"
-"""Beginning of the names of files that are only evaluated."""
 DIRECTIONS = ("omega_in", "omega_out")
 
 
@@ -27,11 +25,8 @@ def loaded(path: Path) -> ModuleType:
     return module
 
 
-def with_torch(module: Any, pairs: dict[str, Any], is_differentiated: bool) -> dict[str, Any]:
+def with_torch(module: Any, pairs: dict[str, Any]) -> dict[str, Any]:
     torch: Any = importlib.import_module("torch")
-    if not is_differentiated:
-        single = [torch.asarray(pairs[name]).to(torch.float32) for name in DIRECTIONS]
-        return {"single": module.evaluate(*single).numpy()}
     named = module.PARAMETERS | {name: pairs[name] for name in DIRECTIONS}
     tensors = {k: torch.tensor(v, dtype=torch.float64, requires_grad=True) for k, v in named.items()}
     values = module.evaluate(*(tensors[k] for k in DIRECTIONS), {k: tensors[k] for k in module.PARAMETERS})
@@ -40,13 +35,10 @@ def with_torch(module: Any, pairs: dict[str, Any], is_differentiated: bool) -> d
     return slopes | {"values": values.detach().numpy()}
 
 
-def with_jax(module: Any, pairs: dict[str, Any], is_differentiated: bool) -> dict[str, Any]:
+def with_jax(module: Any, pairs: dict[str, Any]) -> dict[str, Any]:
     jax: Any = importlib.import_module("jax")
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_disable_most_optimizations", True)  # Compiling takes longer than all the rest.
-    if not is_differentiated:
-        single = (jax.numpy.asarray(pairs[name].astype(np.float32)) for name in DIRECTIONS)
-        return {"single": np.asarray(jax.jit(module.evaluate)(*single))}
 
     def weighted(arrays: dict[str, Any]) -> Any:
         parameters = {name: arrays[name] for name in module.PARAMETERS}
@@ -64,5 +56,4 @@ if __name__ == "__main__":
     with np.load(folder / "pairs.npz") as stored:
         pairs = dict(stored)
     for path in folder.glob("*.py"):
-        found = run(loaded(path), pairs, not path.stem.startswith(WITHOUT_DERIVATIVES))
-        np.savez(path.with_suffix(".npz"), **found)
+        np.savez(path.with_suffix(".npz"), **run(loaded(path), pairs))

@@ -19,7 +19,6 @@ from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
 from dsbrdf.engines import FileFit
 from tests.support.command_line import printed, run, sentence
-from tests.support.commands import start_in_vain
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 
 
@@ -91,14 +90,6 @@ def test_help_lists_all_commands_in_groups() -> None:
     assert {"Models", "Pictures", "Files", "Service", "Options"} <= {*lines}
     listed = {line.split()[0] for line in lines if line}
     assert listed >= {*command_names(), *SERVICE_COMMANDS, "--help", "--version"}
-
-
-def test_help_of_serve_names_the_defaults(tmp_path: Path) -> None:
-    code, text = start_in_vain(tmp_path, "--help")
-    assert code == 0
-    words = " ".join(text.split())
-    assert "Default: one for each core." in words
-    assert "Default: 127.0.0.1." in words
 
 
 def test_help_has_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,9 +20,8 @@ TRUTH = mixture(2, 1)
 
 def test_parameters_of_a_known_model_are_found() -> None:
     """Few of the samples are at grazing angles: with as many knots there as a table has, the fit runs away."""
-    truth = mixture(3, 4)
-    result = dsbrdf.fit(scattered_samples(truth, 5000), n_lobes=3, ring_lobes=0)
-    found = deviations(result.model, truth)
+    result = dsbrdf.fit(scattered_samples(TRUTH, 3000), n_lobes=2, ring_lobes=0)
+    found = deviations(result.model, TRUTH)
     # kappa and gamma can make up for each other.
     assert max(found[name] for name in ("amplitude", "half width", "elongation")) < 0.03
     metrics = result.report.metrics
@@ -215,11 +214,12 @@ def noisy(samples: ScatteredSamples, seed: int = 1) -> ScatteredSamples:
     return scaled(samples, 1.0 + 0.02 * np.random.default_rng(seed).standard_normal(samples.values.shape))
 
 
-def test_outliers_of_a_robust_fit_do_not_count(truth: dsbrdf.DSBRDF) -> None:
+def test_outliers_of_a_robust_fit_do_not_count() -> None:
+    truth = mixture(1, 0)
     samples = noisy(scattered_samples(truth, 100))
     spoiled = scaled(samples, np.where(np.arange(100) % 20 == 3, 8.0, 1.0)[:, None])
     robust, plain = (
-        median_error(dsbrdf.fit(spoiled, n_lobes=2, ring_lobes=0, robust=robust).model, truth)
+        median_error(dsbrdf.fit(spoiled, n_lobes=1, ring_lobes=0, robust=robust).model, truth)
         for robust in (True, False)
     )
     assert robust < 0.05

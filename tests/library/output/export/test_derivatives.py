@@ -14,15 +14,14 @@ import pytest
 from numpy.typing import NDArray
 
 import dsbrdf
-from dsbrdf import DSBRDF, InvalidArgumentError, decompose
+from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.arrays import Array
 from dsbrdf.components import LayeredModel
-from dsbrdf.components.component import Component
 from dsbrdf.data import half_difference
 from dsbrdf.output import export_model
 from dsbrdf.output.export.mitsuba import PARAMETERS, register
 from tests.support import array_libraries
-from tests.support.array_libraries import WITHOUT_DERIVATIVES, loaded
+from tests.support.array_libraries import loaded
 from tests.support.known_models import LAYERS, MODELS, pairs_of_directions
 from tests.support.mitsuba_variants import mitsuba_variant, surface_at
 
@@ -43,12 +42,7 @@ PAIRS = pairs_of_directions(2000, lowest=float(np.cos(np.radians(80.0))), spread
 
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_values_and_derivatives_in_other_libraries(library: str, tmp_path: Path) -> None:
-    component = decompose(MODELS["mixture"])["specular_lobe"]
-    sources: dict[str, DSBRDF | LayeredModel | Component] = {
-        "model": TWO_KNOT_MODEL,
-        "layers": LayeredModel(LAYERS.layers[1:]),
-        f"{WITHOUT_DERIVATIVES}_component": component,
-    }
+    sources: dict[str, DSBRDF | LayeredModel] = {"model": TWO_KNOT_MODEL, "layers": LayeredModel(LAYERS.layers[1:])}
     for name, source in sources.items():
         (tmp_path / f"{name}.py").write_bytes(export_model(source, "python"))
     modules = {name: loaded(tmp_path / f"{name}.py") for name in sources}
@@ -63,12 +57,6 @@ def test_values_and_derivatives_in_other_libraries(library: str, tmp_path: Path)
     for name, module in modules.items():
         with np.load(tmp_path / f"{name}.npz") as stored:
             found = dict(stored)
-        if name.startswith(WITHOUT_DERIVATIVES):
-            angles = half_difference(first[5:], second[5:])
-            expected, whole = component.evaluate(*angles), component.whole.model.evaluate(*angles)
-            assert found["single"].dtype == np.float32
-            assert np.all(np.abs(found["single"][5:] - expected) <= 1e-5 * np.maximum(whole, 1e-3))
-            continue
         np.testing.assert_allclose(found.pop("values"), module.evaluate(first, second), rtol=1e-12)
         assert all(np.isfinite(slope).all() for slope in found.values())
         regular, arrays = slice(5, None), {k: np.asarray(v) for k, v in module.PARAMETERS.items()}
