@@ -216,7 +216,7 @@ def tests_of(wing: str) -> list[str]:
     return [own, *FURTHER_TESTS.get(name.removesuffix(".py"), [])]
 
 
-def covering(fault: Fault, seconds: dict[str, float]) -> list[str]:
+def covering(fault: Fault, seconds: dict[str, float], wings: Sequence[str]) -> list[str]:
     """Return tests that cover the line of a fault, or that use the constant which it defines, the quickest first.
 
     The other tests of the wing follow: what a fixture has computed for many tests is recorded for the first.
@@ -227,7 +227,7 @@ def covering(fault: Fault, seconds: dict[str, float]) -> list[str]:
     lines = (ROOT / fault.path).read_text().splitlines()
     name = lines[fault.line - 1].partition(" ")[0].rstrip(":")
     used = [fault.line, *(n for n, line in enumerate(lines, 1) if name.isidentifier() and name in line)]
-    wing = tuple(next(tests_of(wing) for wing in WINGS if fault.path.startswith(wing)))
+    wing = tuple(next(tests_of(wing) for wing in wings if fault.path.startswith(wing)))
     tests = {test for line in used for test in contexts.get(line, ()) if test in seconds}
     others = [test for test in seconds if test.startswith(wing) and test not in tests]
     chosen, total = [], 0.0
@@ -284,14 +284,13 @@ def ended(child: int) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def record() -> None:
-    """Run the tests of all wings, and keep what they cover."""
+def record(wings: Sequence[str]) -> None:
+    """Run the tests of wings, and keep what they cover."""
     KEPT.mkdir(parents=True, exist_ok=True)
     recorder = Recorder()
     recorder.coverage.start()
-    pytest.main(
-        ["-q", "-p", "no:cacheprovider", *{place for wing in WINGS for place in tests_of(wing)}], plugins=[recorder]
-    )
+    places = {place for wing in wings for place in tests_of(wing) if (ROOT / place).exists()}
+    pytest.main(["-q", "-p", "no:cacheprovider", *places], plugins=[recorder])
     recorder.save()
 
 
@@ -300,12 +299,13 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks faults", description=__doc__)
     parser.add_argument("--number", type=int, default=150, metavar="N", help="faults (default: 150)")
     parser.add_argument("--seed", type=int, default=1, help="of the choice (default: 1)")
-    parser.add_argument("--only", nargs="+", default=WINGS, metavar="WING", help=f"some of: {', '.join(WINGS)}")
+    about = f"folders or files of the packages (default: {', '.join(WINGS)})"
+    parser.add_argument("--only", nargs="+", default=WINGS, metavar="WING", help=about)
     parser.add_argument("--show", action="store_true", help="print the faults, and run no test")
     arguments = parser.parse_args(argv)
     faults = drawn(arguments.number, arguments.seed, arguments.only)
     if not arguments.show and not (KEPT / "seconds.json").exists():
-        record()
+        record(arguments.only)
     seconds: dict[str, float] = {} if arguments.show else json.loads((KEPT / "seconds.json").read_text())
     n_noticed = 0
     for name in PRELOADED:
@@ -318,11 +318,11 @@ def main(argv: Sequence[str]) -> int:
         shutil.copy(ROOT / name, copy / name)
     if not arguments.show:
         unchanged = faults[0]._replace(begin=0, end=0, text="")
-        if is_noticed(unchanged, covering(unchanged, seconds), copy):
+        if is_noticed(unchanged, covering(unchanged, seconds, arguments.only), copy):
             raise SystemExit(f"a test fails without a fault; remove {KEPT} to record the tests anew")
     for number, fault in enumerate(faults, 1):
         begin = time.monotonic()
-        tests = covering(fault, seconds) if seconds else []
+        tests = covering(fault, seconds, arguments.only) if seconds else []
         noticed = not arguments.show and is_noticed(fault, tests, copy)
         n_noticed += noticed
         line, after = ((ROOT / fault.path).read_text(), planted(fault))
