@@ -3,129 +3,30 @@
 import asyncio
 import errno
 import sqlite3
-import threading
-from collections.abc import AsyncIterator, Callable
-from concurrent.futures import CancelledError, Future
-from functools import cache
+from collections.abc import AsyncIterator
+from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
+from anyio import CancelScope
 
 import dsbrdf
-from dsbrdf.engines import Fault, FitDocument, FitTask, Outcome
+from dsbrdf.engines import Fault
 from dsbrdf.engines.engine import NOT_STARTED
-from dsbrdf.output import to_json
 from dsbrdf_service import queue as queue_module
 from dsbrdf_service.compute.computations import ModelCache
 from dsbrdf_service.errors import FitNotFoundError
-from dsbrdf_service.http.monitoring import Metrics
-from dsbrdf_service.queue import FitQueue
+from dsbrdf_service.queue import result_of
 from dsbrdf_service.settings import Settings
-from dsbrdf_service.storage.schema import Caller, FitKey, FitRow
-from dsbrdf_service.storage.store import Store
-from dsbrdf_service.wire import to_wire
+from dsbrdf_service.storage.schema import Caller, FitKey
+from tests.support.races import MAX_WAIT_S, Race, until
 from tests.support.random_models import random_model
-from tests.support.stores import LOCAL, add
+from tests.support.stores import add
 
 pytestmark = pytest.mark.anyio
-OPTIONS = dsbrdf.FitOptions()
-MAX_WAIT_S = 60.0
 LOST = Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")
-
-
-@cache
-def stored_text() -> str:
-    model = random_model()
-    return to_json(model, None, dsbrdf.decompose(model))
-
-
-class Fit(Future[Outcome]):
-    """A fit that can be cancelled while it runs, as those of engines."""
-
-    def cancel(self) -> bool:
-        if not self.done():
-            self.set_exception(CancelledError())
-        return False
-
-
-class Engine:
-    """Ends fits when it may, each with another number as its metrics, so that one can tell which has ended."""
-
-    def __init__(self) -> None:
-        self.outcomes: list[Outcome | Exception] = []  # The next calls end with these in place of results.
-        self.begun: list[str] = []
-        self.holds = True
-        self.held: list[tuple[Fit, int]] = []
-
-    def submit(self, task: FitTask, on_progress: Callable[[float], None]) -> Fit:
-        self.begun.append(task.fit_id)
-        self.held.append((Fit(), len(self.begun)))
-        fit = self.held[-1][0]
-        if not self.holds:
-            self.go_on()
-        return fit
-
-    def go_on(self) -> None:
-        """End what is held, and all that comes."""
-        self.holds = False
-        for fit, number in self.held:
-            if not fit.done():
-                outcome = self.outcomes.pop(0) if self.outcomes else FitDocument(stored_text(), {"run": number})
-                fit.set_exception(outcome) if isinstance(outcome, Exception) else fit.set_result(outcome)
-        self.held.clear()
-
-
-class _Slow(NamedTuple):
-    """A call that has got to its pause, the end of the pause, and that of the first such call."""
-
-    there: threading.Event
-    on: threading.Event
-    over: threading.Event
-
-
-class Race:
-    """A store with one measurement, and a queue of fits on it."""
-
-    workers = 1
-
-    def __init__(self, folder: Path) -> None:
-        self.store = Store(folder)
-        self.engine: Any = Engine()
-        self.measurement = add(self.store)
-        self.begin()
-
-    def begin(self) -> None:
-        self.queue = FitQueue(self.store, self.engine, Settings(workers=self.workers), Metrics().fit_meters)
-
-    async def submit(self, caller: Caller = LOCAL, options: dsbrdf.FitOptions = OPTIONS) -> FitKey:
-        row, _ = await self.queue.submit(caller, self.measurement, to_wire(options))
-        return row.key
-
-    async def until_it_runs(self) -> None:
-        await until(lambda: bool(self.engine.begun))
-
-    async def end(self, key: FitKey) -> FitRow:
-        self.engine.go_on()
-        return await self.queue.wait(key, MAX_WAIT_S)
-
-    def slow_down(self, monkeypatch: pytest.MonkeyPatch, name: str, *pauses: float, after: bool = False) -> _Slow:
-        """Make calls of the store pause, one after the other, before they work or after it."""
-        original = getattr(self.store, name)
-        slow = _Slow(threading.Event(), threading.Event(), threading.Event())
-        rest = iter(pauses)
-
-        def work(*arguments: Any) -> Any:
-            answer = original(*arguments) if after else None
-            slow.there.set()
-            slow.on.wait(next(rest, 0.0))
-            answer = answer if after else original(*arguments)
-            slow.over.set()
-            return answer
-
-        monkeypatch.setattr(self.store, name, work)
-        return slow
 
 
 @pytest.fixture
@@ -136,12 +37,6 @@ async def place(tmp_path: Path) -> AsyncIterator[Race]:
     finally:
         await race.queue.close()
         race.store.close()
-
-
-async def until(happened: Callable[[], bool]) -> None:
-    async with asyncio.timeout(MAX_WAIT_S):
-        while not happened():
-            await asyncio.sleep(0.001)
 
 
 async def test_fit_requested_during_its_cancellation_runs(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -340,3 +235,52 @@ async def test_restart_does_not_count_as_an_attempt(place: Race) -> None:
         await place.queue.start()
     place.engine.outcomes += [LOST]
     assert (await place.end(key)).status == "succeeded"
+
+
+async def test_fit_requested_while_the_service_stops_is_left_to_its_next_start(place: Race) -> None:
+    place.queue.release_waiters()
+    tasks = asyncio.all_tasks()
+    key = await place.submit()
+    assert asyncio.all_tasks() == tasks
+    assert place.store.fit(key).status == "accepted"
+
+
+async def test_requests_that_have_waited_make_room(place: Race) -> None:
+    key = await place.submit()
+    for _ in range(Settings().limit_concurrency):
+        await place.queue.wait(key, 0.0)
+    assert place.queue.has_room(key.owner)
+
+
+async def test_clock_that_was_set_back_gives_no_negative_time(place: Race) -> None:
+    keys = [await place.submit(options=dsbrdf.FitOptions(mask=mask)) for mask in (0.1, 0.2)]
+    await place.until_it_runs()
+    waited = waited_s(place)
+    with place.store.database.transaction() as db:
+        db.execute("UPDATE fits SET created = created + 3600.0 WHERE status = 'accepted'")
+    for key in keys:
+        await place.end(key)
+    assert waited_s(place) == waited
+
+
+def waited_s(place: Race) -> float:
+    """The sum of the times that fits have waited."""
+    (metric,) = place.meters.waiting.collect()
+    return next(sample.value for sample in metric.samples if sample.name.endswith("_sum"))
+
+
+class Process(Future[None]):
+    """A process that ends some time after it was asked to."""
+
+    def cancel(self) -> bool:
+        return False
+
+
+async def test_place_of_a_cancelled_fit_is_kept_until_its_process_has_ended() -> None:
+    process = Process()
+    asyncio.get_running_loop().call_later(0.1, process.set_result, None)
+    with CancelScope() as scope:
+        asyncio.get_running_loop().call_soon(scope.cancel)
+        await result_of(process)
+    assert scope.cancelled_caught
+    assert process.done()
