@@ -24,6 +24,8 @@ from tests.support.command_line import FEW_LOBES, document, printed, run, senten
 from tests.support.loading import load_fit
 from tests.support.mixtures import samples_table, scattered_samples
 
+pytestmark = pytest.mark.slow
+
 
 def test_eval_by_angles_as_a_table(model_file: Path) -> None:
     rows = printed("eval", model_file, "--theta-half", "0", "10", "--theta-diff", "30").splitlines()

@@ -7,6 +7,8 @@ import pytest
 from dsbrdf import Measurement, fit
 from dsbrdf.data import nodes_above_horizon, synthetic_measurement
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def coated_paint() -> Measurement:

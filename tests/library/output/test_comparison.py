@@ -11,6 +11,7 @@ from dsbrdf.components.ggx import fit_ggx
 from dsbrdf.data import directions, nodes_above_horizon
 from dsbrdf.output import export_model
 
+pytestmark = pytest.mark.slow
 # Two GGX highlights over a Lambertian ground: the tail exponent is 2, and the masking 0 is height-correlated.
 SHARP_LAYER = SpecularLayer((0.04, 0.05, 0.06), 0.9, 0.05, 2.0, (0.0, 0.0), 0.0, 0.0)
 ROUGH_LAYER = SpecularLayer((0.3, 0.2, 0.1), 0.8, 0.3, 2.0, (0.0, 0.0), 0.0, 0.0)

@@ -17,6 +17,7 @@ from dsbrdf.output.notebook import html as html_of
 from dsbrdf.output.plots import Shown
 from tests.support.mixtures import mixture
 
+pytestmark = pytest.mark.slow
 PAINT = mixture(2, 0)
 
 
