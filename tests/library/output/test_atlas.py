@@ -14,8 +14,7 @@ from tests.support.command_line import document, printed, run
 @pytest.mark.parametrize("name", dsbrdf.materials())
 def test_each_fit_is_close_to_its_measurement_and_conserves_energy(name: str) -> None:
     result = dsbrdf.load_material(name)
-    assert result.report.metrics.psnr is not None
-    assert result.report.metrics.psnr > (24.0 if name == "chm_mint" else 40.0)
+    assert (result.report.metrics.psnr or 0.0) > (24.0 if name == "chm_mint" else 40.0)
     assert np.all(result.model.albedo(np.radians([0.0, 60.0])) < 1.0)
 
 

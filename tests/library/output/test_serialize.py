@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from dsbrdf import (
 )
 from dsbrdf.fitting import Metrics
 from dsbrdf.output import fit_from_json, from_json, result_from_json, to_json
-from dsbrdf.output.serialize import layers_to_json, model_from_dict, model_to_dict, report_from_dict
+from dsbrdf.output.serialize import model_from_dict, model_to_dict, report_from_dict
 from tests.support.known_models import single_lobe
 from tests.support.models import ARRAYS, TEXTS, assert_same_bits, make_model
 from tests.support.random_models import random_model
@@ -82,14 +82,6 @@ def test_damaged_components_are_refused(damage: Callable[[dict[str, Any]], objec
         fit_from_json(json.dumps(document))
     with pytest.raises(ModelFormatError, match="stored components"):
         fit_from_json(to_json(model))
-
-
-def test_layers_are_stored_without_loss() -> None:
-    layers = decompose(random_model()).layers
-    for stored, layer in zip(json.loads(layers_to_json(layers))["layers"], layers.layers, strict=True):
-        assert {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()} == asdict(
-            layer
-        )
 
 
 def test_json_layout_is_fixed(model: DSBRDF, report: FitReport) -> None:

@@ -39,12 +39,6 @@ def test_layouts_are_read_or_refused_by_name(path: Path) -> None:
     np.testing.assert_allclose(samples.values, expected, rtol=1e-4, atol=1e-5)
 
 
-def test_a_zemax_file_may_end_in_bsdf(tmp_path: Path) -> None:
-    path = tmp_path / "tile.bsdf"
-    path.write_bytes((LAYOUTS / "zemax.txt").read_bytes())
-    np.testing.assert_array_equal(read_measurement(path).values, read_samples(LAYOUTS / "zemax.txt").values)
-
-
 FOLDER = Path(__file__).parent / "published"
 SOURCES = {
     "alta.dat": "ALTA (Inria), isotropic formulation with theta view, theta light and |dphi|",

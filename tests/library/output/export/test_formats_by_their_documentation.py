@@ -7,11 +7,9 @@ import csv
 import json
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from io import StringIO
-from pathlib import Path
 from typing import Any, Literal
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -21,9 +19,6 @@ from scipy.interpolate import BSpline
 import dsbrdf
 from dsbrdf.components import LayeredModel
 from dsbrdf.output import export_model
-from dsbrdf.output.export import materialx
-from dsbrdf.output.export.materialx import FoundSurface
-from dsbrdf.output.export.openpbr import OpenPBR
 from tests.support.known_models import LAYERS
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model
@@ -194,18 +189,3 @@ def test_layers_as_csv() -> None:
         value = float(row["value"])
         kept[name] = value if name == row["parameter"] else [*kept.get(name, []), value]
     assert_is(np.sum([layer_values(layer) for layer in layers.values()], axis=0).T, LAYERS)
-
-
-def test_materialx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    surface = OpenPBR((0.61, 0.0, 1.0 / 3.0), 0.3, (0.9, 0.8, 0.5), 0.123456789, 1.5, 0.6, 0.25, 1.6)
-    monkeypatch.setattr(materialx, "fit_openpbr", lambda *_: FoundSurface(surface, {"three_lights": 30.0}, {}))
-    dsbrdf.export(MODELS["student"], tmp_path / "satin purple.mtlx")
-    document = ElementTree.parse(tmp_path / "satin purple.mtlx").getroot()
-    (material,) = document.findall("surfacematerial")
-    (node,) = document.findall("open_pbr_surface")
-    assert (material.get("name"), node.get("name")) == ("satin_purple", "satin_purple_surface")
-    assert material.find("input").get("nodename") == node.get("name")  # type: ignore[union-attr]
-    inputs = {one.get("name"): [float(text) for text in one.get("value", "").split(",")] for one in node}
-    assert inputs.keys() == {field.name for field in fields(OpenPBR)}
-    for name, value in asdict(surface).items():
-        np.testing.assert_allclose(inputs[name], np.atleast_1d(value), rtol=1e-6, atol=1e-9)
