@@ -92,17 +92,19 @@ class Warp:
         height, width = self.density.shape[1:]
         row, down = _cell(y, height)
         column, across = _cell(x, width)
+        node = row * width + column
 
-        def mixed(table: Array, *place: Indices | int) -> Array:
-            return np.asarray((1.0 - share) * table[lower, *place] + share * table[upper, *place])
+        def mixed(tables: Array, place: Indices) -> Array:
+            size = tables[0].size
+            below, above = (np.take(tables, at * size + place) for at in (lower, upper))
+            return np.asarray((1.0 - share) * below + share * above)
 
-        def along(i: int, j: int) -> Array:
-            return mixed(self.density, row + i, column + j)
-
-        left = (1.0 - down) * along(0, 0) + down * along(1, 0)
-        right = (1.0 - down) * along(0, 1) + down * along(1, 1)
-        before = (1.0 - down) * mixed(self.conditional, row, column) + down * mixed(self.conditional, row + 1, column)
-        ends = mixed(self.conditional, row, -1), mixed(self.conditional, row + 1, -1)
+        left, right = (
+            (1.0 - down) * mixed(self.density, node + j) + down * mixed(self.density, node + width + j) for j in (0, 1)
+        )
+        before = (1.0 - down) * mixed(self.conditional, node) + down * mixed(self.conditional, node + width)
+        last = row * width + width - 1
+        ends = mixed(self.conditional, last), mixed(self.conditional, last + width)
         whole = (1.0 - down) * ends[0] + down * ends[1]
         within = across * (left + 0.5 * across * (right - left)) / (width - 1)
         columns = np.where(whole > 0.0, (before + within) / np.where(whole > 0.0, whole, 1.0), 0.0)
@@ -111,16 +113,22 @@ class Warp:
 
 
 def bilinear(table: Array, x: Array, y: Array, of: Indices | None = None) -> Array:
-    """Interpolate a table (..., rows, columns) at points (x, y) of the unit square; x varies along a row.
+    """Interpolate a table (rows, columns) at points (x, y) of the unit square; x varies along a row.
 
-    With ``of``, the table is a stack of tables, and the point with index n is interpolated in the table ``of[n]``.
+    With ``of``, the table is a stack of tables of colours (stack, rows, columns, 3), and the point with index n is
+    interpolated in the table ``of[n]``.
     """
-    row, down = _cell(y, table.shape[-2])
-    column, across = _cell(x, table.shape[-1])
-    place: tuple[Any, ...] = (...,) if of is None else (of,)
-    upper = (1.0 - across) * table[*place, row, column] + across * table[*place, row, column + 1]
-    lower = (1.0 - across) * table[*place, row + 1, column] + across * table[*place, row + 1, column + 1]
-    return (1.0 - down) * upper + down * lower
+    height, width = table.shape[-2:] if of is None else table.shape[1:3]
+    (row, down), (column, across) = _cell(y, height), _cell(x, width)
+    node = row * width + column
+    if of is None:
+        flat = table.reshape(-1)
+    else:
+        flat, node = table.reshape(-1, 3), node + of * (height * width)
+        down, across = down[:, None], across[:, None]
+    corners = (np.take(flat, node + step, axis=0) for step in (0, 1, width, width + 1))
+    upper, lower = ((1.0 - across) * left + across * right for left, right in zip(corners, corners, strict=True))
+    return np.asarray((1.0 - down) * upper + down * lower)
 
 
 def _cell(position: Array, count: int) -> tuple[Indices, Array]:
@@ -217,7 +225,7 @@ class RglMaterial:
     ndf: Array  # (H, W)
     sigma: Array  # (H, W)
     vndf: Warp  # one warp for each angle theta_i
-    rgb: Array  # table of values in RGB for each theta_i, axes (theta_i, channel, row, column)
+    rgb: Array  # table of values in RGB for each theta_i, axes (theta_i, row, column, channel)
     name: str
 
     def evaluate_directions(self, omega_in: Array, omega_out: Array) -> Array:
@@ -265,8 +273,7 @@ class RglMaterial:
         share = at - lower
         x, y = self.vndf.invert(lower, share, u, v)
         upper = np.minimum(lower + 1, last)
-        ends = ([bilinear(self.rgb[:, channel], x, y, at) for channel in range(3)] for at in (lower, upper))
-        below, above = (np.stack(end, axis=-1) for end in ends)
+        below, above = (bilinear(self.rgb, x, y, at) for at in (lower, upper))
         rgb = (1.0 - share)[:, None] * below + share[:, None] * above
         sigma = bilinear(self.sigma, np.sqrt(theta_i * 2.0 / np.pi), np.full_like(u, 0.5))
         factor = bilinear(self.ndf, u, v) / (4.0 * sigma * second[:, 2])
@@ -315,7 +322,7 @@ def parse_rgl(data: bytes, name: str = "measurement") -> RglMaterial:
     fields = parse_tensors(data)
     _check(fields)
     tables = {key: np.asarray(fields[key], dtype=np.float64) for key in ("theta_i", "ndf", "sigma")}
-    rgb = np.asarray(fields["rgb"][0], dtype=np.float64)
+    rgb = np.ascontiguousarray(np.moveaxis(fields["rgb"][0], 1, -1), dtype=np.float64)
     return RglMaterial(**tables, vndf=Warp.of(fields["vndf"][0]), rgb=rgb, name=name)
 
 

@@ -21,6 +21,7 @@ from PIL import Image
 
 import dsbrdf
 from dsbrdf.cli import main as cli
+from dsbrdf.data.rgl import RglMaterial, read_rgl
 from dsbrdf.fitting import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
@@ -73,10 +74,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def python_quick_start(folder: Path) -> dict[str, Any]:
-    """Names that the Python blocks leave behind, run in order in one folder."""
+    """Names that the Python blocks leave behind, run in order in one folder; the file that they read is read once."""
     names: dict[str, Any] = {}
+    read = read_rgl(folder / "examples" / "satin_purple.bsdf").measurement()
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
+        patch.setattr(RglMaterial, "measurement", lambda _: read)
         patch.chdir(folder)
         for number, text in enumerate(blocks("python", http=False)):
             exec(compile(text, f"Python block {number}", "exec"), names)
