@@ -3,15 +3,17 @@
 import hashlib
 from collections.abc import Callable
 from io import BytesIO
+from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
 
 import dsbrdf
+import examples
 from dsbrdf import TableOptions
 from dsbrdf.data import encode_merl, parse_rgl
-from dsbrdf.output import export_model, from_json
+from dsbrdf.output import from_json
 from dsbrdf.output.documents import summary_of_table
 from dsbrdf.samples.reading import parse_samples, read_table
 from tests.library.samples.test_layouts import KINDS
@@ -24,24 +26,19 @@ from tests.support.soak import repeats
 pytestmark = pytest.mark.slow
 
 MODEL = mixture(2, 0)
+EXAMPLE = Path(examples.__file__).with_name("satin_purple.bsdf")
 FEW_LOBES = {"n_lobes": "1", "ring_lobes": "0"}
 HEAD = "omega_in_x,omega_in_y,omega_in_z,omega_out_x,omega_out_y,omega_out_z,red,green,blue"
 
 
 @pytest.fixture(scope="module")
 def bsdf() -> bytes:
-    return export_model(MODEL, "bsdf")
+    return EXAMPLE.read_bytes()
 
 
 @pytest.fixture(scope="module")
 def table() -> bytes:
     return samples_table(scattered_samples(MODEL, 60))
-
-
-@pytest.fixture(scope="module")
-def merl(bsdf: bytes) -> bytes:
-    """The MERL file that the service makes of the RGL file."""
-    return encode_merl(parse_rgl(bsdf).measurement())
 
 
 def post(server: Server, content: bytes, name: str, media_type: str = "application/octet-stream") -> httpx.Response:
@@ -50,15 +47,15 @@ def post(server: Server, content: bytes, name: str, media_type: str = "applicati
     )
 
 
-def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, bsdf: bytes, merl: bytes) -> None:
-    answer = post(server, bsdf, "paint.BSDF")
+def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, bsdf: bytes) -> None:
+    merl = encode_merl(parse_rgl(bsdf).measurement())
+    answer = post(server, bsdf, "paint.BSDF", "text/csv")  # The content decides.
     assert answer.status_code == 201, answer.text
     document = answer.json()
     assert document["name"] == "paint"
     assert document["sha256"] == hashlib.sha256(merl).hexdigest()
     assert document["size"] == len(merl)
     assert document["valid_nodes"] == dsbrdf.parse_merl(merl).valid.sum()
-    assert post(server, bsdf, "paint", "text/csv").json() == document
     assert server.http.get(f"{answer.headers['location']}/content").content == merl
     picture = server.http.get(f"{answer.headers['location']}/figures/sphere.png?size=16")
     assert picture.headers["content-type"] == "image/png"
@@ -104,36 +101,34 @@ def test_a_spreadsheet_is_the_table_in_it(server: Server, table: bytes, name: st
     assert file.content == parse_samples(content).encode()
 
 
-def test_samples_of_a_table_are_given_all_or_some(server: Server, table: bytes, merl: bytes) -> None:
-    places = [
-        post(server, content, name).headers["location"] for content, name in ((table, "a.csv"), (merl, "a.binary"))
-    ]
+def test_samples_of_a_table_are_given_all_or_some(server: Server, table: bytes, stored: str) -> None:
+    place = post(server, table, "a.csv").headers["location"]
     samples = parse_samples(table)
     expected = np.hstack([samples.omega_in, samples.omega_out, samples.values])
-    answer = server.http.get(f"{places[0]}/samples.npy")
+    answer = server.http.get(f"{place}/samples.npy")
     np.testing.assert_allclose(np.load(BytesIO(answer.content)), expected, rtol=1e-6, atol=1e-7)
-    some = np.load(BytesIO(server.http.get(f"{places[0]}/samples.npy?most=40").content))
+    some = np.load(BytesIO(server.http.get(f"{place}/samples.npy?most=40").content))
     assert len(np.unique(some, axis=0)) == 40
     assert np.isin(some[:, 0], expected[:, 0].astype(np.float32)).all()
-    assert "is a grid" in assert_problem(server.http.get(f"{places[1]}/samples.npy"), 404)
+    assert "is a grid" in assert_problem(server.http.get(f"/v1/measurements/{stored}/samples.npy"), 404)
 
 
 def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
-    own_server: Callable[..., Server], table: bytes, bsdf: bytes, merl: bytes
+    own_server: Callable[..., Server], table: bytes
 ) -> None:
     server = own_server()
-    places = [post(server, table, "felt.csv"), post(server, bsdf, "paint.bsdf")]
+    uploaded = post(server, table, "felt.csv")
     server.stop(9)
     server.start()
-    files = [server.http.get(f"{answer.headers['location']}/content").content for answer in places]
-    assert files == [parse_samples(table).encode(), merl]
-    assert [len(file) for file in files] == [answer.json()["size"] for answer in places]
+    file = server.http.get(f"{uploaded.headers['location']}/content").content
+    assert file == parse_samples(table).encode()
+    assert len(file) == uploaded.json()["size"]
 
     headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
     answer = server.http.post("/v1/fits", params=FEW_LOBES | {"name": "felt.csv"}, content=table, headers=headers)
     fit = server.ended(answer).json()
     assert (fit["status"], fit["name"]) == ("succeeded", "felt"), fit
-    document = {"measurement": places[0].json()["sha256"], "options": {"n_lobes": 1, "ring_lobes": 0}}
+    document = {"measurement": uploaded.json()["sha256"], "options": {"n_lobes": 1, "ring_lobes": 0}}
     assert server.http.post("/v1/fits", json=document).json()["id"] == fit["id"]
     expected = dsbrdf.fit(parse_samples(table), n_lobes=1, ring_lobes=0)
     exported = server.http.get(f"/v1/fits/{fit['id']}/export?format=json").text
@@ -205,13 +200,8 @@ def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: b
     np.testing.assert_allclose(np.load(BytesIO(of_table.content)), expected, rtol=1e-6, atol=1e-7)
 
 
-def test_a_measurement_on_a_grid_has_no_options_of_a_table(server: Server, merl: bytes) -> None:
-    answer = server.http.post(
-        "/v1/measurements",
-        params={"scale": "0.5"},
-        content=merl,
-        headers={"Content-Type": "application/octet-stream"},
-    )
+def test_a_measurement_on_a_grid_has_no_options_of_a_table(server: Server, data: bytes) -> None:
+    answer = server.http.post("/v1/measurements", params={"scale": "0.5"}, content=data)
     assert "scale is an option of a table of samples" in assert_problem(answer, 422)
 
 
