@@ -27,6 +27,7 @@ from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
 from dsbrdf_service.settings import Settings
 from examples.demo import address_when_ready, stop
+from tests.support.command_line import Capture
 from tests.support.commands import run_main
 from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.soak import SOAK
@@ -73,13 +74,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def python_quick_start(folder: Path) -> dict[str, Any]:
-    """Names that the Python blocks leave behind, run in order in one folder; the file that they read is read once."""
+def read_once(folder: Path) -> Iterator[None]:
+    """Read the file of the examples only once: that takes most of their time."""
+    measured = read_rgl(folder / "examples" / "satin_purple.bsdf").measurement()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RglMaterial, "measurement", lambda _: measured)
+        yield
+
+
+@pytest.fixture(scope="module")
+def python_quick_start(folder: Path, read_once: None) -> dict[str, Any]:
+    """Names that the Python blocks leave behind, run in order in one folder."""
     names: dict[str, Any] = {}
-    read = read_rgl(folder / "examples" / "satin_purple.bsdf").measurement()
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
-        patch.setattr(RglMaterial, "measurement", lambda _: read)
         patch.chdir(folder)
         for number, text in enumerate(blocks("python", http=False)):
             exec(compile(text, f"Python block {number}", "exec"), names)
@@ -169,6 +177,21 @@ def test_the_python_quick_start(python_quick_start: dict[str, Any], folder: Path
     assert python_quick_start["values"].shape == (3, 3)
     assert dsbrdf.load(folder / "paint.json") == python_quick_start["fitted"]
     assert dsbrdf.read_merl(folder / "paint-model.binary").valid.any()
+
+
+@pytest.mark.usefixtures("read_once")
+@pytest.mark.parametrize(
+    ("page", "printed", "times"), [("tutorial.md", "the components add up: True", 1), ("choices.md", r"dB +\d", 8)]
+)
+def test_cells_of_notebooks_run(
+    page: str, printed: str, times: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for number, (language, text) in enumerate(blocks_of(PAGES[page])):
+        if language == "{code-cell}":
+            exec(compile(re.sub("^:tags:.*", "", text), f"cell {number} of {page}", "exec"), names)
+    assert len(re.findall(printed, capsys.readouterr().out)) == times
 
 
 @pytest.mark.usefixtures("python_quick_start")

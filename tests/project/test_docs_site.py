@@ -1,4 +1,4 @@
-"""The built documentation: notebooks run, no warning, no link that leads nowhere, nothing from other hosts."""
+"""The built documentation: no warning, no link that leads nowhere, nothing from other hosts."""
 
 import json
 import re
@@ -12,18 +12,20 @@ from pathlib import Path
 import pytest
 
 import dsbrdf
+from tests.support.soak import SOAK
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the built pages, built from a copy of the sources."""
+    """The folder of the built pages, made of a copy of the sources; only ``make soak`` runs notebooks for it."""
     if find_spec("sphinx") is None or find_spec("myst_nb") is None:
         pytest.skip("Sphinx is not installed: make docs installs it")
     folder = tmp_path_factory.mktemp("docs")
     shutil.copytree(DOCS, folder / "docs", ignore=shutil.ignore_patterns("_build", "generated", "__pycache__"))
     command = [sys.executable, str(folder / "docs/_ext/build.py"), str(folder / "built")]
+    command += [] if SOAK else ["--without-results"]
     built = subprocess.run(command, capture_output=True, text=True, cwd=folder)
     assert built.returncode == 0, built.stdout + built.stderr
     return folder / "built" / "html"
@@ -39,14 +41,15 @@ def test_site_has_a_page_for_each_public_name_and_the_references(site: Path) -> 
     assert 'href="#post-v1-fits"' in (site / "http_reference.html").read_text()
 
 
-def test_notebooks_were_run_and_pages_show_spheres(site: Path) -> None:
+def test_pages_show_spheres(site: Path) -> None:
     tutorial, choices, index, gallery = (
         (site / f"{name}.html").read_text() for name in ("tutorial", "choices", "index", "gallery")
     )
-    assert tutorial.count('alt="lit sphere"') == 3
-    assert "the components add up: True" in tutorial
-    assert "Traceback" not in tutorial + choices
-    assert len(re.findall(r"\d dB +\d", choices)) == 8
+    if SOAK:
+        assert tutorial.count('alt="lit sphere"') == 3
+        assert "the components add up: True" in tutorial
+        assert "Traceback" not in tutorial + choices
+        assert len(re.findall(r"\d dB +\d", choices)) == 8
     assert index.count('alt="lit spheres of aurora white') == 1
     assert gallery.count('alt="lit spheres: measured, fit, difference x 4') == 9
     assert "CC0 1.0" in gallery
@@ -54,7 +57,7 @@ def test_notebooks_were_run_and_pages_show_spheres(site: Path) -> None:
 
 def test_search_has_the_texts_of_all_pages_for_those_who_open_it_from_a_disk(site: Path) -> None:
     texts = json.loads((site / "_static" / "search_pages.js").read_text().partition(" = ")[2].removesuffix(";\n"))
-    assert "the components add up: True" in texts["tutorial.html"]
+    assert "This page follows one material" in texts["tutorial.html"]
     assert {"index.html", "generated/api/dsbrdf.fit.html"} <= set(texts)
     assert [file.name for file in site.glob("*.html") if "search_from_disk.js" in file.read_text()] == ["search.html"]
 

@@ -49,7 +49,7 @@ def part(model: dsbrdf.DSBRDF, component: str | None) -> Any:
         ("csv", None, {}),
         ("json", "layers", {}),
         ("brdf", "layers", {}),
-        ("glsl", "diffuse", {"name": "paint", "sampling": True}),
+        ("glsl", "diffuse", {"name": "paint"}),
     ],
 )
 def test_formats_of_other_programs_are_those_of_the_library(

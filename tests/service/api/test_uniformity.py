@@ -88,11 +88,12 @@ def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: Cal
 @pytest.mark.parametrize(
     ("given", "expected"), [("/brdf", "/brdf"), ("/a/b/", "/a/b"), ("//evil.example", ""), ("/x y", ""), ("x", "")]
 )
-def test_addresses_begin_with_the_prefix_of_the_proxy(server: Server, data: bytes, given: str, expected: str) -> None:
+def test_addresses_begin_with_the_prefix_of_the_proxy(server: Server, stored: str, given: str, expected: str) -> None:
     headers = {"X-Forwarded-Prefix": given}
-    stored = server.http.post("/v1/measurements", content=data, headers=headers)
-    assert stored.headers["location"] == f"{expected}/v1/measurements/{stored.json()['sha256']}"
-    fit = server.http.post("/v1/fits", json={"measurement": stored.json()["sha256"], "options": QUICK}, headers=headers)
+    table = "theta_in,theta_out,value\n" + "".join(f"{at % 60},{at},0.1\n" for at in range(80))
+    sent = server.http.post("/v1/measurements", content=table, headers={**headers, "Content-Type": "text/csv"})
+    assert sent.headers["location"] == f"{expected}/v1/measurements/{sent.json()['sha256']}"
+    fit = server.http.post("/v1/fits", json={"measurement": stored, "options": QUICK}, headers=headers)
     assert fit.headers["location"] == f"{expected}/v1/fits/{fit.json()['id']}"
     page = server.http.get("/v1/fits?limit=1", headers=headers)
     assert page.headers["link"].startswith(f"<{expected}/v1/fits?limit=1&cursor=")

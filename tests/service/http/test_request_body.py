@@ -56,13 +56,13 @@ def test_uploads_take_little_memory(own_server: Callable[..., Server], data: byt
     assert answer.status_code == 201
     assert server.memory("VmHWM") - before < 8
 
-    contents = [with_value(data, 0.25 + i) for i in range(8)]
-    with ThreadPoolExecutor(8) as pool:
+    contents = [with_value(data, 0.25 + i) for i in range(4)]
+    with ThreadPoolExecutor(4) as pool:
         url = server.http.base_url.join("/v1/measurements")
         answers = list(pool.map(lambda content: httpx.post(url, content=content, timeout=60), contents))
-    assert [answer.status_code for answer in answers] == [201] * 8
+    assert [answer.status_code for answer in answers] == [201] * 4
     assert {answer.json()["sha256"] for answer in answers} == {hashlib.sha256(c).hexdigest() for c in contents}
-    assert server.memory("VmHWM") - before < 48
+    assert server.memory("VmHWM") - before < 24
 
 
 def test_open_upload_takes_half_a_megabyte(own_server: Callable[..., Server], data: bytes) -> None:
