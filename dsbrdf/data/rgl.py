@@ -121,11 +121,9 @@ def bilinear(table: Array, x: Array, y: Array, of: Indices | None = None) -> Arr
     height, width = table.shape[-2:] if of is None else table.shape[1:3]
     (row, down), (column, across) = _cell(y, height), _cell(x, width)
     node = row * width + column
-    if of is None:
-        flat = table.reshape(-1)
-    else:
-        flat, node = table.reshape(-1, 3), node + of * (height * width)
-        down, across = down[:, None], across[:, None]
+    flat: Array = table.reshape(-1) if of is None else table.reshape(-1, 3)
+    if of is not None:
+        node, down, across = node + of * (height * width), down[:, None], across[:, None]
     corners = (np.take(flat, node + step, axis=0) for step in (0, 1, width, width + 1))
     upper, lower = ((1.0 - across) * left + across * right for left, right in zip(corners, corners, strict=True))
     return np.asarray((1.0 - down) * upper + down * lower)

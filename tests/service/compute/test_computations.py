@@ -33,7 +33,7 @@ pytestmark = pytest.mark.anyio
 Block = Callable[[object, str], Blocked]
 _ANGLES = "theta_half_deg=10&theta_diff_deg=30"
 FIT_PATH = f"/v1/fits/{FIT}"
-EXPORT = f"{FIT_PATH}/export?format=merl"
+EXPORT = f"{FIT_PATH}/export?format=bsdf"
 SPHERE = f"{FIT_PATH}/figures/sphere.png?size=16"
 COMPONENTS = ("specular_spike", "specular_lobe", "diffuse")
 OF_COMPONENTS = [
