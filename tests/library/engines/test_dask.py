@@ -78,10 +78,10 @@ def test_fits_wait_for_a_cluster_are_those_of_the_library_and_survive_the_loss_o
             other = " and ".join(f"{name} {one}, not 0.1" for name, one in found.items())
             assert str(fault_of(engine)).endswith(f" has {other}.")
         assert fault_of(engine) is None
-        fits = [engine.submit(FitTask("two", plastic_file, MIDDLE), ignore) for _ in range(2)]
         own_cluster.add_worker()
         wait_until(lambda: own_cluster.log().count("Registered to:") == 2, PATIENCE)
-        own_cluster.kill_worker(own_cluster.workers[0])
+        fits = [engine.submit(FitTask("two", plastic_file, MIDDLE), ignore) for _ in range(2)]
+        own_cluster.kill_worker(until_busy(own_cluster))
         assert all(isinstance(fit.result(PATIENCE), FitDocument) for fit in fits)
 
 
