@@ -5,6 +5,7 @@ without the cosine. Formulas are for isotropic surfaces and for directions above
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,10 +28,11 @@ def rgb(color: Color) -> dict[str, Any]:
 
 def plugin(description: dict[str, Any], component: int | None = None) -> Part:
     """Return a BSDF of Mitsuba, or one component of it by its number there."""
+    loaded = cache(lambda: mitsuba_variant("llvm_ad_rgb").load_dict(description))
 
     def values(omega_in: Array, omega_out: Array) -> Array:
         mi = mitsuba_variant("llvm_ad_rgb")
-        bsdf, context = mi.load_dict(description), mi.BSDFContext()
+        bsdf, context = loaded(), mi.BSDFContext()
         if component is not None:
             context.component = component
         out = np.empty_like(omega_in)
