@@ -206,6 +206,18 @@ def test_calm_in_missing_regions(plastic: Measurement, plastic_profiles: Profile
         assert relative_rms(model, plastic) < error
 
 
+def test_lobes_are_no_narrower_than_columns_with_enough_samples_allow(metal: Measurement) -> None:
+    n_sparse = 25  # columns, with one sample each
+
+    def thin_out(_: Array, valid: Array) -> None:
+        few = np.zeros_like(valid[:n_sparse])
+        few[:, 20, 0] = True
+        valid[:n_sparse] *= few
+
+    model = fit(edited(metal, thin_out), TWO).model
+    assert half_width(model.kappa, model.gamma, model.lobe).min() > THETA_HALF[n_sparse - 1]
+
+
 def test_spikes_do_not_spoil_a_robust_fit(plastic: Measurement, plastic_fit: FitResult) -> None:
     def spoil(values: Array, valid: Array) -> None:
         hit = np.random.default_rng(5).uniform(size=values.shape) < 0.01

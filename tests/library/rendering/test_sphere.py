@@ -180,6 +180,13 @@ def test_a_small_bright_spot_is_a_distant_light() -> None:
     np.testing.assert_allclose(brightest, [32 * (1 - towards[1]), 32 * (1 + towards[0])], atol=2)
 
 
+def test_a_spot_below_sixteen_times_the_mean_stays_in_the_picture() -> None:
+    for brightness, n_lights in ((14.0, 0), (18.0, 1)):
+        pixels = np.ones((64, 128, 3))
+        pixels[16, 20] = brightness
+        assert len(EnvironmentMap.from_pixels(pixels).lights) == n_lights
+
+
 def test_a_large_bright_area_stays_in_the_picture() -> None:
     pixels = np.full((32, 64, 3), 0.001)
     pixels[12:16, 30:36] = 1.0
