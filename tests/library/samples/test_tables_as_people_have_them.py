@@ -8,7 +8,6 @@ import pytest
 from dsbrdf import MeasurementFormatError, ScatteredSamples, TableOptions, read_samples
 from dsbrdf.arrays import Array
 from dsbrdf.data import CHANNELS
-from dsbrdf.data.geometry import spherical
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.names import VECTORS
 from dsbrdf.samples.reading import parse_samples
@@ -21,23 +20,14 @@ from tests.library.samples.test_reading import (
     WORDS,
     changed,
     check_same,
+    spherical,
     table,
-)
-from tests.library.samples.test_reading import (
-    spherical as vectors_of,
 )
 
 NAMES = ("theta_in", "phi_in", "theta_out", "phi_out", "value")
 GRID = np.array([(a, 180.0, b, p) for a in (15.0, 40.0, 65.0) for b in range(0, 86, 5) for p in range(0, 181, 20)])
 """theta_in, phi_in, theta_out, phi_out [degrees]."""
-
-
-def directions(angles: Array) -> tuple[Array, Array]:
-    theta_in, phi_in, theta_out, phi_out = np.radians(angles).T
-    return spherical(theta_in, phi_in), spherical(theta_out, phi_out)
-
-
-TRUE = 0.1 * truth(*directions(GRID))[:, 0]
+TRUE = 0.1 * truth(*spherical(GRID))[:, 0]
 """A dark, rough material [1/sr]."""
 
 
@@ -87,7 +77,7 @@ def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubt
 
 
 def test_a_retro_reflector_is_told_as_such() -> None:
-    omega_in, omega_out = directions(GRID * [1.0, 0.0, 1.0, 1.0])
+    omega_in, omega_out = spherical(GRID * [1.0, 0.0, 1.0, 1.0])
     aside = np.arccos(np.clip(np.sum(omega_in * omega_out, axis=1), -1.0, 1.0))
     samples = ScatteredSamples.from_arrays(
         omega_in, omega_out, np.repeat(0.02 + 4.0 * np.exp(-((aside / 0.3) ** 2))[:, None], 3, axis=1)
@@ -104,7 +94,7 @@ def test_exchanged_angles_are_told_with_the_option_that_exchanges_them() -> None
         parse_samples(content)
     option = str(caught.value).rpartition(" ")[2].rstrip(".")
     samples = parse_samples(content, options=TableOptions(columns=option))
-    np.testing.assert_allclose(samples.omega_out, directions(GRID)[1], atol=1e-9)
+    np.testing.assert_allclose(samples.omega_out, spherical(GRID)[1], atol=1e-9)
 
 
 def test_columns_that_are_not_understood_are_quoted_and_can_be_named_by_position() -> None:
@@ -165,7 +155,7 @@ def test_several_materials_in_one_table_are_told() -> None:
 
 
 def test_bands_in_brackets_tolerances_and_vectors_of_words_are_read() -> None:
-    omega = np.hstack(directions(GRID))
+    omega = np.hstack(spherical(GRID))
     names = [f"{side}_{axis}" for side in ("light", "view") for axis in "xyz"]
     lines = [
         ";".join([*map(repr, row), f"{value:.6g} ± 0.01;{value:.6g}"])
@@ -191,7 +181,7 @@ def test_a_label_before_the_names_is_no_column(label: str) -> None:
         return
     samples = parse_samples(content)
     np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
-    np.testing.assert_allclose(samples.omega_in, directions(GRID)[0], atol=1e-9)
+    np.testing.assert_allclose(samples.omega_in, spherical(GRID)[0], atol=1e-9)
 
 
 def test_positions_count_the_cells_of_the_rows_whatever_the_line_of_names_is() -> None:
@@ -225,7 +215,7 @@ def test_places_on_a_sample_are_no_colour() -> None:
 def test_a_bare_angle_beside_that_of_the_viewer_is_the_lights() -> None:
     for names in ("thetai,phi,thetar,phir,brdf", "theta,phi,theta_v,phi_v,brdf"):
         samples = parse_samples(table(names, np.column_stack([GRID, TRUE])))
-        np.testing.assert_allclose(samples.omega_in, directions(GRID)[0], atol=1e-9)
+        np.testing.assert_allclose(samples.omega_in, spherical(GRID)[0], atol=1e-9)
 
 
 def test_one_visible_band_is_told_and_the_others_have_no_part() -> None:
@@ -264,7 +254,7 @@ def test_no_example_is_given_that_does_not_read_the_table() -> None:
 
 
 def test_further_names_are_read() -> None:
-    dsf = TRUE * directions(GRID)[1][:, 2]
+    dsf = TRUE * spherical(GRID)[1][:, 2]
     samples = parse_samples(table("Incident,phi_i,Viewing,phi_r,DSF", np.column_stack([GRID, dsf])))
     np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
     assert "The column 'DSF' has the BRDF times the cosine of theta_out, and was divided by it." in samples.notes
@@ -315,7 +305,7 @@ def test_words_for_no_number_leave_out_their_row(word: str) -> None:
 
 
 def test_vectors_one_percent_off_are_made_unit_vectors() -> None:
-    first, second = vectors_of(ANGLES)
+    first, second = spherical(ANGLES)
     samples = parse_samples(table((*VECTORS, *CHANNELS), np.hstack([1.01 * first, second, RGB])))
     np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-14)
     np.testing.assert_allclose(samples.omega_in, first, atol=1e-8)

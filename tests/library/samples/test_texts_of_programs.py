@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dsbrdf.samples.reading import parse_samples
-from tests.library.samples.test_tables_as_people_have_them import GRID, NAMES, TRUE, directions
+from tests.library.samples.test_reading import spherical
+from tests.library.samples.test_tables_as_people_have_them import GRID, NAMES, TRUE
 
 LINES = [",".join(map(repr, row)) for row in np.column_stack([GRID - [0.0, 180.0, 0.0, 180.0], TRUE]).tolist()]
 TEXT = "\n".join([",".join(NAMES), *LINES])
@@ -34,7 +35,7 @@ def test_texts_of_other_programs_are_read(kind: str) -> None:
     count = len(samples.values)
     assert count >= 400
     np.testing.assert_allclose(samples.values[:, 0], TRUE[:count], rtol=1e-12)
-    np.testing.assert_allclose(samples.omega_out, directions(GRID - [0, 0, 0, 180])[1][:count], atol=1e-9)
+    np.testing.assert_allclose(samples.omega_out, spherical(GRID - [0, 0, 0, 180])[1][:count], atol=1e-9)
 
 
 def test_radiance_factors_are_told_with_both_options() -> None:
