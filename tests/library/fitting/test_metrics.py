@@ -1,4 +1,5 @@
 from dataclasses import asdict, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -12,9 +13,7 @@ from dsbrdf.fitting import METRICS, relative_errors, sample_errors
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, RelativeErrors, error_tables, sample_metrics
 from dsbrdf.model import directional_albedo
 
-HALF, DIFF, PHI = np.meshgrid(THETA_HALF, THETA_DIFF, PHI_DIFF, indexing="ij")
-COS_IN = np.cos(HALF) * np.cos(DIFF) - np.sin(HALF) * np.sin(DIFF) * np.cos(PHI)
-COS_OUT = np.cos(HALF) * np.cos(DIFF) + np.sin(HALF) * np.sin(DIFF) * np.cos(PHI)
+HALF, DIFF, PHI = np.broadcast_arrays(*np.meshgrid(THETA_HALF, THETA_DIFF, PHI_DIFF, indexing="ij", sparse=True))
 GREEN_IS_BLACK = np.array([1.0, 0.0, 1.0])[:, None, None]
 
 
@@ -36,13 +35,20 @@ def values_of(model: DSBRDF, nodes: NDArray[np.bool_]) -> Array:
     return values
 
 
+@cache
+def cosines() -> tuple[Array, Array]:
+    """Cosines of omega_in and omega_out to the normal at every node."""
+    level, swing = np.cos(HALF) * np.cos(DIFF), np.sin(HALF) * np.sin(DIFF) * np.cos(PHI)
+    return level - swing, level + swing
+
+
 def counted_nodes(measurement: Measurement, cutoff: float | None) -> NDArray[np.bool_]:
     """Nodes that the metrics count, shape (90, 90, 180), from the definition."""
-    counted = measurement.valid & (HALF >= np.radians(1.0)) & (COS_IN > 1e-12) & (COS_OUT > 1e-12)
+    lowest = np.minimum(*cosines())
+    counted = measurement.valid & (HALF >= np.radians(1.0)) & (lowest > 1e-12)
     counted[:, :, 1::2] = False
     if cutoff is not None:
-        smallest = np.cos(cutoff) - 1e-12
-        counted &= (smallest <= COS_IN) & (smallest <= COS_OUT)
+        counted &= lowest >= np.cos(cutoff) - 1e-12
     return counted
 
 
@@ -68,7 +74,7 @@ def direct_errors(
     rms, floor, symmetric = (
         float(np.sqrt(np.sum((samples - other)[channels][:, rows] ** 2) / power)) for other in (fit, mean, folded)
     )
-    logs = [np.log(1.0 + values[channels][:, rows] * COS_IN[rows]) for values in (samples, fit)]
+    logs = [np.log(1.0 + values[channels][:, rows] * cosines()[0][rows]) for values in (samples, fit)]
     return RelativeErrors(rms, floor, symmetric, rms / floor, float(np.mean(np.abs(logs[0] - logs[1]))))
 
 
