@@ -27,7 +27,7 @@ from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
 from dsbrdf_service.settings import Settings
 from examples.demo import address_when_ready, stop
-from tests.support.command_line import Capture
+from tests.support.command_line import FEW_LOBES, Capture
 from tests.support.commands import run_main
 from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.soak import SOAK
@@ -269,7 +269,7 @@ def test_glossary_names_all_metrics_and_parameters() -> None:
 
 def test_the_table_becomes_a_sphere_with_a_purple_highlight_and_says_what_its_fit_is_worth(tmp_path: Path) -> None:
     model, table = tmp_path / "satin-purple.json", DOCS / "_static" / "satin-purple.csv"
-    said = run_main(cli.main, "fit", str(table), "-o", str(tmp_path)).stdout
+    said = run_main(cli.main, "fit", str(table), "-o", str(tmp_path), *FEW_LOBES).stdout
     assert re.search(r"error [\d.]+% at the samples, probably below [\d.]+% over all directions", said)
     mitsuba = mitsuba_variant("scalar_rgb")
     assert cli.main(["export", str(model), "-o", str(tmp_path / "satin.bsdf"), "--example"]) == 0
