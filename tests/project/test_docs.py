@@ -9,7 +9,8 @@ import sys
 import tomllib
 import warnings
 from collections.abc import Iterator
-from io import BytesIO
+from contextlib import redirect_stdout
+from io import BytesIO, StringIO
 from pathlib import Path
 from shutil import copytree, ignore_patterns
 from typing import Any
@@ -85,15 +86,15 @@ def read_once(folder: Path) -> Iterator[None]:
 @pytest.fixture(scope="module")
 def python_quick_start(folder: Path, read_once: None) -> dict[str, Any]:
     """Names that the Python blocks leave behind, run in order in one folder."""
-    names: dict[str, Any] = {}
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+    names, printed = dict[str, Any](), StringIO()
+    with redirect_stdout(printed), pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)
         patch.chdir(folder)
         for number, text in enumerate(blocks("python", http=False)):
             exec(compile(text, f"Python block {number}", "exec"), names)
             if text.startswith("result = dsbrdf.fit(measurement)"):
                 names["fitted"] = names["result"]
-    return names
+    return names | {"printed": printed.getvalue()}
 
 
 @pytest.fixture(scope="module")
@@ -174,6 +175,7 @@ def test_commands_of_the_pages_have_their_options() -> None:
 
 
 def test_the_python_quick_start(python_quick_start: dict[str, Any], folder: Path) -> None:
+    assert "succeeded" in python_quick_start["printed"].splitlines()  # by the service in this process
     assert python_quick_start["values"].shape == (3, 3)
     assert dsbrdf.load(folder / "paint.json") == python_quick_start["fitted"]
     assert dsbrdf.read_merl(folder / "paint-model.binary").valid.any()

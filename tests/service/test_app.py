@@ -15,20 +15,6 @@ from tests.support.stores import LOCAL, add
 
 
 @pytest.mark.anyio
-async def test_application_serves_httpx_without_a_server(tmp_path: Path, data: bytes) -> None:
-    app = create_app(Settings(data_dir=tmp_path / "data"))
-    client = httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost")
-    async with app.router.lifespan_context(app), client:
-        stored = await client.post("/v1/measurements", content=data)
-        assert stored.status_code == 201
-        assert (await client.get(f"{stored.headers['location']}/content")).content == data
-        assert (await client.get("/health/live")).json()["status"] == "live"
-    app = create_app(Settings(data_dir=tmp_path / "data"))  # the folder is free again
-    async with app.router.lifespan_context(app):
-        assert app.state.context.store.measurement("", stored.json()["sha256"]).size == len(data)
-
-
-@pytest.mark.anyio
 async def test_stored_result_is_sent_without_being_parsed(tmp_path: Path) -> None:
     store = Store(tmp_path / "data")
     row, _ = store.add_fit(LOCAL, add(store), to_wire(dsbrdf.FitOptions()), queue_limit=1)

@@ -128,19 +128,6 @@ ODD_PATHS = """
     //evil.example/v1/fits v1/fits * ? \\v1\\fits
 """
 LONG_PATHS = ["/" + "a" * 60_000, "/" + "../" * 5000 + "etc/passwd", "/v1/fits?" + "x=" * 20_000]
-OF_LISTS = """
-    limit=9999999999999999999999 limit=1%20OR%201=1 limit= limit[]=1 limit=%D9%A3 cursor=1;DROP%20TABLE%20fits
-    cursor=%00 cursor=1%0a cursor=%D9%A3 cursor= __proto__=1
-"""
-OF_A_FIT = """
-    ?wait=1e999 ?wait= ?waits=1 /export?format=..%2f..%2fetc%2fpasswd /export?format=json&component=..
-    /export?format=json%00 /export?format=JSON /brdf?theta_half_deg=-1e-9&theta_diff_deg=1
-    /brdf?theta_half_deg=1e999&theta_diff_deg=1 /brdf?theta_half_deg=__import__('os')&theta_diff_deg=1
-    /brdf?theta_half_deg=%00&theta_diff_deg=1 /brdf?omega_in=0,0,1&theta_diff_deg=1
-    /brdf?theta_half_deg=%D9%A3&theta_diff_deg=1
-"""
-QUERIES = [f"/v1/fits?{query}" for query in OF_LISTS.split()] + [f"/v1/fits/@{query}" for query in OF_A_FIT.split()]
-QUERIES += ["/v1/measurements?order=created", "/v1/fits/@/brdf?" + "theta_half_deg=1&" * 3000]
 METHODS = ["PUT", "PATCH", "TRACE", "OPTIONS", "CONNECT", "PROPFIND", "get", "Post", "FOO", "DELETE", "POST/x", "%47ET"]
 # Lines after the first one of a request; its syntax is the matter of the parser, which has tests of its own.
 HEADS = [
@@ -172,7 +159,7 @@ def requests(fit: str, measurement: str) -> Iterator[bytes]:
         known = measurement if "measurements" in target else fit
         for hostile in IDS:
             yield request(f"{method} {target.replace('{id}', hostile.replace(MARK, known)).replace(MARK, fit)}")
-    for path in (*ODD_PATHS.split(), *LONG_PATHS, *QUERIES):
+    for path in (*ODD_PATHS.split(), *LONG_PATHS):
         yield request(f"GET {path.replace(MARK, fit)}")
     yield from (request(f"{method} /v1/fits") for method in METHODS)
     yield from (request(f"GET /v1/fits/{'0' * 32}", head) for head in HEADS)

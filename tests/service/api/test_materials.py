@@ -32,6 +32,7 @@ def test_materials_are_fits_that_everyone_has_and_nobody_changes(guarded: Guarde
 def test_an_ill_formed_id_is_named(server: Server) -> None:
     assert "'abc' is no id of a fit" in assert_problem(server.http.get("/v1/fits/abc"), 404, "not-found")
     assert "'abc' is no id of a measurement" in assert_problem(server.http.get("/v1/measurements/abc"), 404)
+    assert_problem(server.http.get("/v2/fits"), 404, "not-found")
 
 
 def test_files_of_a_fit_have_different_names(server: Server, fitted: str) -> None:
