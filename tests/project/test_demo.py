@@ -13,7 +13,11 @@ from examples import demo
 _COMPONENT = re.compile(r"^(\w+) +\d+% +\d+%-\d+%(?: +([\d.]+)°)?" + r" +([\d.]+)" * 3 + "$", re.MULTILINE)
 
 
-def test_demo_prints_all_results_and_stops_the_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo_prints_all_results_and_stops_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    compare = demo.compare_spheres
+    monkeypatch.setattr(demo, "compare_spheres", lambda *shown, **options: compare(*shown, **options | {"size": 64}))
     demo.main(tmp_path / "out")
     out = capsys.readouterr().out
     words = ["201 Created", "200 OK", "90 % range", "width", "tail", "relative_rms", "excess", "male"]

@@ -40,7 +40,7 @@ def part(model: dsbrdf.DSBRDF, component: str | None) -> Any:
 @pytest.mark.parametrize(
     ("file_format", "component", "named"),
     [
-        ("merl", "diffuse", {}),
+        ("merl", None, {}),
         ("csv", None, {}),
         ("json", "layers", {}),
         ("brdf", "layers", {}),

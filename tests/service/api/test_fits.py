@@ -176,7 +176,7 @@ def test_full_queue_refuses_requests_and_loses_none(own_server: Callable[..., Se
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     first = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]
     server.until_running(first)
-    answers = [server.submit(sha256, prefer="respond-async", n_lobes=2, em_iterations=i + 20) for i in range(6)]
+    answers = [server.submit(sha256, prefer="respond-async", n_lobes=1, em_iterations=i + 3) for i in range(6)]
     assert [answer.status_code for answer in answers] == [202] * 2 + [503] * 4
     accepted = [answer.json()["id"] for answer in answers[:2]]
     for answer in answers[2:]:
