@@ -175,7 +175,7 @@ def test_commands_of_the_pages_have_their_options() -> None:
 
 
 def test_the_python_quick_start(python_quick_start: dict[str, Any], folder: Path) -> None:
-    assert "succeeded" in python_quick_start["printed"].splitlines()  # by the service in this process
+    assert "succeeded" in python_quick_start["printed"].splitlines()  # The service in this process says so.
     assert python_quick_start["values"].shape == (3, 3)
     assert dsbrdf.load(folder / "paint.json") == python_quick_start["fitted"]
     assert dsbrdf.read_merl(folder / "paint-model.binary").valid.any()
