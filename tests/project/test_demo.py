@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from dsbrdf.output.sphere_panels import compare_spheres
 from examples import demo
 
 _COMPONENT = re.compile(r"^(\w+) +\d+% +\d+%-\d+%(?: +([\d.]+)°)?" + r" +([\d.]+)" * 3 + "$", re.MULTILINE)
@@ -16,8 +17,9 @@ _COMPONENT = re.compile(r"^(\w+) +\d+% +\d+%-\d+%(?: +([\d.]+)°)?" + r" +([\d.]
 def test_demo_prints_all_results_and_stops_the_service(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    compare = demo.compare_spheres
-    monkeypatch.setattr(demo, "compare_spheres", lambda *shown, **options: compare(*shown, **options | {"size": 64}))
+    monkeypatch.setattr(
+        demo, "compare_spheres", lambda *shown, **options: compare_spheres(*shown, **options | {"size": 64})
+    )
     demo.main(tmp_path / "out")
     out = capsys.readouterr().out
     words = ["201 Created", "200 OK", "90 % range", "width", "tail", "relative_rms", "excess", "male"]
