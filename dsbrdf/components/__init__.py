@@ -2,7 +2,15 @@
 
 from dsbrdf.components.component import Component, Decomposition
 from dsbrdf.components.decomposition import decompose
-from dsbrdf.components.layers import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
+from dsbrdf.components.layers import (
+    DiffuseLayer,
+    Layer,
+    LayeredModel,
+    RetroLayer,
+    SheenLayer,
+    SpecularLayer,
+    TurningLayer,
+)
 from dsbrdf.components.shares import LABELS
 from dsbrdf.components.surfaces import Misfit, Surface
 
@@ -18,5 +26,6 @@ __all__ = [
     "SheenLayer",
     "SpecularLayer",
     "Surface",
+    "TurningLayer",
     "decompose",
 ]

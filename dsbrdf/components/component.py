@@ -29,10 +29,10 @@ MIN_LIGHT_OF_UNLIKELY_COMPONENT = 0.02
 """An unlikely component is left out if it reflects a smaller fraction of all reflected light at every angle."""
 _MIN_REMARKED_LIGHT = 0.02
 """A remark tells of sheen or retro-reflection that has a larger fraction of all reflected light."""
-_MAX_CERTAIN_WIDTH = 0.16
-"""If the range of the diffuse fraction is wider, a remark says that this fraction is not determined."""
-_ROUGH_METAL_WIDTH = 0.5
-"""If the range of the diffuse fraction is wider and there is no spike, a remark says that rough metal looks alike."""
+_MAX_CERTAIN_WIDTH = 0.1
+"""If the range of the diffuse fraction is wider, that is about 5 % of the light to both sides, a remark says so."""
+_MAX_CERTAIN_ABSENT_LIGHT = 0.05
+"""Without a diffuse part, a remark says that there may be one with more than this fraction of the light."""
 _RECEIVERS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
 """Indices in `LABELS`, in order of preference, of the component that receives the values of an absent component."""
 
@@ -157,6 +157,8 @@ class Decomposition:
         Layers fitted to the values of each component.
     diffuse_range : tuple of float
         Range with 90 % probability of the diffuse fraction of all light, also without a diffuse component.
+    alternatives : tuple of str
+        Names of structures that widen the ranges without taking part in the split.
     """
 
     model: DSBRDF
@@ -165,6 +167,7 @@ class Decomposition:
     ranges: tuple[ComponentRanges, ...]
     descriptions: tuple[Description, ...]
     diffuse_range: Range
+    alternatives: tuple[str, ...]
 
     def __repr__(self) -> str:
         return f"<Decomposition: {', '.join(self.labels) or 'no light'}>"
@@ -275,25 +278,18 @@ class Decomposition:
 
     def _open_split(self) -> Iterator[Finding]:
         low, high = self.diffuse_range
-        is_doubtful = (
-            self.diffuse is not None
-            and low < MIN_COMPONENT_LIGHT
-            and self.diffuse.light_share > MIN_LIGHT_OF_UNLIKELY_COMPONENT
-        )
-        if high - low > _MAX_CERTAIN_WIDTH or is_doubtful:
+        found = 0.0 if self.diffuse is None else self.diffuse.light_share
+        is_doubtful = low < MIN_COMPONENT_LIGHT and found > MIN_LIGHT_OF_UNLIKELY_COMPONENT
+        may_be_missing = found < MIN_COMPONENT_LIGHT and high > _MAX_CERTAIN_ABSENT_LIGHT
+        if high - low > _MAX_CERTAIN_WIDTH or is_doubtful or may_be_missing:
             names = ", ".join(f"{structure.name} {structure.weight:.0%}" for structure in self.structures[:3])
             yield Finding(
                 "open-split",
                 f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to "
                 f"{high:.0%}. Probable structures: {names}."
-                + (" A metal rougher than alpha 0.6 may look alike." if self._may_be_rough_metal else ""),
+                + "".join(f" A material of another structure looks alike: {name}." for name in self.alternatives),
                 {"low": low, "high": high},
             )
-
-    @property
-    def _may_be_rough_metal(self) -> bool:
-        low, high = self.diffuse_range
-        return high - low > _ROUGH_METAL_WIDTH and self.specular_spike is None
 
     def _other_light(self) -> Iterator[Finding]:
         kinds = (

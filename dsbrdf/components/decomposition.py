@@ -82,7 +82,7 @@ def decompose(model: DSBRDF | Fitted) -> Decomposition:
 def _decompose(model: DSBRDF) -> Decomposition:
     data = material_data(grid_values(model.evaluate_unmasked))
     if data is None:
-        return Decomposition(model, (), (), (), (), (0.0, 0.0))
+        return Decomposition(model, (), (), (), (), (0.0, 0.0), ())
     found = fit_structures(data, (*STRUCTURES, *RARE_STRUCTURES), quick=True)
     drawn = DrawnLayers.of(model, found)
     reflected = [_reflected(model, drawn.fitted, rule) for rule in light_rules()]
@@ -98,7 +98,8 @@ def _decompose(model: DSBRDF) -> Decomposition:
 
 def _described(model: DSBRDF, drawn: DrawnLayers, labels: tuple[str, ...], reflected: Sequence[Array]) -> Decomposition:
     """Divide a model among components with labels, and describe each component."""
-    split = Decomposition(model, tuple(drawn.fitted), labels, (), (), drawn.light_range(LABELS[2:]))
+    diffuse_range, structures = drawn.light_range(LABELS[2:]), tuple(drawn.fitted)
+    split = Decomposition(model, structures, labels, (), (), diffuse_range, drawn.alternatives)
     descriptions = (
         describe(
             own,

@@ -14,10 +14,11 @@ import numpy as np
 from dsbrdf.arrays import Evaluate
 from dsbrdf.components.layer_data import component_data, peak_half_width, renderer_data
 from dsbrdf.components.layer_fit import fit_structures, refined
+from dsbrdf.components.layer_priors import OWN_PRIORS
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
 from dsbrdf.components.points import light_rules
 from dsbrdf.components.shares import SurfaceSpread
-from dsbrdf.components.structures import OWN_PRIORS, LayerStructure
+from dsbrdf.components.structures import LayerStructure
 from dsbrdf.components.surfaces import (
     MAX_RANGE_FACTOR,
     MIN_ALPHA_RATIO,

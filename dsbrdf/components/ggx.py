@@ -11,9 +11,10 @@ import numpy as np
 from dsbrdf.arrays import Evaluate
 from dsbrdf.components.layer_data import renderer_data
 from dsbrdf.components.layer_fit import fit_structures
+from dsbrdf.components.layer_priors import OWN_PRIORS, LayerPrior
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.components.points import light_rules
-from dsbrdf.components.structures import OWN_PRIORS, LayerPrior, LayerStructure
+from dsbrdf.components.structures import LayerStructure
 
 
 def _fixed(prior: LayerPrior, unknowns: dict[int, float]) -> LayerPrior:

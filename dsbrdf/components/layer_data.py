@@ -27,8 +27,8 @@ from dsbrdf.data.reduction import center_share, interval_ends, seen_weight, trus
 
 N_SAMPLES = 50.0
 """The values of a whole material count as this many independent samples."""
-MODEL_ERROR = 0.02
-"""Relative error that even the best layers of a material have; it is c in the cost of a structure."""
+MODEL_ERROR = 0.01
+"""Median relative error of the right layers of published material models; it is c in the cost of a structure."""
 # Angles of the grid of pairs of directions [rad].
 _THETA_DIFF = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _THETA_HALF = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
@@ -82,10 +82,10 @@ class LayerData:
     sums: Array | None = None
 
     @classmethod
-    def of(cls, points: Points, values: Array, weight: Array) -> LayerData:
+    def of(cls, points: Points, values: Array, weight: Array, model_error: float = MODEL_ERROR) -> LayerData:
         """Make data of values (3, N) and their weights (3, N); at least one value must be positive."""
         root = np.sqrt(weight / np.sum(weight * values**2))
-        return cls(points, root, values * root)
+        return cls(points, root, values * root, model_error=model_error)
 
     def thinned(self, step: int) -> LayerData:
         """Return the data at every pair of directions with an index divisible by `step`, for a rough fit."""

@@ -30,13 +30,13 @@ from dsbrdf.components.layer_data import N_SAMPLES, LayerData
 from dsbrdf.components.layers import LayeredModel, Linearized, SpecularLayer
 from dsbrdf.components.structures import STRUCTURES, LayerStructure
 
-EVIDENCE_SCALE = 4.0
+_EVIDENCE_SCALE = 4.0
 """An increase of the evidence by this amount lowers a structure's weight by the factor e."""
 _FIXED_NOISE = 0.2
 _MAX_FIXED_NOISE_STEPS = 20
 _MIN_FIXED_NOISE_GAIN = 0.5  # The first stage, with a fixed noise, ends if a step lowers the cost by less.
 _MAX_STALLED_STEPS = 2
-_COST_TOLERANCE = 0.02  # A step that lowers the cost by less counts as stalled; two such steps end the fit.
+_COST_TOLERANCE = 0.05  # A step that lowers the cost by less counts as stalled; two such steps end the fit.
 _MAX_UNKNOWN_CHANGE = 1.2  # If a step would change an unknown by more, the change is clipped.
 _FIRST_DAMPING = 1e-2
 _MAX_DAMPING_TRIES = 8
@@ -57,14 +57,15 @@ class FittedStructure:
         """The layers with the most probable unknowns."""
         return self.structure.model(self.unknowns)
 
-    def draw(self, generator: np.random.Generator, count: int) -> list[LayeredModel]:
+    def draw(self, generator: np.random.Generator, count: int, spread: float = 1.0) -> list[LayeredModel]:
         """Draw layers from the Gaussian that the normal equations define, within the bounds of the unknowns.
 
-        Every draw has a mirror image about the fitted unknowns, so that few draws give an unbiased mean.
+        `spread` multiplies the standard deviations. Every draw has a mirror image about the fitted unknowns, so that
+        few draws give an unbiased mean.
         """
         values, vectors = np.linalg.eigh(self.normal_equations)
         # The symmetric root of the matrix is used, because the signs of eigenvectors depend on the library.
-        root = (vectors * np.sqrt(0.5 * EVIDENCE_SCALE / np.maximum(values, 1e-9))) @ vectors.T
+        root = (vectors * spread / np.sqrt(np.maximum(values, 1e-9))) @ vectors.T
         half = generator.standard_normal((-(-count // 2), values.size)) @ root
         drawn = self.unknowns + np.concatenate([half, -half])[:count]
         return [self.structure.model(unknowns) for unknowns in np.clip(drawn, *self.structure.bounds)]
@@ -177,11 +178,11 @@ class Descent:
             for layer, relative in zip(layers, derivatives, strict=True):
                 np.multiply(layer.own[channel], root, out=columns[end])
                 end += 1
-                if layer.grazing is not None:
-                    np.multiply(layer.grazing, root, out=columns[end])
+                if layer.grazing.size:
+                    np.multiply(_of_channel(layer.grazing, channel, 2), root, out=columns[end])
                     end += 1
-                start, end = end, end + len(relative)
-                np.multiply(relative, layer.values[channel] * root, out=columns[start:end])
+                start, end = end, end + relative.shape[-2]
+                np.multiply(_of_channel(relative, channel, 3), layer.values[channel] * root, out=columns[start:end])
             np.subtract(total[channel] * root, self.data.weighted[channel], out=columns[end])
             products = columns[:-1] @ columns.T
             self._error += float(columns[-1] @ columns[-1])
@@ -206,6 +207,11 @@ class Descent:
         return float(self.structure.freedom @ np.log1p(whitened**2 / self.structure.freedom))
 
 
+def _of_channel(values: Array, channel: int, dimensions: int) -> Array:
+    """Return values in one channel; an array with one dimension less is equal in all channels."""
+    return values if values.ndim < dimensions else values[channel]
+
+
 def _sum_of(layers: Sequence[Linearized]) -> Array:
     """Return the sum of the values (3, N) of layers."""
     total = layers[0].values
@@ -216,6 +222,7 @@ def _sum_of(layers: Sequence[Linearized]) -> Array:
 
 _TRIAL_STEPS = (5,)
 _QUICK_TRIAL_STEPS = (2, 3)  # In a quick trial, all starts get two steps, and the better half of the starts three more.
+_TURN_TRIAL_STEPS = 3  # These trials start from the end of a trial without turning colours.
 _QUICK_TRIAL_STRIDE = 2  # Trials of a complete material use every second pair of directions.
 _MAX_FIRST_STEPS = 10
 _MAX_STEPS = 60
@@ -259,31 +266,34 @@ def refined(data: LayerData, structure: LayerStructure, unknowns: Array) -> Fitt
     return descent.fitted()
 
 
-def structure_weights(found: Sequence[FittedStructure], scale: float = EVIDENCE_SCALE) -> Array:
+def structure_weights(found: Sequence[FittedStructure]) -> Array:
     """Return the weights of fitted structures, which sum to 1 and follow from the evidence.
 
-    The weight falls by the factor e where the evidence rises by `scale`. A structure that is only in ranges has at most
+    A structure that is only in ranges has at most
     the weight of the best other structure.
     """
     usual = min(fitted.evidence for fitted in found if not fitted.structure.only_in_ranges)
     evidence = np.maximum([fitted.evidence for fitted in found], usual)
-    weights = np.exp((evidence.min() - evidence) / scale)
+    weights = np.exp((evidence.min() - evidence) / _EVIDENCE_SCALE)
     return np.asarray(weights / weights.sum())
 
 
-def _trials(data: LayerData, structures: Sequence[LayerStructure], *, quick: bool) -> "list[Descent]":
+def _trials(data: LayerData, structures: Sequence[LayerStructure], *, quick: bool) -> list[Descent]:
     """Take a few steps of the fit of every structure; return the fits so far, the most promising first."""
     if quick:
         data = data.thinned(_QUICK_TRIAL_STRIDE)
     trials: dict[str, Descent] = {}
     for structure in structures:
-        started = structure.started_from(trials[structure.parent].model) if structure.parent in trials else structure
-        if started is not None:
+        parent = trials.get(structure.parent or "")
+        if parent is not None and structure.turns:
+            trials[structure.name] = Descent(data, structure, structure.turned(parent.unknowns), is_first=False)
+            trials[structure.name].run(_TURN_TRIAL_STEPS)
+        elif started := structure if parent is None else structure.started_from(parent.model):
             trials[structure.name] = _best_trial(data, started, _QUICK_TRIAL_STEPS if quick else _TRIAL_STEPS)
     return sorted(trials.values(), key=lambda trial: trial.prospect)
 
 
-def _best_trial(data: LayerData, structure: LayerStructure, stages: Sequence[int]) -> "Descent":
+def _best_trial(data: LayerData, structure: LayerStructure, stages: Sequence[int]) -> Descent:
     """Return the best of the fits from all starts of a structure.
 
     `stages` are numbers of steps; only the better half of the starts enters the next stage.
@@ -305,22 +315,23 @@ def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]
     shapes, remaining = [], list(widths)
     for prior, part in zip(structure.layers, structure.slices, strict=True):
         own = unknowns[part]
-        if prior.kind is SpecularLayer and remaining:
+        is_surface = issubclass(prior.kind, SpecularLayer)
+        if is_surface and remaining:
             own[6] = np.log(np.tan(np.radians(remaining.pop(0))) / np.sqrt(np.sqrt(2.0) - 1.0))
         white = np.concatenate([np.zeros(3), own[3:]])
-        if prior.kind is SpecularLayer:
+        if is_surface:
             white[3] = 0.0
         layer = prior.kind.linearize(data.points, white)
         shapes.append(layer.own[0])
-        if layer.grazing is not None:
-            shapes.append(layer.grazing)
+        if layer.grazing.size:
+            shapes.append(_of_channel(layer.grazing, 0, 2))
     columns = np.stack(shapes)
     found = [nnls((columns * root).T, goal)[0] for root, goal in zip(data.root_weight, data.weighted, strict=True)]
     heights = iter(np.array(found).T)
     for prior, part in zip(structure.layers, structure.slices, strict=True):
         own, color = unknowns[part], next(heights)
-        least = 0.1 * np.exp(prior.mean[0]) if prior.kind is SpecularLayer else 0.005
+        least = 0.1 * np.exp(prior.mean[0]) if issubclass(prior.kind, SpecularLayer) else 0.005
         own[:3] = np.log(np.maximum(color, _MIN_CHANNEL_START * max(float(color.max()), least)))
-        if prior.kind is SpecularLayer:
+        if issubclass(prior.kind, SpecularLayer):
             own[3] = np.log(np.clip(next(heights).mean(), 0.02, 1.2))
     return unknowns

@@ -10,7 +10,8 @@ surface of microfacets (Cook and Torrance 1982), with s = s(cos(theta_diff)),
 D is Student's t distribution of slopes with the exponent tau, normalised by g = tau - 1: tau = 2 is GGX (Walter
 2007), and a large tau is Beckmann's distribution, both with their usual alpha. V is GGX's Smith masking divided by
 4 cos_in cos_out; b = 0 is its height-correlated form, and b = 1 its separable form. T is the fraction of light that
-passes a clear coat both ways; t is 1 for a layer below a coat, and otherwise 0. A **diffuse layer** is
+passes a clear coat both ways; t is 1 for a layer below a coat, and otherwise 0. A **turning layer** is a specular layer
+times exp(a sin(theta_half)**2 + b u), where the channels of a and of b sum to 0. A **diffuse layer** is
 
     f = rho / pi exp(p . X),
 
@@ -37,6 +38,10 @@ from dsbrdf.components.points import COAT_F0, Points, fresnel_rise, grid_points
 from dsbrdf.model.reflectance import RenderableModel
 
 Color: TypeAlias = tuple[float, float, float]
+CONTRASTS = np.array([[3.0, -3.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[18.0], [6.0]])
+"""Two orthonormal differences between the channels of a log colour."""
+N_TURNS = 4
+"""Number of unknowns for the colours a and b of a turning layer: both contrasts of each."""
 GRAZING_ANGLE = float(np.radians(70.0))
 """Grazing reflectance is stated at this theta_diff [rad], because many measurements are wrong at larger angles."""
 
@@ -46,8 +51,8 @@ class Linearized(NamedTuple):
 
     values: Array  # values at the points, (3, N) [1/sr]
     own: Array  # derivative of the values of a channel in the logarithm of its colour, (3, N) [1/sr]
-    relative: Callable[[], Array]  # returns derivatives of log values in the last P unknowns, in all channels, (P, N)
-    grazing: Array | None = None  # derivative of the values in log F90, equal in all channels, (N,) [1/sr]
+    relative: Callable[[], Array]  # returns derivatives of log values in the last P unknowns, (P, N) or (3, P, N)
+    grazing: Array = np.zeros(0)  # derivative of the values in log F90, (N,) or (3, N) [1/sr]; empty without F90
 
 
 @dataclass(frozen=True)
@@ -133,14 +138,42 @@ class SpecularLayer:
             own + grazing, own, lambda: np.stack([*points.rise, *surface.derivatives(masking), points.passed]), grazing
         )
 
-    def values(self, points: Points) -> Array:
-        """Return the values (3, N) of the layer at N points [1/sr]."""
-        shape = np.exp(
-            _Surface(points, self.alpha, self.tail_exponent).log_shape(self.masking)
-            + np.array(self.rise) @ points.rise
-            + self.under_coat * points.passed
-        )
-        return np.array(self.f0)[:, np.newaxis] * (shape * (1.0 - points.fresnel)) + self.f90 * shape * points.fresnel
+
+@dataclass(frozen=True)
+class TurningLayer(SpecularLayer):
+    """Reflect light from a rough surface whose colour turns with the angles, as of interference pigments.
+
+    Attributes
+    ----------
+    turn : tuple of tuple of float
+        Colours a and b in the module's equation of a turning layer, RGB.
+    """
+
+    turn: tuple[Color, Color]
+
+    @classmethod
+    def from_unknowns(cls, unknowns: Array) -> TurningLayer:
+        """Make a layer from the array (14,) of its unknowns."""
+        first, second = ((red, green, blue) for red, green, blue in (unknowns[10:].reshape(2, 2) @ CONTRASTS).tolist())
+        return cls(**vars(SpecularLayer.from_unknowns(unknowns[:10])), turn=(first, second))
+
+    @property
+    def unknowns(self) -> Array:
+        """Array (14,) of the unknowns of the layer."""
+        return np.concatenate([super().unknowns, (np.array(self.turn) @ CONTRASTS.T).ravel()])
+
+    @classmethod
+    def linearize(cls, points: Points, unknowns: Array) -> Linearized:
+        """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
+        plain = SpecularLayer.linearize(points, unknowns[:10])
+        turns = np.concatenate([CONTRASTS[:, :, np.newaxis] * angle for angle in (points.ground[4], points.rise[0])])
+        factor = np.exp(np.tensordot(unknowns[10:], turns, 1))
+
+        def relative() -> Array:
+            of_all = plain.relative()
+            return np.concatenate([np.broadcast_to(of_all, (3, *of_all.shape)), turns.swapaxes(0, 1)], axis=1)
+
+        return Linearized(plain.values * factor, plain.own * factor, relative, plain.grazing * factor)
 
 
 class _Surface:
@@ -205,10 +238,6 @@ class DiffuseLayer:
         """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
         return _powers(points.ground, unknowns, 1.0 / np.pi)
 
-    def values(self, points: Points) -> Array:
-        """Return the values (3, N) of the layer at N points [1/sr]."""
-        return _powers(points.ground, self.unknowns, 1.0 / np.pi).values
-
 
 @dataclass(frozen=True)
 class SheenLayer:
@@ -233,10 +262,6 @@ class SheenLayer:
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
         """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
         return _powers(points.fibres, unknowns, 1.0)
-
-    def values(self, points: Points) -> Array:
-        """Return the values (3, N) of the layer at N points [1/sr]."""
-        return _powers(points.fibres, self.unknowns, 1.0).values
 
 
 def _powers(features: Array, unknowns: Array, scale: float) -> Linearized:
@@ -282,12 +307,8 @@ class RetroLayer:
         values = np.exp(unknowns[:3])[:, np.newaxis] * np.exp(surface.log_shape(0.0))
         return Linearized(values, values, lambda: surface.derivatives(0.0)[0][np.newaxis])
 
-    def values(self, points: Points) -> Array:
-        """Return the values (3, N) of the layer at N points [1/sr]."""
-        return self.linearize(points, self.unknowns).values
 
-
-Layer: TypeAlias = SpecularLayer | DiffuseLayer | SheenLayer | RetroLayer
+Layer: TypeAlias = SpecularLayer | TurningLayer | DiffuseLayer | SheenLayer | RetroLayer
 
 
 @dataclass(frozen=True)
@@ -306,7 +327,9 @@ class LayeredModel(RenderableModel):
 
     def layer_values(self, points: Points) -> Array:
         """Return the values (layers, 3, N) of each layer [1/sr]."""
-        return np.array([layer.values(points) for layer in self.layers]).reshape(-1, 3, points.fresnel.size)
+        return np.array([one.linearize(points, one.unknowns).values for one in self.layers]).reshape(
+            -1, 3, points.fresnel.size
+        )
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""

@@ -19,7 +19,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_fit import EVIDENCE_SCALE, FittedStructure, structure_weights
+from dsbrdf.components.layer_fit import FittedStructure, structure_weights
 from dsbrdf.components.layers import GRAZING_ANGLE, Layer, LayeredModel, SpecularLayer
 from dsbrdf.components.points import NORMAL, Points
 from dsbrdf.model.reflectance import ReflectanceModel
@@ -34,8 +34,7 @@ EXCESS_HALO = HALO / 4.0
 """At smaller tan(theta_half)**2, values below the sum of all layers are mostly subtracted from the highlight."""
 _DIFFERENCE_POWER = 3
 """Power p in the part f**p of the missed light that layers with the fraction f of all light of the layers receive."""
-_MIN_LAYER_LIGHT = 1e-300  # This value is added to the sum of the layers, to avoid a division by zero [1/sr].
-_MAX_VALUE_RATIO = 1e100  # Larger ratios of model to layers are clipped, so that squared ratios do not overflow.
+_MIN_LIGHT = 1e-18  # This value is added to values and to layers, to avoid a division by zero [1/sr].
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,28 +68,25 @@ class WeightedLayers:
         layers = self.model.layer_values(points)
         place = np.array([LABELS.index(label) for label in self.labels])
         narrow, wide, diffuse = (layers[place == label].sum(axis=0) for label in range(3))
-        specular = narrow + wide + _MIN_LAYER_LIGHT
-        total = specular + diffuse
-        missed = _ratio(values, total) - 1.0
+        if not (place < 2).any():
+            # Even if all layers are diffuse, values far above the layers near the mirror direction are a highlight.
+            ground = np.minimum(values, diffuse * (2.0 + (points.squared_tangent / HALO) ** 2))
+            return np.stack([np.zeros_like(values), values - ground, ground])
+        specular = narrow + wide
+        missed = values.sum(axis=0) - (specular + diffuse).sum(axis=0)
         outside = _outside(points, np.where(missed > 0.0, HALO, EXCESS_HALO))
-        # Even if all layers are diffuse, values far above the layers near the mirror direction are a highlight.
-        most = (
-            1.0 + missed * outside * (diffuse / total) ** _DIFFERENCE_POWER
-            if (place < 2).any()
-            else 2.0 + (points.squared_tangent / HALO) ** 2
-        )
-        ground = np.minimum(values, diffuse * most)
+        ground = _divided(values, diffuse, specular, _DIFFERENCE_POWER, _DIFFERENCE_POWER, outside)
         rest = values - ground
         if not (place == 0).any():
             return np.stack([np.zeros_like(rest), rest, ground])
-        # The square keeps the lobe smooth below a bright spike, and the spike free of the colour of a bright lobe.
-        lobe = np.minimum(rest, wide + (rest - specular) * (wide / specular) ** 2)
+        # The square keeps the lobe smooth below a bright spike; both have their share of a colour that layers miss.
+        lobe = _divided(rest, wide, narrow, 2, 0, 1.0)
         return np.stack([rest - lobe, lobe, ground])
 
     def doubtful(self, values: Array, points: Points, labels: Sequence[str]) -> Array:
         """Return the part of the values that the layers miss and that may belong to layers with labels, (3, N)."""
         layers = self.model.layer_values(points)
-        total = layers.sum(axis=0) + _MIN_LAYER_LIGHT
+        total = layers.sum(axis=0) + _MIN_LIGHT
         fraction = layers[[label in labels for label in self.labels]].sum(axis=0) / total
         return np.asarray(np.abs(values - total) * 4.0 * fraction * (1.0 - fraction))
 
@@ -110,15 +106,27 @@ class WeightedLayers:
         return np.asarray(np.sum(self.model.layer_values(NORMAL.points) @ NORMAL.weight, axis=1))
 
 
+def _divided(values: Array, own: Array, other: Array, power: int, color_power: int, weight: Array | float) -> Array:
+    """Return the part of values (3, N) that belongs to layers with the values `own` instead of layers with `other`.
+
+    The brightness, the sum over the channels, is divided first: the difference to the layers counts by `weight`. The
+    colours follow the layers, so that the colour of a difference does not become the colour of a faint part.
+    """
+    bright, of_own, of_other = (one.sum(axis=0) + _MIN_LIGHT for one in (values, own, other))
+    part = np.minimum(bright, _with_missed(bright, of_own, of_other, power, weight))
+    own, other = own * (part / of_own), other * ((bright - part) / of_other)
+    return np.minimum(values, _with_missed(values, own, other + _MIN_LIGHT, color_power, 1.0))
+
+
+def _with_missed(values: Array, own: Array, other: Array, power: int, weight: Array | float) -> Array:
+    """Add to layers with the values `own` what all layers miss, times a power of their fraction of all layers."""
+    fraction = own / (own + other)
+    return np.asarray(own * (1.0 - weight * fraction**power) + values * weight * fraction ** (power + 1))
+
+
 def _outside(points: Points, halo: Array | float) -> Array:
     """Return a smooth step over the halo of a highlight: 0 at the mirror direction, 1 far outside of the halo."""
     return np.asarray(1.0 - 1.0 / (1.0 + (points.squared_tangent / halo) ** 2))
-
-
-def _ratio(values: Array, total: Array) -> Array:
-    """Return the ratio of values to the sum of layers, clipped where the sum is almost 0."""
-    with np.errstate(over="ignore"):
-        return np.minimum(values / total, _MAX_VALUE_RATIO)
 
 
 def _label(layer: Layer, is_diffuse: bool) -> str:
@@ -131,10 +139,6 @@ PROBABILITY = 0.9
 """Probability with which a parameter lies in its range."""
 RANGE_HALF_WIDTH_SIGMAS = 1.645
 """Within this number of standard deviations are 90 % of a Gaussian."""
-_POSTERIOR_FACTOR = float(np.sqrt(2.0 / EVIDENCE_SCALE))
-"""Ratio of the posterior's standard deviation to the standard deviation of draws, which `EVIDENCE_SCALE` widens."""
-_RANGE_EVIDENCE_SCALE = 6.0
-"""Ranges use this larger scale instead of `EVIDENCE_SCALE`, because the priors of structures are uncertain too."""
 _MIN_WEIGHT = 0.01  # A structure of layers with a smaller weight is dropped.
 _MIN_DRAWS = 4  # The layers of every structure are drawn at least this number of times.
 _N_SHARED_DRAWS = 30  # This number of further draws is divided among structures by weight.
@@ -197,12 +201,12 @@ class DrawnLayers(NamedTuple):
         generator = np.random.default_rng(7)
         values = model.evaluate_unmasked(*NORMAL.angles).T
         found = [one for one in found if not _misses_highlight(one, values)] or found
-        usual = _probable([one for one in found if not one.structure.only_in_ranges], EVIDENCE_SCALE)
+        usual = _probable([one for one in found if not one.structure.only_in_ranges])
         fitted = [
             WeightedLayers(one.structure.name, weight, one.model, one.structure.is_diffuse) for one, weight in usual
         ]
         drawn = []
-        for one, weight in _probable(found, _RANGE_EVIDENCE_SCALE):
+        for one, weight in _probable(found):
             own = (one.model, *one.draw(generator, _MIN_DRAWS + int(_N_SHARED_DRAWS * weight)))
             sides = one.structure.is_diffuse, one.structure.other_sides or one.structure.is_diffuse
             drawn += [
@@ -211,6 +215,13 @@ class DrawnLayers(NamedTuple):
             ]
         albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])
         return cls(drawn, np.array([one.weight for one in drawn]), albedos, fitted, values)
+
+    @property
+    def alternatives(self) -> tuple[str, ...]:
+        """Names of structures that are drawn without taking part in the split."""
+        return tuple(
+            dict.fromkeys(one.name for one in self.layers if one.name not in {own.name for own in self.fitted})
+        )
 
     def ranges(self, labels: Sequence[str]) -> ComponentRanges:
         """Return the ranges of the component to which layers with some labels belong."""
@@ -258,17 +269,17 @@ class DrawnLayers(NamedTuple):
         alpha = np.array([max(surfaces[number], key=lambda layer: sum(layer.f0)).alpha for number in there])
         logs, weight = np.log(np.column_stack([alpha, f0, f70])), self.weight[there]
         variance = np.average((logs - np.average(logs, axis=0, weights=weight)) ** 2, axis=0, weights=weight)
-        spread = _POSTERIOR_FACTOR * np.sqrt(variance)
+        spread = np.sqrt(variance)
         light = np.maximum(np.average(self._albedo(labels), axis=0, weights=self.weight), 1e-300)
         most = np.maximum(np.array(self.ranges(labels).albedo)[:, 1], light)
         doubt = np.log(most / light) / RANGE_HALF_WIDTH_SIGMAS
         return SurfaceSpread(float(spread[0]), np.hypot(spread[1:4], doubt), np.maximum(spread[4:], doubt))
 
 
-def _probable(found: Sequence[FittedStructure], scale: float) -> list[tuple[FittedStructure, float]]:
-    """Return fitted structures with their weights at a scale of the evidence, without those of small weight."""
-    kept = [one for one, weight in zip(found, structure_weights(found, scale), strict=True) if weight >= _MIN_WEIGHT]
-    return list(zip(kept, structure_weights(kept, scale).tolist(), strict=True))
+def _probable(found: Sequence[FittedStructure]) -> list[tuple[FittedStructure, float]]:
+    """Return fitted structures with their weights, without those of small weight."""
+    kept = [one for one, weight in zip(found, structure_weights(found), strict=True) if weight >= _MIN_WEIGHT]
+    return list(zip(kept, structure_weights(kept).tolist(), strict=True))
 
 
 def _misses_highlight(found: FittedStructure, values: Array) -> bool:

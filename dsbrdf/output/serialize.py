@@ -128,6 +128,7 @@ def to_json(model: DSBRDF, report: FitReport | None = None, components: Decompos
             "components": [component_document(component) for component in components],
             "structures": [asdict(structure) for structure in components.structures],
             "diffuse_range": components.diffuse_range,
+            "alternatives": components.alternatives,
             **document,
         }
     return _dump(document)
@@ -162,7 +163,8 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
             "The stored structures are damaged: they do not say for each layer whether it is diffuse."
         )
     diffuse_range: Range = typed(Range, document.get("diffuse_range"), "diffuse_range")
-    return Decomposition(model, structures, labels, ranges, descriptions, diffuse_range), report
+    alternatives = typed(tuple[str, ...], document.get("alternatives"), "alternatives")
+    return Decomposition(model, structures, labels, ranges, descriptions, diffuse_range, alternatives), report
 
 
 def layers_to_json(layers: LayeredModel) -> str:

@@ -50,8 +50,9 @@ _NEGLIGIBLE_WEIGHT = 1e-3
 _STRETCHES = {0.0: 0.6, 0.5: 0.3, 1.0: 0.1}
 _LOWEST_COSINE_DIFF = 0.17  # The stretch of a highlight stays constant where the cosine of theta_diff is smaller.
 _N_DRAWS = 32
-# The weights of structures are overconfident, so that structures are drawn in proportion to this power of the weights.
+# The evidence is overconfident, so that structures and layers are drawn by this power of their probability.
 _DRAWN_POWER = 0.5
+_MODEL_ERROR = 0.02  # Samples have noise, so they have a larger error than the values of a fitted model.
 
 Candidate = tuple[LayerStructure, float]
 """A structure of layers, and the stretch of its highlights across the plane of incidence."""
@@ -125,7 +126,11 @@ class SampleLayers:
         weights = self.weights**_DRAWN_POWER
         counts = generator.multinomial(_N_DRAWS, weights / weights.sum()).tolist()
         drawn = zip(self.found, self.stretches, counts, strict=True)
-        return [(model, stretch) for one, stretch, count in drawn for model in one.draw(generator, count)]
+        return [
+            (model, stretch)
+            for one, stretch, count in drawn
+            for model in one.draw(generator, count, _DRAWN_POWER**-0.5)
+        ]
 
     def _mean_log(self, angles: tuple[Array, Array, Array]) -> Array:
         models = [(one.model, stretch) for one, stretch in zip(self.found, self.stretches, strict=True)]
@@ -158,7 +163,7 @@ def _layer_data(samples: ScatteredSamples, stretch: float) -> LayerData:
     plain = PLAIN_ERROR_WEIGHT * samples.weight / np.sum(samples.weight * square)
     weight = relative / np.sum(relative * square) + plain
     points = _points(*half_difference(samples.omega_in, samples.omega_out), stretch)
-    return LayerData.of(points, samples.values.T, np.broadcast_to(weight, (3, weight.size)))
+    return LayerData.of(points, samples.values.T, np.broadcast_to(weight, (3, weight.size)), _MODEL_ERROR)
 
 
 # The prediction uses a random subset of this number of samples, because its time grows with the cube of the number.

@@ -122,6 +122,7 @@ def _layers(xp: Any, pair: tuple[Any, Any], diff: Any, tan2: Any, parameters: di
         if "f0" in p:  # Only specular layers have F0.
             bent = p["rise"][0] * u + p["rise"][1] * u**2 + p["under_coat"] * (passed + 2.0 * math.log1p(-COAT_F0))
             color = xp.log(p["f0"] * (1.0 - rise) + p["f90"] * rise)
+            color = color + p["turn"][0] * sin2_half[..., None] + p["turn"][1] * u[..., None] if "turn" in p else color
             form = bent + _facets(xp, cos_in, cos_out, tan2, p["alpha"], p["tail_exponent"], p["masking"])
         elif "alpha" in p:  # Of the other layers, only retro layers have a roughness alpha.
             back2 = xp.clip(4.0 * sin2 - (cos_in - cos_out) ** 2, 0.0, None) / (cos_in + cos_out) ** 2
@@ -130,28 +131,27 @@ def _layers(xp: Any, pair: tuple[Any, Any], diff: Any, tan2: Any, parameters: di
             log_u, log_sin2 = xp.log(xp.clip(u, MIN_RISE, None)), xp.log(xp.clip(sin2_half, MIN_SINE**2, None))
             color, form = xp.log(p["color"]), p["powers"][0] * log_u + p["powers"][1] / 2.0 * log_sin2
         else:
-            along, limb = 1.0 - 2.0 * sin2 - cos_in * cos_out, xp.log(2.0 / (cos_in + cos_out))
-            along = xp.where(along > 0.0, along / xp.maximum(cos_in, cos_out), along)
-            ground = passed, (1.0 - sin2) * (to_in + to_out), fresnel, limb, sin2_half, along
-            color, form = xp.log(p["albedo"] / math.pi), sum(p["exponents"][i] * one for i, one in enumerate(ground))
+            along = xp.where((x := 1.0 - 2.0 * sin2 - cos_in * cos_out) > 0.0, x / xp.maximum(cos_in, cos_out), x)
+            form = passed, (1.0 - sin2) * (to_in + to_out), fresnel, xp.log(2.0 / (cos_in + cos_out)), sin2_half, along
+            color, form = xp.log(p["albedo"] / math.pi), sum(p["exponents"][i] * one for i, one in enumerate(form))
         total = xp.logaddexp(total, color + form[..., None])
     return total
 
 
 def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: bool) -> list[Any]:
     """Divide the model's values among spike, lobe and diffuse part, by the logarithms of the layers of each part."""
-    tan2, (narrow, wide, diffuse) = xp.clip(tan2, None, MAX_TAN2)[..., None], layers
+    tan2, (narrow, wide, diffuse) = xp.clip(tan2, None, MAX_TAN2)[..., None], map(xp.exp, layers)
     if not has_highlight:  # Values far above the diffuse layers near the mirror direction are a highlight.
-        ground = xp.minimum(whole, xp.exp(diffuse) * (2.0 + (tan2 / HALO) ** 2))
-        return [0.0 * whole, whole - ground, ground]
-    specular, ground = xp.logaddexp(narrow, wide), xp.exp(diffuse)
-    odds, missed = xp.exp(xp.clip(specular - diffuse, -60.0, 60.0)), whole - xp.exp(specular) - ground
-    s, halo = 1.0 / (1.0 + odds), 1.0 / (1.0 + xp.where(missed > 0.0, tan2 / HALO, tan2 / EXCESS_HALO) ** 2)
-    rest = odds * s * (whole + missed * (1.0 - halo) * s * (1.0 + s * (1.0 + s))) + missed * halo * s
-    rest = xp.clip(rest, 0.0, None)
-    spike = xp.exp(narrow - specular) * (rest * (1.0 + xp.exp(wide - specular)) - xp.exp(wide))
-    spike = xp.minimum(xp.clip(spike, 0.0, None), rest)
-    return [spike, rest - spike, xp.minimum(whole, ground + (whole * s - ground) * (1.0 - halo) * s**3)]
+        return [0.0 * whole, whole - (ground := xp.minimum(whole, diffuse * (2.0 + (tan2 / HALO) ** 2))), ground]
+    rest, parts, missed = whole, [], (whole - narrow - wide - diffuse).sum(-1)[..., None]
+    outside = 1.0 - 1.0 / (1.0 + xp.where(missed > 0.0, tan2 / HALO, tan2 / EXCESS_HALO) ** 2)
+    for own, other, gain, power, tint in ((diffuse, narrow + wide, outside, 3, 3), (wide, narrow, 1.0, 2, 0)):
+        light, of_own, of_other = (one.sum(-1)[..., None] + 1e-18 for one in (rest, own, other))
+        part = xp.minimum(light, of_own + gain * (f := of_own / (of_own + of_other)) ** power * (light * f - of_own))
+        own, other = own * (part / of_own), other * ((light - part) / of_other) + 1e-18
+        parts.append(xp.minimum(rest, own * (1.0 - (f := own / (own + other)) ** tint) + rest * f ** (tint + 1)))
+        rest = rest - parts[-1]
+    return [rest, *reversed(parts)]
 
 
 # An exported file defines these constants for its own model; here they are placeholders.

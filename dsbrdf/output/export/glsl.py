@@ -128,7 +128,7 @@ class _Symbol:
         self.is_logical = operation in _COMPARISONS or operation in _LOGICAL_OPERATORS
 
     def __pow__(self, power: int) -> Any:
-        return self if power == 1 else operator.mul(self, self ** (power - 1))
+        return operator.mul(self, self ** (power - 1)) if power > 1 else self if power else 1.0
 
     def __neg__(self) -> Any:
         return operator.mul(-1.0, self)

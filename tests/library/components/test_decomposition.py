@@ -167,8 +167,8 @@ def test_absent_and_unknown_labels(paint_model: DSBRDF) -> None:
 
 
 def test_split_that_is_open_is_said() -> None:
-    gamma = gamma_of_half_width(np.radians(45.0), np.array(2.0), "hemi_epd")
-    parts = decompose(single_lobe(2.0, float(gamma), 0.1))  # a rough metal, or a ground that looks nearly so
+    gamma = gamma_of_half_width(np.radians(60.0), np.array(2.0), "hemi_epd")
+    parts = decompose(single_lobe(2.0, float(gamma), 0.1))  # fibres, or a rough surface over a ground
     assert parts.diffuse is not None
     low, high = parts.diffuse.ranges.light_share
     assert 0.6 < low < 0.9 < high

@@ -109,7 +109,9 @@ def test_a_coat_stays_white_over_a_lobe_that_no_layer_describes() -> None:
             angles, points = (theta_half, theta_diff, phi_diff), Points.at(theta_half, theta_diff, phi_diff)
             path = 1.0 / points.cos_in + 1.0 / points.cos_out
             film = np.exp(-path[:, np.newaxis] * (0.02, 0.4, 0.5))
-            return np.asarray(coat.values(points).T + film * LayeredModel((gold,)).evaluate_unmasked(*angles))
+            return np.asarray(
+                coat.linearize(points, coat.unknowns).values.T + film * LayeredModel((gold,)).evaluate_unmasked(*angles)
+            )
 
     spike = dsbrdf.decompose(cast(dsbrdf.DSBRDF, Coated()))["specular_spike"]
     np.testing.assert_allclose(spike.color, 1.0, atol=0.4)

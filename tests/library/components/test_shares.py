@@ -1,5 +1,7 @@
 """Ranges of a component's light: from the draws, and from light that no layer explains."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,3 +35,24 @@ def test_a_range_has_the_spread_of_the_draws_and_the_doubtful_light() -> None:
         assert drawn.light_range(LABELS[2:]) == pytest.approx(expected, abs=1e-3)
         half = np.hypot(0.09 * 0.4, doubtful[0])
         assert drawn.ranges(LABELS[2:]).albedo[0] == pytest.approx((max(0.24 - half, 0.0), 0.24 + half), abs=1e-3)
+
+
+def test_a_colour_that_layers_miss_is_not_the_colour_of_a_faint_highlight() -> None:
+    points = Points.at(np.radians([12.0, 20.0, 28.0]), np.radians([10.0, 30.0, 20.0]), np.radians([90.0, 60.0, 40.0]))
+    surface, ground = LAYERS.model.layer_values(points)
+    surface = 0.05 * surface
+    layers = replace(SURFACE, f0=(0.002, 0.0025, 0.003), f90=0.045)
+    faint = WeightedLayers("dielectric over diffuse", 1.0, LayeredModel((layers, GROUND)), (False, True))
+    tint = np.array([[1.06], [1.0], [0.94]])
+    _, lobe, diffuse = faint.split((surface + ground) * tint, points)
+    np.testing.assert_allclose(lobe / surface, lobe.sum(axis=0) / surface.sum(axis=0) * np.ones((3, 1)), rtol=0.4)
+    np.testing.assert_allclose(lobe + diffuse, (surface + ground) * tint, rtol=1e-12)
+
+
+def test_light_that_layers_miss_near_the_mirror_direction_belongs_to_the_highlight() -> None:
+    points = Points.at(np.radians([0.0, 0.5, 1.0]), np.radians([10.0, 30.0, 20.0]), np.radians([90.0, 60.0, 40.0]))
+    surface, ground = LAYERS.model.layer_values(points)
+    for factor in (0.8, 1.5):
+        _, lobe, diffuse = LAYERS.split(factor * surface + ground, points)
+        np.testing.assert_allclose(lobe, factor * surface, rtol=1e-3)
+        np.testing.assert_allclose(diffuse, ground, rtol=1e-3)
