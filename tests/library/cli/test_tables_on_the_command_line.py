@@ -47,6 +47,9 @@ def test_the_options_of_a_table_are_flags(tmp_path: Path) -> None:
     assert "error of the fit " in printed("convert", odd, tmp_path / "odd.binary", *flags)
     at_node = read_merl(tmp_path / "odd.binary").values[:, 30, 30, 90]  # theta_half 10, theta_diff 30 degrees
     np.testing.assert_allclose(at_node, felt.evaluate(*angles), rtol=0.05)
+    darker = (*flags[:5], "0.005", *flags[6:])
+    found = document("fit", odd, "-o", tmp_path, "--n-lobes", "1", "--ring-lobes", "0", *darker, "--json")
+    assert not found["resumed"]
 
 
 def test_layouts_of_instruments_are_fitted_to_their_truth(tmp_path: Path) -> None:
