@@ -1,10 +1,8 @@
-import io
 import json
 import os
 import re
 import struct
 import tracemalloc
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +16,6 @@ from dsbrdf import MeasurementFormatError, parse_merl, read_merl
 from dsbrdf.data import FILE_SIZE, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.merl_validation import ROW_NODES, SCALE, check_values
 from tests.support.merl_files import ABOVE, BELOW, HEADER, NODES, filled, header, with_values
-from tests.support.points import npy
 from tests.support.strategies import SPECIAL, examples
 
 
@@ -65,13 +62,6 @@ def test_reading_takes_little_more_memory_than_the_file(plastic_file: Path) -> N
 Make = Callable[[bytes], bytes]
 
 
-def zipped(data: bytes) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("paint.binary", data[:100_000])
-    return buffer.getvalue()
-
-
 def floats(data: bytes) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.frombuffer(data, "<f8", offset=12)
 
@@ -112,11 +102,8 @@ FAULTS: dict[str, tuple[Make, str]] = {
     "another unit": (lambda data: scaled(data, 1e-30), "have a value of at least 1e-08/sr"),
     "JSON": (lambda _: json.dumps({"measurement": [1.0] * 1000}).encode(), "The data is a text that begins with '{"),
     "PNG": (lambda _: b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(1000), "The data is a PNG image"),
-    "PDF": (lambda _: b"%PDF-1.7\n%\xe2\xe3\xcf\xd3\n" + bytes(1000), "The data is a PDF document"),
     "a text": (lambda _: b"# dsbrdf\n\nCompact models", "The data is a text that begins with '# dsbrdf', and no MERL"),
     "anything": (lambda _: b"\x07\x01\x02\x7f" * 10, "which begins with the dimensions (90, 90, 180)"),
-    "npy": (lambda data: npy(floats(data)), "The data is a NumPy array (.npy); write its samples"),
-    "zip": (zipped, "The data is a ZIP archive"),
 }
 
 

@@ -24,20 +24,8 @@ def speckled(plastic: Measurement) -> Measurement:
 
 
 @pytest.fixture(scope="module")
-def heavy_tailed(plastic: Measurement) -> Measurement:
-    """The plastic with samples that are too large, some by a little and some by orders of magnitude."""
-    tails = np.abs(np.random.default_rng(7).standard_t(1.5, plastic.stored.shape))
-    return Measurement.from_values(plastic.values * (1.0 + 0.05 * tails), plastic.valid)
-
-
-@pytest.fixture(scope="module")
 def robust_matte(matte: Measurement) -> Profiles:
     return profiles(matte, robust=True)
-
-
-@pytest.fixture(scope="module")
-def robust_log(plastic: Measurement) -> Profiles:
-    return profiles(plastic, horizon_cutoff=None, weighting="log", robust=True)
 
 
 def samples_of(measurement: Measurement, channel: int, i: int, j: int, cutoff: float | None) -> tuple[Array, Array]:
@@ -87,7 +75,8 @@ def test_the_cutoff_itself_counts_and_the_next_degree_does_not(plastic: Measurem
     assert usual[0, 0].tolist() == [180.0 if angle <= 80.0 + 1e-9 else 0.0 for angle in np.degrees(THETA_HALF)]
 
 
-def test_what_is_stored_at_invalid_nodes_does_not_matter(plastic: Measurement, robust_log: Profiles) -> None:
+def test_what_is_stored_at_invalid_nodes_does_not_matter(plastic: Measurement) -> None:
+    robust_log = profiles(plastic, horizon_cutoff=None, weighting="log", robust=True)
     stored = plastic.stored.copy()
     stored[:, ~plastic.valid] = 1e6
     other = Measurement(stored, plastic.scale, plastic.valid, "other", "")
@@ -134,7 +123,10 @@ def test_folded_bins_are_those_of_a_loop_over_the_samples_up_to_the_horizon(spec
     assert seen > 60
 
 
-def test_robust_weights_fall_with_the_distance_from_the_median_of_a_cell_or_a_bin(heavy_tailed: Measurement) -> None:
+def test_robust_weights_fall_with_the_distance_from_the_median_of_a_cell_or_a_bin(plastic: Measurement) -> None:
+    # Samples are too large, some by a little and some by orders of magnitude.
+    tails = np.abs(np.random.default_rng(7).standard_t(1.5, plastic.stored.shape))
+    heavy_tailed = Measurement.from_values(plastic.values * (1.0 + 0.05 * tails), plastic.valid)
     found, n_graded = profiles(heavy_tailed, robust=True), 0
     for i, j in CELLS:
         groups: list[tuple[Any, tuple[int, ...], Array]] = [
