@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsbrdf import Finding, FitResult, Measurement, Profiles, decompose, fit, profiles, render_sphere
+from dsbrdf import Finding, FitResult, Measurement, decompose, fit, profiles, render_sphere
 from dsbrdf.data import THETA_DIFF, THETA_HALF, nodes_above_horizon, synthetic_measurement
 from dsbrdf.fitting import DirectionalAlbedo, KnotReport, Metrics
 from dsbrdf.result import accuracy_findings, fit_findings, verdict
@@ -17,11 +17,6 @@ pytestmark = pytest.mark.slow
 
 CONVERGED = KnotReport.from_arrays(np.zeros(1), True, True, 5, False)
 MODERATE = DirectionalAlbedo((0.0, 1.0), ((0.3, 0.3, 0.3), (0.5, 1.0, 0.5)))
-
-
-@pytest.fixture(scope="module")
-def data(matte: Measurement) -> Profiles:
-    return profiles(matte)
 
 
 @pytest.mark.parametrize("name", ["rgl_satin_purple", "merl_red-plastic", "rgl_acrylic_felt_pink"])
@@ -45,7 +40,8 @@ def test_measurement_that_does_not_reach_the_rim(matte: Measurement, kept: NDArr
     assert f"no valid samples beyond {end} degrees: the model is extrapolated there" in found.sentence
 
 
-def test_model_that_reflects_more_than_it_receives(data: Profiles) -> None:
+def test_model_that_reflects_more_than_it_receives(matte: Measurement) -> None:
+    data = profiles(matte)
     bright = replace(MODERATE, rgb=((0.3, 0.3, 0.3), (0.5, 1.2, 0.5)))
     (found,) = fit_findings(data, CONVERGED, bright)
     assert "than it receives: its directional albedo is 1.200 at 57 degrees in the green channel" in found.sentence

@@ -30,14 +30,6 @@ from tests.support.loading import load_fit
 pytestmark = pytest.mark.slow
 
 
-def options_of(*words: str) -> dsbrdf.FitOptions:
-    def command(*, flags: Flags = DEFAULT) -> dsbrdf.FitOptions:
-        return flags.options()
-
-    options: dsbrdf.FitOptions = App(default_command=command, result_action="return_value")(words)
-    return options
-
-
 def test_every_option_has_a_flag_with_help() -> None:
     text = " ".join(printed("fit", "--help").split())
     for name, told in sentences_of(dsbrdf.FitOptions).items():
@@ -58,7 +50,11 @@ def test_every_option_has_a_flag_with_help() -> None:
     ],
 )
 def test_flags_reach_the_options(words: str, asked: dict[str, Any]) -> None:
-    assert options_of(*words.split()) == dsbrdf.FitOptions(**asked)
+    def options_of(*, flags: Flags = DEFAULT) -> dsbrdf.FitOptions:
+        return flags.options()
+
+    found = App(default_command=options_of, result_action="return_value")(words.split())
+    assert found == dsbrdf.FitOptions(**asked)
 
 
 @pytest.fixture
@@ -67,14 +63,6 @@ def two_files(plastic_file: Path, tmp_path: Path) -> list[str]:
     for file in files:
         shutil.copyfile(plastic_file, file)
     return [str(file) for file in files]
-
-
-@pytest.fixture(scope="module")
-def stored_fit(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the command stores for the plastic; tests must not change it."""
-    folder = tmp_path_factory.mktemp("stored")
-    run("fit", plastic_file, "-o", folder, *QUICK)
-    return folder / "plastic.json"
 
 
 def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Path, tmp_path: Path) -> None:
@@ -143,8 +131,11 @@ class ComputedError(Exception):
 
 
 def test_second_run_keeps_the_stored_fits_of_these_files_and_options(
-    two_files: list[str], stored_fit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    two_files: list[str], plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    run("fit", plastic_file, "-o", tmp_path, *QUICK)
+    stored_fit = tmp_path / "plastic.json"
+
     def compute(*_: object) -> None:
         raise ComputedError
 

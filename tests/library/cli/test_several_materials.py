@@ -76,7 +76,8 @@ def test_compare_names_models_and_puts_their_components_side_by_side(tmp_path: P
         expected = [f"{whole[part.label].light_share:.4g}" for whole in (first, second) if part.label in whole.labels]
         assert row[-len(expected) :] == expected
     rows_of_spheres = 1 + sum(len(whole) > 0 for whole in (first, second))
-    assert shape_of(tmp_path / "both.png") == (72, 24 * rows_of_spheres)
+    with Image.open(tmp_path / "both.png") as picture:
+        assert picture.size == (72, 24 * rows_of_spheres)
     text = printed("compare", *files, *words)
     assert "gloss, satin, matte, satin: difference x 4, matte: difference x 4, gloss: " in text
     likeness = document("compare", *files, "--size", "24", "--json")["likeness"]
@@ -85,8 +86,3 @@ def test_compare_names_models_and_puts_their_components_side_by_side(tmp_path: P
     diffuse = document("compare", *files[:2], "--size", "24", "--component", "diffuse", "--json")
     spheres = [render_sphere(whole["diffuse"], size=24) for whole in (first, second)]
     assert diffuse["likeness"]["psnr"] == pytest.approx(sphere_likeness(*spheres)[0])
-
-
-def shape_of(path: Path) -> tuple[int, int]:
-    with Image.open(path) as picture:
-        return picture.size

@@ -5,7 +5,6 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError, ScatteredSamples
-from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_DIFF, THETA_HALF, half_difference, spherical, synthetic_measurement
 from dsbrdf.fitting import Metrics
 from dsbrdf.result import sample_findings
@@ -73,14 +72,10 @@ def test_one_bright_sample_among_black_ones_leaves_the_model_dark_and_is_named(b
     values = found.model.evaluate_directions(samples.omega_in, samples.omega_out)
     assert np.all((values >= 0.0) & (values < 1e-3 * samples.values[bright].max()))
     assert np.isfinite(found.report.metrics.relative_rms_expected or np.nan)
-    place = "at theta_in = {:.0f}, theta_out = {:.0f} and".format(*np.degrees(angles_of(samples, bright)))
+    angles = np.degrees(np.arccos([samples.omega_in[bright, 2], samples.omega_out[bright, 2]]))
+    place = "at theta_in = {:.0f}, theta_out = {:.0f} and".format(*angles)
     for said in ("The model misses the samples by 100% of their size", f"Much depends on one sample, {place}"):
         assert any(said in text for text in found.report.warnings), said
-
-
-def angles_of(samples: ScatteredSamples, number: int) -> Array:
-    """theta_in and theta_out of a sample [rad]."""
-    return np.arccos([samples.omega_in[number, 2], samples.omega_out[number, 2]])
 
 
 def test_samples_of_hardly_any_weight_hardly_count() -> None:

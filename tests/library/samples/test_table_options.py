@@ -12,7 +12,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.samples.reading import parse_samples
 from dsbrdf.samples.values import linear_srgb
-from tests.library.samples.test_reading import ANGLES, COUNT, DIRECTION, GREY, RGB, check_same, table
+from tests.library.samples.test_reading import ANGLES, COUNT, DIRECTION, GREY, RGB, check_same, spherical, table
 
 NAMED = {"theta_in": "AOI 1", "phi_in": "turn", "theta_out": "Arm", "phi_out": "tilt", "value": "Signal"}
 ODD = table(list(NAMED.values()), np.hstack([ANGLES, GREY[:, :1]]))
@@ -204,14 +204,9 @@ def test_wavelengths_as_rows(name: str, unit: float) -> None:
     columns = np.hstack([np.repeat(ANGLES, 5, axis=0), nanometres * unit, SPECTRA.reshape(-1, 1)])
     order = np.random.default_rng(3).permutation(len(columns))
     samples = parse_samples(table((*DIRECTION, name, "value"), columns[order]))
-    place = {tuple(np.round(row, 6)): i for i, row in enumerate(np.hstack([*_vectors()]))}
+    place = {tuple(np.round(row, 6)): i for i, row in enumerate(np.hstack(spherical(ANGLES)))}
     at = [place[tuple(row)] for row in np.round(np.hstack([samples.omega_in, samples.omega_out]), 6)]
     check_same(samples, ANGLES[at], EXPECTED[at])
-
-
-def _vectors() -> tuple[Array, Array]:
-    samples = parse_samples(table())
-    return samples.omega_in, samples.omega_out
 
 
 def test_one_wavelength_is_grey() -> None:

@@ -109,8 +109,11 @@ def test_columns_that_are_not_understood_are_quoted_and_can_be_named_by_position
 
 
 def test_blocks_without_names_are_read_by_positions() -> None:
-    lines = [f"{theta_in:g} 180\n" + rows for theta_in, rows in _blocks()]
-    content = "".join(lines).encode()
+    lines = list[str]()
+    for theta_in in (15.0, 40.0, 65.0):
+        rows = zip(GRID[GRID[:, 0] == theta_in, 2:], TRUE[GRID[:, 0] == theta_in], strict=True)
+        lines += [f"{theta_in:g} 180", *(f"{theta}\t{phi}\t{value:.6g}" for (theta, phi), value in rows)]
+    content = "\n".join(lines).encode()
     with pytest.raises(MeasurementFormatError, match=r"has no line that names .* lines of 2 between them"):
         parse_samples(content)
     chosen = TableOptions(columns="theta_out=1,phi_out=2,value=3,theta_in=4,phi_in=5")
@@ -320,9 +323,3 @@ def test_values_of_one_pair_of_directions_that_are_far_apart_are_told() -> None:
     again[3] -= [0.0, 360.0, 0.0, 360.0, 0.0, 0.0, 0.0]
     (note,) = parse_samples(table(columns=np.vstack([rows, again]))).notes
     assert note.startswith("2 pairs of directions have values that differ by more than 25%, such as theta_in = ")
-
-
-def _blocks() -> list[tuple[float, str]]:
-    at = [(angle, GRID[:, 0] == angle) for angle in (15.0, 40.0, 65.0)]
-    rows = [(angle, zip(GRID[chosen, 2:], TRUE[chosen], strict=True)) for angle, chosen in at]
-    return [(angle, "".join(f"{b}\t{p}\t{value:.6g}\n" for (b, p), value in found)) for angle, found in rows]
