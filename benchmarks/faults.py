@@ -46,7 +46,7 @@ OWN_PACKAGES = ("benchmarks", "dsbrdf", "dsbrdf_service", "tests")
 """Packages that a run with a fault imports anew, from the copy."""
 FURTHER_TESTS = {
     "access": ["tests/service/test_owners.py", "tests/service/http/test_limits.py"],
-    "queue": ["tests/service/test_turns.py", "tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
+    "queue": ["tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
     "fitting": ["tests/library/test_result.py"],
     "storage": ["tests/service/api/test_materials.py"],
     "model": ["tests/library/output/test_comparison.py"],

@@ -90,6 +90,17 @@ async def test_what_nobody_waits_for_is_not_computed(
     assert len(blocked.calls) <= 2
 
 
+async def test_stored_result_is_sent_without_being_parsed(running: Application) -> None:
+    key = running.new_key()
+    caller = Caller(key.split("_")[1])
+    row, _ = running.store.add_fit(caller, add(running.store, caller=caller), {}, 10)
+    running.store.start_fit(row.key)
+    running.store.complete_fit(row.key, '{"model": no JSON}', {})
+    state, _, result = (await running.ask(f"/v1/fits/{row.id}", key).end()).body.partition(b',"model": ')
+    assert json.loads(state + b"}")["status"] == "succeeded"
+    assert result == b"no JSON}"
+
+
 async def test_components_come_with_the_fit(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decomposition, "fit_structures", None)
     asked = [running.ask(target, key) for target in OF_COMPONENTS]
