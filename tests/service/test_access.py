@@ -12,7 +12,7 @@ import pytest
 from tests.support.guarded import Guarded, keys_command, new_key
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, Server, assert_problem
+from tests.support.server import ENDLESS, Server, assert_problem, head_of_upload
 
 OPEN = ("/health/live", "/health/ready", "/docs", "/page/docs.js", "/openapi.json")
 
@@ -118,9 +118,8 @@ def test_what_a_key_has_begun_is_refused_when_it_is_revoked(own_server: Callable
     wait_until(lambda: server.http.get(f"/v1/fits/{fit}", headers=other).json()["status"] == "running")
     assert submit(header) == fit  # and it waits
     new, before = with_value(data, 0.5), server.files()
-    head = f"POST /v1/fits HTTP/1.1\r\nHost: x\r\nAuthorization: {header['Authorization']}\r\n"
-    head += f"Content-Length: {len(new)}\r\n\r\n"
-    with ThreadPoolExecutor(3) as pool, server.connection(head.encode() + new[:100_000]) as upload:
+    head = head_of_upload(len(new), "/v1/fits", **header)
+    with ThreadPoolExecutor(3) as pool, server.connection(head + new[:100_000]) as upload:
         polled, followed, lasting = pool.submit(poll), pool.submit(follow, header), pool.submit(follow, other)
         in_progress = re.compile(r"^dsbrdf_requests_in_progress 5.0$", re.MULTILINE)
         wait_until(lambda: bool(in_progress.search(server.http.get("/metrics", headers=other).text)))

@@ -157,6 +157,13 @@ class Server:
         assert self.status(fit_id) == "running"
 
 
+def head_of_upload(length: int, path: str = "/v1/measurements", **headers: str) -> bytes:
+    """Return the head of an upload whose body the test sends itself, perhaps not all of it."""
+    lines = {"Host": "localhost", "Content-Length": str(length)}
+    lines |= {name.replace("_", "-"): value for name, value in headers.items()}
+    return "\r\n".join([f"POST {path} HTTP/1.1", *(f"{name}: {lines[name]}" for name in lines), "", ""]).encode()
+
+
 def in_progress(server: Server) -> float:
     found = re.search(r"^dsbrdf_requests_in_progress (\S+)$", server.http.get("/metrics").text, re.MULTILINE)
     assert found is not None

@@ -98,32 +98,26 @@ def test_values_and_components(call: Callable[..., Any], fit: Any) -> None:
     np.testing.assert_allclose(np.sum([part.parsed.values for part in parts], axis=0), one, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["json", "merl", "components"])
-def test_exports_are_bytes(call: Callable[..., Any], fit: Any, name: str) -> None:
+def test_files_and_pictures_are_bytes(call: Callable[..., Any], fit: Any) -> None:
     # The layers are exported faster than the whole fit; a table of the components has all of them.
-    part = {} if name == "components" else {"component": model("ExportFitComponentType0").LAYERS}
-    exported = call("export.export_fit", fit.id, format_=model("ExportFitFormat")(name), **part)
-    assert exported.status_code == 200, exported.content
-    assert exported.parsed.payload.read() == exported.content
-    assert len(exported.content) > 200
-
-
-def test_pictures_and_arrays_are_bytes(call: Callable[..., Any], fit: Any) -> None:
+    layers = {"component": model("ExportFitComponentType0").LAYERS}
+    for name, part in (("json", layers), ("components", {})):
+        exported = call("export.export_fit", fit.id, format_=model("ExportFitFormat")(name), **part)
+        assert exported.status_code == 200, exported.content
+        assert exported.parsed.payload.read() == exported.content
+        assert len(exported.content) > 200
     picture = call("figures.draw_sphere", fit.id, model("DrawSphereFileFormat").PNG, size=16).parsed.payload.read()
     assert picture.startswith(b"\x89PNG")
     array = np.load(call("figures.draw_sphere", fit.id, model("DrawSphereFileFormat").NPY, size=16).parsed.payload)
     assert array.shape == (16, 16, 3)
 
 
-def test_refusals_are_problems(call: Callable[..., Any], fit: Any) -> None:
+def test_refusals_are_problems_and_a_fit_is_deleted(call: Callable[..., Any], fit: Any) -> None:
     missing = call("fits.get_fit", "0" * 32)
     assert missing.status_code == 404
     assert missing.parsed.title
     above = call("values.get_values", fit.id, theta_half_deg=[95.0], theta_diff_deg=[0.0])
     assert above.status_code == 422
     assert "theta_half_deg" in above.parsed.detail
-
-
-def test_fit_is_deleted(call: Callable[..., Any], fit: Any) -> None:
     assert call("fits.delete_fit", fit.id).parsed.status == "deleted"
     assert call("fits.get_fit", fit.id).status_code == 404

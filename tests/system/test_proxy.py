@@ -21,7 +21,7 @@ from dsbrdf_service.http.problems import KINDS, TYPE_PREFIX
 from dsbrdf_service.settings import Settings
 from tests.support.points import npy
 from tests.support.processes import free_port, wait_until
-from tests.support.server import ENDLESS, QUICK, Server
+from tests.support.server import ENDLESS, QUICK, Server, head_of_upload
 
 CONFIGURATION = Path(__file__).parents[2] / "docker" / "nginx.conf"
 
@@ -108,10 +108,6 @@ def assert_problem(answer: httpx.Response, kind: str) -> None:
     document = answer.json()
     assert (document["type"], document["title"], document["status"]) == (TYPE_PREFIX + kind, title, status)
     assert document["detail"].endswith(".")
-
-
-def head_of_upload(length: int) -> bytes:
-    return f"POST /v1/measurements HTTP/1.1\r\nHost: localhost\r\nContent-Length: {length}\r\n\r\n".encode()
 
 
 def test_upload_is_passed_on_unbuffered(proxy: Proxy, data: bytes) -> None:

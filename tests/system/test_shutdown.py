@@ -20,7 +20,7 @@ import pytest
 from dsbrdf_service.admin import serve
 from tests.support.commands import run_main
 from tests.support.processes import alive, command, wait_until
-from tests.support.server import ENDLESS, QUICK, Server
+from tests.support.server import ENDLESS, QUICK, Server, head_of_upload
 from tests.support.soak import repeats
 
 SOON = 10.0  # seconds; what is asked for, on a machine that does much else
@@ -41,8 +41,7 @@ def start_fits(server: Server, data: bytes, number: int) -> list[str]:
 def upload_in_progress(server: Server, data: bytes) -> Iterator[socket.socket]:
     """A connection on which the rest of a measurement does not come."""
     before = len(server.files())
-    head = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {len(data)}\r\n\r\n"
-    with server.connection(head.encode() + data[:1_000_000], 20.0) as connection:
+    with server.connection(head_of_upload(len(data)) + data[:1_000_000], 20.0) as connection:
         wait_until(lambda: len(server.files()) > before)
         yield connection
 

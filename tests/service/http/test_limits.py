@@ -15,7 +15,7 @@ import pytest
 from dsbrdf.data import FILE_SIZE
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, Server, assert_problem, in_progress
+from tests.support.server import ENDLESS, Server, assert_problem, head_of_upload, in_progress
 
 pytestmark = pytest.mark.slow
 
@@ -49,10 +49,6 @@ def problem(answer: bytes) -> tuple[int, str]:
     return document["status"], document["type"].removeprefix("urn:dsbrdf:problem:")
 
 
-def head_of_upload(length: int) -> bytes:
-    return f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {length}\r\n\r\n".encode()
-
-
 def trickle(connection: socket.socket, data: bytes) -> bytes:
     """Send a byte every 0.05 s, 20 s of never being silent, and return what is answered before the last one."""
     connection.settimeout(0.05)
@@ -81,9 +77,8 @@ def test_stalled_body_times_out(impatient: Server, data: bytes) -> None:
 def test_body_below_the_minimum_rate_times_out(
     impatient: Server, data: bytes, path: str, media_type: str, length: int
 ) -> None:
-    head = f"POST {path} HTTP/1.1\r\nHost: x\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\n\r\n"
     before = impatient.files()
-    with impatient.connection(head.encode()) as connection:
+    with impatient.connection(head_of_upload(length, path, content_type=media_type)) as connection:
         assert problem(trickle(connection, data[:400])) == (408, "request-timeout")
     wait_until(lambda: impatient.files() == before)
 
@@ -127,7 +122,7 @@ def follow_until_refused(stack: ExitStack, server: Server, path: str, headers: d
 def test_no_caller_can_take_all_places(own_server: Callable[..., Server], data: bytes) -> None:
     server = own_server(require_keys="true", limit_concurrency="8", workers="1", max_wait="0.5")
     alice, bob = (new_key(server, name)[1] for name in ("alice", "bob"))
-    head = b"POST /v1/fits HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\nslow"
+    head = head_of_upload(100, "/v1/fits") + b"slow"
     with ExitStack() as stack:  # who has no key is refused at once, and takes no place with a slow body
         for _ in range(12):
             assert b" 401 " in stack.enter_context(server.connection(head)).recv(100)
@@ -141,10 +136,10 @@ def test_no_caller_can_take_all_places(own_server: Callable[..., Server], data: 
         assert follow_until_refused(stack, server, path, alice) == 2
         assert server.http.get("/v1/fits", headers=alice).status_code == 200
         assert server.http.get(f"{path}?wait=600", headers=alice).json()["status"] in ("accepted", "running")
-        slow = b"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nAuthorization: %b\r\nContent-Length: 35000000\r\n\r\n"
+        slow = head_of_upload(35_000_000, **alice)
 
         def is_full_with_another() -> bool:
-            stack.enter_context(closing(server.connection(slow % alice["Authorization"].encode())))
+            stack.enter_context(closing(server.connection(slow)))
             return server.http.get("/v1/fits", headers=alice).status_code == 429
 
         wait_until(is_full_with_another, 60.0)
@@ -213,9 +208,7 @@ def test_client_that_sends_many_requests_and_reads_no_answer_is_disconnected(imp
 def test_process_that_was_stopped_refuses_no_body_that_came_meanwhile(own_server: Callable[..., Server]) -> None:
     server = own_server(fits=False, idle_timeout="1")
     body = b'{"measurement": "%s"}' % (b"0" * 64)
-    head = b"POST /v1/fits HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: %d\r\n\r\n" % len(
-        body
-    )
+    head = head_of_upload(len(body), "/v1/fits", content_type="application/json")
     with server.connection(head + body[:40]) as connection:
         wait_until(lambda: in_progress(server) == 2)
         server.process.send_signal(signal.SIGSTOP)

@@ -21,7 +21,9 @@ from dsbrdf.output import export_model, from_json
 from tests.support.guarded import new_key
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
-from tests.support.server import QUICK, Server, assert_problem, in_progress
+from tests.support.server import QUICK, Server, assert_problem, head_of_upload, in_progress
+
+pytestmark = pytest.mark.slow
 
 N_CLIENTS = 6
 MEGABYTES = 64
@@ -69,10 +71,11 @@ def test_open_upload_takes_half_a_megabyte(own_server: Callable[..., Server], da
     """So 240 take 120 MB, and the service 250 MB with them."""
     server, n_uploads = own_server(fits=False), 64
     assert server.http.post("/v1/measurements", content=data).status_code == 201
-    head = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {FILE_SIZE}\r\n\r\n".encode()
     before = server.memory()
     with ExitStack() as stack:
-        connections = [stack.enter_context(closing(server.connection(head))) for _ in range(n_uploads)]
+        connections = [
+            stack.enter_context(closing(server.connection(head_of_upload(FILE_SIZE)))) for _ in range(n_uploads)
+        ]
         for connection in connections:
             connection.sendall(data[:600_000])
         temporary = server.data_dir / "tmp"
@@ -81,16 +84,14 @@ def test_open_upload_takes_half_a_megabyte(own_server: Callable[..., Server], da
 
 
 def test_wrong_length_is_refused_by_the_first_bytes(server: Server, data: bytes) -> None:
-    head = f"POST /v1/measurements HTTP/1.1\r\nHost: localhost\r\nContent-Length: {FILE_SIZE - 8}\r\n\r\n"
-    with server.connection(head.encode() + data[:12]) as connection:
+    with server.connection(head_of_upload(FILE_SIZE - 8) + data[:12]) as connection:
         assert b" 422 " in connection.recv(20)
 
 
 def test_interrupted_upload_stores_nothing(server: Server, data: bytes) -> None:
     before = contents(server)
-    lines = f"POST /v1/fits HTTP/1.1\r\nHost: localhost\r\nContent-Length: {FILE_SIZE}\r\n\r\n"
     for share in (0, 12, 100_000, FILE_SIZE - 1):
-        with server.connection(lines.encode() + data[:share]):
+        with server.connection(head_of_upload(FILE_SIZE, "/v1/fits") + data[:share]):
             if share > 20_000_000:
                 wait_until(lambda: contents(server)[0] != before[0])
     wait_until(lambda: contents(server) == before)
@@ -106,9 +107,8 @@ def test_interrupted_upload_stores_nothing(server: Server, data: bytes) -> None:
 )
 def test_interrupted_upload_is_logged_as_client_error(server: Server, fitted: str, path: str, media_type: str) -> None:
     request_id = secrets.token_hex(8)
-    head = f"POST {path.format(fitted)} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000\r\n"
-    head += f"Content-Type: {media_type}\r\nX-Request-ID: {request_id}\r\n\r\n{{"
-    server.connection(head.encode()).close()
+    head = head_of_upload(1000, path.format(fitted), content_type=media_type, x_request_id=request_id)
+    server.connection(head + b"{").close()
 
     def lines() -> list[str]:
         return [line for line in server.log.read_text().splitlines() if request_id in line]
@@ -119,10 +119,9 @@ def test_interrupted_upload_is_logged_as_client_error(server: Server, fitted: st
 
 def stalled(path: str, data: bytes) -> Iterator[bytes]:
     """Requests that stop: an upload in the middle of its body, an export and a file as answers."""
-    upload = f"POST /v1/measurements HTTP/1.1\r\nHost: x\r\nContent-Length: {len(data)}\r\n\r\n".encode()
     for _ in range(N_CLIENTS):
         yield f"GET {path}/export?format=merl HTTP/1.1\r\nHost: x\r\n\r\n".encode()
-        yield upload + data[:1_000_000]
+        yield head_of_upload(len(data)) + data[:1_000_000]
 
 
 def test_stalled_clients_take_little_memory(own_server: Callable[..., Server], data: bytes) -> None:
@@ -149,12 +148,10 @@ def test_bodies_of_one_caller_take_limited_memory_and_no_disk(own_server: Callab
     server = own_server(idle_timeout="600", least_upload_rate="0", require_keys="true")
     alice, bob = (new_key(server, name)[1] for name in ("alice", "bob"))
     path = f"/v1/fits/{server.http.post('/v1/fits', params=QUICK, content=data, headers=alice).json()['id']}/brdf"
-    lines = {"Host": "x", "Content-Type": "application/json", "Content-Length": "16000000", **alice}
-    head = f"POST {path} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in lines.items()) + "\r\n"
-
+    head = head_of_upload(16_000_000, path, content_type="application/json", **alice)
     before = server.memory()
     with ExitStack() as stack:
-        connections = [stack.enter_context(closing(server.connection(head.encode()))) for _ in range(5)]
+        connections = [stack.enter_context(closing(server.connection(head))) for _ in range(5)]
         for connection in connections:
             with suppress(ConnectionError):  # the one that is refused, whichever it is
                 connection.sendall(bytes(15_900_000))
