@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import asdict
 from functools import cache
 from typing import Any
@@ -14,7 +13,7 @@ from dsbrdf.data import FILE_SIZE
 from dsbrdf.output import FORMATS, export_model, from_json
 from dsbrdf.output.export import part_of
 from tests.support.models import assert_same_bits
-from tests.support.server import QUICK, Server, assert_problem
+from tests.support.server import Server, assert_problem
 
 pytestmark = pytest.mark.slow
 
@@ -58,16 +57,10 @@ def test_formats_of_other_programs_are_those_of_the_library(
     assert f"{component or ''}.{kind.suffix}" in answer.headers["content-disposition"]
 
 
-def test_export_without_room_for_its_file_is_a_problem(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server()
-    path = f"/v1/fits/{server.http.post('/v1/fits', params=QUICK, content=data).json()['id']}/export"
-    (server.data_dir / "tmp").rmdir()
-    assert_problem(server.http.get(path, params={"format": "merl"}), 503, "not-ready")
-    assert server.http.get(path, params={"format": "json"}).status_code == 200
-    (server.data_dir / "tmp").mkdir()
-    whole = server.http.get(path, params={"format": "merl"}, headers={"Range": "bytes=0-11"})
+def test_a_part_of_an_export_is_answered_with_all_of_it(server: Server, fitted: str) -> None:
+    url = f"/v1/fits/{fitted}/export?format=merl"
+    whole = server.http.get(url, headers={"Range": "bytes=0-11"})
     assert (whole.status_code, len(whole.content)) == (200, FILE_SIZE)
-    assert not list((server.data_dir / "tmp").iterdir())
 
 
 def test_example_shows_the_export_that_it_is_saved_beside(server: Server, fitted: str) -> None:

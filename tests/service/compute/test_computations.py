@@ -183,6 +183,18 @@ async def test_full_disk_under_an_export_is_507(
     assert (answer.status, json.loads(answer.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
 
 
+async def test_export_without_a_folder_for_its_file_is_a_problem(running: Application, key: str) -> None:
+    async def status(file_format: str) -> int:
+        return (await running.ask(f"{FIT_PATH}/export?format={file_format}", key).end()).status
+
+    folder = running.store.folder / "tmp"
+    folder.rmdir()
+    assert (await status("merl"), await status("json")) == (503, 200)
+    folder.mkdir()
+    assert await status("merl") == 200
+    assert not list(folder.iterdir())
+
+
 async def test_without_inodes_what_writes_is_507_and_what_reads_works(
     running: Application, key: str, data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -93,7 +93,7 @@ def test_answer_that_nobody_reads_is_given_up(impatient: Server, data: bytes) ->
 
 
 def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: Callable[..., Server], data: bytes) -> None:
-    patience = 3 * PATIENCE  # for a client that is held up by a busy machine
+    patience = 2 * PATIENCE  # for a client that is held up by a busy machine
     server = own_server(fits=False, idle_timeout=str(patience), least_upload_rate="100000")
     step = len(data) // 8
 

@@ -22,7 +22,6 @@ from dsbrdf_service.storage.maintenance import purge_folder
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.commands import run_main
-from tests.support.server import Server, assert_problem
 from tests.support.stores import LOCAL, add, receive
 
 pytestmark = pytest.mark.slow
@@ -161,26 +160,21 @@ def harm_page(folder: Path, name: str, content: bytes = b"") -> None:
         file.write(content.ljust(size, b"\0"))
 
 
-def test_older_database_loses_no_file_and_an_upload_makes_its_row_again(
-    own_server: Callable[..., Server], data: bytes, tmp_path: Path
-) -> None:
-    server = own_server(fits=False)
-    server.stop()
-    older = shutil.copy(server.data_dir / FILE_NAME, tmp_path / "older")
-    sha256 = server.start().http.post("/v1/measurements", content=data).json()["sha256"]
-    server.stop()
-    shutil.copy(older, server.data_dir / FILE_NAME)
-    before = server.files()
-    server.start()
-    assert_problem(server.http.get(f"/v1/measurements/{sha256}"), 404, "not-found")
-    examined = run_main(doctor, "--data-dir", str(server.data_dir))
-    assert examined.returncode == 1
-    assert "WRONG  files:          1 of 1 files have no row" in examined.stdout
-    assert server.files() == before
-    assert server.http.post("/v1/measurements", content=data).status_code == 201
-    assert server.http.get(f"/v1/measurements/{sha256}/content").content == data
-    assert server.files() == before
-    assert run_main(doctor, "--data-dir", str(server.data_dir)).returncode == 0
+def test_older_database_loses_no_file_and_an_upload_makes_its_row_again(tmp_path: Path) -> None:
+    folder, older = tmp_path / "data", tmp_path / "older"
+    Store(folder).close()
+    shutil.copy(folder / FILE_NAME, older)
+    with closing(Store(folder)) as store:
+        sha256 = add(store)
+    shutil.copy(older, folder / FILE_NAME)
+    with closing(Store(folder)) as store:
+        assert store.measurements("", 9, None) == []
+        examined = run_main(doctor, "--data-dir", str(folder))
+        assert examined.returncode == 1
+        assert "WRONG  files:          1 of 1 files have no row" in examined.stdout
+        assert add(store) == sha256
+        assert stored(folder) == {b"content"}
+        assert run_main(doctor, "--data-dir", str(folder)).returncode == 0
 
 
 def test_files_without_rows_go_only_when_that_is_asked_for(store: Store, tmp_path: Path) -> None:
