@@ -166,6 +166,7 @@ MISTAKES = {
     "fit nickel.binary --n-lobes 2 --n-lobes 3": "dsbrdf fit: --n-lobes is given more than once",
     "fit nickel.binary --weighting heavy": "--weighting: must be auto or balanced or plain or cosine or log, not",
     "fit nickel.binary --method paper --lobe student": 'the method "paper" has the lobe "hemi_epd" only',
+    "fit nickel.binary --horizon-cutoff-deg far": "--horizon-cutoff-deg: must be a number, not 'far'",
     "fit nickel.binary --knots-deg 0,x": "--knots-deg: must be",
     "fit nickel.binary --robust=maybe": "dsbrdf fit: --robust: must be yes or no, not 'maybe'",
     "fit nickel.binary --jobs 0": "--jobs: must be at least 1, not 0",

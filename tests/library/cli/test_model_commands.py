@@ -246,6 +246,8 @@ def test_plot_draws_profiles_and_lobes_on_request(model_file: Path, plastic_file
     assert sizes[0] < sizes[1] == sizes[2]
     assert pictures[2] != pictures[1]
     assert "2 materials compared" in printed("plot", model_file, model_file, "-o", output)
+    run("plot", plastic_file, "-o", output)
+    assert output.read_bytes() not in pictures
 
 
 def test_compare_with_its_fit(model_file: Path, plastic_file: Path, two_lobe_fit: FitResult, tmp_path: Path) -> None:

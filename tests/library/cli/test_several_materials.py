@@ -80,9 +80,10 @@ def test_compare_names_models_and_puts_their_components_side_by_side(tmp_path: P
         assert picture.size == (72, 24 * rows_of_spheres)
     text = printed("compare", *files, *words)
     assert "gloss, satin, matte, satin: difference x 4, matte: difference x 4, gloss: " in text
-    likeness = document("compare", *files, "--size", "24", "--json")["likeness"]
+    about = document("compare", *files, "--size", "24", "--json")
+    assert about["output"] is None
     alone = document("compare", files[0], files[2], "--size", "24", "--json")["likeness"]
-    assert likeness[1] == alone
+    assert about["likeness"][1] == alone
     diffuse = document("compare", *files[:2], "--size", "24", "--component", "diffuse", "--json")
     spheres = [render_sphere(whole["diffuse"], size=24) for whole in (first, second)]
     assert diffuse["likeness"]["psnr"] == pytest.approx(sphere_likeness(*spheres)[0])
