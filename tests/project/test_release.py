@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 import dsbrdf
-from tests.support.loading import load_fit
+from tests.support.command_line import load_fit
 from tests.support.server import Server
 from tests.support.stored_fits import THETA_DIFF, THETA_HALF
 

@@ -1,12 +1,14 @@
-"""The command ``dsbrdf``, called without a process of its own: what it prints, and how it ends."""
+"""The command ``dsbrdf``, called without a process of its own: what it prints, how it ends, and the fit it stores."""
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from subprocess import CompletedProcess
 from typing import Any
 
 import pytest
 
+import dsbrdf
 from dsbrdf.cli import main as cli
 from tests.support.commands import run_main
 
@@ -48,3 +50,10 @@ def _exit_code(words: Sequence[str]) -> int:
         return cli.main(list(words))
     except SystemExit as end:
         return int(end.code or 0)
+
+
+def load_fit(path: Path) -> dsbrdf.FitResult:
+    """Return the fit in a file, which must have a report."""
+    found = dsbrdf.load(path)
+    assert isinstance(found, dsbrdf.FitResult)
+    return found

@@ -23,9 +23,8 @@ from dsbrdf.data.rgl import encode_tensors, parse_tensors
 from dsbrdf.engines import FileFit, batch, local
 from dsbrdf.fitting.options import sentences_of
 from dsbrdf.output.export.rgl import rgl_bsdf
-from tests.support.command_line import QUICK, document, printed, run, sentence
+from tests.support.command_line import QUICK, document, load_fit, printed, run, sentence
 from tests.support.known_models import single_lobe
-from tests.support.loading import load_fit
 
 pytestmark = pytest.mark.slow
 

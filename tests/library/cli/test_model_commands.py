@@ -20,8 +20,7 @@ from dsbrdf.fitting.lobe_search import SearchStep
 from dsbrdf.output import export_model, from_json
 from dsbrdf.output.export import part_of
 from dsbrdf.rendering import displayed, exposure, sphere_normals
-from tests.support.command_line import FEW_LOBES, document, printed, run, sentence
-from tests.support.loading import load_fit
+from tests.support.command_line import FEW_LOBES, document, load_fit, printed, run, sentence
 from tests.support.mixtures import samples_table, scattered_samples
 
 pytestmark = pytest.mark.slow

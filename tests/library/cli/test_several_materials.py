@@ -10,8 +10,7 @@ from PIL import Image
 import dsbrdf
 from dsbrdf import decompose, render_sphere
 from dsbrdf.rendering import sphere_likeness
-from tests.support.command_line import document, printed, run, sentence
-from tests.support.loading import load_fit
+from tests.support.command_line import document, load_fit, printed, run, sentence
 from tests.support.random_models import random_model
 
 

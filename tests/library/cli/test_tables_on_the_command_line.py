@@ -9,8 +9,7 @@ from dsbrdf import TableOptions, read_merl, read_samples
 from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.samples.names import VECTORS
 from tests.library.samples.test_layouts import LAYOUTS, MIRROR_60, REFUSED
-from tests.support.command_line import document, printed, run
-from tests.support.loading import load_fit
+from tests.support.command_line import document, load_fit, printed, run
 from tests.support.mixtures import mixture, scattered_samples
 from tests.support.soak import repeats
 
