@@ -256,12 +256,9 @@ def test_invalid_npy_is_refused(server: Server, fitted: str, fault: str) -> None
     "body",
     [
         b"",
-        b"{}",
-        b'{"theta_half_deg": [1, 2, 3], "theta_diff_deg": [1, 2]}',
         b'{"theta_half_deg": ["1"], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": [true], "theta_diff_deg": [1]}',
         b'{"omega_in": [["0", 0, 1]], "omega_out": [[0, 0, 1]]}',
-        b'{"theta_half_deg": [91], "theta_diff_deg": [1]}',
         b'{"theta_half_deg": true, "theta_diff_deg": [1]}',
         b'{"theta_half_deg": [1], "theta_diff_deg": [1], "phi_half_deg": [1]}',
         b'{"omega_in": [[0, 0, 1e999]], "omega_out": [[0, 0, 1]]}',

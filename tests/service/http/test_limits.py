@@ -206,14 +206,14 @@ def test_client_that_sends_many_requests_and_reads_no_answer_is_disconnected(imp
 
 
 def test_process_that_was_stopped_refuses_no_body_that_came_meanwhile(own_server: Callable[..., Server]) -> None:
-    server = own_server(fits=False, idle_timeout="1")
+    server = own_server(fits=False, idle_timeout="2")
     body = b'{"measurement": "%s"}' % (b"0" * 64)
     head = head_of_upload(len(body), "/v1/fits", content_type="application/json")
     with server.connection(head + body[:40]) as connection:
         wait_until(lambda: in_progress(server) == 2)
         server.process.send_signal(signal.SIGSTOP)
         connection.sendall(body[40:])
-        time.sleep(1.2)
+        time.sleep(2.2)
         server.process.send_signal(signal.SIGCONT)
         assert connection.recv(12) == b"HTTP/1.1 404"
 
