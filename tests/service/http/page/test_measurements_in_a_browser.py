@@ -25,7 +25,7 @@ def test_newcomer_tries_an_example_and_sees_its_samples(visit: Visit, guarded: G
     page = visit("/", header=guarded.new_key("newcomer"), webgl=False).page
     page.get_by_text("Options").click()
     page.get_by_text("More for fits").click()
-    for title, value in (("Number of lobes", "2"), ("Number of ring lobes", "0")):
+    for title, value in (("Number of lobes", "3"), ("Number of ring lobes", "0")):
         page.get_by_label(title).select_option(value)
     page.get_by_role("button", name="Try an example").click()
     page.wait_for_url("**/fits/*")
