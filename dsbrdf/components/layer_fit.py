@@ -221,7 +221,7 @@ def _sum_of(layers: Sequence[Linearized]) -> Array:
 
 
 _TRIAL_STEPS = (5,)
-_QUICK_TRIAL_STEPS = (2, 3)  # In a quick trial, all starts get two steps, and the better half of the starts three more.
+_QUICK_TRIAL_STEPS = (1, 1, 3)  # After each stage of a quick trial, the worse half of the starts is dropped.
 _TURN_TRIAL_STEPS = 3  # These trials start from the end of a trial without turning colours.
 _QUICK_TRIAL_STRIDE = 2  # Trials of a complete material use every second pair of directions.
 _MAX_FIRST_STEPS = 10
@@ -239,8 +239,8 @@ def fit_structures(
 ) -> list[FittedStructure]:
     """Fit structures to data and sort the fits, the best first; structures far behind are dropped after a trial.
 
-    If `quick`, trials use half of the data, and the worse half of the starts is dropped after two steps. Fits of
-    scattered samples need the full trials, because two steps do not yet identify the best start.
+    If `quick`, trials use half of the data, and the worse half of the starts is dropped after each step. Fits of
+    scattered samples need the full trials, because few steps do not yet identify the best start.
     """
     unit = data.n_samples / N_SAMPLES
     found: list[FittedStructure] = []
