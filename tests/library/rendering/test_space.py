@@ -27,6 +27,8 @@ def materials() -> MaterialSpace:
 def test_distances_are_those_of_roughness_not_of_colour(materials: MaterialSpace) -> None:
     np.testing.assert_allclose(materials.distance, materials.distance.T)
     assert materials.nearest("matte")[0][0] == "darker"
+    polished = materials.names.index("alpha 0.05")
+    assert 0.03 < materials.distance[materials.names.index("matte"), polished] < 0.3
     assert materials.nearest("matte", 1)[0][1] > 50.0  # The same but for colour and brightness, of coloured lights.
     assert [name for name, _ in materials.nearest("alpha 0.05", 2)] == ["alpha 0.1", "alpha 0.2"]
     likeness = [db for _, db in materials.nearest("alpha 0.4", 5)]
