@@ -57,7 +57,7 @@ ROBUST_REFINE_ROUNDS = 3
 EXPECTED_SEARCH_STAGES = 5
 SEARCH_ROWS = np.array([0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 FIT_ROWS = np.concatenate([np.arange(0, 60, 6), [60, 64, 68], np.arange(70, 81), [82, 84, 86, 88, 89]])
-SEARCH_COLUMNS = np.unique(np.concatenate([[3, 7], np.arange(9, 32), np.arange(32, 90, 5)]))
+SEARCH_COLUMNS = np.unique(np.concatenate([[0, 1, 3, 5, 7], np.arange(9, 32), np.arange(32, 90, 5)]))
 HELD_OUT_ROWS = np.array([5, 15, 25, 35, 44, 52, 58, 64, 68, 72, 74, 78, 81, 84, 87])
 HELD_OUT_COLUMNS = np.concatenate([np.arange(10, 32, 2), np.arange(34, 90, 5)])
 FIT_COLUMNS = np.unique(np.concatenate([np.arange(30), np.arange(30, 90, 3), [89]]))
@@ -79,6 +79,8 @@ MIN_OUTLIER_RESIDUAL = 1e-2
 """A sample with a smaller relative residual is never an outlier."""
 MIN_LINES = 8
 """If fewer rows or columns with data would be selected, all rows or columns with data are used."""
+MAX_WEIGHT_FOR_GAPS = 2.0
+"""Maximum factor for the weight of a column that represents columns without data."""
 MIN_SAMPLES = 3
 SAMPLE_SMOOTHING = (1e-7, 3e-6, 1e-6)
 """Weights like `SMOOTHING` in fits of scattered samples; they are larger, because samples leave gaps."""
@@ -217,8 +219,9 @@ def _structure(
 def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> FitData:
     """Take those rows and columns with data that are nearest to the wanted rows and columns, or all if there are few.
 
-    The weight of a column is multiplied by the number of columns with data that the column represents. Otherwise
-    columns close to the mirror direction, all of which are taken, would weigh more than their visible area.
+    The weight of a column is multiplied by the number of columns that the column represents. Otherwise columns close
+    to the mirror direction, all of which are taken, would weigh more than their visible area. A column represents its
+    neighbours without data too, so that the fit hardly changes if a column is missing.
     """
     measured = np.any(weight, axis=(0, 3))
     chosen = []
@@ -227,8 +230,10 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
         nearest = np.unique(present[np.abs(wanted[:, None] - present).argmin(axis=1)])
         chosen.append(nearest if nearest.size >= min(MIN_LINES, present.size) else present)
     rows, columns = chosen
-    position = np.searchsorted(present, columns).astype(float)
-    n_represented = np.gradient(position) if columns.size > 1 else np.ones(1)
+    n_represented = np.ones(1)
+    if columns.size > 1:
+        with_data, all_columns = (np.gradient(at.astype(float)) for at in (np.searchsorted(present, columns), columns))
+        n_represented = np.minimum(all_columns, MAX_WEIGHT_FOR_GAPS * with_data)
     selected = FitData.select(data.folded, weight, rows, columns)
     return replace(selected, weight=selected.weight * n_represented[:, None])
 

@@ -49,13 +49,17 @@ MAX_STALLED_ITERATIONS = 2
 
 
 class MixtureProblem:
-    """Compute the cost of a mixture on data with the prior `SMOOTHING`, and the derivatives of the cost."""
+    """Compute the cost of a mixture on data with the prior `SMOOTHING`, and the derivatives of the cost.
+
+    `prior` has the costs of squared log kappa and of squared elongations, relative to the squared data.
+    """
 
     def __init__(
         self,
         data: FitData,
         structure: Structure,
         smoothing: tuple[float, float, float] = SMOOTHING,
+        prior: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.data, self.structure = data, structure
         self.bases = structure.bases(data.theta_diff)
@@ -70,6 +74,10 @@ class MixtureProblem:
             for basis, weight in zip(self.bases, smoothing, strict=True)
         ]
         k = structure.n_lobes
+        # Each unknown has a cost, `prior` times the squared data for log kappa and elongations, otherwise 0.
+        self._prior = np.zeros(structure.n_unknowns)
+        _, shape, elongation = structure.split(self._prior)
+        shape[:, :k], elongation[...] = (data.signal * weight for weight in prior)
         # Entries of the normal matrix for amplitudes of two different channels stay 0; `linearize` writes all others.
         self._matrix = np.zeros((structure.n_unknowns, structure.n_unknowns))
         self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
@@ -95,6 +103,7 @@ class MixtureProblem:
         smoothed = zip(self._pulls, self.structure.split(unknowns), strict=True)
         # Half the gradient of the smoothing's part of the cost.
         pull, parts = np.concatenate([(matrix @ part).ravel() for matrix, part in smoothed]), []
+        pull += self._prior * unknowns
         cost = float(unknowns @ pull)
         for block in self.data.blocks:
             curves, kinds = self._lobes(parameters, block.rows, block.along, block.across)
@@ -128,6 +137,7 @@ class MixtureProblem:
         for part, pull in zip(self.structure.parts, self._pulls, strict=True):
             square = matrix[part, part].reshape(len(pull), -1, len(pull), (part.stop - part.start) // len(pull))
             np.einsum("dpep->dep", square)[...] += pull[:, :, None]
+        np.einsum("nn->n", matrix)[...] += self._prior
         return matrix, gradient + at.pull
 
     @cached_property

@@ -23,7 +23,7 @@ RING_WIDTHS_DEG = (0.4, 0.8, 1.5, 3.0, 6.0, 10.0, 16.0, 25.0, 40.0)
 RING_CENTERS_DEG = (1.0, 2.0, 4.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0)
 CUSP_WIDTHS_DEG = (0.7, 1.5, 3.0, 6.0, 9.0)
 CUSP_CENTER_HALF_WIDTHS = -1.5
-ELONGATIONS = (0.0, 1.0, 3.0)
+ELONGATIONS = (-1.0, 0.0, 1.0, 3.0)
 START_KAPPA = 1.0
 START_ELONGATION = 0.5
 """A fit starts at this fraction of a candidate's elongation, because fits correct too round lobes more easily."""
@@ -136,13 +136,14 @@ def normal_equations(data: FitData, curves: Array) -> tuple[Array, Array]:
     return gram.astype(float), right[..., 0].astype(float)
 
 
-def solved_amplitudes(gram: Array, right: Array, start: Array) -> Array:
+def solved_amplitudes(gram: Array, right: Array, start: Array | None = None) -> Array:
     """Solve `normal_equations` for amplitudes (rows, 3, lobes), none of which is negative.
 
     Coordinate descent takes an exact step in one amplitude after the other. `start` has start values for the first
     lobes; the other lobes start from 0.
     """
     k, count = right.shape[-1], right[..., 0].size
+    start = right[..., :0] if start is None else start
     amplitudes = np.pad(start, ((0, 0), (0, 0), (0, k - start.shape[2]))).reshape(count, k)
     rows = gram.reshape(count, k, k).transpose(1, 0, 2).copy()
     goals, squares = right.reshape(count, k).T.copy(), np.diagonal(gram, axis1=2, axis2=3).reshape(count, k).T

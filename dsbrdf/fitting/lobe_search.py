@@ -1,15 +1,19 @@
-"""Search the lobes of a mixture: choose all lobes, fit the lobes, exchange two of them, and drop useless lobes.
+"""Search the lobes of a mixture: choose all lobes, fit the lobes, and drop useless lobes.
 
-1. **Choice.** `dsbrdf.fitting.lobe_candidates` chooses all lobes by normal equations, without nonlinear fits.
-2. **Fit.** One nonlinear least-squares fit changes all lobes together, at first with kappa fixed.
-3. **Exchange.** The least useful lobe is replaced by the candidate that explains most of the residual.
-4. **Elimination.** If the number of lobes is free, and the residuals are noise or negligible, the least useful lobe is
+1. **Choice.** `dsbrdf.fitting.lobe_candidates` chooses all lobes by normal equations, without nonlinear fits. At first
+   it chooses too many lobes, and then the least useful lobes are left out.
+2. **Fit.** One nonlinear least-squares fit changes all lobes together, at first only the amplitudes, then with kappa
+   fixed. The error of the start can be a hundred times the signal, because its amplitudes are smooth in theta_diff. If
+   all unknowns changed at once, the first steps would be so long that tiny changes of the data decided how the fit
+   ends.
+3. **Elimination.** If the number of lobes is free, and the residuals are noise or negligible, the least useful lobe is
    dropped and the other lobes are fitted again, as long as the validation error hardly rises: the error on rows of
    theta_diff that no mixture was fitted to. Otherwise all lobes are kept: with and without a lobe, the errors are often
    equal up to 5 %, so tiny changes of the data would decide, and psnr would move by up to 5 dB.
 
-A mixture of few lobes depends on the start of its fit. If the number of lobes is fixed and small, the first three steps
-are repeated from several starts, and the best mixture is kept.
+A mixture of few lobes depends on the start of its fit. If the number of lobes is fixed and small, the first two steps
+are repeated from several starts. In each mixture, the least useful lobe is replaced by the candidate that explains most
+of the residual, if the error falls. The best mixture is kept.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from dsbrdf.arrays import Mask
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.reduction import TINY
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.least_squares import MixtureProblem, minimize
@@ -43,11 +47,19 @@ MAX_SIMPLE_LOBES = 3
 """If the residuals are noise, mixtures with at most this number of lobes about the normal are tried."""
 MIN_COLUMNS_FOR_RINGS = 8
 """With data at fewer angles theta_half, optional ring lobes are not used, because any ring would explain the data."""
+AMPLITUDE_ITERATIONS = 8
 FIXED_KAPPA_ITERATIONS = 8
-FIT_ITERATIONS = 20
+FIT_ITERATIONS = 28
 SEARCH_TOLERANCE = 3e-3
 """An iteration of the search counts as stalled if it lowers the cost by a smaller fraction; a refinement follows."""
 EXCHANGE_ITERATIONS = 8
+SEARCH_PRIOR = (3e-7, 3e-8)
+"""Costs of squared log kappa and squared elongation during the search, relative to the squared data.
+
+Without this prior, nearly flat directions of the cost let equal materials end in different mixtures.
+"""
+N_EXTRA_CHOICES = 3
+"""The choice takes this number of lobes too many, and then leaves out the least useful lobes."""
 MAX_RESTARTED_LOBES = 5
 """If a larger number of lobes is fixed, the search has a single start."""
 SPARE_LOBES = 3
@@ -126,21 +138,33 @@ class _Task:
 
         `changes` replace the wanted numbers of lobes.
         """
-        return _fit(self.data, self._choose(replace(self.wanted, **changes), min_width))
+        start = self._choose(replace(self.wanted, **changes), min_width)
+        if not self.wanted.is_few:
+            is_shape = np.ones(start.structure.n_unknowns, bool)
+            is_shape[start.structure.parts[0]] = False
+            start = _minimize(self.data, start, AMPLITUDE_ITERATIONS, fixed=is_shape)
+        return _fit(self.data, start)
 
     def _choose(self, wanted: Wanted, min_width: float) -> Mixture:
-        """Choose one candidate after the other until there are enough lobes."""
+        """Choose one candidate after the other, and leave out the least useful of them at the end."""
         candidates, chosen, shape = self.candidates, list[int](), self.candidates.size.shape
         amplitudes, gram = np.zeros((*shape[:2], 0)), np.zeros((*shape[:2], 0, 0))
         mixed = np.zeros((*shape[:2], 0, shape[2]))
-        for _ in range(wanted.max_lobes(self.data)):
+        n_lobes = wanted.max_lobes(self.data)
+        for _ in range(n_lobes if wanted.is_few else n_lobes + N_EXTRA_CHOICES):
             allowed = np.isin(candidates.is_ring, wanted.kinds_to_add(tuple(candidates.is_ring[chosen].tolist())))
             allowed &= candidates.width >= min_width
             allowed[chosen] = False
             chosen.append(candidates.best(gram, mixed, amplitudes, allowed))
-            gram, right = normal_equations(self.data, candidates.curves[:, chosen])
-            amplitudes = solved_amplitudes(gram, right, amplitudes)
             mixed = np.append(mixed, candidates.mixed(self.data, candidates.curves[:, chosen[-1:]]), axis=2)
+            gram = mixed[..., chosen]
+            amplitudes = solved_amplitudes(gram, candidates.right[..., chosen], amplitudes)
+        while len(chosen) > n_lobes:
+            may_drop = wanted.may_drop(tuple(candidates.is_ring[chosen].tolist()))
+            dropped = _least_useful(gram, amplitudes, may_drop)
+            del chosen[dropped]
+            gram = np.delete(np.delete(gram, dropped, axis=2), dropped, axis=3)
+            amplitudes = solved_amplitudes(gram, candidates.right[..., chosen])
         return candidates.start(self.data, self.empty, chosen, amplitudes)
 
     def exchange(self, mixture: Mixture) -> Mixture:
@@ -168,20 +192,26 @@ class _Task:
 
     def drop_one(self, mixture: Mixture) -> Mixture:
         """Drop the lobe whose loss raises the error least, if the amplitudes of the other lobes are solved again."""
-        k = mixture.structure.n_lobes
+        rings = mixture.structure.rings
         curves = MixtureProblem(self.data, mixture.structure).curves(mixture.unknowns)
         gram, right = normal_equations(self.data, curves)
-        ridge = 1e-6 * np.trace(gram, axis1=2, axis2=3)[..., None, None] / k + TINY
-        inverse = np.linalg.inv(gram + ridge * np.eye(k))
-        loss = (inverse @ right[..., None])[..., 0] ** 2 / np.diagonal(inverse, axis1=2, axis2=3)
-        total = np.where(self.wanted.may_drop(mixture.structure.rings), loss.sum(axis=(0, 1)), np.inf)
-        kept = np.delete(np.arange(k), total.argmin())
-        is_ring = np.array(mixture.structure.rings)[kept]
+        dropped = _least_useful(gram, solved_amplitudes(gram, right), self.wanted.may_drop(rings))
+        kept = np.delete(np.arange(len(rings)), dropped)
+        is_ring = np.array(rings)[kept]
         return join_lobes(self.empty, is_ring, (part[..., kept] for part in mixture.lobes()))
 
     def shrink(self, mixture: Mixture) -> Mixture:
         """Drop the least useful lobe and fit the other lobes again."""
         return _minimize(self.data, self.drop_one(mixture), EXCHANGE_ITERATIONS)
+
+
+def _least_useful(gram: Array, amplitudes: Array, may_drop: list[bool]) -> int:
+    """Return the index of the lobe whose loss raises the error least, if the other amplitudes adjust to the loss."""
+    k = len(may_drop)
+    ridge = 1e-6 * np.trace(gram, axis1=2, axis2=3)[..., None, None] / k + TINY
+    inverse = np.linalg.inv(gram + ridge * np.eye(k))
+    loss = np.sum(amplitudes**2 / np.diagonal(inverse, axis1=2, axis2=3), axis=(0, 1))
+    return int(np.where(may_drop, loss, np.inf).argmin())
 
 
 def search(
@@ -212,7 +242,7 @@ def search(
         if (simple := _simplest(task, exact, trials)) is not None:
             return simple, trials.steps
     else:
-        trials.add(mixture := task.exchange(mixture))
+        trials.add(mixture)
     is_free &= is_noise or trials.steps[0].error < NEGLIGIBLE_ERROR
     while is_free and task.may_drop(mixture) and trials.add(fewer := task.shrink(mixture)):
         mixture = fewer
@@ -309,7 +339,7 @@ def _correlation(data: FitData, mixture: Mixture) -> float:
 
 
 def _minimize(data: FitData, start: Mixture, iterations: int, fixed: Mask | None = None) -> Mixture:
-    problem = MixtureProblem(data, start.structure)
+    problem = MixtureProblem(data, start.structure, prior=SEARCH_PRIOR)
     end = minimize(problem, start.unknowns, iterations=iterations, tolerance=SEARCH_TOLERANCE, fixed=fixed)
     return Mixture(start.structure, end.unknowns)
 
