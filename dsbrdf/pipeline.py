@@ -18,7 +18,7 @@ from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
 from dsbrdf.findings import Finding
-from dsbrdf.fitting.global_method import SAMPLE_TABLE_TOLERANCE, fit_global, refine_at_samples
+from dsbrdf.fitting.global_method import fit_global, refine_at_samples
 from dsbrdf.fitting.metrics import ALBEDO_ANGLES, Metrics, error_tables, sample_errors, sample_metrics
 from dsbrdf.fitting.options import FitOptions, check_names
 from dsbrdf.fitting.report import DirectionalAlbedo, FoundModel
@@ -196,8 +196,7 @@ def _fit_samples(
     clock.lap("prediction")
     table = predicted_profiles(used, prediction, options)
     clock.lap("profiles")
-    on_share = lambda share: progress(0.1 + 0.7 * share)  # noqa: E731
-    found, mixture = fit_global(table, options, on_share, clock.lap, SAMPLE_TABLE_TOLERANCE)
+    found, mixture = fit_global(table, options, lambda share: progress(0.1 + 0.7 * share), clock.lap)
     if len(used.values) >= FEW_SAMPLES:
         exact = thinned(used, MAX_REFINED_SAMPLES)
         for _ in range(REFINEMENT_ROUNDS):

@@ -84,8 +84,6 @@ MAX_WEIGHT_FOR_GAPS = 2.0
 MIN_SAMPLES = 3
 SAMPLE_SMOOTHING = (1e-7, 3e-6, 1e-6)
 """Weights like `SMOOTHING` in fits of scattered samples; they are larger, because samples leave gaps."""
-SAMPLE_TABLE_TOLERANCE = 1e-5
-"""The refinement of a table predicted from samples goes on further, because one sample may be most of a highlight."""
 MIN_TABLE_LIKE_SAMPLES = 20_000
 """With fewer scattered samples, the smoothing of parameters is stronger in inverse proportion to their number."""
 MIN_BINS_IN_COLUMN = 5
@@ -99,12 +97,10 @@ def fit_global(
     options: FitOptions,
     progress: Callable[[float], None],
     on_stage: Callable[[str], None],
-    refine_tolerance: float = REFINE_TOLERANCE,
 ) -> tuple[FoundModel, Mixture]:
     """Fit all rows of theta_diff at once; return the model and the mixture of lobes from which it is made.
 
-    `on_stage` is called with the name of each stage that has ended. Refinement ends after two iterations in a row that
-    lower the cost by a smaller fraction than `refine_tolerance`. Raises FitError if the options leave no data to
+    `on_stage` is called with the name of each stage that has ended. Raises FitError if the options leave no data to
     fit.
     """
     weight = fit_weights(data, options)
@@ -126,9 +122,7 @@ def fit_global(
     mixture = change_knots(mixture, replace(fine, rings=mixture.structure.rings))
     on_stage("search")
     selected = _select(data, weight, FIT_ROWS, FIT_COLUMNS)
-    is_few = wanted.is_few  # With few lobes, iterations are cheap.
-    tolerance = min(COST_TOLERANCE, refine_tolerance) if is_few else refine_tolerance
-    solution = _refine(selected, clip, mixture, options, tolerance, lambda fraction: progress(0.5 + 0.5 * fraction))
+    solution = _refine(selected, clip, mixture, options, lambda fraction: progress(0.5 + 0.5 * fraction))
     on_stage("refine")
     found, mixture = _found(mixture.structure, solution, weight.sum(axis=(2, 3)) > 0)
     return replace(found, search=tuple(steps)), mixture
@@ -245,18 +239,15 @@ def _select(data: Profiles, weight: Array, rows: Indices, columns: Indices) -> F
 
 
 def _refine(
-    data: FitData,
-    clip: Array,
-    mixture: Mixture,
-    options: FitOptions,
-    tolerance: float,
-    progress: Callable[[float], None],
+    data: FitData, clip: Array, mixture: Mixture, options: FitOptions, progress: Callable[[float], None]
 ) -> Solution:
     """Fit a few bins of phi_diff, then more bins exactly, with outliers weighted down on request.
 
     Values from `clip` (3, 1, 1, 1) on are lower bounds: they have hardly any weight where the latest mixture exceeds
     them.
     """
+    is_few = Wanted(options.n_lobes, options.ring_lobes).is_few
+    tolerance = COST_TOLERANCE if is_few else REFINE_TOLERANCE  # With few lobes, iterations are cheap.
     rounds = ROBUST_REFINE_ROUNDS if options.robust else REFINE_ROUNDS
     unknowns, weight, iterations, bounded = mixture.unknowns, data.weight, 0, data.mean >= clip
     for number in range(rounds):
