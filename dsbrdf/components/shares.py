@@ -34,7 +34,8 @@ EXCESS_HALO = HALO / 4.0
 """At smaller tan(theta_half)**2, values below the sum of all layers are mostly subtracted from the highlight."""
 _DIFFERENCE_POWER = 3
 """Power p in the part f**p of the missed light that layers with the fraction f of all light of the layers receive."""
-_MIN_LIGHT = 1e-18  # This value is added to values and to layers, to avoid a division by zero [1/sr].
+MIN_LIGHT = 1e-18
+"""This value is added to values and to layers, to avoid a division by zero [1/sr]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,7 @@ class WeightedLayers:
     def doubtful(self, values: Array, points: Points, labels: Sequence[str]) -> Array:
         """Return the part of the values that the layers miss and that may belong to layers with labels, (3, N)."""
         layers = self.model.layer_values(points)
-        total = layers.sum(axis=0) + _MIN_LIGHT
+        total = layers.sum(axis=0) + MIN_LIGHT
         fraction = layers[[label in labels for label in self.labels]].sum(axis=0) / total
         return np.asarray(np.abs(values - total) * 4.0 * fraction * (1.0 - fraction))
 
@@ -112,10 +113,10 @@ def _divided(values: Array, own: Array, other: Array, power: int, color_power: i
     The brightness, the sum over the channels, is divided first: the difference to the layers counts by `weight`. The
     colours follow the layers, so that the colour of a difference does not become the colour of a faint part.
     """
-    bright, of_own, of_other = (one.sum(axis=0) + _MIN_LIGHT for one in (values, own, other))
+    bright, of_own, of_other = (one.sum(axis=0) + MIN_LIGHT for one in (values, own, other))
     part = np.minimum(bright, _with_missed(bright, of_own, of_other, power, weight))
     own, other = own * (part / of_own), other * ((bright - part) / of_other)
-    return np.minimum(values, _with_missed(values, own, other + _MIN_LIGHT, color_power, 1.0))
+    return np.minimum(values, _with_missed(values, own, other + MIN_LIGHT, color_power, 1.0))
 
 
 def _with_missed(values: Array, own: Array, other: Array, power: int, weight: Array | float) -> Array:

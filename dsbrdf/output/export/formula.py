@@ -18,7 +18,7 @@ import numpy
 from dsbrdf.components.component import Component
 from dsbrdf.components.layers import Layer, LayeredModel
 from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
-from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS
+from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS, MIN_LIGHT
 from dsbrdf.data.geometry import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import FAMILIES, GRAZING_COSINE
@@ -146,9 +146,9 @@ def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: b
     rest, parts, missed = whole, [], (whole - narrow - wide - diffuse).sum(-1)[..., None]
     outside = 1.0 - 1.0 / (1.0 + xp.where(missed > 0.0, tan2 / HALO, tan2 / EXCESS_HALO) ** 2)
     for own, other, gain, power, tint in ((diffuse, narrow + wide, outside, 3, 3), (wide, narrow, 1.0, 2, 0)):
-        light, of_own, of_other = (one.sum(-1)[..., None] + 1e-18 for one in (rest, own, other))
+        light, of_own, of_other = (one.sum(-1)[..., None] + MIN_LIGHT for one in (rest, own, other))
         part = xp.minimum(light, of_own + gain * (f := of_own / (of_own + of_other)) ** power * (light * f - of_own))
-        own, other = own * (part / of_own), other * ((light - part) / of_other) + 1e-18
+        own, other = own * (part / of_own), other * ((light - part) / of_other) + MIN_LIGHT
         parts.append(xp.minimum(rest, own * (1.0 - (f := own / (own + other)) ** tint) + rest * f ** (tint + 1)))
         rest = rest - parts[-1]
     return [rest, *reversed(parts)]
@@ -167,7 +167,7 @@ _LOBE_FUNCTIONS: dict[str, Callable[..., Any]] = {"hemi_epd": _hemi_epd, "studen
 _LAYER_FUNCTIONS: _Functions = (_rise, _facets, _layers)
 _CONSTANTS = (
     *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO", "EXCESS_HALO"),
-    *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE"),
+    *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE", "MIN_LIGHT"),
 )
 
 
