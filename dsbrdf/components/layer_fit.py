@@ -269,8 +269,7 @@ def refined(data: LayerData, structure: LayerStructure, unknowns: Array) -> Fitt
 def structure_weights(found: Sequence[FittedStructure]) -> Array:
     """Return the weights of fitted structures, which sum to 1 and follow from the evidence.
 
-    A structure that is only in ranges has at most
-    the weight of the best other structure.
+    A structure that is only in ranges has at most the weight of the best other structure.
     """
     usual = min(fitted.evidence for fitted in found if not fitted.structure.only_in_ranges)
     evidence = np.maximum([fitted.evidence for fitted in found], usual)

@@ -103,8 +103,7 @@ class Warp:
             (1.0 - down) * mixed(self.density, node + j) + down * mixed(self.density, node + width + j) for j in (0, 1)
         )
         before = (1.0 - down) * mixed(self.conditional, node) + down * mixed(self.conditional, node + width)
-        last = row * width + width - 1
-        ends = mixed(self.conditional, last), mixed(self.conditional, last + width)
+        ends = [mixed(self.conditional, (row + step) * width - 1) for step in (1, 2)]
         whole = (1.0 - down) * ends[0] + down * ends[1]
         within = across * (left + 0.5 * across * (right - left)) / (width - 1)
         columns = np.where(whole > 0.0, (before + within) / np.where(whole > 0.0, whole, 1.0), 0.0)

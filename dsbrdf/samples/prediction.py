@@ -126,11 +126,8 @@ class SampleLayers:
         weights = self.weights**_DRAWN_POWER
         counts = generator.multinomial(_N_DRAWS, weights / weights.sum()).tolist()
         drawn = zip(self.found, self.stretches, counts, strict=True)
-        return [
-            (model, stretch)
-            for one, stretch, count in drawn
-            for model in one.draw(generator, count, _DRAWN_POWER**-0.5)
-        ]
+        spread = _DRAWN_POWER**-0.5
+        return [(model, stretch) for one, stretch, count in drawn for model in one.draw(generator, count, spread)]
 
     def _mean_log(self, angles: tuple[Array, Array, Array]) -> Array:
         models = [(one.model, stretch) for one, stretch in zip(self.found, self.stretches, strict=True)]
