@@ -218,6 +218,17 @@ def test_lobes_are_no_narrower_than_columns_with_enough_samples_allow(metal: Mea
     assert half_width(model.kappa, model.gamma, model.lobe).min() > THETA_HALF[n_sparse - 1]
 
 
+def test_a_change_that_nobody_sees_hardly_changes_the_fit(matte: Measurement) -> None:
+    """The search must not depend on rounding: a start far from the data would let it end in another mixture."""
+
+    def brighten(values: Array, _: Array) -> None:
+        values *= 1.01
+
+    materials = matte, edited(matte, brighten)
+    values, brighter = (fit(one).model.evaluate(THETA_HALF, THETA_DIFF[::6, None]) for one in materials)
+    assert np.sqrt(np.mean((brighter / values - 1.01) ** 2)) < 1e-3
+
+
 def test_spikes_do_not_spoil_a_robust_fit(plastic: Measurement, plastic_fit: FitResult) -> None:
     def spoil(values: Array, valid: Array) -> None:
         hit = np.random.default_rng(5).uniform(size=values.shape) < 0.01
