@@ -51,8 +51,8 @@ serve: $(READY)  ## run the service on http://127.0.0.1:8000
 docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
 	@$(BIN)/python docs/_ext/build.py
 
-# A fifth of the time, tests wait for processes and limits: one worker more than there are cores, and at most four.
-WORKERS = $$($(BIN)/python -c 'import os; print(min(os.cpu_count() + 1, 4))')
+# Half of the time, tests wait for other processes: two workers more than there are cores, and at most four.
+WORKERS = $$($(BIN)/python -c 'import os; print(min(os.cpu_count() + 2, 4))')
 
 test: $(TESTS_READY)  ## run all tests, on up to four cores
 	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile --no-loadscope-reorder
@@ -85,7 +85,7 @@ bench: $(TESTS_READY)  ## run the tests of the benchmarks, then all benchmarks e
 	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile benchmarks
 	$(BIN)/python -m benchmarks
 
-soak: $(TESTS_READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
+soak: $(TESTS_READY) $(DOCS_READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
 	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
 	DSBRDF_SOAK=1 $(BIN)/python -m pytest tests benchmarks
 
