@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from dsbrdf import Measurement, write_merl
+from tests.support import launcher
 from tests.support.dask_cluster import DaskCluster
 from tests.support.guarded import Guarded, new_key
 from tests.support.materials import glossy_plastic, matte_paint, polished_metal
@@ -38,6 +39,12 @@ if sys.platform == "linux" and hasattr(ctypes.CDLL(None), "mallopt"):
     # is kept. The processes that tests start do as they always do.
     for parameter, size in (-3, 1 << 28), (-1, 1 << 30):  # M_MMAP_THRESHOLD and M_TRIM_THRESHOLD of malloc.h
         ctypes.CDLL(None).mallopt(parameter, size)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Start the launcher of services before the workers that share it."""
+    if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
+        launcher.share()
 
 
 def pytest_collection_finish() -> None:

@@ -3,7 +3,7 @@
 Importing the service or Dask takes more than a second of processor time, which dozens of servers and workers would
 each take again; the processes of fits and figures would import and cache more. What runs in the fork is the ``main`` of
 the program, with arguments, environment and log of its own. The process from which it forks its workers is a fork, too,
-which it uses once: a second one is started as usual.
+which it uses once: a second one is started as usual. The processes of pytest that run tests share one launcher.
 """
 
 import atexit
@@ -29,9 +29,14 @@ from multiprocessing import util
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
+from tests.support.processes import short_folder
+
 ROOT = Path(__file__).parents[2]
 
 Program = Literal["dsbrdf_service", "dask"]
+MAX_REQUEST_BYTES = 1 << 17
+SHARED = "DSBRDF_TESTS_LAUNCHER"
+"""Variable of the environment that names the socket of the launcher of services."""
 
 
 class ForkedProcess:
@@ -64,13 +69,13 @@ class ForkedProcess:
 
 
 class Launcher:
-    """The process that has imported a program; it ends with the one that started it, and its forks with it."""
+    """A connection to the process that has imported a program; the forks made for it end with it."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, path: str) -> None:
         self._lock = threading.Lock()
         self._started: queue.Queue[ForkedProcess | None] = queue.Queue()
-        command = [sys.executable, "-m", "tests.support.launcher", program]
-        self._process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._connection.connect(path)
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
         atexit.register(self._close)
@@ -92,26 +97,21 @@ class Launcher:
         request: dict[str, object] = {"arguments": arguments, "environment": dict(environment), "fits": fits}
         request["constants"] = dict(constants or {})
         request |= {"log": str(log), "cwd": str(Path.cwd())}
-        assert self._process.stdin is not None
         with self._lock:
-            self._process.stdin.write(json.dumps(request) + "\n")
-            self._process.stdin.flush()
+            self._connection.send(json.dumps(request).encode())
             process = self._started.get()
         if process is None:
             raise RuntimeError("the launcher has ended; what it printed says why")
         return process
 
     def _close(self) -> None:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.close()
-        self._process.wait()
+        self._connection.shutdown(socket.SHUT_RDWR)
         self._listener.join()
-        self._process.stdout.close()
+        self._connection.close()
 
     def _listen(self) -> None:
         servers: dict[int, ForkedProcess] = {}
-        for line in self._process.stdout or ():
+        while line := self._connection.recv(MAX_REQUEST_BYTES):
             match json.loads(line):
                 case {"pid": pid, "code": code}:
                     servers.pop(pid)._end(code)
@@ -121,14 +121,37 @@ class Launcher:
         self._started.put(None)
 
 
+def start(program: Program) -> str:
+    """Start a launcher, which ends with this process; return the path of its socket."""
+    folder = short_folder()
+    path = f"{folder.name}/launcher"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listening:
+        listening.bind(path)
+        listening.listen()
+        command = [sys.executable, "-m", "tests.support.launcher", program, str(listening.fileno())]
+        process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, pass_fds=[listening.fileno()])
+
+    def end() -> None:
+        process.communicate()
+        folder.cleanup()
+
+    atexit.register(end)
+    return path
+
+
+def share() -> None:
+    """Start the launcher of services for this process and the ones that it starts."""
+    os.environ[SHARED] = start("dsbrdf_service")
+
+
 @cache
 def launcher(program: Program) -> Launcher:
-    """Return the one launcher of a program that this process has."""
-    return Launcher(program)
+    """Return the connection of this process to the launcher of a program, which is started if none is shared."""
+    return Launcher((program == "dsbrdf_service" and os.environ.get(SHARED)) or start(program))
 
 
-def _serve_requests(program: str) -> None:
-    """Fork a process for each line on standard input; tell on standard output which run and how they ended."""
+def _serve_requests(program: str, listening: int) -> None:
+    """Fork a process for each message of a connection; tell there which run and how they ended."""
     import_module(f"{program}.__main__")
     if program == "dask":
         for command in ("scheduler", "worker"):
@@ -139,26 +162,36 @@ def _serve_requests(program: str) -> None:
         _warm_up()
     gc.freeze()  # a collection in a fork would write into all that it shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends with its input, and servers may still be needed until then
-    running: dict[int, int] = {}  # The key is the descriptor that becomes readable at the end.
-    with selectors.DefaultSelector() as selector:
-        selector.register(sys.stdin.fileno(), selectors.EVENT_READ)
+    connections: dict[int, socket.socket] = {}
+    running: dict[int, tuple[int, socket.socket]] = {}  # The key is the descriptor that becomes readable at the end.
+    with selectors.DefaultSelector() as selector, socket.socket(fileno=listening) as listener:
+        for source in (sys.stdin.fileno(), listening):
+            selector.register(source, selectors.EVENT_READ)
         while True:
             for key, _ in selector.select():
-                if key.fd in running:
+                if key.fd == listening:
+                    connection = listener.accept()[0]
+                    connections[connection.fileno()] = connection
+                    selector.register(connection.fileno(), selectors.EVENT_READ)
+                elif key.fd in running:
                     selector.unregister(key.fd)
                     os.close(key.fd)
-                    pid, status = os.waitpid(running.pop(key.fd), 0)
-                    _say(pid=pid, code=os.waitstatus_to_exitcode(status))
-                elif line := sys.stdin.readline():
-                    pid = os.fork() or _become(program, json.loads(line))
+                    pid, connection = running.pop(key.fd)
+                    _say(connection, pid=pid, code=os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+                elif request := key.fd in connections and connections[key.fd].recv(MAX_REQUEST_BYTES):
+                    pid = os.fork() or _become(program, json.loads(request))
                     descriptor = os.pidfd_open(pid)
-                    running[descriptor] = pid
+                    running[descriptor] = pid, connections[key.fd]
                     selector.register(descriptor, selectors.EVENT_READ)
-                    _say(pid=pid)
-                else:
-                    for pid in running.values():
-                        os.kill(pid, signal.SIGKILL)
-                    return
+                    _say(connections[key.fd], pid=pid)
+                else:  # A connection or, with standard input, everything ends.
+                    selector.unregister(key.fd)
+                    ended = connections.pop(key.fd, None)
+                    for pid, connection in running.values():
+                        if ended in (connection, None):
+                            os.kill(pid, signal.SIGKILL)
+                    if ended is None:
+                        return
 
 
 def _warm_up() -> None:
@@ -171,8 +204,9 @@ def _warm_up() -> None:
         library.decompose(library.fit(measurement, method="paper", n_lobes=1, em_iterations=3).model)
 
 
-def _say(**document: int) -> None:
-    print(json.dumps(document), flush=True)
+def _say(connection: socket.socket, **document: int) -> None:
+    with suppress(ConnectionError):  # Who started a process may have ended before it.
+        connection.send(json.dumps(document).encode())
 
 
 def _become(program: str, request: dict[str, Any]) -> NoReturn:
@@ -263,4 +297,4 @@ def _become_fork_server(requests: socket.socket) -> NoReturn:
 
 
 if __name__ == "__main__":
-    _serve_requests(sys.argv[1])
+    _serve_requests(sys.argv[1], int(sys.argv[2]))
