@@ -19,6 +19,7 @@ whose cost stays far behind the best are dropped early. The weight of a structur
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf as potrf
@@ -71,6 +72,15 @@ class FittedStructure:
         return [self.structure.model(unknowns) for unknowns in np.clip(drawn, *self.structure.bounds)]
 
 
+class _Place(NamedTuple):
+    """Layers with some values of the unknowns, and the parts of their cost."""
+
+    layers: list[Linearized]
+    total: Array  # values of all layers together, (3, N) [1/sr]
+    error: float  # relative weighted squared error, see `LayerData.squared_error`
+    penalty: float  # cost of the deviation of the unknowns from their prior
+
+
 @dataclass(eq=False)
 class Descent:
     """Minimise the cost of one structure by Levenberg-Marquardt; a descent can be stopped and continued."""
@@ -83,19 +93,16 @@ class Descent:
     damping: float = _FIRST_DAMPING
     _steps: int = 0
     _stalled: int = 0
-    _error: float = field(init=False)  # relative weighted squared error, see `LayerData.squared_error`
-    _matrix: Array = field(init=False)  # half the Gauss-Newton matrix of the squared error
-    _gradient: Array = field(init=False)  # half the gradient of the squared error
+    _here: _Place = field(init=False)
 
     def __post_init__(self) -> None:
         self.unknowns = np.clip(self.unknowns, *self.structure.bounds)
-        self._linearize(self._layers(self.unknowns))
+        self._here = self._place(self.unknowns)
 
     @property
     def prospect(self) -> float:
         """Estimate of the evidence from the cost so far and a penalty for each unknown, to compare structures."""
-        cost = self._cost(self._error, is_first=False) + self._penalty(self.unknowns)
-        return cost + self.structure.price + self.structure.mean.size
+        return self._cost(self._here, is_first=False) + self.structure.price + self.structure.mean.size
 
     @property
     def model(self) -> LayeredModel:
@@ -105,7 +112,7 @@ class Descent:
     def run(self, steps: int) -> None:
         """Take a number of steps, or fewer if the fit converges before."""
         for _ in range(steps):
-            if self.is_first and (self._steps >= _MAX_FIXED_NOISE_STEPS or self._error < _FIXED_NOISE**2):
+            if self.is_first and (self._steps >= _MAX_FIXED_NOISE_STEPS or self._here.error < _FIXED_NOISE**2):
                 self._free_noise()
             if self.done:
                 return
@@ -119,13 +126,13 @@ class Descent:
     def fitted(self) -> FittedStructure:
         """Return the fitted structure with the current unknowns."""
         matrix, _ = self._system(is_first=False)
-        cost = self._cost(self._error, is_first=False) + self._penalty(self.unknowns) + self.structure.price
+        cost = self._cost(self._here, is_first=False) + self.structure.price
         evidence = cost + float(np.linalg.slogdet(matrix)[1]) - self.structure.log_determinant
-        return FittedStructure(self.structure, self.unknowns, float(np.sqrt(self._error)), evidence, matrix)
+        return FittedStructure(self.structure, self.unknowns, float(np.sqrt(self._here.error)), evidence, matrix)
 
     def _step(self) -> None:
         """Take one step that lowers the cost; if there is none, end the first stage or the fit."""
-        here = self._cost(self._error, is_first=self.is_first) + self._penalty(self.unknowns)
+        here = self._cost(self._here, is_first=self.is_first)
         matrix, gradient = self._system(is_first=self.is_first)
         lower, upper = self.structure.bounds
         held = (self.unknowns <= lower + 1e-9) & (gradient > 0.0) | (self.unknowns >= upper - 1e-9) & (gradient < 0.0)
@@ -142,8 +149,8 @@ class Descent:
             tried = self.unknowns.copy()
             tried[free] -= np.minimum(np.maximum(move, -_MAX_UNKNOWN_CHANGE), _MAX_UNKNOWN_CHANGE)
             tried = np.minimum(np.maximum(tried, lower), upper)
-            layers = self._layers(tried)
-            there = self._cost(self.data.squared_error(_sum_of(layers)), is_first=self.is_first) + self._penalty(tried)
+            place = self._place(tried)
+            there = self._cost(place, is_first=self.is_first)
             if there < here:
                 break
             self.damping *= 5.0
@@ -151,25 +158,33 @@ class Descent:
             self.done, self.is_first, self.damping = not self.is_first, False, _FIRST_DAMPING
             return
         self._stalled = self._stalled + 1 if here - there < _COST_TOLERANCE * self.data.n_samples / N_SAMPLES else 0
-        self.unknowns, self.damping = tried, max(self.damping / 4.0, 1e-5)
+        self.unknowns, self._here, self.damping = tried, place, max(self.damping / 4.0, 1e-5)
         self.done = not self.is_first and self._stalled >= _MAX_STALLED_STEPS
         if self.is_first and here - there < _MIN_FIXED_NOISE_GAIN:
             self._free_noise()
-        self._linearize(layers)
 
-    def _layers(self, unknowns: Array) -> list[Linearized]:
+    def _place(self, unknowns: Array) -> _Place:
+        """Evaluate the layers with some unknowns, and the parts of the cost."""
         parts = zip(self.structure.layers, self.structure.slices, strict=True)
-        return [prior.kind.linearize(self.data.points, unknowns[part]) for prior, part in parts]
+        layers = [prior.kind.linearize(self.data.points, unknowns[part]) for prior, part in parts]
+        total = layers[0].values
+        for layer in layers[1:]:
+            total = total + layer.values
+        whitened = self.structure.root @ (unknowns - self.structure.mean)
+        penalty = float(self.structure.freedom @ np.log1p(whitened**2 / self.structure.freedom))
+        return _Place(layers, total, self.data.squared_error(total), penalty)
 
-    def _cost(self, error: float, *, is_first: bool) -> float:
+    def _cost(self, place: _Place, *, is_first: bool) -> float:
+        error = place.error
         scaled = error / _FIXED_NOISE**2 if is_first else float(np.log(error + self.data.model_error**2))
-        return self.data.n_samples * scaled
+        return self.data.n_samples * scaled + place.penalty
 
-    def _linearize(self, layers: list[Linearized]) -> None:
-        """Compute the squared error of the layers, and its normal equations, channel by channel."""
+    def _linearized(self) -> tuple[Array, Array]:
+        """Return half of the Gauss-Newton matrix and half of the gradient of the squared error, summed over channels."""
         size = self.unknowns.size
-        self._error, self._matrix, self._gradient = 0.0, np.zeros((size, size)), np.zeros(size)
-        total, derivatives = _sum_of(layers), [layer.relative() for layer in layers]
+        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        layers, total = self._here.layers, self._here.total
+        derivatives = [layer.relative() for layer in layers]
         # The rows are the derivatives of the values in the unknowns, then the residual.
         columns = np.empty((self.structure.of_channel[0].size + 1, total.shape[1]))
         for channel, places in enumerate(self.structure.of_channel):
@@ -185,39 +200,26 @@ class Descent:
                 np.multiply(_of_channel(relative, channel, 3), layer.values[channel] * root, out=columns[start:end])
             np.subtract(total[channel] * root, self.data.weighted[channel], out=columns[end])
             products = columns[:-1] @ columns.T
-            self._error += float(columns[-1] @ columns[-1])
             if self.data.sums is not None:
                 sums = columns @ self.data.sums[channel].T
                 products += sums[:-1] @ sums.T
-                self._error += float(sums[-1] @ sums[-1])
-            self._matrix[places[:, np.newaxis], places] += products[:, :-1]
-            self._gradient[places] += products[:, -1]
+            matrix[places[:, np.newaxis], places] += products[:, :-1]
+            gradient[places] += products[:, -1]
+        return matrix, gradient
 
     def _system(self, *, is_first: bool) -> tuple[Array, Array]:
         """Return half of the approximate Hessian and half of the gradient of the cost."""
-        structure = self.structure
-        scale = self.data.n_samples / (_FIXED_NOISE**2 if is_first else self._error + self.data.model_error**2)
+        structure, (matrix, gradient) = self.structure, self._linearized()
+        scale = self.data.n_samples / (_FIXED_NOISE**2 if is_first else self._here.error + self.data.model_error**2)
         off = self.unknowns - structure.mean
         whitened = structure.root @ off
         prior = structure.root.T @ (structure.root / (1.0 + whitened**2 / structure.freedom)[:, np.newaxis])
-        return scale * self._matrix + prior, scale * self._gradient + prior @ off
-
-    def _penalty(self, unknowns: Array) -> float:
-        whitened = self.structure.root @ (unknowns - self.structure.mean)
-        return float(self.structure.freedom @ np.log1p(whitened**2 / self.structure.freedom))
+        return scale * matrix + prior, scale * gradient + prior @ off
 
 
 def _of_channel(values: Array, channel: int, dimensions: int) -> Array:
     """Return values in one channel; an array with one dimension less is equal in all channels."""
     return values if values.ndim < dimensions else values[channel]
-
-
-def _sum_of(layers: Sequence[Linearized]) -> Array:
-    """Return the sum of the values (3, N) of layers."""
-    total = layers[0].values
-    for layer in layers[1:]:
-        total = total + layer.values
-    return total
 
 
 _TRIAL_STEPS = (5,)
