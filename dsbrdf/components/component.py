@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.description import Description, renderer_layers
-from dsbrdf.components.layer_data import data_points, grid_values
+from dsbrdf.components.layer_data import data_points
 from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
 from dsbrdf.components.points import NORMAL, LightRule, Points, grid_points
 from dsbrdf.components.shares import LABELS, ComponentRanges, Range, WeightedLayers
@@ -240,12 +240,13 @@ class Decomposition:
         """Return the values of all components at the n nodes of a quadrature [1/sr], (components, 3, n)."""
         return self._split(self.model.evaluate_unmasked(*rule.angles).T, rule.points)
 
-    def own_values(self, reflected: Sequence[Array]) -> tuple[OwnValues, ...]:
+    def own_values(self, on_grid: Array, reflected: Sequence[Array]) -> tuple[OwnValues, ...]:
         """Return for each component the values to which layers are fitted.
 
-        `reflected` has the albedos of `LABELS` at each angle of `light_rules`.
+        `on_grid` has the values of the model at the points of `data_points`, (3, N), and `reflected` the albedos of
+        `LABELS` at each angle of `light_rules`.
         """
-        grids = self._split(grid_values(self.model.evaluate_unmasked), data_points())
+        grids = self._split(on_grid, data_points())
         profiles = self.split_unmasked(*PROFILE).transpose(0, 2, 1)
         albedos = np.stack([self._received(light) for light in reflected], axis=1)
         return tuple(OwnValues(*own) for own in zip(grids, profiles, albedos, strict=True))

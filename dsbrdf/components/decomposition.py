@@ -80,38 +80,42 @@ def decompose(model: DSBRDF | Fitted) -> Decomposition:
 @lru_cache(maxsize=32)
 @one_blas_thread
 def _decompose(model: DSBRDF) -> Decomposition:
-    data = material_data(grid_values(model.evaluate_unmasked))
+    on_grid = grid_values(model.evaluate_unmasked)
+    data = material_data(on_grid)
     if data is None:
         return Decomposition(model, (), (), (), (), (0.0, 0.0), ())
     found = fit_structures(data, (*STRUCTURES, *RARE_STRUCTURES), quick=True)
-    drawn = DrawnLayers.of(model, found)
-    reflected = [_reflected(model, drawn.fitted, rule) for rule in light_rules()]
+    at_rules = [model.evaluate_unmasked(*rule.angles).T for rule in light_rules()]
+    drawn = DrawnLayers.of(at_rules[0], found)
+    reflected = [_reflected(*pair, drawn.fitted) for pair in zip(at_rules, light_rules(), strict=True)]
     light = np.max([one.sum(axis=1) / max(float(one.sum()), 1e-300) for one in reflected], axis=0)
     shares = dict(zip(LABELS, light.tolist(), strict=True))
     labels = tuple(label for label in LABELS if _is_there(label, shares[label], drawn.fitted))
     # If no component reflects enough light, the last layer of the best structure gives the label of a single component.
-    split = _described(model, drawn, labels or (drawn.fitted[0].labels[-1],), reflected)
+    split = _described(model, drawn, labels or (drawn.fitted[0].labels[-1],), on_grid, reflected)
     if _are_one_highlight(split.descriptions[: -1 if LABELS[2] in split.labels else None]):
-        split = _described(model, drawn, split.labels[1:], reflected)
+        split = _described(model, drawn, split.labels[1:], on_grid, reflected)
     return _labelled_by_width(split)
 
 
-def _described(model: DSBRDF, drawn: DrawnLayers, labels: tuple[str, ...], reflected: Sequence[Array]) -> Decomposition:
+def _described(
+    model: DSBRDF, drawn: DrawnLayers, labels: tuple[str, ...], on_grid: Array, reflected: Sequence[Array]
+) -> Decomposition:
     """Divide a model among components with labels, and describe each component."""
     diffuse_range, structures = drawn.light_range(LABELS[2:]), tuple(drawn.fitted)
     split = Decomposition(model, structures, labels, (), (), diffuse_range, drawn.alternatives)
+    ranges = tuple(drawn.ranges(split.received(label)) for label in labels)
     descriptions = (
         describe(
             own,
-            drawn.surface_spread(split.received(label)),
+            drawn.surface_spread(split.received(label), own_ranges),
             is_diffuse=label == LABELS[2],
             has_retro=any(RetroLayer in one.kinds_of(label) for one in drawn.fitted),
             has_ground=LABELS[2] not in labels,
         )
-        for label, own in zip(labels, split.own_values(reflected), strict=True)
+        for label, own, own_ranges in zip(labels, split.own_values(on_grid, reflected), ranges, strict=True)
     )
-    ranges = (drawn.ranges(split.received(label)) for label in labels)
-    return replace(split, ranges=tuple(ranges), descriptions=tuple(descriptions))
+    return replace(split, ranges=ranges, descriptions=tuple(descriptions))
 
 
 def _are_one_highlight(highlights: Sequence[Description]) -> bool:
@@ -139,8 +143,7 @@ def _is_there(label: str, share: float, structures: Sequence[WeightedLayers]) ->
     return probability > 0.0 and share > least
 
 
-def _reflected(model: DSBRDF, structures: Sequence[WeightedLayers], rule: LightRule) -> Array:
-    """Return the directional albedo of each label at the angle of a quadrature, (labels, channels)."""
-    values = model.evaluate_unmasked(*rule.angles).T
+def _reflected(values: Array, rule: LightRule, structures: Sequence[WeightedLayers]) -> Array:
+    """Return the albedo (labels, channels) that each label has of values (3, n) at the nodes of a quadrature."""
     parts = np.sum([one.weight * one.split(values, rule.points) for one in structures], axis=0)
     return np.asarray(parts @ rule.weight)

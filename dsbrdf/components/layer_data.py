@@ -93,7 +93,7 @@ class LayerData:
         scale = 1.0 / max(float(np.linalg.norm(weighted)), 1e-300)
         return replace(
             self,
-            points=Points(*(quantity[..., ::step] for quantity in self.points)),
+            points=Points(*(np.ascontiguousarray(quantity[..., ::step]) for quantity in self.points)),
             root_weight=scale * root,
             weighted=scale * weighted,
             sums=None if self.sums is None else step / scale * self.sums[:, :, ::step],
@@ -102,7 +102,7 @@ class LayerData:
     def squared_error(self, values: Array) -> float:
         """Return the weighted squared error of layers with the values (3, N), relative to the data."""
         residual = values * self.root_weight - self.weighted
-        error = float(np.sum(residual**2))
+        error = float(np.vdot(residual, residual))
         return error if self.sums is None else error + float(np.sum((self.sums @ residual[..., np.newaxis]) ** 2))
 
 

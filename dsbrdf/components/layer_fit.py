@@ -180,7 +180,7 @@ class Descent:
         return self.data.n_samples * scaled + place.penalty
 
     def _linearized(self) -> tuple[Array, Array]:
-        """Return half of the Gauss-Newton matrix and half of the gradient of the squared error, summed over channels."""
+        """Return half of the Gauss-Newton matrix and half of the gradient of the squared error."""
         size = self.unknowns.size
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         layers, total = self._here.layers, self._here.total
@@ -225,6 +225,7 @@ def _of_channel(values: Array, channel: int, dimensions: int) -> Array:
 _TRIAL_STEPS = (5,)
 _QUICK_TRIAL_STEPS = (1, 1, 3)  # After each stage of a quick trial, the worse half of the starts is dropped.
 _TURN_TRIAL_STEPS = 3  # These trials start from the end of a trial without turning colours.
+_MAX_UNTURNED_COST_LEAD = 150.0  # Without turning colours, the cost may exceed the lowest cost by at most this.
 _QUICK_TRIAL_STRIDE = 2  # Trials of a complete material use every second pair of directions.
 _MAX_FIRST_STEPS = 10
 _MAX_STEPS = 60
@@ -283,12 +284,15 @@ def _trials(data: LayerData, structures: Sequence[LayerStructure], *, quick: boo
     """Take a few steps of the fit of every structure; return the fits so far, the most promising first."""
     if quick:
         data = data.thinned(_QUICK_TRIAL_STRIDE)
+    unit = data.n_samples / N_SAMPLES
     trials: dict[str, Descent] = {}
     for structure in structures:
         parent = trials.get(structure.parent or "")
         if parent is not None and structure.turns:
-            trials[structure.name] = Descent(data, structure, structure.turned(parent.unknowns), is_first=False)
-            trials[structure.name].run(_TURN_TRIAL_STEPS)
+            best = min(trial.prospect for trial in trials.values())
+            if parent.prospect < best + _MAX_UNTURNED_COST_LEAD * unit:
+                trials[structure.name] = Descent(data, structure, structure.turned(parent.unknowns), is_first=False)
+                trials[structure.name].run(_TURN_TRIAL_STEPS)
         elif started := structure if parent is None else structure.started_from(parent.model):
             trials[structure.name] = _best_trial(data, started, _QUICK_TRIAL_STEPS if quick else _TRIAL_STEPS)
     return sorted(trials.values(), key=lambda trial: trial.prospect)

@@ -135,7 +135,7 @@ class SpecularLayer:
         own = np.exp(unknowns[:3])[:, np.newaxis] * (shape * (1.0 - points.fresnel))
         grazing = np.exp(unknowns[3]) * shape * points.fresnel
         return Linearized(
-            own + grazing, own, lambda: np.stack([*points.rise, *surface.derivatives(masking), points.passed]), grazing
+            own + grazing, own, lambda: np.array([*points.rise, *surface.derivatives(masking), points.passed]), grazing
         )
 
 
@@ -180,14 +180,13 @@ class _Surface:
     """Evaluate the logarithm of D V, the distribution times the masking of a specular layer, and its derivatives."""
 
     def __init__(self, points: Points, alpha: float, tail_exponent: float) -> None:
-        self._points, self._alpha, self._exponent = points, alpha, tail_exponent
+        self._points, self._exponent = points, tail_exponent
         self._square = square = alpha**2
-        self._seen_in, self._seen_out = (
-            np.sqrt(square + (1.0 - square) * cosine**2) for cosine in (points.cos_in, points.cos_out)
-        )
-        self._together = points.cos_out * self._seen_in + points.cos_in * self._seen_out
-        self._apart = (points.cos_in + self._seen_in) * (points.cos_out + self._seen_out)
-        self._by_masking = np.log(2.0 * self._together / self._apart)
+        self._seen = np.sqrt(1.0 - (1.0 - square) * points.squared_sines)
+        (cos_in, cos_out), (seen_in, seen_out) = points.cosines, self._seen
+        self._together = cos_out * seen_in + cos_in * seen_out
+        self._apart = points.cosines + self._seen
+        self._by_masking = np.log(2.0 * self._together / (self._apart[0] * self._apart[1]))
         self._norm, self._norm_slope = tail_norm(tail_exponent)
         self._slope = points.squared_tangent / (self._norm * square)
         self._tail = np.log1p(self._slope)
@@ -200,10 +199,9 @@ class _Surface:
     def derivatives(self, masking: float) -> tuple[Array, Array, Array]:
         """Return the derivatives of `log_shape` in log alpha, in log tau and in the exponent of the masking."""
         points, pulled = self._points, self._exponent * self._slope / (1.0 + self._slope)
-        by_in = self._square * (1.0 - points.cos_in**2) / self._seen_in
-        by_out = self._square * (1.0 - points.cos_out**2) / self._seen_out
-        together = -(points.cos_out * by_in + points.cos_in * by_out) / self._together
-        apart = -by_in / (points.cos_in + self._seen_in) - by_out / (points.cos_out + self._seen_out)
+        (cos_in, cos_out), by_seen = points.cosines, self._square * points.squared_sines / self._seen
+        together = -(cos_out * by_seen[0] + cos_in * by_seen[1]) / self._together
+        apart = -(by_seen / self._apart).sum(axis=0)
         by_alpha = 2.0 * (pulled - 1.0) + together + masking * (apart - together)
         return by_alpha, self._exponent * (self._norm_slope / self._norm * pulled - self._tail), self._by_masking
 

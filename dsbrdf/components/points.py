@@ -32,8 +32,8 @@ class Points(NamedTuple):
 
     squared_tangent: Array  # tan(theta_half)**2
     log_squared_secant: Array
-    cos_in: Array
-    cos_out: Array
+    cosines: Array  # cosines of omega_in and of omega_out to the normal, (2, N)
+    squared_sines: Array  # 1 - cosines**2, (2, N)
     fresnel: Array  # reflectance of glass at theta_diff, from 0 (normal) to 1 (grazing)
     passed: Array  # logarithm of the fraction of light that passes a clear coat both ways
     rise: Array  # u = 1 - cos(theta_diff), and u**2
@@ -46,7 +46,7 @@ class Points(NamedTuple):
         """Compute the quantities that layers need at angles (N,) [rad]."""
         cos_half, sin_half, cos_diff = np.cos(theta_half), np.sin(theta_half), np.cos(theta_diff)
         level, swing = cos_diff * cos_half, np.sin(theta_diff) * sin_half * np.cos(phi_diff)
-        cos_in, cos_out = np.maximum(level - swing, MIN_COSINE), np.maximum(level + swing, MIN_COSINE)
+        cos_in, cos_out = cosines = np.maximum(np.stack([level - swing, level + swing]), MIN_COSINE)
         squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, MAX_TAN2)
         rise = 1.0 - np.maximum(cos_diff, 0.0)
         to_in, to_out, fresnel = map(fresnel_rise, (cos_in, cos_out, 1.0 - rise))
@@ -64,8 +64,8 @@ class Points(NamedTuple):
         return cls(
             squared_tangent=squared_tangent,
             log_squared_secant=np.log1p(squared_tangent),
-            cos_in=cos_in,
-            cos_out=cos_out,
+            cosines=cosines,
+            squared_sines=1.0 - cosines**2,
             fresnel=fresnel,
             passed=passed + 2.0 * np.log(1.0 - COAT_F0),
             rise=np.stack([rise, rise**2]),

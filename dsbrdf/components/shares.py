@@ -22,7 +22,6 @@ from dsbrdf.arrays import Array
 from dsbrdf.components.layer_fit import FittedStructure, structure_weights
 from dsbrdf.components.layers import GRAZING_ANGLE, Layer, LayeredModel, SpecularLayer
 from dsbrdf.components.points import NORMAL, Points
-from dsbrdf.model.reflectance import ReflectanceModel
 
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
 """Labels of the components, from narrow to wide."""
@@ -197,10 +196,12 @@ class DrawnLayers(NamedTuple):
     values: Array
 
     @classmethod
-    def of(cls, model: ReflectanceModel, found: Sequence[FittedStructure]) -> "DrawnLayers":
-        """Draw layers from structures fitted to a model, the best structure first; improbable ones are left out."""
+    def of(cls, values: Array, found: Sequence[FittedStructure]) -> "DrawnLayers":
+        """Draw layers from fitted structures, the best structure first; improbable ones are left out.
+
+        `values` (3, n) are the ones of the model at the nodes of `NORMAL`.
+        """
         generator = np.random.default_rng(7)
-        values = model.evaluate_unmasked(*NORMAL.angles).T
         found = [one for one in found if not _misses_highlight(one, values)] or found
         usual = _probable([one for one in found if not one.structure.only_in_ranges])
         fitted = [
@@ -229,15 +230,17 @@ class DrawnLayers(NamedTuple):
         albedo, doubtful = self._albedo(labels), self._doubtful(labels)
         there = albedo.sum(axis=1) > 0.0
         color = albedo[there] / albedo[there].max(axis=1, keepdims=True)
-        of_albedo = _channels(albedo, self.weight, doubtful)
-        return ComponentRanges(self.light_range(labels), of_albedo, _channels(color, self.weight[there], np.zeros(3)))
+        of_light = self._light_range(albedo, doubtful)
+        of_color = _channels(color, self.weight[there], np.zeros(3))
+        return ComponentRanges(of_light, _channels(albedo, self.weight, doubtful), of_color)
 
     def light_range(self, labels: Sequence[str]) -> Range:
-        """Return the range of a component's fraction of the light at normal incidence."""
+        """Return the range of the fraction of the light at normal incidence that layers with some labels reflect."""
+        return self._light_range(self._albedo(labels), self._doubtful(labels))
+
+    def _light_range(self, albedo: Array, doubtful: Array) -> Range:
         every = self.albedos.sum(axis=(1, 2))
-        low, high = _range(
-            self._albedo(labels).sum(axis=1) / every, self.weight, self._doubtful(labels).sum() / every[0]
-        )
+        low, high = _range(albedo.sum(axis=1) / every, self.weight, float(doubtful.sum() / every[0]))
         return low, min(high, 1.0)
 
     def _albedo(self, labels: Sequence[str]) -> Array:
@@ -249,11 +252,12 @@ class DrawnLayers(NamedTuple):
         each = [one.weight * one.doubtful(self.values, NORMAL.points, labels) for one in self.fitted]
         return np.asarray(np.sum(each, axis=0) @ NORMAL.weight)
 
-    def surface_spread(self, labels: Sequence[str]) -> SurfaceSpread:
+    def surface_spread(self, labels: Sequence[str], ranges: ComponentRanges) -> SurfaceSpread:
         """Return the standard deviations of the logarithms of roughness, F0 and F70 over all draws.
 
-        The roughness is the one of the brightest surface; F0 and F70 are summed over all surfaces. They are at least as
-        uncertain as the light of the component, and F0 is uncertain by both, because it depends on the peak alone.
+        `ranges` belong to the component. The roughness is the one of the brightest surface; F0 and F70 are summed over
+        all surfaces. They are at least as uncertain as the light of the component, and F0 is uncertain by both, because
+        it depends on the peak alone.
         """
         own = [
             [layer for layer, found in zip(one.model.layers, one.labels, strict=True) if found in labels]
@@ -272,7 +276,7 @@ class DrawnLayers(NamedTuple):
         variance = np.average((logs - np.average(logs, axis=0, weights=weight)) ** 2, axis=0, weights=weight)
         spread = np.sqrt(variance)
         light = np.maximum(np.average(self._albedo(labels), axis=0, weights=self.weight), 1e-300)
-        most = np.maximum(np.array(self.ranges(labels).albedo)[:, 1], light)
+        most = np.maximum(np.array(ranges.albedo)[:, 1], light)
         doubt = np.log(most / light) / RANGE_HALF_WIDTH_SIGMAS
         return SurfaceSpread(float(spread[0]), np.hypot(spread[1:4], doubt), np.maximum(spread[4:], doubt))
 

@@ -107,7 +107,7 @@ def test_a_coat_stays_white_over_a_lobe_that_no_layer_describes() -> None:
     class Coated(Rings):
         def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
             angles, points = (theta_half, theta_diff, phi_diff), Points.at(theta_half, theta_diff, phi_diff)
-            path = 1.0 / points.cos_in + 1.0 / points.cos_out
+            path = np.sum(1.0 / points.cosines, axis=0)
             film = np.exp(-path[:, np.newaxis] * (0.02, 0.4, 0.5))
             return np.asarray(
                 coat.linearize(points, coat.unknowns).values.T + film * LayeredModel((gold,)).evaluate_unmasked(*angles)
