@@ -287,8 +287,11 @@ def constants_in(line: str) -> dict[str, float]:
 
 def name_and_unit(cell: str) -> tuple[str, str]:
     """Return the name in a cell in lower case, Greek letters as words, and the unit after it, if any."""
-    if len(cell) > _MAX_NAME_LENGTH:
-        return cell, ""
+    return _name_and_unit(cell) if len(cell) <= _MAX_NAME_LENGTH else (cell, "")
+
+
+@lru_cache(maxsize=1024)  # The search for the column names asks for each cell about ten times.
+def _name_and_unit(cell: str) -> tuple[str, str]:
     text, unit = unicodedata.normalize("NFKC", cell).strip(), ""
     text = re.sub(r"(?<=[a-z])(?=[A-Z])(?![BV]\b)", "_", text).lower()  # dB and eV are units.
     for letter, word in _GREEK.items():
