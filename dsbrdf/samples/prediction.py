@@ -26,6 +26,7 @@ of layers that explain the samples equally well.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 
@@ -359,13 +360,13 @@ def _eigen(places: Array, root: Array) -> tuple[Array, Array]:
 
 def _most_probable(x: Array, root: Array, logs: Array) -> tuple[Array, float]:
     """Return the most probable length scales of the kernel, and the most probable ratio of noise to variance."""
-    best, reach, noise = -np.inf, _KERNEL_REACH, _NOISE_RATIOS[-1]
+    found: list[tuple[float, Array, float]] = []
     for scale in _REACH_SCALES:
-        values, vectors = _eigen(x / (scale * _KERNEL_REACH), root)
+        reach = scale * _KERNEL_REACH
+        values, vectors = _eigen(x / reach, root)
         along = (vectors.T @ logs) ** 2
-        for tried in _NOISE_RATIOS:
-            variance = np.mean(along / (values + tried)[:, np.newaxis]) + 1e-12
-            probability = -np.log(variance) * root.size - np.sum(np.log(values + tried))
-            if probability > best:
-                best, reach, noise = float(probability), scale * _KERNEL_REACH, tried
-    return reach, noise
+        for noise in _NOISE_RATIOS:
+            variance = np.mean(along / (values + noise)[:, np.newaxis]) + 1e-12
+            probability = -np.log(variance) * root.size - np.sum(np.log(values + noise))
+            found.append((float(probability), reach, noise))
+    return max(found, key=itemgetter(0))[1:]

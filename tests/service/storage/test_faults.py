@@ -129,6 +129,13 @@ def test_full_disk_keeps_a_file_that_another_key_has(store: Store, monkeypatch: 
     assert not store.blobs.path(sha256).exists()
 
 
+def test_space_is_enough_if_it_is_what_the_settings_ask_for(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=256 << 20))
+    store.check_space(256)
+    with pytest.raises(RuntimeError, match=r"^only 256 MB are free; the service needs 257 MB$"):
+        store.check_space(257)
+
+
 @contextmanager
 def read_only(folder: Path) -> Iterator[None]:
     """Let nothing be written in a folder, also by the superuser, who is somebody else for this time."""
