@@ -1,4 +1,7 @@
-"""The documentation cannot drift: every block of README and pages is run, every name they promise exists."""
+"""The documentation cannot drift: every block of README and pages is run, every name they promise exists.
+
+The cells of its notebooks are run where it is built, by ``make docs``.
+"""
 
 import os
 import re
@@ -21,14 +24,16 @@ import pytest
 from PIL import Image
 
 import dsbrdf
+from dsbrdf.cli import compare_command
 from dsbrdf.cli import main as cli
 from dsbrdf.data.rgl import RglMaterial, read_rgl
 from dsbrdf.fitting import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
+from dsbrdf.output.sphere_panels import compare_spheres
 from dsbrdf_service.settings import Settings
 from examples.demo import address_when_ready, stop
-from tests.support.command_line import FEW_LOBES, Capture
+from tests.support.command_line import FEW_LOBES
 from tests.support.commands import run_main
 from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.soak import SOAK
@@ -181,21 +186,6 @@ def test_the_python_quick_start(python_quick_start: dict[str, Any], folder: Path
     assert dsbrdf.read_merl(folder / "paint-model.binary").valid.any()
 
 
-@pytest.mark.usefixtures("read_once")
-@pytest.mark.parametrize(
-    ("page", "printed", "times"), [("tutorial.md", "the components add up: True", 1), ("choices.md", r"dB +\d", 8)]
-)
-def test_cells_of_notebooks_run(
-    page: str, printed: str, times: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    for number, (language, text) in enumerate(blocks_of(PAGES[page])):
-        if language == "{code-cell}":
-            exec(compile(re.sub("^:tags:.*", "", text), f"cell {number} of {page}", "exec"), names)
-    assert len(re.findall(printed, capsys.readouterr().out)) == times
-
-
 @pytest.mark.usefixtures("python_quick_start")
 def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lines = [
@@ -208,6 +198,9 @@ def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch:
     # The fit of a MaterialX surface has tests of its own.
     surface = materialx.FoundSurface(OpenPBR((0.5, 0.5, 0.5)), {"three_lights": 30.0}, {"highlight": 25.0})
     monkeypatch.setattr(materialx, "fit_openpbr", lambda *_: surface)
+    monkeypatch.setattr(
+        compare_command, "compare_spheres", lambda *shown, **options: compare_spheres(*shown, **options | {"size": 64})
+    )
     monkeypatch.chdir(tmp_path)
     shown = [run_main(cli.main, *words_of(line)) for line in lines]
     assert [answer.returncode for answer in shown] == [0] * len(lines)

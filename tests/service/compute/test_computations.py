@@ -136,7 +136,7 @@ async def test_unread_answers_wait_in_files_and_hold_up_no_other(running: Applic
 async def test_what_is_asked_for_together_is_not_mixed_up(running: Application, key: str) -> None:
     spheres = [SPHERE, SPHERE.replace("16", "17"), f"{SPHERE}&component=diffuse", f"{SPHERE}&lighting=environment"]
     shaders = [
-        f"{FIT_PATH}/export?format=glsl{more}" for more in ("", "&component=diffuse", "&name=paint", "&sampling=true")
+        f"{FIT_PATH}/export?format=glsl{more}" for more in ("", "&component=diffuse", "&name=paint", "&name=cloth")
     ]
     asked = [running.ask(target, key) for target in (*spheres, *shaders, EXPORT, f"{EXPORT}&component=diffuse")]
     answers = [await one.end() for one in asked]
