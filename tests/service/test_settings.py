@@ -56,16 +56,14 @@ def test_number_with_too_many_digits_is_refused_for_each_setting() -> None:
 def test_address_is_told_at_a_terminal(tmp_path: Path) -> None:
     leader, follower = pty.openpty()
     run = [sys.executable, "-m", "dsbrdf.cli.main", "serve", "--port", "0", "--data-dir", str(tmp_path / "data")]
-    with subprocess.Popen(run, stdout=follower, stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen(run, stdout=follower, stderr=subprocess.DEVNULL) as process, os.fdopen(leader) as told:
         try:
             os.close(follower)
-            told = os.read(leader, 200).decode()
-            address = re.search(r"dsbrdf serves at (http://127\.0\.0\.1:\d+); Ctrl-C stops it\.", told)
+            address = re.search(r"dsbrdf serves at (http://127\.0\.0\.1:\d+); Ctrl-C stops it\.", told.readline())
             assert address
             assert httpx.get(f"{address[1]}/health/live").status_code == 200
         finally:
             process.terminate()
-            os.close(leader)
     assert process.returncode == 0
 
 
