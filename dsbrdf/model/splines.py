@@ -69,7 +69,7 @@ def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Ar
 
 def roughness(n_values: int) -> Array:
     """Return the matrix (D, D) of the quadratic form that sums squared second differences of D control values."""
-    second = np.diff(np.eye(n_values), 2, axis=0) if n_values > 2 else np.zeros((0, n_values))
+    second = np.diff(np.eye(n_values), 2, axis=0)
     return np.asarray(second.T @ second)
 
 
