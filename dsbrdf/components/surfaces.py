@@ -3,6 +3,7 @@
 A parameter with too large a misfit is None. The 90 % range of a parameter combines several errors of its logarithm as
 independent: the spread over probable structures of layers, the light that may belong to another component, the
 uncertainty of the fit, the error of the fitted layers, and the misfit, which counts as an error with 90 % probability.
+Where two surfaces describe a component, some light of each may belong to the other.
 """
 
 from collections.abc import Sequence
@@ -187,12 +188,11 @@ def surfaces_of(
         float(np.log1p(off)) / RANGE_HALF_WIDTH_SIGMAS
         for off in (misfit.half_width or 0.0, max(misfit.albedo, misfit.color))
     )
-    of_fit = MODEL_ERROR**2 + best.error**2
-    variances = (
-        None if misfit.withholds_roughness else MODEL_ERROR**2 + spread.alpha**2 + of_width**2,
-        None if misfit.withholds_reflectance else of_fit + spread.f0**2 + of_light**2 + of_peak**2,
-        of_fit + spread.f70**2 + of_light_at_70**2,
-    )
+    # A surface's reflectance is its peak times the square of its width, so it misses twice what its width misses.
+    of_fit = MODEL_ERROR**2 + (2.0 * best.error) ** 2 + (2.0 * of_width) ** 2
+    of_alpha = MODEL_ERROR**2 + spread.alpha**2 + of_width**2
+    of_f0 = of_fit + of_light**2 + spread.f0**2 + of_peak**2
+    of_f70 = of_fit + of_light**2 + spread.f70**2 + of_light_at_70**2
     covariance = 2.0 * np.linalg.inv(best.normal_equations)
     unknowns = np.arange(best.unknowns.size)
     layers = [
@@ -206,28 +206,42 @@ def surfaces_of(
     for group in groups:
         places = np.concatenate([own_places for _, own_places in group])
         together = [layer for layer, _ in group]
-        surface = _surface(together, covariance[places[:, np.newaxis], places], *variances)
+        shared = [_variance_of_shared_light(together[0], other) for other, _ in layers if other not in together]
+        ratio, light = np.sum([(0.0, 0.0), *shared], axis=0).tolist()
+        variances = of_alpha + ratio, of_f0 + light, of_f70 + light
+        surface = _surface(together, covariance[places[:, np.newaxis], places], *variances, misfit)
         found.append((sum(sum(layer.f0) for layer in together), surface))
     return tuple(surface for _, surface in sorted(found, key=lambda pair: -pair[0]))
 
 
+def _variance_of_shared_light(surface: SpecularLayer, other: SpecularLayer) -> tuple[float, float]:
+    """Return variances of log alpha and log F0 of a surface, because light of another surface may belong to it.
+
+    The doubtful fraction of the other's light is the overlap of both distributions of slopes, 1 for an equal roughness.
+    """
+    ratio = other.alpha / surface.alpha
+    doubtful = (2.0 * ratio / (1.0 + ratio**2)) ** 2 * sum(other.f0) / sum(surface.f0)
+    alpha, light = (np.array([np.log(ratio) * doubtful / (1.0 + doubtful), np.log1p(doubtful)]) ** 2).tolist()
+    return alpha / RANGE_HALF_WIDTH_SIGMAS**2, light / RANGE_HALF_WIDTH_SIGMAS**2
+
+
 def _surface(
-    layers: Sequence[SpecularLayer], covariance: Array, of_alpha: float | None, of_f0: Array | None, of_f70: Array
+    layers: Sequence[SpecularLayer], covariance: Array, of_alpha: float, of_f0: Array, of_f70: Array, misfit: Misfit
 ) -> Surface:
     """State some layers as one surface.
 
-    `covariance` belongs to the layers' unknowns. The other arguments are further variances of the logarithms of alpha,
-    F0 and F70; None withholds a parameter.
+    `covariance` belongs to the layers' unknowns. The next arguments are further variances of the logarithms of alpha,
+    F0 and F70; a large misfit withholds parameters.
     """
     alpha = alpha_range = tail_exponent = f0 = f0_range = f70 = f70_range = None
     f0_sum, variance = _reflectance(layers, covariance, 0.0)
-    if of_alpha is not None:
+    if not misfit.withholds_roughness:
         weight = np.array([np.mean(layer.f0 / f0_sum) for layer in layers])
         alpha = float(np.exp(weight @ np.log([layer.alpha for layer in layers]) / weight.sum()))
         tail_exponent = layers[int(weight.argmax())].tail_exponent
         places = 6 + layers[0].unknowns.size * np.arange(len(layers))
         alpha_range = _around(alpha, float(weight @ covariance[np.ix_(places, places)] @ weight) + of_alpha)
-    if of_f0 is not None:
+    if not misfit.withholds_reflectance:
         f0, f0_range = _stated(f0_sum, variance + of_f0)
         masking = np.array([_masking_ratio(layer) for layer in layers])
         f70_sum, variance = _reflectance(layers, covariance, GRAZING_ANGLE, masking)

@@ -129,8 +129,7 @@ LOOK_DIFFUSE = {
 def test_it_is_said_that_nobody_can_part_very_rough_surfaces_and_diffuse_layers(name: str) -> None:
     material = LOOK_DIFFUSE[name]()
     found = judged(decomposed(material), Truth.of(material))
-    low, high = found.range
-    assert low - 0.02 < found.true_share < high + 0.02
+    assert found.inside
     assert found.is_warned or found.moved.mean() < 0.01
 
 
