@@ -250,6 +250,10 @@ WRONG = [
         f"{WORDS[1].replace(',', ', ')[:60]}: name them by their positions with the option columns, as MEANING=",
     ),
     (
+        "\n".join(["felt BRDF today", *WORDS[1:]]).encode(),
+        "has no line that names its columns; its rows have 7 numbers",
+    ),
+    (
         b"AOI=30\n;0;90;180\n" + b"10;0.1;0.2;0.3\n" * 60,
         "The table looks like a matrix, but its first cell is empty: write the names of the angles down and across",
     ),
