@@ -9,7 +9,7 @@ import pytest
 
 import dsbrdf
 from dsbrdf.arrays import Array
-from dsbrdf.components import LABELS, Component, DiffuseLayer, Layer, LayeredModel, SpecularLayer
+from dsbrdf.components import LABELS, Component, DiffuseLayer, Layer, LayeredModel, SpecularLayer, TurningLayer
 from dsbrdf.components.description import Description
 from dsbrdf.components.points import Points
 from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, Misfit, Surface
@@ -63,6 +63,15 @@ def test_surfaces_of_nearly_one_roughness_are_stated_as_one() -> None:
     assert found.f0_range is not None
     for (low, high), true in zip(found.f0_range, (0.62, 0.62, 0.52), strict=True):
         assert low < true < high
+
+
+def test_the_range_of_alpha_contains_the_truth_where_two_surfaces_describe_one() -> None:
+    for alpha in (0.1, 0.2):
+        turn = (1.0, 0.0, -1.0), (0.0, 0.0, 0.0)
+        parts = decomposed(TurningLayer((0.7, 0.6, 0.5), 0.95, alpha, 2.0, (0.0, 0.0), 0.5, 0.0, turn))
+        ((first, _),) = (part.surfaces for part in parts)
+        assert first.alpha_range is not None
+        assert first.alpha_range[0] < alpha < first.alpha_range[1]
 
 
 class Rings(ReflectanceModel):
