@@ -245,6 +245,17 @@ async def test_fit_requested_while_the_service_stops_is_left_to_its_next_start(p
     assert place.store.fit(key).status == "accepted"
 
 
+async def test_fit_whose_process_is_lost_while_the_service_stops_is_left_to_its_next_start(place: Race) -> None:
+    place.engine.outcomes += [LOST]
+    tasks = asyncio.all_tasks()
+    key = await place.submit()
+    await place.until_it_runs()
+    place.queue.release_waiters()
+    place.engine.go_on()
+    await until(lambda: asyncio.all_tasks() == tasks)
+    assert (place.store.fit(key).status, place.engine.begun) == ("running", [key.id])
+
+
 async def test_requests_that_have_waited_make_room(place: Race) -> None:
     key = await place.submit()
     for _ in range(Settings().limit_concurrency):
