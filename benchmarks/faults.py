@@ -48,7 +48,11 @@ FURTHER_TESTS = {
     "access": ["tests/service/test_owners.py", "tests/service/http/test_limits.py"],
     "queue": ["tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
     "fitting": ["tests/library/test_result.py"],
-    "storage": ["tests/service/api/test_materials.py", "tests/service/api/test_other_uploads.py"],
+    "storage": [
+        "tests/service/api/test_materials.py",
+        "tests/service/api/test_other_uploads.py",
+        "tests/service/admin/test_commands.py",
+    ],
     "model": ["tests/library/output/test_comparison.py"],
 }
 MAX_TEST_SECONDS = 200.0  # A fault that survives the quickest tests of this time counts as not noticed.
