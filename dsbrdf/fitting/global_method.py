@@ -19,9 +19,10 @@ from dsbrdf.data.geometry import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF, abov
 from dsbrdf.data.reduction import DARK_VALUE_FRACTION, OUTLIER, SAMPLES_IN_BIN, TINY, Profiles, bin_weights
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.fit_data import FitData
-from dsbrdf.fitting.least_squares import COST_TOLERANCE, MixtureProblem, Solution, minimize
+from dsbrdf.fitting.least_squares import COST_TOLERANCE, Solution, minimize
 from dsbrdf.fitting.lobe_search import SearchData, Wanted, search
 from dsbrdf.fitting.mixture import KAPPA_BOUNDS, REACH_BOUNDS, Mixture, Structure, change_knots, mixture_model
+from dsbrdf.fitting.mixture_problem import MixtureProblem
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import FoundModel, KnotReport
 from dsbrdf.model.dsbrdf import DSBRDF

@@ -1,26 +1,13 @@
-"""Fit a mixture of lobes to all rows of theta_diff at once, by weighted least squares.
+"""Minimise a sum of squares within bounds by the method of Levenberg and Marquardt.
 
-The unknowns are the control values of every lobe's log amplitude in each channel, log kappa, log gamma and elongation,
-and of the center of ring lobes. Between knots, the parameters are the B-splines of `dsbrdf.model.splines`, which are
-linear in the unknowns x: ``parameters(row) = sum_d B[row, d] x[d]``. With the analytic derivatives J of a row's values
-in the row's parameters, the weights W and the residual r of the row,
-
-    normal equations  A = sum_row (B B^T) x (J^T W J) + smoothing,     gradient  g = sum_row B x (J^T W r).
-
-An amplitude affects only one channel, and a shape affects all three channels. Therefore the matrix of a row is computed
-from one small product of lobes and derivatives for each channel. The method is Levenberg-Marquardt with the damping
-update of Nielsen (1999, IMM-REP-1999-05) and bounds: an unknown at a bound is fixed if its step would cross the bound.
-
-A weak prior determines unknowns that no data determine: the cost of each squared second difference of control values is
-`SMOOTHING` times the weighted sum of the squared data. Shapes have the strongest prior, because shapes of a faint lobe
-would oscillate between knots.
+The damping is updated as by Nielsen (1999, IMM-REP-1999-05). An unknown at a bound is fixed if its step would cross the
+bound. SciPy's solvers need the whole Jacobian; the problems of this package compute only the normal equations, which
+are much smaller.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from scipy.linalg.blas import dsymv as symv
@@ -28,13 +15,7 @@ from scipy.linalg.lapack import dgesv as gesv
 from scipy.linalg.lapack import dpotrf, dtrtrs, spotrf, strtrs
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.fitting.fit_data import Block, FitData
-from dsbrdf.fitting.mixture import Structure
-from dsbrdf.model.lobes import LobeSlopes, lobe_curves, log_cosine
-from dsbrdf.model.splines import roughness
 
-SMOOTHING = (1e-8, 2e-7, 1e-7)
-"""Weights of squared second differences of log amplitudes, shapes and elongations, relative to the squared data."""
 COST_TOLERANCE = 1e-3
 """An iteration that lowers the cost by a smaller fraction counts as stalled; the fit ends after several of them."""
 MAX_UNKNOWN_STEP = 1.5
@@ -46,204 +27,39 @@ LIMIT_PASSES = 5
 MIN_UNKNOWN_CHANGE = 1e-9
 MAX_STALLED_ITERATIONS = 2
 """The fit ends after this number of stalled iterations in a row."""
+Precision = np.dtype[np.floating[Any]]
 
 
-class MixtureProblem:
-    """Compute the cost of a mixture on data with the prior `SMOOTHING`, and the derivatives of the cost.
+class Costed(Protocol):
+    """A point at which a problem was evaluated."""
 
-    `prior` has the costs of squared log kappa and of squared elongations, relative to the squared data.
-    """
+    @property
+    def unknowns(self) -> Array:
+        """The unknowns at this point."""
 
-    def __init__(
-        self,
-        data: FitData,
-        structure: Structure,
-        smoothing: tuple[float, float, float] = SMOOTHING,
-        prior: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
-        self.data, self.structure = data, structure
-        self.bases = structure.bases(data.theta_diff)
-        self._pairs = {
-            (i, j): (self.bases[i][:, :, None] * self.bases[j][:, None, :]).reshape(len(data.theta_diff), -1).T
-            for i in range(3)
-            for j in range(i + 1)
-        }
-        self._log_cos = log_cosine(data.theta_diff)[:, None, None]
-        self._pulls = [
-            data.signal * weight * roughness(basis.shape[1])
-            for basis, weight in zip(self.bases, smoothing, strict=True)
-        ]
-        k = structure.n_lobes
-        # Each unknown has a cost, `prior` times the squared data for log kappa and elongations, otherwise 0.
-        self._prior = np.zeros(structure.n_unknowns)
-        _, shape, elongation = structure.split(self._prior)
-        shape[:, :k], elongation[...] = (data.signal * weight for weight in prior)
-        # Entries of the normal matrix for amplitudes of two different channels stay 0; `linearize` writes all others.
-        self._matrix = np.zeros((structure.n_unknowns, structure.n_unknowns))
-        self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
-
-    def values(self, unknowns: Array) -> Array:
-        """Return the values of the mixture at the data [1/sr], (channels, rows, columns, bins)."""
-        parameters = self.structure.row_parameters(self.bases, unknowns)
-        along, across = self.data.squared_tangents
-        values = np.empty((len(parameters[0]), 3, along.shape[2]), along.dtype)
-        for rows in self.data.slices:
-            curves = self._lobes(parameters, rows, along[rows], across[rows])[0]
-            np.matmul(parameters[0][rows].astype(along.dtype), curves, out=values[rows])
-        return values.transpose(1, 0, 2).reshape(3, *self.data.cos2_phi.shape)
-
-    def curves(self, unknowns: Array) -> Array:
-        """Return values of the lobes, all with height 1, at the data, (rows, lobes, columns * bins)."""
-        parameters = self.structure.row_parameters(self.bases, unknowns)
-        return self._lobes(parameters, slice(None), *self.data.squared_tangents)[0]
-
-    def evaluate(self, unknowns: Array) -> "Evaluation":
-        """Return the cost, and the intermediate arrays from which `linearize` computes the cost's derivatives."""
-        parameters = self.structure.row_parameters(self.bases, unknowns)
-        smoothed = zip(self._pulls, self.structure.split(unknowns), strict=True)
-        # Half the gradient of the smoothing's part of the cost.
-        pull, parts = np.concatenate([(matrix @ part).ravel() for matrix, part in smoothed]), []
-        pull += self._prior * unknowns
-        cost = float(unknowns @ pull)
-        for block in self.data.blocks:
-            curves, kinds = self._lobes(parameters, block.rows, block.along, block.across)
-            residual = parameters[0][block.rows].astype(curves.dtype) @ curves
-            residual -= block.mean
-            cost += float(np.vdot(residual, residual * block.weight))
-            parts.append((block, curves, kinds, residual))
-        return Evaluation(unknowns, cost, parameters[0], parts, pull)
-
-    def linearize(self, at: "Evaluation") -> tuple[Array, Array]:
-        """Return the lower triangle of the Gauss-Newton matrix, and half the gradient of the cost.
-
-        The next call overwrites the matrix, whose memory is reused.
-        """
-        k, count = self.structure.n_lobes, self._lobe_of.size
-        products, columns_of_blocks, weighted_of_blocks = self._buffers
-        for block, curves, kinds, residual in at.parts:
-            # The columns are the derivatives of the values in the parameters of the lobes, then the residual.
-            shape = len(curves), count + 1, curves.shape[2]
-            columns = columns_of_blocks[: math.prod(shape)].reshape(shape)
-            weighted = weighted_of_blocks[: columns[:, :count].size].reshape(columns[:, :count].shape)
-            columns[:, :k] = curves
-            for place, values in (column for kind in kinds for column in self._slopes(block, kind)):
-                columns[:, place] = values
-            for channel in range(3):
-                columns[:, count] = residual[:, channel]
-                np.multiply(columns[:, :count], block.weight[:, channel, None], out=weighted)
-                np.matmul(weighted, columns.transpose(0, 2, 1), out=products[block.rows, channel])
-        matrix, gradient = self._assemble(products, at.amplitude[:, :, self._lobe_of])
-        self.structure.chain(at.unknowns, matrix, gradient)
-        for part, pull in zip(self.structure.parts, self._pulls, strict=True):
-            square = matrix[part, part].reshape(len(pull), -1, len(pull), (part.stop - part.start) // len(pull))
-            np.einsum("dpep->dep", square)[...] += pull[:, :, None]
-        np.einsum("nn->n", matrix)[...] += self._prior
-        return matrix, gradient + at.pull
-
-    @cached_property
-    def _buffers(self) -> tuple[Array, Array, Array]:
-        """Arrays that `linearize` reuses, so that they stay in a processor's cache.
-
-        The first array is for the products of M derivatives with each other and with the residual (rows, 3, M, M + 1).
-        The other arrays are for the columns of a block, and for these columns times the weights.
-        """
-        count, dtype = self._lobe_of.size, self.data.mean.dtype
-        size = max(block.along.size for block in self.data.blocks)
-        products = np.empty((len(self.data.theta_diff), 3, count, count + 1), dtype)
-        return products, np.empty(size * (count + 1), dtype), np.empty(size * count, dtype)
-
-    def _assemble(self, products: Array, scale: Array) -> tuple[Array, Array]:
-        """Return the matrix and the gradient in the control values, from products in the parameters of each row.
-
-        The products (rows, 3, M, M + 1) are the products of M derivatives with each other and with the residual. The
-        derivatives are of lobes with height 1, and `scale` (rows, 3, M) has the amplitudes of these lobes.
-        """
-        k, (first, *_), bases = self.structure.n_lobes, self.structure.parts, self.bases
-        q, matrix = 2 * k + self.structure.n_rings, self._matrix
-        own = self._spread(0, 0, products[:, :, :k, :k] * scale[:, :, :k, None] * scale[:, :, None, :k])
-        into = matrix[first, first].reshape(len(own), 3, k, len(own), 3, k)
-        for channel in range(3):
-            into[:, channel, :, :, channel] = own[:, :, channel].transpose(0, 2, 1, 3)
-        below = products[:, :, k:] * scale[:, :, k:, None]
-        mixed = np.empty((len(below), below.shape[2], 3 * k))
-        by_channel = mixed.reshape(*mixed.shape[:2], 3, k).transpose(0, 2, 1, 3)
-        np.multiply(below[..., :k], scale[:, :, None, :k], out=by_channel)
-        shared = below[:, 0, :, k:-1] * scale[:, 0, None, k:]
-        for channel in (1, 2):
-            shared += below[:, channel, :, k:-1] * scale[:, channel, None, k:]
-        for i, j, block in (
-            (1, 0, mixed[:, :q]),
-            (2, 0, mixed[:, q:]),
-            (1, 1, shared[:, :q, :q]),
-            (2, 1, shared[:, q:, :q]),
-            (2, 2, shared[:, q:, q:]),
-        ):
-            spread = self._spread(i, j, block).transpose(0, 2, 1, 3)
-            matrix[self.structure.parts[i], self.structure.parts[j]].reshape(spread.shape)[...] = spread
-        by_amplitude, by_shared = products[:, :, :k, -1] * scale[:, :, :k], below[..., -1].sum(axis=1)
-        rows = by_amplitude.reshape(len(below), -1), by_shared[:, :q], by_shared[:, q:]
-        return matrix, np.concatenate([(basis.T @ part).ravel() for basis, part in zip(bases, rows, strict=True)])
-
-    def _spread(self, i: int, j: int, blocks: Array) -> Array:
-        """Sum the product of two spline bases and a block (rows, ...) over the rows.
-
-        The result has one axis for the control values of each basis, then the other axes of the block.
-        """
-        spread = self._pairs[i, j] @ blocks.reshape(len(blocks), -1)
-        return spread.reshape(self.bases[i].shape[1], self.bases[j].shape[1], *blocks.shape[1:])
-
-    def _lobes(
-        self, parameters: tuple[Array, Array, Array], rows: slice, along: Array, across: Array
-    ) -> tuple[Array, list["_Kind"]]:
-        """Return lobes of height 1 in some rows, (rows, lobes, samples), and intermediate arrays for derivatives."""
-        shape, elongation = parameters[1][rows], parameters[2][rows]
-        k, centered = self.structure.n_lobes, self.structure.n_lobes - self.structure.n_rings
-        logs = elongation[..., None] * self._log_cos[rows], shape[:, :k, None], shape[:, k : 2 * k, None]
-        ratio, kappa, gamma = (np.exp(part).astype(along.dtype) for part in logs)
-        centers, curves, kinds = shape[:, 2 * k :, None].astype(along.dtype), [], []
-        for part, center in ((slice(0, centered), None), (slice(centered, k), centers)):
-            if part.stop > part.start:
-                near, far = along / ratio[:, part], across * ratio[:, part]
-                values, slopes = lobe_curves(near + far, kappa[:, part], gamma[:, part], center, self.structure.family)
-                curves.append(values)
-                kinds.append(_Kind(part, slopes, near, far))
-        return curves[0] if len(curves) == 1 else np.concatenate(curves, axis=1), kinds
-
-    def _slopes(self, block: Block, kind: "_Kind") -> list[tuple[slice, Array]]:
-        """Return derivatives of lobes with respect to the parameters that all channels share, with their columns."""
-        k, slopes = self.structure.n_lobes, kind.slopes()
-        start, stop, end = kind.part.start, kind.part.stop, 3 * k + self.structure.n_rings
-        by_elongation = kind.far - kind.near
-        by_elongation *= self._log_cos[block.rows].astype(by_elongation.dtype)
-        by_elongation *= slopes.by_squared_tangent
-        columns = [
-            (slice(k + start, k + stop), slopes.by_log_kappa),
-            (slice(2 * k + start, 2 * k + stop), slopes.by_log_gamma),
-            (slice(end + start, end + stop), by_elongation),
-        ]
-        return columns + [(slice(3 * k, end), slopes.by_center)] * bool(slopes.by_center.ndim)
+    @property
+    def cost(self) -> float:
+        """The cost at this point."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Kind:
-    """Intermediate arrays of either the lobes about the normal, or the ring lobes."""
-
-    part: slice  # indices of the lobes of this kind among all lobes of the mixture
-    slopes: Callable[[], LobeSlopes]
-    near: Array  # part of tan(theta')**2 along the plane of incidence, see `dsbrdf.model.lobes`
-    far: Array  # part of tan(theta')**2 across the plane of incidence
+At = TypeVar("At", bound=Costed)
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """The cost of a mixture on its data, with intermediate arrays for the derivatives of the cost."""
+class Problem(Protocol[At]):
+    """A sum of squares of functions of the unknowns, which `minimize` minimises."""
 
-    unknowns: Array
-    cost: float  # weighted squared error plus the cost of the smoothing
-    amplitude: Array  # amplitudes of the lobes, (rows, 3, lobes)
-    # Lobes of height 1 (rows, lobes, samples), their kinds, and the residual (rows, 3, samples) of each block.
-    parts: list[tuple[Block, Array, list[_Kind], Array]]
-    pull: Array  # half the gradient of the smoothing's part of the cost
+    @property
+    def precision(self) -> Precision:
+        """Precision in which the normal equations are solved."""
+
+    def limit(self, unknowns: Array) -> Array:
+        """Clip unknowns to their bounds."""
+
+    def evaluate(self, unknowns: Array) -> At:
+        """Return the cost, with whatever `linearize` needs."""
+
+    def linearize(self, at: At) -> tuple[Array, Array]:
+        """Return the lower triangle of the Gauss-Newton matrix, and half the gradient of the cost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +73,7 @@ class Solution:
 
 
 def minimize(
-    problem: MixtureProblem,
+    problem: Problem[At],
     start: Array,
     *,
     iterations: int,
@@ -265,19 +81,19 @@ def minimize(
     fixed: Mask | None = None,
     on_iteration: Callable[[int], None] | None = None,
 ) -> Solution:
-    """Minimise the cost by Levenberg-Marquardt within the bounds of the structure, from the unknowns `start`.
+    """Minimise the cost by Levenberg-Marquardt within the bounds of the problem, from the unknowns `start`.
 
     An iteration that lowers the cost by less than the fraction `tolerance` counts as stalled. `on_iteration` is called
     with the number of each iteration. Unknowns that are `fixed` keep their start values.
     """
-    at = problem.evaluate(problem.structure.limit(start))
+    at = problem.evaluate(problem.limit(start))
     damping, growth, stalled, is_new = START_DAMPING, 2.0, 0, True
     for number in range(1, iterations + 1):
         if on_iteration is not None:
             on_iteration(number)
         if is_new:
             matrix, gradient = problem.linearize(at)
-        step = _step(problem.structure, at.unknowns, matrix, gradient, damping, fixed, problem.data.mean.dtype)
+        step = _step(problem, at.unknowns, matrix, gradient, damping, fixed)
         predicted = -float(2.0 * gradient @ step + step @ symv(1.0, matrix.T, step))
         proposed = problem.evaluate(at.unknowns + step) if predicted > 0.0 else at
         gain = (at.cost - proposed.cost) / predicted if predicted > 0.0 else -1.0
@@ -295,28 +111,22 @@ def minimize(
 
 
 def _step(
-    structure: Structure,
-    unknowns: Array,
-    matrix: Array,
-    gradient: Array,
-    damping: float,
-    fixed: Mask | None,
-    precision: np.dtype[np.floating[Any]],
+    problem: Problem[Any], unknowns: Array, matrix: Array, gradient: Array, damping: float, fixed: Mask | None
 ) -> Array:
-    """Return the damped Gauss-Newton step within the bounds of the structure, in the precision of the data.
+    """Return the damped Gauss-Newton step within the bounds of the problem, in the precision of the problem.
 
     An unknown that would cross its bound gets the step up to the bound. The other unknowns are then solved again with
     the same Cholesky factor; otherwise the other unknowns would compensate a step that is not made.
     """
     # An unknown at a bound is fixed if the cost falls beyond the bound.
-    pushed = structure.limit(unknowns - MIN_UNKNOWN_CHANGE * np.sign(gradient))
+    pushed = problem.limit(unknowns - MIN_UNKNOWN_CHANGE * np.sign(gradient))
     held = np.abs(pushed - unknowns) <= 0.5 * MIN_UNKNOWN_CHANGE
     if fixed is not None:
         held |= fixed
     if held.all():
         return np.zeros_like(gradient)
-    potrf, trtrs = (spotrf, strtrs) if precision == np.float32 else (dpotrf, dtrtrs)
-    damped, diagonal = matrix.astype(precision), matrix.diagonal()
+    potrf, trtrs = (spotrf, strtrs) if problem.precision == np.float32 else (dpotrf, dtrtrs)
+    damped, diagonal = matrix.astype(problem.precision), matrix.diagonal()
     damped.flat[:: len(matrix) + 1] += damping * (diagonal + 1e-12 * diagonal[~held].max())
     places = np.flatnonzero(held)
     damped[places], damped[:, places] = 0.0, 0.0
@@ -328,15 +138,13 @@ def _step(
     solved, places, columns = trtrs(factor, half)[0], np.zeros(0, np.intp), np.zeros((held.size, 0), order="F")
     stopped = np.zeros(held.size, bool)
     for _ in range(LIMIT_PASSES):
-        step = (
-            structure.limit(unknowns + np.minimum(np.maximum(solved, -MAX_UNKNOWN_STEP), MAX_UNKNOWN_STEP)) - unknowns
-        )
+        step = problem.limit(unknowns + np.minimum(np.maximum(solved, -MAX_UNKNOWN_STEP), MAX_UNKNOWN_STEP)) - unknowns
         newly = np.flatnonzero(~stopped & ~held & (np.abs(step - solved) > MIN_UNKNOWN_CHANGE))
         if not newly.size:
             break
         stopped[newly] = True
         places = np.concatenate([places, newly])
-        unit = np.zeros((held.size, newly.size), precision, order="F")
+        unit = np.zeros((held.size, newly.size), problem.precision, order="F")
         unit[newly, np.arange(newly.size)] = 1.0
         columns = np.concatenate([columns, trtrs(factor, unit, trans=1, overwrite_b=True)[0]], axis=1)
         force = gesv(columns.T @ columns, step[places] - columns.T @ half)[2]

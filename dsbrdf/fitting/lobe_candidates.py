@@ -4,6 +4,9 @@ The method is orthogonal matching pursuit (Pati, Rezaiifar, Krishnaprasad 1993).
 widths, centers and elongations. In each step, the candidate that explains most of the residual is added to the chosen
 lobes. Then the amplitudes of all chosen lobes are solved anew for each row of theta_diff and each channel, under the
 condition that no amplitude is negative (Bruckstein, Elad, Zibulevsky 2008).
+
+Amplitudes of a mixture are smooth in theta_diff, and amplitudes of single rows are not. The squared error of smoothed
+amplitudes can be a hundred times the signal, so `fit_amplitudes` fits the smooth amplitudes before other unknowns.
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +17,9 @@ import numpy as np
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.reduction import TINY
 from dsbrdf.fitting.fit_data import FitData
-from dsbrdf.fitting.mixture import Mixture, Structure, join_lobes
+from dsbrdf.fitting.least_squares import Precision, minimize
+from dsbrdf.fitting.mixture import LOG_AMPLITUDE_BOUNDS, Mixture, Structure, join_lobes
+from dsbrdf.fitting.mixture_problem import MixtureProblem
 from dsbrdf.model.lobes import gamma_of_half_width, lobe_values, log_cosine, reach_of_width
 from dsbrdf.model.splines import smooth_control_values
 
@@ -36,6 +41,13 @@ EQUAL_GAIN = 1e-4
 MIN_VISIBLE_VALUE = 0.02
 """A candidate of height 1 whose values are smaller at all data is chosen only if there is no other candidate."""
 AMPLITUDE_SWEEPS = 30
+AMPLITUDE_ITERATIONS = 40
+AMPLITUDE_PRIOR = 3e-3
+"""Cost of a squared change of a log amplitude by `fit_amplitudes`, relative to the squared data.
+
+Without this cost, lobes that explain little at first would lose their amplitude, and with it all derivatives: no later
+step could bring such lobes back.
+"""
 MIN_RELATIVE_SQUARE = 1e-20
 """The square of a lobe that no datum of a row shows counts as this fraction of the largest: it would be a divisor 0."""
 
@@ -156,6 +168,64 @@ def solved_amplitudes(gram: Array, right: Array, start: Array | None = None) -> 
             step += amplitude
             np.maximum(step, 0.0, out=amplitude)
     return amplitudes.reshape(right.shape)
+
+
+def fit_amplitudes(data: FitData, mixture: Mixture) -> Mixture:
+    """Fit only the amplitudes of a mixture; with fixed shapes, that takes hardly any time."""
+    structure, problem = mixture.structure, MixtureProblem(data, mixture.structure)
+    products = normal_equations(data, problem.curves(mixture.unknowns))
+    start = mixture.unknowns[structure.parts[0]]
+    amplitudes = _AmplitudeProblem(problem.bases[0], *products, data.signal, start)
+    unknowns = mixture.unknowns.copy()
+    unknowns[structure.parts[0]] = minimize(amplitudes, start, iterations=AMPLITUDE_ITERATIONS).unknowns
+    return Mixture(structure, unknowns)
+
+
+@dataclass(frozen=True, eq=False)
+class _AmplitudeProblem:
+    """Compute the squared error of lobes with fixed shapes, and its derivatives in control values of log amplitudes."""
+
+    basis: Array  # weights of the control values at the rows, (rows, control values)
+    gram: Array  # products of the lobes with each other, (rows, 3, lobes, lobes)
+    right: Array  # products of the lobes with the data, (rows, 3, lobes)
+    signal: float  # weighted sum of the squared data
+    start: Array  # log amplitudes from which changes have a cost, (control values * 3 * lobes,)
+
+    @property
+    def precision(self) -> Precision:
+        return np.dtype(np.float64)
+
+    def limit(self, unknowns: Array) -> Array:
+        return np.clip(unknowns, *LOG_AMPLITUDE_BOUNDS)
+
+    def evaluate(self, unknowns: Array) -> "_Amplitudes":
+        amplitude = np.exp((self.basis @ unknowns.reshape(self.basis.shape[1], -1)).reshape(self.right.shape))
+        product, change = np.einsum("rhkl,rhl->rhk", self.gram, amplitude), unknowns - self.start
+        error = self.signal + float(np.sum(amplitude * (product - 2.0 * self.right)))
+        cost = error + AMPLITUDE_PRIOR * self.signal * float(change @ change)
+        return _Amplitudes(unknowns, cost, amplitude, product - self.right)
+
+    def linearize(self, at: "_Amplitudes") -> tuple[Array, Array]:
+        (_, count), k = self.basis.shape, at.amplitude.shape[2]
+        blocks = self.gram * at.amplitude[..., :, None] * at.amplitude[..., None, :]
+        matrix = np.zeros((count, 3, k, count, 3, k))
+        for channel in range(3):
+            matrix[:, channel, :, :, channel] = np.einsum(
+                "rd,re,rkl->dkel", self.basis, self.basis, blocks[:, channel], optimize=True
+            )
+        matrix = matrix.reshape(self.start.size, -1) + AMPLITUDE_PRIOR * self.signal * np.eye(self.start.size)
+        gradient = (self.basis.T @ (at.amplitude * at.residual).reshape(len(self.basis), -1)).ravel()
+        return matrix, gradient + AMPLITUDE_PRIOR * self.signal * (at.unknowns - self.start)
+
+
+@dataclass(frozen=True, eq=False)
+class _Amplitudes:
+    """The cost of some amplitudes, and intermediate arrays for the derivatives of the cost."""
+
+    unknowns: Array
+    cost: float
+    amplitude: Array  # amplitudes of the lobes, (rows, 3, lobes)
+    residual: Array  # products of the lobes with the mixture minus the data, (rows, 3, lobes)
 
 
 def _log_amplitudes(data: FitData, structure: Structure, amplitudes: Array) -> Array:

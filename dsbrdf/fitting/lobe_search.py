@@ -3,9 +3,8 @@
 1. **Choice.** `dsbrdf.fitting.lobe_candidates` chooses all lobes by normal equations, without nonlinear fits. At first
    it chooses too many lobes, and then the least useful lobes are left out.
 2. **Fit.** One nonlinear least-squares fit changes all lobes together, at first only the amplitudes, then with kappa
-   fixed. The error of the start can be a hundred times the signal, because its amplitudes are smooth in theta_diff. If
-   all unknowns changed at once, the first steps would be so long that tiny changes of the data decided how the fit
-   ends.
+   fixed. If all unknowns changed at once, the first steps would be so long that tiny changes of the data decided how
+   the fit ends.
 3. **Elimination.** If the number of lobes is free, and the residuals are noise or negligible, the least useful lobe is
    dropped and the other lobes are fitted again, as long as the validation error hardly rises: the error on rows of
    theta_diff that no mixture was fitted to. Otherwise all lobes are kept: with and without a lobe, the errors are often
@@ -25,9 +24,10 @@ import numpy as np
 from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.reduction import TINY
 from dsbrdf.fitting.fit_data import FitData
-from dsbrdf.fitting.least_squares import MixtureProblem, minimize
-from dsbrdf.fitting.lobe_candidates import Candidates, normal_equations, solved_amplitudes
+from dsbrdf.fitting.least_squares import minimize
+from dsbrdf.fitting.lobe_candidates import Candidates, fit_amplitudes, normal_equations, solved_amplitudes
 from dsbrdf.fitting.mixture import Mixture, Structure, join_lobes
+from dsbrdf.fitting.mixture_problem import MixtureProblem
 
 MAX_SEARCHED_LOBES = 9
 """If the number of lobes is free, the search chooses this number of lobes and then drops useless lobes."""
@@ -47,7 +47,6 @@ MAX_SIMPLE_LOBES = 3
 """If the residuals are noise, mixtures with at most this number of lobes about the normal are tried."""
 MIN_COLUMNS_FOR_RINGS = 8
 """With data at fewer angles theta_half, optional ring lobes are not used, because any ring would explain the data."""
-AMPLITUDE_ITERATIONS = 8
 FIXED_KAPPA_ITERATIONS = 8
 FIT_ITERATIONS = 28
 SEARCH_TOLERANCE = 3e-3
@@ -140,9 +139,7 @@ class _Task:
         """
         start = self._choose(replace(self.wanted, **changes), min_width)
         if not self.wanted.is_few:
-            is_shape = np.ones(start.structure.n_unknowns, bool)
-            is_shape[start.structure.parts[0]] = False
-            start = _minimize(self.data, start, AMPLITUDE_ITERATIONS, fixed=is_shape)
+            start = fit_amplitudes(self.data, start)
         return _fit(self.data, start)
 
     def _choose(self, wanted: Wanted, min_width: float) -> Mixture:

@@ -9,8 +9,9 @@ from scipy.optimize import least_squares
 from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.fit_data import FitData
-from dsbrdf.fitting.least_squares import MixtureProblem, Solution, minimize
+from dsbrdf.fitting.least_squares import Solution, minimize
 from dsbrdf.fitting.mixture import ELONGATION_BOUNDS, REACH_BOUNDS, Mixture, Structure, mixture_model
+from dsbrdf.fitting.mixture_problem import MixtureProblem
 from dsbrdf.model import FAMILIES, half_width
 
 ROWS = np.arange(0, 80, 9)

@@ -5,13 +5,16 @@ from typing import Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from dsbrdf import DSBRDF
+from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.fit_data import FitData
-from dsbrdf.fitting.least_squares import MixtureProblem
+from dsbrdf.fitting.lobe_candidates import AMPLITUDE_PRIOR, fit_amplitudes
 from dsbrdf.fitting.lobe_search import MAX_SEARCHED_LOBES, SearchData, SearchStep, Wanted, search
 from dsbrdf.fitting.mixture import Mixture, Structure
+from dsbrdf.fitting.mixture_problem import MixtureProblem
 from dsbrdf.model import FAMILIES, gamma_of_half_width
 
 KNOTS = np.radians([0.0, 40.0, 70.0, 89.0])
@@ -112,6 +115,29 @@ def test_single_lobe_does_not_stay_with_the_highlight() -> None:
     growth = np.stack([[1.0, 2.8, 7.7, 30.0], np.exp(-1.5 * np.linspace(0.0, 1.0, 4))], axis=1)
     model = replace(model, amplitude=model.amplitude * growth)
     assert share_left(searched(model, 1)[0], data_of(model)) < 0.127
+
+
+def test_amplitudes_are_fitted_first_as_well_as_scipy_fits_them() -> None:
+    """All shapes stay, and the error falls from many times the signal to less than the signal."""
+    data, structure = data_of(TWO), Structure((False, False), (KNOTS, KNOTS[[0, 3]], KNOTS[:1]), TWO.lobe)
+    start = np.zeros(structure.n_unknowns)
+    amplitude, shape, _ = structure.split(start)
+    amplitude += 2.0
+    shape[:, 2:] = [-4.0, -0.5]
+    changed = structure.parts[0]
+
+    def mixture(log_amplitudes: Array) -> Mixture:
+        return Mixture(structure, np.concatenate([log_amplitudes, start[changed.stop :]]))
+
+    def cost(log_amplitudes: Array) -> float:
+        change = log_amplitudes - start[changed]
+        return share_left(mixture(log_amplitudes), data) + AMPLITUDE_PRIOR * float(change @ change)
+
+    found = fit_amplitudes(data, Mixture(structure, start)).unknowns
+    np.testing.assert_array_equal(found[changed.stop :], start[changed.stop :])
+    assert cost(found[changed]) == pytest.approx(minimize(cost, found[changed], method="L-BFGS-B").fun, rel=2e-3)
+    assert share_left(mixture(start[changed]), data) > 10.0
+    assert share_left(mixture(found[changed]), data) < 1.0
 
 
 def test_search_says_what_it_tried() -> None:
