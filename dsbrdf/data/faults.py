@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dsbrdf.arrays import Array, Mask
+from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import FIRST_PHI, FoldedProfiles, Profiles, cosine_parts
@@ -82,22 +82,16 @@ def horizon_disagreement(folded: FoldedProfiles, horizon_cutoff: float | None) -
         return 0.0, trust
     level, swing = cosine_parts()
     beyond = level - swing * np.cos(FIRST_PHI) < np.cos(horizon_cutoff) - 1e-12  # One sample of a bin is enough.
-    filled, here = folded.weight > 0.0, beyond[1:-1]
     dark = _DARK_FRACTION * float(np.vdot(folded.weight, folded.mean)) / max(float(folded.weight.sum()), 1.0)
-
-    def logs(rows: slice, at: Mask) -> Array:
-        """Return logarithms (3, n) of the bins in a mask of some rows; NaN without samples."""
-        return np.where(filled[:, rows][:, at], np.log(folded.mean[:, rows][:, at] + dark + 1e-300), np.nan)
-
-    before, after = slice(None, -2), slice(2, None)
-    apart = np.abs(logs(slice(1, -1), here) - 0.5 * (logs(after, here) + logs(before, here)))
-    edge = beyond[after] & ~beyond[before]
-    across = np.abs(logs(after, edge) - logs(before, edge))
+    logs = np.where(folded.weight > 0.0, np.log(folded.mean + dark + 1e-300), np.nan)
+    here, before, after = slice(1, -1), slice(None, -2), slice(2, None)
+    apart = np.where(beyond[here], np.abs(logs[:, here] - 0.5 * (logs[:, after] + logs[:, before])), np.nan)
+    across = np.abs(logs[:, after] - logs[:, before])[:, beyond[after] & ~beyond[before]]
     if np.isnan(apart).all() or np.isnan(across).all():
         return 0.0, trust
     disagreement = max(_ninth_decile(apart) / MIN_ROUGHNESS, _ninth_decile(across) / MIN_JUMP)
-    single = np.maximum(np.nan_to_num(apart) / MAX_SINGLE_ROUGHNESS, 1.0)
-    trust[:, 1:-1][:, here] = single**-MISTRUST_POWER
+    single = apart > MAX_SINGLE_ROUGHNESS
+    trust[:, here][single] = (apart[single] / MAX_SINGLE_ROUGHNESS) ** -MISTRUST_POWER
     if disagreement > 1.0:
         trust[:, beyond] *= disagreement**-MISTRUST_POWER
     return disagreement, trust
