@@ -1,6 +1,7 @@
 """Builds the documentation and checks its links: ``python docs/_ext/build.py [FOLDER]``, what ``make docs`` does.
 
-A warning is an error. The pages are in the subfolder ``html``; FOLDER is ``docs/_build`` unless it is named.
+A warning is an error. The pages are in the subfolder ``html``; FOLDER is ``docs/_build`` unless it is named. With
+``--without-results``, notebooks are not run.
 """
 
 import json
@@ -14,11 +15,13 @@ from sphinx.cmd.build import main as sphinx_build
 DOCS = Path(__file__).parents[1]
 
 
-def main(folder: Path) -> int:
+def main(folder: Path, *, with_results: bool = True) -> int:
     """Return the exit code."""
     _quieten_kernels(folder / "ipython")
     html = folder / "html"
     options = ["--fail-on-warning", "--keep-going", "--quiet", "--doctree-dir", str(folder / "doctrees")]
+    if not with_results:  # Only a kernel tells the language of its cells.
+        options += ["--define", "nb_execution_mode=off", "--define", "suppress_warnings=myst-nb.lexer"]
     code = sphinx_build([*options, str(DOCS), str(html)])
     if code:
         return code
@@ -44,4 +47,5 @@ def _quieten_kernels(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(*sys.argv[1:]) if sys.argv[1:] else DOCS / "_build"))
+    words = [word for word in sys.argv[1:] if word != "--without-results"]
+    sys.exit(main(Path(*words) if words else DOCS / "_build", with_results="--without-results" not in sys.argv))
