@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from scipy.linalg.blas import dsymv as symv
+from scipy.linalg.blas import dsymv, ssymv
 from scipy.linalg.lapack import dgesv as gesv
 from scipy.linalg.lapack import dpotrf, dtrtrs, spotrf, strtrs
 
@@ -88,6 +88,7 @@ def minimize(
     """
     at = problem.evaluate(problem.limit(start))
     damping, growth, stalled, is_new = START_DAMPING, 2.0, 0, True
+    symv = ssymv if problem.precision == np.float32 else dsymv
     for number in range(1, iterations + 1):
         if on_iteration is not None:
             on_iteration(number)

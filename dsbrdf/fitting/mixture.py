@@ -160,7 +160,6 @@ class Structure:
         # At a constant half width, gamma depends on kappa.
         by_kappa = FAMILIES[self.family].slope_of_fall(np.exp(shape[:, :k]))[..., None]
         rows = matrix[part, : part.stop].reshape(*shape.shape, -1)
-        columns = matrix[part.start :, part].reshape(-1, *shape.shape).transpose(1, 2, 0)
         reach, offset = self._of_rings(unknowns)
         has_cusps = offset.min(initial=0.0) < 0.0
         if has_cusps:
@@ -170,7 +169,8 @@ class Structure:
             # The center of a cusp depends on the offset and on the half width.
             by_offset = np.exp(saturation)[..., None]
             by_reach = (slope * (np.expm1(saturation) - saturation * np.exp(saturation)))[..., None]
-        for derivatives in (gradient[part].reshape(*shape.shape, 1), rows, columns):
+
+        def apply(derivatives: Array) -> None:
             by_gamma = derivatives[:, k : 2 * k]
             derivatives[:, :k] += by_kappa * by_gamma
             np.negative(by_gamma, out=by_gamma)
@@ -178,6 +178,13 @@ class Structure:
                 by_center = derivatives[:, 2 * k :]
                 by_gamma[:, k - self.n_rings :] += by_reach * by_center
                 by_center *= by_offset
+
+        apply(gradient[part].reshape(*shape.shape, 1))
+        apply(rows)
+        below = matrix[part.start :, part]
+        columns = below.T.copy().reshape(*shape.shape, -1)  # A copy is faster than strides over whole rows.
+        apply(columns)
+        below[...] = columns.reshape(shape.size, -1).T
 
     def _of_rings(self, unknowns: Array) -> tuple[Array, Array]:
         """Return views on log reach and offset of the ring lobes, (control values, ring lobes)."""

@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -48,8 +49,11 @@ class MixtureProblem:
     ) -> None:
         self.data, self.structure = data, structure
         self.bases = structure.bases(data.theta_diff)
+        precision: Any = self.precision
         self._pairs = {
-            (i, j): (self.bases[i][:, :, None] * self.bases[j][:, None, :]).reshape(len(data.theta_diff), -1).T
+            (i, j): np.einsum("rd,re->der", self.bases[i], self.bases[j])
+            .reshape(-1, len(data.theta_diff))
+            .astype(precision)
             for i in range(3)
             for j in range(i + 1)
         }
@@ -64,7 +68,7 @@ class MixtureProblem:
         _, shape, elongation = structure.split(self._prior)
         shape[:, :k], elongation[...] = (data.signal * weight for weight in prior)
         # Entries of the normal matrix for amplitudes of two different channels stay 0; `linearize` writes all others.
-        self._matrix = np.zeros((structure.n_unknowns, structure.n_unknowns))
+        self._matrix = np.zeros((structure.n_unknowns, structure.n_unknowns), precision)
         self._lobe_of = np.concatenate([np.tile(np.arange(k), 3), np.flatnonzero(structure.rings), np.arange(k)])
 
     @property
@@ -154,12 +158,18 @@ class MixtureProblem:
         """
         k, (first, *_), bases = self.structure.n_lobes, self.structure.parts, self.bases
         q, matrix = 2 * k + self.structure.n_rings, self._matrix
+        by_row = products[..., -1] * scale
+        by_amplitude, by_shared = by_row[:, :, :k].reshape(len(by_row), -1), by_row[:, :, k:].sum(axis=1)
+        parts = zip(bases, (by_amplitude, by_shared[:, :q], by_shared[:, q:]), strict=True)
+        gradient = np.concatenate([(basis.T @ part).ravel() for basis, part in parts])
+        precision: Any = self.precision
+        scale = scale.astype(precision)  # The products have no more digits, and the matrix only directs the steps.
         own = self._spread(0, 0, products[:, :, :k, :k] * scale[:, :, :k, None] * scale[:, :, None, :k])
         into = matrix[first, first].reshape(len(own), 3, k, len(own), 3, k)
         for channel in range(3):
             into[:, channel, :, :, channel] = own[:, :, channel].transpose(0, 2, 1, 3)
         below = products[:, :, k:] * scale[:, :, k:, None]
-        mixed = np.empty((len(below), below.shape[2], 3 * k))
+        mixed = np.empty((len(below), below.shape[2], 3 * k), precision)
         by_channel = mixed.reshape(*mixed.shape[:2], 3, k).transpose(0, 2, 1, 3)
         np.multiply(below[..., :k], scale[:, :, None, :k], out=by_channel)
         shared = below[:, 0, :, k:-1] * scale[:, 0, None, k:]
@@ -174,9 +184,7 @@ class MixtureProblem:
         ):
             spread = self._spread(i, j, block).transpose(0, 2, 1, 3)
             matrix[self.structure.parts[i], self.structure.parts[j]].reshape(spread.shape)[...] = spread
-        by_amplitude, by_shared = products[:, :, :k, -1] * scale[:, :, :k], below[..., -1].sum(axis=1)
-        rows = by_amplitude.reshape(len(below), -1), by_shared[:, :q], by_shared[:, q:]
-        return matrix, np.concatenate([(basis.T @ part).ravel() for basis, part in zip(bases, rows, strict=True)])
+        return matrix, gradient
 
     def _spread(self, i: int, j: int, blocks: Array) -> Array:
         """Sum the product of two spline bases and a block (rows, ...) over the rows.
