@@ -257,6 +257,16 @@ async def test_fit_whose_process_is_lost_while_the_service_stops_is_left_to_its_
     assert (place.store.fit(key).status, place.engine.begun) == ("running", [key.id])
 
 
+async def test_who_follows_a_fit_is_told_that_it_begins(place: Race) -> None:
+    first = await place.submit()
+    await place.until_it_runs()
+    followed = place.queue.watch(await place.submit(options=dsbrdf.FitOptions(mask=0.1)))
+    assert (await anext(followed)).status == "accepted"
+    await place.queue.cancel(first)
+    async with asyncio.timeout(20.0):
+        assert (await anext(followed)).status == "running"
+
+
 async def test_requests_that_have_waited_make_room(place: Race) -> None:
     key = await place.submit()
     for _ in range(Settings().limit_concurrency):
