@@ -244,6 +244,8 @@ async def test_fit_requested_while_the_service_stops_is_left_to_its_next_start(p
     key = await place.submit()
     assert asyncio.all_tasks() == tasks
     assert place.store.fit(key).status == "accepted"
+    assert await place.queue.cancel(key) == place.store.fit(key)
+    assert place.store.fit(key).status == "cancelled"
 
 
 async def test_fit_whose_process_is_lost_while_the_service_stops_is_left_to_its_next_start(place: Race) -> None:
