@@ -1,7 +1,4 @@
-"""The documentation cannot drift: every block of README and pages is run, every name they promise exists.
-
-The cells of its notebooks are run where it is built, by ``make docs``.
-"""
+"""The documentation cannot drift: every block of README and pages is run, every name they promise exists."""
 
 import os
 import re
@@ -33,7 +30,7 @@ from dsbrdf.output.export.openpbr import OpenPBR
 from dsbrdf.output.sphere_panels import compare_spheres
 from dsbrdf_service.settings import Settings
 from examples.demo import address_when_ready, stop
-from tests.support.command_line import FEW_LOBES
+from tests.support.command_line import FEW_LOBES, Capture
 from tests.support.commands import run_main
 from tests.support.mitsuba_variants import mitsuba_variant
 from tests.support.soak import SOAK
@@ -184,6 +181,21 @@ def test_the_python_quick_start(python_quick_start: dict[str, Any], folder: Path
     assert python_quick_start["values"].shape == (3, 3)
     assert dsbrdf.load(folder / "paint.json") == python_quick_start["fitted"]
     assert dsbrdf.read_merl(folder / "paint-model.binary").valid.any()
+
+
+@pytest.mark.usefixtures("read_once")
+@pytest.mark.parametrize(
+    ("page", "printed", "times"), [("tutorial.md", "the components add up: True", 1), ("choices.md", r"dB +\d", 8)]
+)
+def test_cells_of_notebooks_run(
+    page: str, printed: str, times: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for number, (language, text) in enumerate(blocks_of(PAGES[page])):
+        if language == "{code-cell}":
+            exec(compile(re.sub("^:tags:.*", "", text), f"cell {number} of {page}", "exec"), names)
+    assert len(re.findall(printed, capsys.readouterr().out)) == times
 
 
 @pytest.mark.usefixtures("python_quick_start")
