@@ -138,6 +138,7 @@ def test_plots_follow_their_sliders_and_a_picture_stands_where_webgl_is_missing(
 def test_plots_tell_values_by_pointer_and_keys(visit: Visit, site: Site) -> None:
     fit = site.fits["glossy"]
     page = visit(f"/fits/{fit}", webgl=False).page
+    expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 256)  # It moves the plots down.
     page.locator("#plots").scroll_into_view_if_needed()
     picture, legend, seen = page.locator("#plane .plot svg"), page.locator("#plane .legend"), list[int]()
     picture.hover(position={"x": 300, "y": 100})
