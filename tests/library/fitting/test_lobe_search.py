@@ -11,7 +11,7 @@ from dsbrdf import DSBRDF
 from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_DIFF, THETA_HALF
 from dsbrdf.fitting.fit_data import FitData
-from dsbrdf.fitting.lobe_candidates import AMPLITUDE_PRIOR, fit_amplitudes
+from dsbrdf.fitting.lobe_candidates import AMPLITUDE_PRIOR, Candidates, fit_amplitudes
 from dsbrdf.fitting.lobe_search import MAX_SEARCHED_LOBES, SearchData, SearchStep, Wanted, search
 from dsbrdf.fitting.mixture import Mixture, Structure
 from dsbrdf.fitting.mixture_problem import MixtureProblem
@@ -87,6 +87,16 @@ def test_ring_is_found(center: float) -> None:
     assert share_left(mixture, data_of(model)) < 3e-3
     found = mixture.structure.split(mixture.unknowns)[1][:, -1]
     np.testing.assert_allclose(np.degrees(found), center, atol=2.0)
+
+
+@pytest.mark.parametrize("center", [-9.0, 0.0, 40.0])
+def test_first_candidate_is_of_the_kind_of_the_lobe(center: float) -> None:
+    """A negative center makes a cusp, which is steeper at its top than any lobe about the normal."""
+    data = data_of(lobes_of((5.0, 6.0, center), elongation=0.0))
+    candidates, none = Candidates.at(data, "hemi_epd"), np.zeros((ROWS.size, 3, 0))
+    every = np.ones(candidates.center.size, bool)
+    chosen = candidates.best(np.zeros((ROWS.size, 3, 0, 0)), np.zeros((ROWS.size, 3, 0, every.size)), none, every)
+    assert np.sign(candidates.center[chosen]) == np.sign(center)
 
 
 @pytest.mark.parametrize(("n_lobes", "ring_lobes"), [(4, 0), (4, 3)])
