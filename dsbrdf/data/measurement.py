@@ -190,9 +190,13 @@ class Measurement:
             raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")
         return InterpolatedMeasurement(self, *_nearest_valid(self.valid))
 
-    def values_at(self, i: int) -> Array:
-        """Return the values (3, 90, 180) [1/sr] at the theta_half with index ``i``, none of which is negative."""
-        return np.maximum(self.stored[:, i] * self.scale[:, np.newaxis, np.newaxis], 0.0)
+    def values_at(self, i: int, phi_step: int = 1) -> Array:
+        """Return values (3, 90, n) [1/sr] at the theta_half with index ``i``, none of which is negative.
+
+        Every ``phi_step``-th phi_diff is returned, by default all 180.
+        """
+        values = self.stored[:, i, :, ::phi_step] * self.scale[:, np.newaxis, np.newaxis]
+        return np.maximum(values, 0.0, out=values)
 
     @property
     def values(self) -> Array:

@@ -143,7 +143,7 @@ def sample_errors(model: ReflectanceModel, measurement: Measurement, horizon_cut
             cosine = math.cos(THETA_HALF[i]) * cos_diff - (math.sin(THETA_HALF[i]) * sin_diff) * np.cos(phi_diff)
             # The model has equal values at phi_diff and at 180 degrees - phi_diff.
             fit = np.concatenate([values, values[:, :, -2:0:-1]], axis=2)
-            samples = measurement.values_at(i)[:, rows, ::PHI_STEP].astype(SINGLE)
+            samples = measurement.values_at(i, PHI_STEP)[:, rows].astype(SINGLE)
             sums[:, :, rows] += _column_sums(samples, fit, used[rows].astype(SINGLE), cosine)
     if not sums[0].any():
         raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
