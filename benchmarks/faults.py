@@ -45,12 +45,12 @@ PRELOADED = (
 OWN_PACKAGES = ("benchmarks", "dsbrdf", "dsbrdf_service", "tests")
 """Packages that a run with a fault imports anew, from the copy."""
 FURTHER_TESTS = {
-    "access": ["tests/service/test_owners.py", "tests/service/http/test_limits.py"],
+    "access": ["tests/service/test_client.py", "tests/service/http/test_limits.py"],
     "queue": ["tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
     "fitting": ["tests/library/test_result.py"],
     "storage": [
-        "tests/service/api/test_materials.py",
-        "tests/service/api/test_other_uploads.py",
+        "tests/service/api/test_results.py",
+        "tests/service/api/test_measurements.py",
         "tests/service/admin/test_commands.py",
     ],
     "model": ["tests/library/output/test_comparison.py"],

@@ -4,7 +4,7 @@ import ctypes
 import gc
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
 from itertools import count
 from pathlib import Path
@@ -19,7 +19,7 @@ from tests.support.dask_cluster import DaskCluster
 from tests.support.guarded import Guarded, new_key
 from tests.support.materials import glossy_plastic, matte_paint, polished_metal
 from tests.support.processes import short_folder
-from tests.support.server import Server
+from tests.support.server import Server, StartServer
 from tests.support.soak import SOAK
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"
@@ -125,7 +125,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 
 
 @pytest.fixture
-def own_server(tmp_path: Path) -> Iterator[Callable[..., Server]]:
+def own_server(tmp_path: Path) -> Iterator[StartServer]:
     """Start services that one test has for itself, with settings of its own."""
     with ExitStack() as started:
         number = count()
@@ -133,12 +133,11 @@ def own_server(tmp_path: Path) -> Iterator[Callable[..., Server]]:
         def start(
             *,
             own_interpreter: bool = False,
-            fits: bool = True,
             constants: Mapping[str, float] = MappingProxyType({}),
             **environment: str,
         ) -> Server:
             running = started.enter_context(closing(Server(tmp_path / f"data{next(number)}", **environment)))
-            running.own_interpreter, running.fits, running.constants = own_interpreter, fits, constants
+            running.own_interpreter, running.constants = own_interpreter, constants
             return running.start()
 
         yield start

@@ -60,7 +60,6 @@ def restored(place: Place) -> list[Row]:
         done += [_damage_file(place, folder / "data") for _ in range(place.random.randrange(3))]
         found = len(place.faults)
         with place.server(folder) as server:
-            server.fits = False
             before = _contents(folder)
             ends[_look(place, original, server)] += 1
             after = _contents(folder)

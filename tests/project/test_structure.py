@@ -7,6 +7,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from importlib.metadata import entry_points
 from importlib.util import resolve_name
@@ -29,6 +30,12 @@ PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())
 LIGHT_COMMANDS = {"dsbrdf.cli.main", "dsbrdf.cli.arguments"}  # without the extra cli
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Return the syntax tree of a file, parsed once for all tests."""
+    return ast.parse(path.read_text())
+
+
 def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
@@ -41,7 +48,7 @@ def imported_roots(nodes: list[ast.AST]) -> set[str]:
 
 def test_library_modules_import_only_allowed_packages() -> None:
     for path in LIBRARY:
-        tree = ast.parse(path.read_text())
+        tree = tree_of(path)
         assert not {"dsbrdf_service"} & imported_roots(list(ast.walk(tree))), path
         assert not re.search(r"""import_module\(f?["']dsbrdf_service""", path.read_text()), path
         allowed = set(sys.stdlib_module_names) | {"dsbrdf", "numpy", "scipy", "threadpoolctl"}
@@ -55,7 +62,7 @@ def test_an_import_inside_a_function_is_of_an_extra_or_has_its_reason_beside_it(
     wrong = []
     for path in (path for path in SOURCES if "benchmarks" not in path.parts):
         lines = path.read_text().splitlines()
-        functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)]
+        functions = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.FunctionDef)]
         for node in (node for function in functions for node in ast.walk(function)):
             if isinstance(node, ast.Import | ast.ImportFrom) and not imported_roots([node]) & extras:
                 near = lines[node.lineno - 3 : node.end_lineno]
@@ -88,8 +95,8 @@ def test_all_lists_the_public_interface() -> None:
 
 
 def test_modules_and_public_names_have_docstrings_and_signatures_that_can_be_read() -> None:
-    trees = {path: ast.parse(path.read_text()) for path in SOURCES}
-    assert [name_of(path) for path, tree in trees.items() if tree.body and not ast.get_docstring(tree)] == []
+    undocumented = [path for path in SOURCES if tree_of(path).body and not ast.get_docstring(tree_of(path))]
+    assert [name_of(path) for path in undocumented] == []
     public = dict(public_callables())
     assert [name for name, value in public.items() if not inspect.getdoc(value)] == []
     # As the source names the types, and not what NumPy makes of them.
@@ -128,7 +135,7 @@ def imports_of(module: str, path: Path, modules: Collection[str]) -> set[str]:
     The service has relative imports of its modules only, the library none.
     """
     found, package = set(), module if path.stem == "__init__" else module.rpartition(".")[0]
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -1,8 +1,8 @@
-"""Authentication: nothing but a valid key lets anyone in, whatever the path, the header, the cookie or the host."""
+"""Nothing but a valid key lets anyone in, whatever the path or the header; what is not yours does not exist."""
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -12,7 +12,7 @@ import pytest
 from tests.support.guarded import Guarded, keys_command, new_key
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, Server, assert_problem, head_of_upload
+from tests.support.server import ENDLESS, QUICK, Server, StartServer, assert_problem, head_of_upload
 
 OPEN = ("/health/live", "/health/ready", "/docs", "/page/docs.js", "/openapi.json")
 
@@ -96,7 +96,7 @@ def test_unusual_paths_do_not_bypass_authentication(guarded: Guarded, path: str)
             assert connection.recv(1000).startswith(b"HTTP/1.1 401 ")
 
 
-def test_what_a_key_has_begun_is_refused_when_it_is_revoked(own_server: Callable[..., Server], data: bytes) -> None:
+def test_what_a_key_has_begun_is_refused_when_it_is_revoked(own_server: StartServer, data: bytes) -> None:
     server = own_server(require_keys="true", workers="1")
     (key_id, header), (_, other) = (new_key(server, name, metrics=True) for name in ("brief", "lasting"))
     document = {"measurement": hashlib.sha256(data).hexdigest(), "options": ENDLESS}
@@ -165,3 +165,80 @@ def test_invalid_key_is_refused_on_loopback_too(server: Server) -> None:
     assert server.http.get("/v1/fits", headers=header | {"Host": "any.example"}).status_code == 200
     for wrong in ("", "Bearer", "Bearer x", header["Authorization"] + "x"):
         assert_problem(server.http.get("/v1/fits", headers={"Authorization": wrong}), 401, "unauthorized")
+
+
+def shown(answer: httpx.Response, *names: str) -> str:
+    """Return all that an answer tells, apart from what it was asked for by name and what differs with every answer."""
+    head = [pair for pair in answer.headers.multi_items() if pair[0] not in ("date", "x-request-id")]
+    text = repr((answer.status_code, head, answer.content))
+    for name in names:
+        text = text.replace(name, "...")
+    return text
+
+
+MISSING_FIT = "0123456789abcdef" * 2
+MISSING_MEASUREMENT = "fedcba98" * 8
+POINTS = {"theta_half_deg": [1.0], "theta_diff_deg": [2.0]}
+
+
+def probes(fit: str, sha256: str, tags: Mapping[str, str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield every way to ask for something by its name: method, path and arguments."""
+    paths = ["", "/events", "/components", "/brdf?theta_half_deg=1&theta_diff_deg=2", "/brdf", "/brdf?theta_half_deg=x"]
+    paths += ["?wait=0.1", "?wait=x", "/brdf?omega_in=0,0,1&omega_out=0,0,1", "/figures/residual.svg"]
+    for label in ("diffuse", "no_label"):
+        paths += [f"/components/{label}/brdf?theta_half_deg=1&theta_diff_deg=2"]
+        paths += [f"/export?format=json&component={label}"]
+    paths += [f"/export?format={name}" for name in ("json", "merl", "glsl", "none")]
+    for path in paths:
+        for method in ("GET", "HEAD", "DELETE", "PUT"):
+            if (method, path) not in (("DELETE", ""), ("DELETE", "?wait=0.1"), ("DELETE", "?wait=x")):
+                yield method, f"/v1/fits/{fit}{path}", {}
+    for tag in (*tags.values(), "*"):
+        for path in ("", "/components"):
+            yield "GET", f"/v1/fits/{fit}{path}", {"headers": {"If-None-Match": tag}}
+        for path in ("", "/content"):
+            yield "GET", f"/v1/measurements/{sha256}{path}", {"headers": {"If-None-Match": tag}}
+            yield "HEAD", f"/v1/measurements/{sha256}{path}", {"headers": {"If-None-Match": tag}}
+    for path in ("/brdf", "/components/diffuse/brdf", "/components/no_label/brdf"):
+        for accepted in ("*/*", "application/x-npy", "image/png"):
+            yield "POST", f"/v1/fits/{fit}{path}", {"json": POINTS, "headers": {"Accept": accepted}}
+        for media_type in ("application/json", "text/plain"):
+            yield "POST", f"/v1/fits/{fit}{path}", {"content": b"nonsense", "headers": {"Content-Type": media_type}}
+    for method in ("GET", "HEAD", "PUT", "PATCH", "POST", "DELETE"):
+        yield method, f"/v1/measurements/{sha256}", {}
+    for options in ({}, QUICK, {"n_lobes": 99}):
+        yield "POST", "/v1/fits", {"json": {"measurement": sha256, "options": options}}
+    yield "DELETE", f"/v1/fits/{fit}", {}
+    yield "DELETE", f"/v1/fits/{fit}?wait=0.1", {}
+
+
+def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) -> None:
+    server = guarded.server
+    alice, bob = guarded.new_key("owner"), guarded.new_key("prober", requests_per_second=100_000)
+    fitted = server.http.post("/v1/fits", params=QUICK, content=data, headers=alice)
+    assert fitted.status_code == 201
+    fit, sha256 = fitted.json()["id"], fitted.json()["measurement"]
+    tags = {
+        path: server.http.get(f"/v1/{path}", headers=alice).headers["etag"]
+        for path in (f"fits/{fit}", f"fits/{fit}/components", f"measurements/{sha256}")
+    }
+    for (method, path, arguments), (_, other, _) in zip(
+        probes(fit, sha256, tags), probes(MISSING_FIT, MISSING_MEASUREMENT, tags), strict=True
+    ):
+        headers = {**arguments.get("headers", {}), **bob}
+        hidden = server.http.request(method, path, **{**arguments, "headers": headers})
+        document = arguments.get("json", {})
+        if "measurement" in document:
+            arguments = {**arguments, "json": {**document, "measurement": MISSING_MEASUREMENT}}
+        missing = server.http.request(method, other, **{**arguments, "headers": headers})
+        assert shown(hidden, fit, sha256) == shown(missing, MISSING_FIT, MISSING_MEASUREMENT), (method, path)
+        assert hidden.status_code in (404, 405, 415, 422), (method, path)
+    for path in ("/v1/fits", "/v1/measurements"):
+        for query in ("", "?limit=1", "?cursor=1000000", "?limit=200&cursor=5"):
+            answer = server.http.get(f"{path}{query}", headers=bob)
+            assert answer.json() == {"items": []}
+            assert "link" not in answer.headers
+
+    # All of it is still there for who owns it.
+    assert server.http.get(f"/v1/fits/{fit}", headers=alice).json()["status"] == "succeeded"
+    assert server.http.get(f"/v1/measurements/{sha256}/content", headers=alice).content == data

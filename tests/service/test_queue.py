@@ -276,23 +276,6 @@ async def test_requests_that_have_waited_make_room(place: Race) -> None:
     assert place.queue.has_room(key.owner)
 
 
-async def test_clock_that_was_set_back_gives_no_negative_time(place: Race) -> None:
-    keys = [await place.submit(options=dsbrdf.FitOptions(mask=mask)) for mask in (0.1, 0.2)]
-    await place.until_it_runs()
-    waited = waited_s(place)
-    with place.store.database.transaction() as db:
-        db.execute("UPDATE fits SET created = created + 3600.0 WHERE status = 'accepted'")
-    for key in keys:
-        await place.end(key)
-    assert waited_s(place) == waited
-
-
-def waited_s(place: Race) -> float:
-    """The sum of the times that fits have waited."""
-    (metric,) = place.meters.waiting.collect()
-    return next(sample.value for sample in metric.samples if sample.name.endswith("_sum"))
-
-
 class Process(Future[None]):
     """A process that ends some time after it was asked to."""
 

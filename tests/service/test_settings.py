@@ -1,20 +1,27 @@
-"""Settings: each is described, and a wrong one is refused in one sentence that names it."""
+"""Settings: each is described, and a wrong one is refused in one sentence; the page on operations says what is so."""
 
 import os
+import platform
 import pty
 import re
+import runpy
+import shutil
 import socket
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import httpx
 import pytest
 from pydantic import ValidationError
 
+from dsbrdf_service.admin.commands import doctor
 from dsbrdf_service.admin.serve import main
-from dsbrdf_service.settings import Settings
-from tests.support.commands import start_in_vain
+from dsbrdf_service.settings import PREFIX, Settings
+from tests.support.commands import run_main, start_in_vain
+from tests.support.server import QUICK, Server, StartServer
 
 
 def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
@@ -103,3 +110,65 @@ def test_help_names_the_defaults(tmp_path: Path) -> None:
     words = " ".join(text.split())
     assert "Default: one for each core." in words
     assert "Default: 127.0.0.1." in words
+
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "operations.md").read_text()
+
+
+def test_table_of_settings_is_up_to_date() -> None:
+    with_table = runpy.run_path(str(DOCS / "_ext/settings_table.py"))["with_table"]
+    assert with_table(PAGE) == PAGE, "run: python docs/_ext/settings_table.py"
+
+
+def test_settings_that_are_mentioned_exist() -> None:
+    mentioned = set(re.findall(rf"\b{PREFIX}[A-Z_]+", PAGE))
+    assert mentioned == {PREFIX + name.upper() for name in Settings.model_fields}
+
+
+def test_every_metric_is_explained(server: Server) -> None:
+    exposed = set(
+        re.findall(r"^# TYPE (dsbrdf_\w+) (?:counter|gauge|histogram)$", server.http.get("/metrics").text, re.M)
+    )
+    assert {name for name in exposed if not name.endswith("_created")} == set(
+        re.findall(r"^\| `(dsbrdf_\w+)", PAGE, re.M)
+    )
+
+
+def test_backup_of_a_running_service_can_be_restored(own_server: StartServer, data: bytes, tmp_path: Path) -> None:
+    server, copy = own_server(), tmp_path / "copy"
+    fit = server.http.post("/v1/fits", params={**QUICK, "name": "nickel"}, content=data).json()
+    copy.mkdir()
+    (command,) = re.findall(r'"(VACUUM INTO .*)"', PAGE)
+    with closing(sqlite3.connect(server.data_dir / "dsbrdf.sqlite")) as database:
+        database.execute(command.replace("/backup", str(copy)))
+    shutil.copytree(server.data_dir / "blobs", copy / "blobs")
+    server.http.delete(f"/v1/fits/{fit['id']}")  # after the backup
+    assert run_main(doctor, "--data-dir", str(copy)).returncode == 0
+    server.stop()
+    server.data_dir = copy
+    restored = server.start().http
+    assert restored.get(f"/v1/fits/{fit['id']}").json() == fit
+    assert restored.get(f"/v1/measurements/{fit['measurement']}/content").content == data
+
+
+PROGRAM = """
+from pathlib import Path
+from dsbrdf.process_settings import trim_memory
+
+def megabytes():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+
+kept = [bytes(3000) for _ in range(40_000)]
+last = bytes(3000)  # at the end of the heap, which therefore does not shrink by itself
+kept.clear()
+before = megabytes()
+trim_memory()
+print(before - megabytes())
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries return memory as they like")
+def test_free_memory_is_returned() -> None:
+    answer = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
+    assert float(answer.stdout) > 60

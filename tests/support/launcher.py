@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -85,17 +86,13 @@ class Launcher:
         arguments: Sequence[str],
         environment: Mapping[str, str],
         log: Path,
-        *,
-        fits: bool = True,
         constants: Mapping[str, float] | None = None,
     ) -> ForkedProcess:
         """Fork a process that runs the program and appends what it prints to a log.
 
-        Without `fits`, a service starts the server of its worker processes at the first fit only. `constants` of
-        modules, by their dotted names, get other values: times that a test would have to wait for.
+        `constants` of modules, by their dotted names, get other values: times that a test would have to wait for.
         """
-        request: dict[str, object] = {"arguments": arguments, "environment": dict(environment), "fits": fits}
-        request["constants"] = dict(constants or {})
+        request = {"arguments": arguments, "environment": dict(environment), "constants": dict(constants or {})}
         request |= {"log": str(log), "cwd": str(Path.cwd())}
         with self._lock:
             self._connection.send(json.dumps(request).encode())
@@ -202,6 +199,20 @@ def _warm_up() -> None:
     library = import_module("dsbrdf")
     with warnings.catch_warnings(action="ignore"):  # Three iterations do not converge.
         library.decompose(library.fit(measurement, method="paper", n_lobes=1, em_iterations=3).model)
+    _let_endless_fits_sleep()
+
+
+def _let_endless_fits_sleep() -> None:
+    """Let endless fits sleep instead of computing: a test looks at one for seconds, in which it would take a core."""
+    local, endless = import_module("dsbrdf.engines.local"), import_module("tests.support.endless_fit").OPTIONS
+    fit = local.fit_quietly
+
+    def sleep_or_fit(measurement: object, options: Any, on_progress: Callable[[float], object]) -> object:
+        while options.knots_deg == endless.knots_deg:
+            time.sleep(60.0)
+        return fit(measurement, options, on_progress)
+
+    vars(local)["fit_quietly"] = sleep_or_fit
 
 
 def _say(connection: socket.socket, **document: int) -> None:
@@ -227,10 +238,7 @@ def _become(program: str, request: dict[str, Any]) -> NoReturn:
         module, _, constant = name.rpartition(".")
         assert constant in vars(import_module(module))
         vars(import_module(module))[constant] = value
-    if not request["fits"]:
-        vars(import_module("dsbrdf.engines.local"))["start_fork_server"] = lambda: None
-    else:
-        _prepare_fork_server()
+    _prepare_fork_server()
     sys.argv = [program, *request["arguments"]]
     _leave(import_module(f"{program}.__main__").main)
 

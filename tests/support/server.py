@@ -6,7 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
@@ -22,18 +22,19 @@ from tests.support.processes import alive, children, wait_until
 QUICK: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3}
 
 ENDLESS = endless_fit.ON_THE_WIRE
+StartServer = Callable[..., "Server"]
+"""Type of the fixture `own_server`."""
 
 
 class Server:
     """One service process; `stop` and `start` keep its data folder.
 
     It is a fork of a process that has imported the service already, or, with an interpreter of its own, what
-    ``python -m dsbrdf_service`` starts. So is the process from which fits are forked; where nothing is fitted, the
-    service is spared it; `constants` of its modules have other values.
+    ``python -m dsbrdf_service`` starts. So is the process from which fits are forked. `constants` of its modules have
+    other values.
     """
 
     own_interpreter = False
-    fits = True
     constants: Mapping[str, float] = MappingProxyType({})
     process: "subprocess.Popen[bytes] | ForkedProcess"
 
@@ -82,9 +83,7 @@ class Server:
                 command = [sys.executable, "-m", "dsbrdf_service", *arguments]
                 self.process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
             else:
-                self.process = launcher("dsbrdf_service").launch(
-                    arguments, environment, self.log, fits=self.fits, constants=self.constants
-                )
+                self.process = launcher("dsbrdf_service").launch(arguments, environment, self.log, self.constants)
         return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:

@@ -91,29 +91,15 @@ def test_hostile_json_is_refused_cheaply(target: Target) -> None:
 
 
 MARK = "@"  # stands for an id that exists
-OUT_OF_THE_FOLDER = """
+HOSTILE_IDS = """
     .. ../../etc/passwd ..%2f..%2f..%2fetc%2fpasswd %2e%2e/%2e%2e/dsbrdf.sqlite ..%5c..%5cwindows ..\\..\\windows
-    %252e%252e%252fetc%252fpasswd ..%c0%af..%c0%afetc%c0%afpasswd %e0%80%ae%e0%80%ae/ %uff0e%uff0e/ ..;/..;/etc/passwd
-    .%00./.%00./ %2fetc%2fpasswd //etc/passwd file:///etc/passwd ~root @/../@ @/..%2f@ ..%2fblobs%2f@ @%2f..%2f@
+    %252e%252e%252fetc%252fpasswd ..%c0%af..%c0%afetc%c0%afpasswd %uff0e%uff0e/ .%00./.%00./ //etc/passwd
+    file:///etc/passwd @/../@ @/..%2f@ ..%2fblobs%2f@ @%2f..%2f@ @%00 %00@ @%0a @%0d%0aX-Evil:%20yes @%20 @. @/ @;x=y
+    @%3f @%23 @%ef%bb%bf @0 @@ @.json @'-- 0 -1 null * {fit_id} %zz %ff%fe %F0%9F%92%A9 $(id) 1;DROP%20TABLE%20fits
+    $%7Bjndi:ldap:%2f%2fx%7D %3Cscript%3Ealert(1)%3C%2fscript%3E %1b%5b2J %0aINFO%20fake
 """
-NEARLY_AN_ID = """
-    @%00 %00@ @%0a @%0d%0aX-Evil:%20yes @%20 %20@ @. @/ @// @;x=y @%3f @%23 @%ef%bb%bf @%e2%80%8b @0 0@ @@ @,@ @.json
-    @: @%2e @'-- @%25
-"""
-OTHER_WORDS = """
-    0 -1 1e9 null NaN * {fit_id} [0] _ . % %zz %80 %ff%fe %ed%a0%80 %F0%9F%92%A9 $(id) `id` @%7Cid %7B%7B7*7%7D%7D
-    '%20OR%20'1'='1 1;DROP%20TABLE%20fits $%7Bjndi:ldap:%2f%2fx%7D %3Cscript%3Ealert(1)%3C%2fscript%3E %1b%5b2J
-    %0aINFO%20fake
-"""
-LONG_WORDS = [
-    "%D9%A3" * 32,
-    "%F0%9D%9F%98" * 32,
-    "%61" * 4000,
-    "g" * 32,
-    "%25" * 32,
-    *("a" * n for n in (31, 33, 63, 65)),
-]
-IDS = [*OUT_OF_THE_FOLDER.split(), *NEARLY_AN_ID.split(), *OTHER_WORDS.split(), *LONG_WORDS]
+LONG_IDS = ["%D9%A3" * 32, "%61" * 4000, "g" * 32, *("a" * length for length in (31, 33, 63, 65))]
+IDS = [*HOSTILE_IDS.split(), *LONG_IDS]
 TARGETS = [
     ("GET", "/v1/fits/{id}"),
     ("DELETE", "/v1/fits/{id}"),
@@ -180,23 +166,4 @@ def test_malformed_requests_are_refused_cheaply(target: Target) -> None:
             answer.begin()
             target.check(repr(hostile[:150]), answer.status, answer.headers["content-type"], answer.read())
         assert "x-evil" not in answer.headers
-    target.close()
-
-
-def test_request_with_two_lengths_is_refused(target: Target) -> None:
-    body = b'{"theta_half_deg":[1],"theta_diff_deg":[1]}'
-    chunked = b"%x\r\n%s\r\n0\r\n\r\n" % (len(body), body)
-    smuggled = b"DELETE /v1/fits/%s HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" % target.fit.encode()
-    for path in (f"/v1/fits/{target.fit}/brdf", "/health/live"):
-        head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n".encode()
-        for length in (0, 4, len(chunked), len(chunked) + len(smuggled)):
-            two = b"Content-Length: %d\r\nTransfer-Encoding: chunked\r\n\r\n" % length
-            with target.server.connection(head + two + chunked + smuggled) as connection:
-                received = b""
-                with suppress(ConnectionResetError):
-                    while piece := connection.recv(1 << 16):
-                        received += piece
-            assert received.startswith(b"HTTP/1.1 400 ")
-            assert received.count(b"HTTP/1.1 ") == 1
-            assert received.endswith((b"}", NOT_HTTP))
     target.close()

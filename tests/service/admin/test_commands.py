@@ -4,7 +4,7 @@ import json
 import re
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -25,7 +25,7 @@ from tests.support.commands import run_main, start_in_vain
 from tests.support.guarded import Guarded, keys_command
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, QUICK, Server, assert_problem
+from tests.support.server import ENDLESS, QUICK, Server, StartServer, assert_problem
 from tests.support.soak import SOAK
 from tests.support.stores import LOCAL, add
 
@@ -127,9 +127,7 @@ def purged(folder: Path, *words: str) -> dict[str, Any]:
     return document
 
 
-def test_old_fits_and_measurements_are_removed_beside_a_running_server(
-    own_server: Callable[..., Server], data: bytes
-) -> None:
+def test_old_fits_and_measurements_are_removed_beside_a_running_server(own_server: StartServer, data: bytes) -> None:
     server = own_server(workers="1")
     folder = server.data_dir
     old, fresh, unused, busy, kept = (
@@ -175,8 +173,8 @@ def test_file_is_removed_with_its_last_row(tmp_path: Path) -> None:
         assert not path.exists()
 
 
-def test_concurrent_uploads_of_purged_files_stay_consistent(own_server: Callable[..., Server], data: bytes) -> None:
-    server = own_server(fits=False)
+def test_concurrent_uploads_of_purged_files_stay_consistent(own_server: StartServer, data: bytes) -> None:
+    server = own_server()
     done = threading.Event()
     statuses: list[int] = []
 
@@ -227,15 +225,6 @@ def test_healthy_folder_of_a_running_server_passes_and_is_not_changed(folder: Pa
     )
     with pytest.raises(sqlite3.OperationalError, match="readonly"):
         read_only(folder, "DELETE FROM fits")
-
-
-def test_a_reader_that_has_read_enough_is_no_fault_of_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def end(*_: object, **__: object) -> None:
-        raise BrokenPipeError
-
-    monkeypatch.setattr("builtins.print", end)
-    with pytest.raises(BrokenPipeError):  # for `dsbrdf`, which says nothing of it
-        doctor(["--data-dir", str(folder)])
 
 
 def test_damaged_and_missing_files_are_found(folder: Path) -> None:

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -17,7 +16,7 @@ from dsbrdf.data import encode_merl
 from dsbrdf.output.serialize import model_from_dict
 from tests.support.models import assert_same_bits
 from tests.support.processes import alive, wait_until
-from tests.support.server import ENDLESS, QUICK, Server, assert_problem
+from tests.support.server import ENDLESS, QUICK, Server, StartServer, assert_problem
 from tests.support.soak import SOAK
 
 
@@ -171,7 +170,7 @@ def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> N
     assert_problem(server.http.get(f"/v1/fits/{'0' * 32}/events"), 404, "not-found")
 
 
-def test_full_queue_refuses_requests_and_loses_none(own_server: Callable[..., Server], data: bytes) -> None:
+def test_full_queue_refuses_requests_and_loses_none(own_server: StartServer, data: bytes) -> None:
     server = own_server(workers="1", queue_limit="2")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     first = server.submit(sha256, prefer="respond-async", **ENDLESS).json()["id"]

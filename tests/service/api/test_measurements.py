@@ -1,10 +1,28 @@
-"""Stored measurements: downloads, parts of them, deletion."""
+"""Measurements: MERL files, RGL files and tables, what is stored of them, given back, refused and deleted."""
 
 import hashlib
+from io import BytesIO
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
 
 import dsbrdf
-from dsbrdf.data import FILE_SIZE, encode_merl
-from tests.support.server import Server, assert_problem
+import examples
+from dsbrdf import TableOptions
+from dsbrdf.data import FILE_SIZE, encode_merl, parse_rgl
+from dsbrdf.output import from_json
+from dsbrdf.output.documents import summary_of_table
+from dsbrdf.samples.reading import parse_samples, read_table
+from tests.library.samples.test_layouts import KINDS
+from tests.library.samples.test_spreadsheet import spreadsheet
+from tests.support.mixtures import mixture, samples_table, scattered_samples
+from tests.support.models import assert_same_bits
+from tests.support.server import Server, StartServer, assert_problem
+from tests.support.soak import repeats
+
+pytestmark = pytest.mark.slow
 
 
 def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, stored: str) -> None:
@@ -64,3 +82,192 @@ def test_measurement_has_a_document_with_its_fits(server: Server, matte: dsbrdf.
     assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}"), 404, "not-found")
     server.http.delete(url)
     assert_problem(server.http.get(url), 404, "not-found")
+
+
+MODEL = mixture(2, 0)
+EXAMPLE = Path(examples.__file__).with_name("satin_purple.bsdf")
+N_ROWS = repeats(20_000, 2_000_000)
+FEW_LOBES = {"n_lobes": "1", "ring_lobes": "0"}
+HEAD = "omega_in_x,omega_in_y,omega_in_z,omega_out_x,omega_out_y,omega_out_z,red,green,blue"
+
+
+@pytest.fixture(scope="module")
+def bsdf() -> bytes:
+    return EXAMPLE.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def table() -> bytes:
+    return samples_table(scattered_samples(MODEL, 60))
+
+
+def post(server: Server, content: bytes, name: str, media_type: str = "application/octet-stream") -> httpx.Response:
+    return server.http.post(
+        "/v1/measurements", params={"name": name}, content=content, headers={"Content-Type": media_type}
+    )
+
+
+def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, bsdf: bytes) -> None:
+    merl = encode_merl(parse_rgl(bsdf).measurement())
+    answer = post(server, bsdf, "paint.BSDF", "text/csv")  # The content decides.
+    assert answer.status_code == 201, answer.text
+    document = answer.json()
+    assert document["name"] == "paint"
+    assert document["sha256"] == hashlib.sha256(merl).hexdigest()
+    assert document["size"] == len(merl)
+    assert document["valid_nodes"] == dsbrdf.parse_merl(merl).valid.sum()
+    assert server.http.get(f"{answer.headers['location']}/content").content == merl
+    picture = server.http.get(f"{answer.headers['location']}/figures/sphere.png?size=16")
+    assert picture.headers["content-type"] == "image/png"
+
+
+@pytest.mark.parametrize(
+    ("name", "media_type"),
+    [
+        ("felt.TXT", "application/octet-stream"),
+        ("felt", "application/octet-stream"),
+        ("felt.bsdf", "text/csv; charset=utf-8"),
+    ],
+)
+def test_a_table_is_stored_as_its_samples(server: Server, table: bytes, name: str, media_type: str) -> None:
+    answer = post(server, table, name, media_type)
+    assert answer.status_code in (200, 201), answer.text
+    document, samples = answer.json(), parse_samples(table)
+    stored = samples.encode()
+    expected = {"name": "felt", "sha256": samples.sha256, "size": len(stored), "valid_nodes": 0}
+    assert {name: document[name] for name in expected} == expected
+    file = server.http.get(f"{answer.headers['location']}/content")
+    assert file.content == stored
+    assert file.headers["content-disposition"] == 'attachment; filename="felt.csv"'
+    again = post(server, stored, name, media_type)
+    assert (again.status_code, again.json()["sha256"]) == (200, samples.sha256)
+
+
+@pytest.mark.parametrize(
+    ("name", "media_type"),
+    [
+        ("felt", "application/octet-stream"),
+        ("felt.csv", "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet"),
+    ],
+)
+def test_a_spreadsheet_is_the_table_in_it(server: Server, table: bytes, name: str, media_type: str) -> None:
+    content = spreadsheet(Data=[HEAD.split(","), *([*map(float, line.split(b","))] for line in table.splitlines()[1:])])
+    answer = post(server, content, name, media_type)
+    assert answer.status_code in (200, 201), answer.text
+    place = answer.headers["location"]
+    found = np.load(BytesIO(server.http.get(f"{place}/samples.npy").content))
+    np.testing.assert_allclose(found[:, 6:], parse_samples(table).values, rtol=1e-6)
+    file = server.http.get(f"{place}/content")
+    assert file.content == parse_samples(content).encode()
+
+
+def test_samples_of_a_table_are_given_all_or_some(server: Server, table: bytes, stored: str) -> None:
+    place = post(server, table, "a.csv").headers["location"]
+    samples = parse_samples(table)
+    expected = np.hstack([samples.omega_in, samples.omega_out, samples.values])
+    answer = server.http.get(f"{place}/samples.npy")
+    np.testing.assert_allclose(np.load(BytesIO(answer.content)), expected, rtol=1e-6, atol=1e-7)
+    some = np.load(BytesIO(server.http.get(f"{place}/samples.npy?most=40").content))
+    assert len(np.unique(some, axis=0)) == 40
+    assert np.isin(some[:, 0], expected[:, 0].astype(np.float32)).all()
+    assert "is a grid" in assert_problem(server.http.get(f"/v1/measurements/{stored}/samples.npy"), 404)
+
+
+def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
+    own_server: StartServer, table: bytes
+) -> None:
+    server = own_server()
+    uploaded = post(server, table, "felt.csv")
+    server.stop(9)
+    server.start()
+    file = server.http.get(f"{uploaded.headers['location']}/content").content
+    assert file == parse_samples(table).encode()
+    assert len(file) == uploaded.json()["size"]
+
+    headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
+    answer = server.http.post("/v1/fits", params=FEW_LOBES | {"name": "felt.csv"}, content=table, headers=headers)
+    fit = server.ended(answer).json()
+    assert (fit["status"], fit["name"]) == ("succeeded", "felt"), fit
+    document = {"measurement": uploaded.json()["sha256"], "options": {"n_lobes": 1, "ring_lobes": 0}}
+    assert server.http.post("/v1/fits", json=document).json()["id"] == fit["id"]
+    expected = dsbrdf.fit(parse_samples(table), n_lobes=1, ring_lobes=0)
+    exported = server.http.get(f"/v1/fits/{fit['id']}/export?format=json").text
+    assert_same_bits(from_json(exported)[0], expected.model)
+    assert fit["metrics"]["relative_rms"] == expected.report.metrics.relative_rms
+    assert fit["warnings"] == [*expected.report.warnings]
+    for path in (
+        f"/v1/measurements/{fit['measurement']}/figures/sphere.png",
+        f"/v1/measurements/{fit['measurement']}/table.npy",
+    ):
+        assert "a table of samples, without pictures" in assert_problem(server.http.get(path), 404)
+    for figure in ("residual", "parameters"):
+        assert b"felt" in server.http.get(f"/v1/fits/{fit['id']}/figures/{figure}.svg").content, figure
+    assert server.http.get(f"/v1/fits/{fit['id']}/figures/sphere.png?size=16").is_success
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "status", "words"),
+    [
+        ("a.bsdf", EXAMPLE.read_bytes()[:100_000], 422, "damaged or cut off"),
+        ("a.csv", b"theta_in,theta_out,value\n" + b",,\n" * N_ROWS, 422, "0 samples"),
+        ("a.txt", bytes(range(256)) * 100, 422, "MERL"),
+        ("a.csv", b"#" * ((1 << 23) + 1), 413, "at most 8388608 bytes here"),
+    ],
+    ids=["cut off", "rows without end", "no text", "too long"],
+)
+def test_what_is_wrong_is_told_soon_and_nothing_is_stored(
+    server: Server, name: str, content: bytes, status: int, words: str
+) -> None:
+    before = sorted(server.files())
+    assert words in assert_problem(post(server, content, name), status)  # The client waits a minute at most.
+    assert sorted(server.files()) == before
+
+
+@pytest.mark.parametrize("words", KINDS)
+def test_another_kind_of_file_is_named_as_by_the_library(server: Server, words: str) -> None:
+    for path in ("/v1/measurements", "/v1/tables"):
+        answer = server.http.post(path, content=KINDS[words], headers={"Content-Type": "application/octet-stream"})
+        assert f"The file is {words}" in assert_problem(answer, 422)
+
+
+def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: bytes) -> None:
+    odd = table.replace(b"blue", b"azure", 1) + b"0,0,1,0,0,1,-9,-9,-9\n"
+    chosen = {"columns": "blue=azure", "missing": "-9", "scale": "0.5", "cosine": "out", "phi": "mirror"}
+    assert "lacks blue: not understood are its columns" in assert_problem(post(server, odd, "odd.csv"), 422)
+    headers = {"Content-Type": "text/csv", "Prefer": "wait=60"}
+    fit = server.ended(server.http.post("/v1/fits", params=FEW_LOBES | chosen, content=odd, headers=headers)).json()
+    assert fit["status"] == "succeeded", fit
+    assert not {*chosen} & {*fit["options"]}
+    options = {"n_lobes": 1, "ring_lobes": 0}
+    again = server.http.post("/v1/fits", json={"measurement": fit["measurement"], "options": options})
+    assert again.json()["id"] == fit["id"]
+    refused = server.http.post("/v1/fits", json={"measurement": fit["measurement"], "options": {"scale": 0.5}})
+    assert "Unknown option 'scale'" in assert_problem(refused, 422)
+    samples = parse_samples(table)
+    values = 0.5 * samples.values / samples.omega_out[:, 2:]
+    expected = np.hstack([samples.omega_in * [-1.0, -1.0, 1.0], samples.omega_out, values])
+    of_table = server.http.get(f"/v1/measurements/{fit['measurement']}/samples.npy")
+    np.testing.assert_allclose(np.load(BytesIO(of_table.content)), expected, rtol=1e-6, atol=1e-7)
+
+
+def test_a_measurement_on_a_grid_has_no_options_of_a_table(server: Server, data: bytes) -> None:
+    answer = server.http.post("/v1/measurements", params={"scale": "0.5"}, content=data)
+    assert "scale is an option of a table of samples" in assert_problem(answer, 422)
+
+
+def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> None:
+    rows = [f"{incidence},{seen},{25 if seen else -999.5}" for incidence in (0, 30) for seen in range(0, 61, 2)]
+    content = "\n".join(["AOI [deg],AOR,reflectance", *rows])
+    headers = {"Content-Type": "text/csv"}
+    before = server.files()
+    answer = server.http.post("/v1/tables", content=content, headers=headers)
+    assert "-999.5" in assert_problem(answer, 422, "measurement-format")
+    chosen = {"columns": "value=reflectance", "missing": "-999.5", "scale": "0.01"}
+    options = TableOptions(columns="value=reflectance", missing=-999.5, scale=0.01)
+    for media_type in ("text/csv", "application/octet-stream", "application/json"):  # The content decides.
+        headers = {"Content-Type": media_type}
+        told = server.http.post("/v1/tables", params=chosen, content=content, headers=headers).json()
+        assert told == summary_of_table(read_table(content.encode(), options=options))
+    answer = server.http.post("/v1/tables?n_lobes=2", content=content, headers=headers)
+    assert "n_lobes" in assert_problem(answer, 422, "invalid-argument")
+    assert server.files() == before

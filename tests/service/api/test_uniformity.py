@@ -1,11 +1,9 @@
 """What holds for all routes alike: HEAD, unknown parameters, headers, forwarded addresses, who sees the metrics."""
 
-from collections.abc import Callable
-
 import pytest
 
 from tests.support.guarded import Guarded, new_key
-from tests.support.server import QUICK, Server, assert_problem
+from tests.support.server import QUICK, Server, StartServer, assert_problem
 
 
 def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, fitted: str) -> None:
@@ -77,8 +75,8 @@ def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored:
     assert server.http.get(f"/v1/fits/{fitted}").status_code == 200
 
 
-def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: Callable[..., Server]) -> None:
-    server = own_server(fits=False, log_level="debug")
+def test_forwarded_address_is_believed_only_if_proxies_are_named(own_server: StartServer) -> None:
+    server = own_server(log_level="debug")
     server.http.get("/v1/fits", headers={"X-Forwarded-For": "203.0.113.9"})
     assert server.stop() == 0
     assert "/v1/fits" in server.log.read_text()

@@ -6,7 +6,7 @@ import resource
 import signal
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import ExitStack, closing, suppress
 
 import httpx
@@ -15,7 +15,7 @@ import pytest
 from dsbrdf.data import FILE_SIZE
 from tests.support.guarded import new_key
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, Server, assert_problem, head_of_upload, in_progress
+from tests.support.server import ENDLESS, Server, StartServer, assert_problem, head_of_upload, in_progress
 
 pytestmark = pytest.mark.slow
 
@@ -92,9 +92,9 @@ def test_answer_that_nobody_reads_is_given_up(impatient: Server, data: bytes) ->
     assert "Traceback" not in impatient.log.read_text()
 
 
-def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: Callable[..., Server], data: bytes) -> None:
+def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: StartServer, data: bytes) -> None:
     patience = 2 * PATIENCE  # for a client that is held up by a busy machine
-    server = own_server(fits=False, idle_timeout=str(patience), least_upload_rate="100000")
+    server = own_server(idle_timeout=str(patience), least_upload_rate="100000")
     step = len(data) // 8
 
     async def in_steps() -> AsyncIterator[bytes]:
@@ -119,7 +119,7 @@ def follow_until_refused(stack: ExitStack, server: Server, path: str, headers: d
     raise AssertionError("no stream was refused")
 
 
-def test_no_caller_can_take_all_places(own_server: Callable[..., Server], data: bytes) -> None:
+def test_no_caller_can_take_all_places(own_server: StartServer, data: bytes) -> None:
     server = own_server(require_keys="true", limit_concurrency="8", workers="1", max_wait="0.5")
     alice, bob = (new_key(server, name)[1] for name in ("alice", "bob"))
     head = head_of_upload(100, "/v1/fits") + b"slow"
@@ -205,8 +205,8 @@ def test_client_that_sends_many_requests_and_reads_no_answer_is_disconnected(imp
     assert impatient.memory() - before < 16
 
 
-def test_process_that_was_stopped_refuses_no_body_that_came_meanwhile(own_server: Callable[..., Server]) -> None:
-    server = own_server(fits=False, idle_timeout="2")
+def test_process_that_was_stopped_refuses_no_body_that_came_meanwhile(own_server: StartServer) -> None:
+    server = own_server(idle_timeout="2")
     body = b'{"measurement": "%s"}' % (b"0" * 64)
     head = head_of_upload(len(body), "/v1/fits", content_type="application/json")
     with server.connection(head + body[:40]) as connection:
@@ -218,8 +218,8 @@ def test_process_that_was_stopped_refuses_no_body_that_came_meanwhile(own_server
         assert connection.recv(12) == b"HTTP/1.1 404"
 
 
-def test_too_many_open_files_take_one_line_of_the_log_each_second(own_server: Callable[..., Server]) -> None:
-    server, begin = own_server(fits=False), time.monotonic()
+def test_too_many_open_files_take_one_line_of_the_log_each_second(own_server: StartServer) -> None:
+    server, begin = own_server(), time.monotonic()
     resource.prlimit(server.process.pid, resource.RLIMIT_NOFILE, (48, 48))
     with ExitStack() as stack:
         for _ in range(60):
@@ -231,8 +231,8 @@ def test_too_many_open_files_take_one_line_of_the_log_each_second(own_server: Ca
     assert server.http.get("/health/live", timeout=30).status_code == 200
 
 
-def test_fields_behind_a_body_are_no_headers(own_server: Callable[..., Server]) -> None:
-    server = own_server(fits=False, require_keys="true")
+def test_fields_behind_a_body_are_no_headers(own_server: StartServer) -> None:
+    server = own_server(require_keys="true")
     key = new_key(server, "alice")[1]["Authorization"]
     body = b'{"measurement": "%s"}' % (b"0" * 64)
     head = b"POST /v1/fits HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nTransfer-Encoding: chunked\r\n"
@@ -245,8 +245,8 @@ def test_fields_behind_a_body_are_no_headers(own_server: Callable[..., Server]) 
     assert answers == [b"HTTP/1.1 404", b"HTTP/1.1 401"]
 
 
-def test_connections_over_eight_times_the_limit_are_refused(own_server: Callable[..., Server]) -> None:
-    server = own_server(fits=False, limit_concurrency="4")
+def test_connections_over_eight_times_the_limit_are_refused(own_server: StartServer) -> None:
+    server = own_server(limit_concurrency="4")
     server.http.close()
     with ExitStack() as stack:
         for _ in range(32):

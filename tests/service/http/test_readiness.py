@@ -4,7 +4,7 @@ import asyncio
 import shutil
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -21,13 +21,13 @@ from dsbrdf_service.storage.database import FILE_NAME
 from dsbrdf_service.storage.store import Store
 from tests.support.application import application
 from tests.support.processes import wait_until
-from tests.support.server import QUICK, Server, assert_problem
+from tests.support.server import QUICK, StartServer, assert_problem
 
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 
 
 def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
-    own_server: Callable[..., Server], data: bytes
+    own_server: StartServer, data: bytes
 ) -> None:
     limit = 0.5  # [s] The service's own limits are several seconds.
     server = own_server(
@@ -50,7 +50,7 @@ def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
     assert not list((server.data_dir / "tmp").iterdir())
 
 
-def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: Callable[..., Server], data: bytes) -> None:
+def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: StartServer, data: bytes) -> None:
     server = own_server()
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     elsewhere = server.data_dir.with_name("elsewhere")
@@ -72,7 +72,7 @@ def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: Callable[
 
 
 def test_removed_socket_of_the_fork_server_is_not_ready_until_the_next_start(
-    own_server: Callable[..., Server], data: bytes
+    own_server: StartServer, data: bytes
 ) -> None:
     server = own_server()
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]

@@ -7,7 +7,7 @@ import hashlib
 import json
 import secrets
 import select
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
@@ -21,11 +21,11 @@ from dsbrdf.output import export_model, from_json
 from tests.support.guarded import new_key
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
-from tests.support.server import QUICK, Server, assert_problem, head_of_upload, in_progress
+from tests.support.server import QUICK, Server, StartServer, assert_problem, head_of_upload, in_progress
 
 pytestmark = pytest.mark.slow
 
-N_CLIENTS = 6
+N_CLIENTS = 4
 MEGABYTES = 64
 
 
@@ -50,26 +50,26 @@ def test_batch_may_have_sixteen_megabytes(server: Server, fitted: str) -> None:
         assert answer.status_code == status, answer.text
 
 
-def test_uploads_take_little_memory(own_server: Callable[..., Server], data: bytes, plastic_file: Path) -> None:
-    server = own_server(fits=False)
+def test_uploads_take_little_memory(own_server: StartServer, data: bytes, plastic_file: Path) -> None:
+    server = own_server()
     before = server.memory("VmHWM")
     with plastic_file.open("rb") as file:
         answer = server.http.post("/v1/measurements", content=file)
     assert answer.status_code == 201
     assert server.memory("VmHWM") - before < 8
 
-    contents = [with_value(data, 0.25 + i) for i in range(4)]
-    with ThreadPoolExecutor(4) as pool:
+    contents = [with_value(data, 0.25 + i) for i in range(3)]
+    with ThreadPoolExecutor(3) as pool:
         url = server.http.base_url.join("/v1/measurements")
         answers = list(pool.map(lambda content: httpx.post(url, content=content, timeout=60), contents))
-    assert [answer.status_code for answer in answers] == [201] * 4
+    assert [answer.status_code for answer in answers] == [201] * 3
     assert {answer.json()["sha256"] for answer in answers} == {hashlib.sha256(c).hexdigest() for c in contents}
     assert server.memory("VmHWM") - before < 24
 
 
-def test_open_upload_takes_half_a_megabyte(own_server: Callable[..., Server], data: bytes) -> None:
+def test_open_upload_takes_half_a_megabyte(own_server: StartServer, data: bytes) -> None:
     """So 240 take 120 MB, and the service 250 MB with them."""
-    server, n_uploads = own_server(fits=False), 64
+    server, n_uploads = own_server(), 64
     assert server.http.post("/v1/measurements", content=data).status_code == 201
     before = server.memory()
     with ExitStack() as stack:
@@ -124,7 +124,7 @@ def stalled(path: str, data: bytes) -> Iterator[bytes]:
         yield head_of_upload(len(data)) + data[:1_000_000]
 
 
-def test_stalled_clients_take_little_memory(own_server: Callable[..., Server], data: bytes) -> None:
+def test_stalled_clients_take_little_memory(own_server: StartServer, data: bytes) -> None:
     server = own_server(idle_timeout="600", least_upload_rate="0")
     fit = server.http.post("/v1/fits", params=QUICK, content=data).json()["id"]
     path = f"/v1/fits/{fit}"
@@ -144,7 +144,7 @@ def test_stalled_clients_take_little_memory(own_server: Callable[..., Server], d
     wait_until(lambda: not list((server.data_dir / "tmp").iterdir()))
 
 
-def test_bodies_of_one_caller_take_limited_memory_and_no_disk(own_server: Callable[..., Server], data: bytes) -> None:
+def test_bodies_of_one_caller_take_limited_memory_and_no_disk(own_server: StartServer, data: bytes) -> None:
     server = own_server(idle_timeout="600", least_upload_rate="0", require_keys="true")
     alice, bob = (new_key(server, name)[1] for name in ("alice", "bob"))
     path = f"/v1/fits/{server.http.post('/v1/fits', params=QUICK, content=data, headers=alice).json()['id']}/brdf"

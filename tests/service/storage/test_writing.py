@@ -1,22 +1,28 @@
-"""What is being written counts in the quota of its key, and a digest is computed once for each file."""
+"""Quotas: what is being written counts, and a key says who is let in, how often, and with how much."""
 
 import asyncio
 import hashlib
 import sqlite3
 import threading
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, closing
 from pathlib import Path
 
 import pytest
 
 import dsbrdf
 from dsbrdf.data import FILE_SIZE
-from dsbrdf_service.errors import MeasurementDamagedError, ProblemError
+from dsbrdf_service import access as keys_module
+from dsbrdf_service.access import Keys
+from dsbrdf_service.errors import InvalidKeyError, MeasurementDamagedError, ProblemError
+from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage import files
-from dsbrdf_service.storage.database import RESERVE
+from dsbrdf_service.storage.database import RESERVE, Database
+from dsbrdf_service.storage.keys import add_key, revoke_key
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
-from tests.support.stores import add
+from tests.support.guarded import Guarded, keys_command
+from tests.support.server import assert_problem
+from tests.support.stores import add, receive
 
 LOCAL = Caller()
 
@@ -125,3 +131,113 @@ def test_reserve_gives_its_room_on_a_full_disk(tmp_path: Path, monkeypatch: pyte
     )
     Store(tmp_path).close()
     assert there == [False]
+
+
+def test_secrets_are_neither_stored_nor_printed(guarded: Guarded, data: bytes) -> None:
+    server = guarded.server
+    header = guarded.new_key("for a search")
+    key = header["Authorization"].removeprefix("Bearer ")
+    secret = key.split("_", 2)[2]
+    assert server.http.post("/v1/measurements", content=data, headers=header).status_code == 201
+    assert server.http.get("/v1/fits?cursor=x", headers=header).status_code == 422
+    assert server.http.get("/v1/fits", headers=header | {"Authorization": f"Bearer {key}x"}).status_code == 401
+    assert server.http.get(f"/v1/fits/{'0' * 32}", headers=header).status_code == 404
+    texts = {path.name: path.read_bytes() for path in server.data_dir.glob("dsbrdf.sqlite*")}
+    assert "dsbrdf.sqlite-wal" in texts
+    texts["log"] = server.log.read_bytes()
+    for kind in ([], ["--json"]):
+        texts[str(kind)] = keys_command("list", *kind, "--data-dir", str(server.data_dir)).stdout.encode()
+        assert b"for a search" in texts[str(kind)]
+    assert b"for a search" in b"".join(text for name, text in texts.items() if name.startswith("dsbrdf"))
+    for name, text in texts.items():
+        assert secret.encode() not in text, name
+
+
+def test_unknown_key_ids_are_compared_in_constant_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[tuple[bytes, bytes]] = []
+
+    def compare(one: bytes, other: bytes) -> bool:
+        compared.append((one, other))
+        return one == other
+
+    monkeypatch.setattr("dsbrdf_service.access.hmac.compare_digest", compare)
+    with closing(Database(tmp_path)) as database:
+        key_id, key = add_key(database, "x")
+        active = Keys(Settings())
+        active.open(database)
+        found = active.find(key.encode())
+        assert (found and found.owner) == key_id
+        for wrong in (key.replace(key_id, "0" * 12), key[:-1] + "_"):
+            assert active.find(wrong.encode()) is None
+        revoke_key(database, key_id)
+        assert active.find(key.encode()) is None
+    assert [len(part) for pair in compared for part in pair] == [32] * 8
+
+
+def test_locked_database_is_reported_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dsbrdf_service.storage.database._BUSY_TIMEOUT", 0.1)
+    with closing(Database(tmp_path)) as database, database.transaction():
+        busy = keys_command("add", "x", "--data-dir", str(tmp_path))
+    assert busy.returncode in (1, 2)
+    assert (busy.stderr.count("\n"), busy.stdout) == (1, "")
+    assert "locked" in busy.stderr
+
+
+def test_keys_without_limits_of_their_own_have_those_of_the_settings(tmp_path: Path) -> None:
+    settings = Settings(key_requests_per_second=3.0, key_stored_mb=40, key_queued_fits=5)
+    with closing(Database(tmp_path)) as database:
+        (usual, usual_key), (own, own_key) = add_key(database, "a"), add_key(database, "b", stored_mb=6, queued_fits=7)
+        keys = Keys(settings)
+        keys.open(database)
+        found = [keys.find(key.encode()) for key in (usual_key, own_key)]
+    assert found == [
+        Caller(usual, stored_bytes=40_000_000, queued_fits=5, metrics=False, requests_per_second=3.0),
+        Caller(own, stored_bytes=6_000_000, queued_fits=7, metrics=False, requests_per_second=3.0),
+    ]
+
+
+def test_revoked_key_stores_nothing_and_its_waiting_fits_are_cancelled(tmp_path: Path) -> None:
+    with closing(Store(tmp_path)) as store:
+        key, other = (add_key(store.database, name)[0] for name in ("revoked", "other"))
+        fits = {}
+        for owner in (key, other):
+            sha256 = add(store, b"content", Caller(owner))
+            fits[owner] = [store.add_fit(Caller(owner), sha256, {"n_lobes": n}, 10)[0].key for n in range(3)]
+            store.start_fit(fits[owner][0])
+        incoming = receive(store, b"sent meanwhile")
+        revoke_key(store.database, key)
+        assert [store.fit(fit).status for fit in fits[key]] == ["running", "cancelled", "cancelled"]
+        assert [store.fit(fit).status for fit in fits[other]] == ["running", "accepted", "accepted"]
+        with pytest.raises(InvalidKeyError):
+            store.add_measurement(Caller(key), incoming)
+        assert not store.blobs.path(incoming.sha256).exists()
+        with pytest.raises(InvalidKeyError):
+            store.add_fit(Caller(key), sha256, {"n_lobes": 4}, 10)
+        assert store.add_measurement(Caller(other), incoming)[1]
+
+
+def test_requests_of_five_seconds_may_come_at_once_and_more_at_their_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 1000.0
+    monkeypatch.setattr(keys_module, "monotonic", lambda: now)
+    keys, key, slow = Keys(Settings()), Caller("a", requests_per_second=4.0), Caller("b", requests_per_second=0.01)
+    assert [keys.wait(key) for _ in range(20)] == [0.0] * 20
+    assert keys.wait(key) == pytest.approx(0.25)
+    now += 0.2
+    assert keys.wait(key) == pytest.approx(0.05)
+    now += 0.05 + 1e-9
+    assert keys.wait(key) == 0.0
+    assert keys.wait(key) > 0.0
+    now += 1e6
+    assert [keys.wait(key) for _ in range(20)] == [0.0] * 20
+    assert keys.wait(key) > 0.0
+    assert keys.wait(slow) == 0.0
+    assert keys.wait(slow) == pytest.approx(100.0)
+
+
+def test_rate_limit_counts_each_key_alone(guarded: Guarded) -> None:
+    header = guarded.new_key("slow", requests_per_second=0.02)  # and its one request is made
+    answer = guarded.server.http.get("/v1/fits", headers=header)
+    assert "0.02 requests per second" in assert_problem(answer, 429, "rate-limited")
+    assert 1 <= int(answer.headers["retry-after"]) <= 50
+    assert [guarded.server.http.get("/v1/fits", headers=guarded.bob).status_code for _ in range(20)] == [200] * 20
+    assert guarded.server.http.get("/v1/fits", headers=header).status_code == 429

@@ -1,0 +1,156 @@
+"""Results of fits: components that add up, exports without loss, and the materials that come with the service."""
+
+import json
+import re
+from dataclasses import asdict
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dsbrdf
+from dsbrdf.components import LABELS
+from dsbrdf.data import FILE_SIZE
+from dsbrdf.output import FORMATS, export_model, fit_from_json, from_json, to_json
+from dsbrdf.output.documents import component_documents
+from dsbrdf.output.export import part_of
+from dsbrdf_service.compute.computations import LoadedFit
+from dsbrdf_service.errors import ProblemError
+from tests.support.guarded import Guarded
+from tests.support.models import assert_same_bits
+from tests.support.server import Server, assert_problem
+
+POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
+
+
+def test_components_are_the_documents_of_the_library_and_lead_the_fits_document(
+    server: Server, fitted: str, model: dsbrdf.DSBRDF
+) -> None:
+    items = server.http.get(f"/v1/fits/{fitted}/components").json()["items"]
+    fit = server.http.get(f"/v1/fits/{fitted}").json()
+    assert fit["components"] == items == json.loads(json.dumps(component_documents(model)))
+    assert list(fit).index("components") < list(fit).index("model")
+
+
+def test_values_of_the_components_add_up_to_the_fits(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    url = f"/v1/fits/{fitted}"
+    decomposition = dsbrdf.decompose(model)
+    parts = []
+    for component in decomposition:
+        values = server.http.post(f"{url}/components/{component.label}/brdf", json=POINTS).json()["values"]
+        expected = component.evaluate(np.radians(POINTS["theta_half_deg"]), np.radians(POINTS["theta_diff_deg"]))
+        np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-15)
+        parts.append(values)
+    whole = server.http.post(f"{url}/brdf", json=POINTS).json()["values"]
+    np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12)
+    one = server.http.get(f"{url}/components/diffuse/brdf?theta_half_deg=5&theta_diff_deg=20").json()["values"]
+    np.testing.assert_allclose(one[0], parts[-1][2], rtol=1e-12)
+
+
+def test_a_component_without_light_is_not_found(server: Server, stored: str) -> None:
+    fit = server.submit(stored, method="global", n_lobes=1, ring_lobes=0).json()
+    labels = [component["label"] for component in fit["components"]]
+    absent, there = next(label for label in LABELS if label not in labels), " and ".join(labels)
+    url, point = f"/v1/fits/{fit['id']}", {"theta_half_deg": 5, "theta_diff_deg": 20}
+    for answer in (
+        server.http.get(f"{url}/components/{absent}/brdf", params=point),
+        server.http.get(f"{url}/components/{absent}/brdf", params={"theta_half_deg": "x"}),
+        server.http.post(f"{url}/components/{absent}/brdf", json=POINTS),
+        server.http.get(f"{url}/export", params={"format": "merl", "component": absent}),
+        server.http.get(f"{url}/figures/sphere.png", params={"component": absent}),
+    ):
+        detail = assert_problem(answer, 404, "not-found")
+        assert detail == f"The fit has no component {absent}: it has {there}."
+    assert_problem(server.http.get(f"{url}/components/specular%20lobe/brdf", params=point), 404, "not-found")
+
+
+def test_a_black_fit_has_no_components(model: dsbrdf.DSBRDF) -> None:
+    black = dsbrdf.decompose(model.select((), with_delta=False))
+    restored, _ = fit_from_json(to_json(black.model, None, black))
+    with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
+        LoadedFit(restored, None).part("diffuse")
+    assert raised.value.kind == "not-found"
+
+
+def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
+    url = f"/v1/fits/{fitted}/export"
+    text = server.http.get(url, params={"format": "json"})
+    assert json.loads(text.text)["format"] == "dsbrdf"
+    again, report = from_json(text.text)
+    named = server.http.get(f"/v1/fits/{fitted}").json()["name"]  # Another test may have named it.
+    assert named or f"{fitted}.json" in text.headers["content-disposition"]
+    assert_same_bits(again, model)
+    assert report is not None
+    assert asdict(report.metrics) == server.http.get(f"/v1/fits/{fitted}").json()["metrics"]
+
+
+@cache
+def part(model: dsbrdf.DSBRDF, component: str | None) -> Any:
+    """What is exported of a model, decomposed once."""
+    return part_of(model, component)
+
+
+@pytest.mark.parametrize(
+    ("file_format", "component", "named"),
+    [
+        ("merl", None, {}),
+        ("csv", None, {}),
+        ("json", "layers", {}),
+        ("brdf", "layers", {}),
+        ("glsl", "diffuse", {"name": "paint"}),
+    ],
+)
+def test_formats_of_other_programs_are_those_of_the_library(
+    server: Server, fitted: str, model: dsbrdf.DSBRDF, file_format: str, component: str | None, named: dict[str, Any]
+) -> None:
+    query = {"format": file_format, **named} | ({} if component is None else {"component": component})
+    answer = server.http.get(f"/v1/fits/{fitted}/export", params=query)
+    kind = FORMATS[file_format]
+    assert answer.content == export_model(part(model, component), file_format, **named)
+    assert answer.headers["content-type"] == kind.media_type
+    assert f"{component or ''}.{kind.suffix}" in answer.headers["content-disposition"]
+
+
+def test_a_part_of_an_export_is_answered_with_all_of_it(server: Server, fitted: str) -> None:
+    url = f"/v1/fits/{fitted}/export?format=merl"
+    whole = server.http.get(url, headers={"Range": "bytes=0-11"})
+    assert (whole.status_code, len(whole.content)) == (200, FILE_SIZE)
+
+
+def test_example_shows_the_export_that_it_is_saved_beside(server: Server, fitted: str) -> None:
+    url = f"/v1/fits/{fitted}/export"
+    scene = server.http.get(url, params={"format": "bsdf", "example": True})
+    (name,) = re.findall('filename="(.*)\\.xml"', scene.headers["content-disposition"])
+    assert f'<string name="filename" value="{name}.bsdf"/>' in scene.text
+    page = server.http.get(url, params={"format": "glsl", "example": True}).text
+    assert server.http.get(url, params={"format": "glsl"}).text in page
+    answer = server.http.get(url, params={"format": "csv", "example": True})
+    assert "not for csv" in assert_problem(answer, 422, "invalid-argument")
+
+
+def test_materials_are_fits_that_everyone_has_and_nobody_changes(guarded: Guarded) -> None:
+    http = guarded.server.http
+    items = http.get("/v1/materials", headers=guarded.alice).json()["items"]
+    assert [item["name"] for item in items] == list(dsbrdf.materials())
+    path = f"/v1/fits/{items[0]['id']}"
+    assert_problem(http.get(path), 401, "unauthorized")
+    for key in (guarded.alice, guarded.bob):
+        document = http.get(path, headers=key).json()
+        result = dsbrdf.load_material(document["name"])
+        assert document["warnings"] == list(result.report.warnings)
+        assert [part["label"] for part in document["components"]] == list(dsbrdf.decompose(result).labels)
+        values = http.get(f"{path}/brdf?theta_half_deg=10&theta_diff_deg=30", headers=key).json()["values"]
+        expected = result.model.evaluate(np.radians(10), np.radians(30))
+        assert values[0] == pytest.approx(expected, rel=1e-12)
+        assert http.get(f"{path}/export?format=glsl", headers=key).is_success
+        assert items[0]["id"] not in http.get("/v1/fits", headers=key).text
+        assert_problem(http.patch(path, json={"name": "mine"}, headers=key), 404, "not-found")
+        assert_problem(http.delete(path, headers=key), 409, "fit-ended")
+        assert http.get(path, headers=key).json() == document
+
+
+def test_an_ill_formed_id_is_named(server: Server) -> None:
+    assert "'abc' is no id of a fit" in assert_problem(server.http.get("/v1/fits/abc"), 404, "not-found")
+    assert "'abc' is no id of a measurement" in assert_problem(server.http.get("/v1/measurements/abc"), 404)
+    assert_problem(server.http.get("/v2/fits"), 404, "not-found")
