@@ -62,12 +62,7 @@ def test_noisy_measurement() -> None:
     [
         (0.09, 0.0, 0.1, []),
         (0.14, 0.1, 0.1, []),
-        (
-            0.11,
-            0.0,
-            0.1,
-            ["The brightest values of the fit are off by 11.0% (relative_rms), where a model of this"],
-        ),
+        (0.11, 0.0, 0.1, ["The brightest values of the fit are off by 11.0% (relative_rms), where a model of this"]),
         (
             0.32,
             0.2,

@@ -39,11 +39,7 @@ def mixture(n_lobes: int, seed: int) -> DSBRDF:
     gamma = np.log(np.log1p(np.expm1(kappa) / 2.0) / kappa) / np.log(np.cos(width))
     gamma = gamma * np.exp(random.uniform(-0.3, 0.3, n_lobes) * share)
     return DSBRDF(
-        KNOTS,
-        amplitude=height,
-        kappa=kappa[None],
-        gamma=gamma[None],
-        elongation=random.uniform(0.2, 1.0, (1, n_lobes)),
+        KNOTS, amplitude=height, kappa=kappa[None], gamma=gamma[None], elongation=random.uniform(0.2, 1.0, (1, n_lobes))
     )
 
 

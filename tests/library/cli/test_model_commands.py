@@ -133,10 +133,7 @@ def test_show_prints_the_report_that_the_fit_printed(plastic_file: Path, model_f
 
 
 def test_show_prints_the_lobes_tried_or_compared_and_the_errors(two_lobe_fit: FitResult, tmp_path: Path) -> None:
-    elimination = (
-        SearchStep(3, 1, 1.2e-3, kept=True),
-        SearchStep(n_lobes=2, ring_lobes=1, error=1.23e-3, kept=False),
-    )
+    elimination = (SearchStep(3, 1, 1.2e-3, kept=True), SearchStep(n_lobes=2, ring_lobes=1, error=1.23e-3, kept=False))
     compared = SelectionStep(1, -0.25, 1.5, None, 4.0, 2.5, True), SelectionStep(2, -0.5, 1.25, None, None, None, False)
     report = replace(two_lobe_fit.report, search=elimination, selection=compared)
     dsbrdf.save(FitResult(two_lobe_fit.model, report), tmp_path / "fit.json")

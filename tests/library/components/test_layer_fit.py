@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from dsbrdf.components import (
-    DiffuseLayer,
-    Layer,
-    LayeredModel,
-    RetroLayer,
-    SheenLayer,
-    SpecularLayer,
-    TurningLayer,
-)
+from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, TurningLayer
 from dsbrdf.components.layer_data import LayerData, component_data, grid_values, material_data, renderer_data
 from dsbrdf.components.layer_fit import FittedStructure, fit_structures, structure_weights
 from dsbrdf.components.points import light_rules

@@ -5,15 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from dsbrdf.arrays import Array
-from dsbrdf.components import (
-    DiffuseLayer,
-    Layer,
-    LayeredModel,
-    RetroLayer,
-    SheenLayer,
-    SpecularLayer,
-    TurningLayer,
-)
+from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, TurningLayer
 from dsbrdf.components.points import Points
 from dsbrdf.data import directions, spherical
 

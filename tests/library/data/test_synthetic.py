@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from dsbrdf import InvalidArgumentError, Measurement
-from dsbrdf.data import (
-    THETA_DIFF,
-    THETA_HALF,
-    model_measurement,
-    nodes_above_horizon,
-    synthetic_measurement,
-)
+from dsbrdf.data import THETA_DIFF, THETA_HALF, model_measurement, nodes_above_horizon, synthetic_measurement
 from dsbrdf.model import directional_albedo
 from tests.support.random_models import random_model
 

@@ -13,16 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dsbrdf
-from dsbrdf import (
-    DSBRDF,
-    FitReport,
-    FitResult,
-    InvalidArgumentError,
-    ModelFormatError,
-    decompose,
-    load,
-    save,
-)
+from dsbrdf import DSBRDF, FitReport, FitResult, InvalidArgumentError, ModelFormatError, decompose, load, save
 from dsbrdf.fitting import Metrics
 from dsbrdf.output import fit_from_json, from_json, result_from_json, to_json
 from dsbrdf.output.serialize import model_from_dict, model_to_dict, report_from_dict

@@ -225,10 +225,7 @@ WRONG = [
     (table() + b"1;" * 70_000, "Line 242 of the table has 140000 characters; it may have 131072."),
     (table() + b"1," * 65_000, "Line 242 of the table has 65001 cells, and the line of names has 7"),
     (b"theta_in," * 4097 + b"\n1", "The table has 4097 columns; it may have 4096."),
-    (
-        WORDS[0].encode() + b"\n,,,,,,\n" * 7150,
-        "The table has 7150 rows of 7 cells, and it may have 50000 cells",
-    ),
+    (WORDS[0].encode() + b"\n,,,,,,\n" * 7150, "The table has 7150 rows of 7 cells, and it may have 50000 cells"),
     (WORDS[0].encode() + b"\na,b,c,d,e,f,g" * 7000, "Line 22 of the table has 'a' in the column 'theta_in"),
     ((b"a," * 60_000 + b"\n") * 3 + table(), "has no line that names its columns"),
     (
@@ -296,10 +293,7 @@ WRONG = [
         "decimal comma by semicolons.",
     ),
     ("\n".join([*WORDS[:4], "1,2,3"]).encode(), "Line 5 of the table has 3 cells, and the line of names has 7."),
-    (
-        changed(4, "dark"),
-        "Line 6 of the table has 'dark' in the column 'red'; write a number, or nan where",
-    ),
+    (changed(4, "dark"), "Line 6 of the table has 'dark' in the column 'red'; write a number, or nan where"),
     (
         table((*VECTORS, *CHANNELS), OFF_UNIT),
         "In 240 of 240 rows omega_in is not of unit length, which is 1.05 in one of them; directions are unit vectors.",
