@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf import MeasurementFormatError, read_measurement, read_samples
+from dsbrdf import MeasurementFormatError, TableOptions, read_measurement, read_samples
 from dsbrdf.arrays import Array
 from dsbrdf.samples import layouts
 from dsbrdf.samples.reading import parse_samples, read_table
@@ -37,6 +37,31 @@ def test_layouts_are_read_or_refused_by_name(path: Path) -> None:
     assert np.ptp(samples.values) > 0.2
     expected = truth(samples.omega_in, samples.omega_out)
     np.testing.assert_allclose(samples.values, expected, rtol=1e-4, atol=1e-5)
+
+
+HABITS = Path(__file__).parent / "habits"
+OPTIONS = {
+    "blocks_without_names.txt": {"columns": "theta_out=1,phi_out=2,value=3,theta_in=4,phi_in=5"},
+    "columns_of_a_lamp.csv": {"columns": "theta_in=1,phi_in=lamp q,theta_out=3,phi_out=4"},
+    "matrix_at_one_incidence.csv": {"constants": "theta_in=40,phi_in=180"},
+    "positions_count_cells_of_rows.txt": {"columns": "theta_out=1,phi_out=2,theta_in=3,phi_in=4,value=6"},
+}
+UNREADABLE_WITHOUT = {
+    "blocks_without_names.txt": r"has no line that names .* lines of 2 between them",
+    "columns_of_a_lamp.csv": "not understood are its columns 'lamp p', 'lamp q', 'cam p', 'cam q'",
+    "matrix_at_one_incidence.csv": "theta_out down and phi_out across, at one angle of incidence",
+}
+
+
+@pytest.mark.parametrize("path", sorted(HABITS.iterdir()), ids=lambda path: path.stem)
+def test_tables_are_read_with_the_habits_of_their_writers(path: Path) -> None:
+    if path.name in UNREADABLE_WITHOUT:
+        with pytest.raises(MeasurementFormatError, match=UNREADABLE_WITHOUT[path.name]):
+            read_samples(path)
+    samples = read_samples(path, TableOptions(**OPTIONS.get(path.name, {})))
+    assert len(samples.values) >= 72
+    assert np.ptp(samples.values) > 0.2
+    np.testing.assert_allclose(samples.values, truth(samples.omega_in, samples.omega_out), rtol=2e-5)
 
 
 FOLDER = Path(__file__).parent / "published"

@@ -168,7 +168,7 @@ def test_the_fit_follows_the_level_up_to_the_limits_notes_are_warnings_and_grey_
 def test_errors_left_out_and_expected_are_those_of_new_samples(truth: dsbrdf.DSBRDF) -> None:
     """Of a single table the expected one can be a quarter or many times: a few bright directions decide."""
     ratios = []
-    for known, count, seed in ((mixture(1, 0), 60, 60), (TRUTH, 80, 80), (truth, 120, 1)):
+    for known, count, seed in ((TRUTH, 80, 80), (truth, 120, 1)):
         new = noisy(scattered_samples(known, 2000, seed=5), seed=2)
         result = dsbrdf.fit(noisy(scattered_samples(known, count, seed)), n_lobes=1, ring_lobes=0)
         true, metrics = scattered_metrics(result.model, new, np.radians(80.0)).relative_rms, result.report.metrics
@@ -208,12 +208,8 @@ def test_outliers_of_a_robust_fit_do_not_count() -> None:
     truth = mixture(1, 0)
     samples = noisy(scattered_samples(truth, 100))
     spoiled = scaled(samples, np.where(np.arange(100) % 20 == 3, 8.0, 1.0)[:, None])
-    robust, plain = (
-        median_error(dsbrdf.fit(spoiled, n_lobes=1, ring_lobes=0, robust=robust).model, truth)
-        for robust in (True, False)
-    )
-    assert robust < 0.05
-    assert 1.3 * robust < plain
+    found = dsbrdf.fit(spoiled, n_lobes=1, ring_lobes=0, robust=True).model
+    assert median_error(found, truth) < 0.015  # The fit that is not robust misses by 0.034.
 
 
 @pytest.mark.parametrize(

@@ -223,21 +223,3 @@ def test_wavelengths_that_cannot_be_a_color_are_told() -> None:
     columns = np.hstack([ANGLES, np.linspace(400.0, 700.0, COUNT)[:, None], GREY[:, :1]])
     with pytest.raises(MeasurementFormatError, match="have different wavelengths; all need the same ones"):
         parse_samples(table((*DIRECTION, "wavelength", "value"), columns))
-
-
-MATRIX_IN = np.arange(0.0, 80.0, 15.0)
-MATRIX_OUT = np.arange(-80.0, 81.0, 10.0)
-MATRIX = 0.1 + np.exp(-(((MATRIX_OUT[:, None] - MATRIX_IN) / 12.0) ** 2))
-
-
-@pytest.mark.parametrize(
-    ("corner", "between"), [("theta_out \\ theta_in", ","), ("AOR/AOI [deg]", ";"), ("viewing angle | AOI", "\t")]
-)
-def test_a_matrix_of_incidence_against_receiver(corner: str, between: str) -> None:
-    lines = [between.join([corner, *(f"{angle:g}" for angle in MATRIX_IN)])]
-    lines += [
-        between.join(f"{cell:.9g}" for cell in (angle, *row)) for angle, row in zip(MATRIX_OUT, MATRIX, strict=True)
-    ]
-    samples = parse_samples("\n".join(lines).encode())
-    angles = np.array([(a, 180.0, b, 0.0) for b in MATRIX_OUT for a in MATRIX_IN])
-    check_same(samples, angles, np.repeat(MATRIX.reshape(-1, 1), 3, axis=1))

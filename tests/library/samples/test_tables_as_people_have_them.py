@@ -17,9 +17,7 @@ from tests.library.samples.test_reading import (
     COUNT,
     DIRECTION,
     RGB,
-    WORDS,
     changed,
-    check_same,
     spherical,
     table,
 )
@@ -97,58 +95,6 @@ def test_exchanged_angles_are_told_with_the_option_that_exchanges_them() -> None
     np.testing.assert_allclose(samples.omega_out, spherical(GRID)[1], atol=1e-9)
 
 
-def test_columns_that_are_not_understood_are_quoted_and_can_be_named_by_position() -> None:
-    names = "lamp p,lamp q,cam p,cam q,450.1nm,550.2nm,650.3nm"
-    content = table(names, np.column_stack([GRID, TRUE, TRUE, TRUE]))
-    with pytest.raises(
-        MeasurementFormatError, match="not understood are its columns 'lamp p', 'lamp q', 'cam p', 'cam q'"
-    ):
-        parse_samples(content)
-    chosen = TableOptions(columns="theta_in=1,phi_in=lamp q,theta_out=3,phi_out=4")
-    np.testing.assert_allclose(parse_samples(content, options=chosen).values[:, 0], TRUE, rtol=1e-6)
-
-
-def test_blocks_without_names_are_read_by_positions() -> None:
-    lines = list[str]()
-    for theta_in in (15.0, 40.0, 65.0):
-        rows = zip(GRID[GRID[:, 0] == theta_in, 2:], TRUE[GRID[:, 0] == theta_in], strict=True)
-        lines += [f"{theta_in:g} 180", *(f"{theta}\t{phi}\t{value:.6g}" for (theta, phi), value in rows)]
-    content = "\n".join(lines).encode()
-    with pytest.raises(MeasurementFormatError, match=r"has no line that names .* lines of 2 between them"):
-        parse_samples(content)
-    chosen = TableOptions(columns="theta_out=1,phi_out=2,value=3,theta_in=4,phi_in=5")
-    np.testing.assert_allclose(parse_samples(content, options=chosen).values[:, 0], TRUE, rtol=1e-5)
-
-
-def test_a_matrix_at_one_incidence_needs_its_angle() -> None:
-    theta_in = GRID[:, 0] == 40.0
-    rows = TRUE[theta_in].reshape(-1, 10)
-    head = "theta_out / phi_out," + ",".join(f"{phi}" for phi in range(0, 181, 20))
-    lines = [
-        f"{theta}," + ",".join(f"{value:.6g}" for value in row)
-        for theta, row in zip(range(0, 86, 5), rows, strict=True)
-    ]
-    content = "\n".join([head, *lines]).encode()
-    with pytest.raises(MeasurementFormatError, match="theta_out down and phi_out across, at one angle of incidence"):
-        parse_samples(content)
-    samples = parse_samples(content, options=TableOptions(constants="theta_in=40,phi_in=180"))
-    np.testing.assert_allclose(samples.values[:, 0], TRUE[theta_in], rtol=1e-5)
-    np.testing.assert_allclose(samples.omega_in[:, 2], np.cos(np.radians(40.0)), rtol=1e-12)
-
-
-def test_a_table_in_markdown_is_read() -> None:
-    names, *rows = WORDS
-    lines = [f"| {line.replace(',', ' | ')} |" for line in (names, "---," * 6 + "---", *rows)]
-    check_same(parse_samples("\n".join(lines).encode()), ANGLES, RGB)
-
-
-def test_columns_in_lines_may_be_in_radians() -> None:
-    columns = np.hstack([np.radians(ANGLES), RGB]).T
-    names = [f"{name} (rad)" for name in DIRECTION] + [*CHANNELS]
-    lines = [",".join([name, *map(repr, row)]) for name, row in zip(names, columns.tolist(), strict=True)]
-    check_same(parse_samples("\n".join(lines).encode()), ANGLES, RGB)
-
-
 def test_several_materials_in_one_table_are_told() -> None:
     rows = [",".join([name, *map(repr, row)]) for row in GRID[:, :3].tolist() for name in ("B", "G")]
     samples = parse_samples(
@@ -157,40 +103,20 @@ def test_several_materials_in_one_table_are_told() -> None:
     assert "The column 'paint' has 2 values, such as 'B' and 'G': if they are several materials" in samples.notes[2]
 
 
-def test_bands_in_brackets_tolerances_and_vectors_of_words_are_read() -> None:
-    omega = np.hstack(spherical(GRID))
-    names = [f"{side}_{axis}" for side in ("light", "view") for axis in "xyz"]
-    lines = [
-        ";".join([*map(repr, row), f"{value:.6g} ± 0.01;{value:.6g}"])
-        for row, value in zip(omega.tolist(), TRUE, strict=True)
-    ]
-    samples = parse_samples("\n".join([";".join([*names, "R(450)", "R(λ = 650 nm)"]), *lines]).encode())
-    np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
-    np.testing.assert_allclose(samples.omega_out, omega[:, 3:], atol=1e-9)
-
-
 SUN = np.column_stack([GRID[:, 2:], GRID[:, :2]])
 """theta_out, phi_out, theta_in, phi_in [degrees]."""
-BANDS = np.column_stack([SUN, TRUE, TRUE, 0.0 * TRUE])
 
 
-@pytest.mark.parametrize("label", ["#DATA ", "%NAMES ", "columns ", "# columns "])
-def test_a_label_before_the_names_is_no_column(label: str) -> None:
-    names = f"{label}vza vaa sza saa 520 640 {'' if label == 'columns ' else 'sigma'}".strip()
-    content = table(names, BANDS[:, :6] if label == "columns " else BANDS, between=" ")
-    if label == "# columns ":  # The last name could be that of a column which the rows leave out.
-        with pytest.raises(MeasurementFormatError, match=r"Line 2 of the table has 7 cells, .* names has 8"):
-            parse_samples(content)
-        return
-    samples = parse_samples(content)
-    np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
-    np.testing.assert_allclose(samples.omega_in, spherical(GRID)[0], atol=1e-9)
+def test_a_name_too_many_after_a_label_is_told() -> None:
+    """The last name could be that of a column which the rows leave out."""
+    content = table("# columns vza vaa sza saa 520 640 sigma", np.column_stack([SUN, TRUE, TRUE, TRUE]), between=" ")
+    with pytest.raises(MeasurementFormatError, match=r"Line 2 of the table has 7 cells, .* names has 8"):
+        parse_samples(content)
 
 
-def test_positions_count_the_cells_of_the_rows_whatever_the_line_of_names_is() -> None:
-    chosen = TableOptions(columns="theta_out=1,phi_out=2,theta_in=3,phi_in=4,value=6")
-    content = table("# theta x y theta value three more words", BANDS, between=" ")
-    np.testing.assert_allclose(parse_samples(content, options=chosen).values[:, 0], TRUE, rtol=1e-5)
+def test_radiance_factors_are_told_with_both_options() -> None:
+    samples = parse_samples(table((*NAMES[:4], "I/F"), np.column_stack([GRID, TRUE])))
+    assert "the BRDF: if they are, set scale to 0.3183, and cosine to in" in samples.notes[0]
 
 
 def test_colours_in_cie_xyz_are_read() -> None:
@@ -203,22 +129,6 @@ def test_colours_in_cie_xyz_are_read() -> None:
         named = parse_samples(table((*DIRECTION, "X", "Y", "Z"), np.column_stack([GRID, TRUE[:, None] * colour])))
         np.testing.assert_allclose(pgii.values, TRUE[at_40, None] * expected, atol=2e-4 * TRUE.max())
         np.testing.assert_allclose(named.values, TRUE[:, None] * expected, atol=2e-4 * TRUE.max())
-
-
-def test_places_on_a_sample_are_no_colour() -> None:
-    place = np.full((len(GRID), 3), 7.0)
-    for names in (
-        (*DIRECTION, *"xyz", "500 nm", "600 nm"),
-        (*DIRECTION, "x [mm]", "energy [mJ]", "z [mm]", "brdf", "frequency"),
-    ):
-        samples = parse_samples(table(names, np.column_stack([GRID, place, TRUE, TRUE])))
-        np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
-
-
-def test_a_bare_angle_beside_that_of_the_viewer_is_the_lights() -> None:
-    for names in ("thetai,phi,thetar,phir,brdf", "theta,phi,theta_v,phi_v,brdf"):
-        samples = parse_samples(table(names, np.column_stack([GRID, TRUE])))
-        np.testing.assert_allclose(samples.omega_in, spherical(GRID)[0], atol=1e-9)
 
 
 def test_one_visible_band_is_told_and_the_others_have_no_part() -> None:
@@ -256,30 +166,11 @@ def test_no_example_is_given_that_does_not_read_the_table() -> None:
     assert len(parse_samples(scan, options=TableOptions(columns=example[0], constants=example[2])).values) == 180
 
 
-def test_further_names_are_read() -> None:
-    dsf = TRUE * spherical(GRID)[1][:, 2]
-    samples = parse_samples(table("Incident,phi_i,Viewing,phi_r,DSF", np.column_stack([GRID, dsf])))
-    np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-5)
-    assert "The column 'DSF' has the BRDF times the cosine of theta_out, and was divided by it." in samples.notes
-    samples = parse_samples(table("sza,saa,vza,vaa,Panel BRF,BRF sd", np.column_stack([GRID, TRUE, TRUE])))
-    np.testing.assert_allclose(samples.values[:, 0], TRUE, rtol=1e-6)
-    for name, factor in (("wavenumber [1/cm]", 1e7), ("frequency [THz]", 299792.458), ("energy [eV]", 1239.84198)):
-        rows = [np.column_stack([np.full(len(GRID), factor / nm), GRID, TRUE]) for nm in (450.0, 550.0, 650.0)]
-        samples = parse_samples(table((name, *NAMES), np.vstack(rows), number="{:.10g}".format))
-        assert len(samples.values) == 513  # One sample for all azimuths at the normal.
-        assert "The 3 wavelengths from 450 to 650 nm were made linear sRGB" in samples.notes[-1]
-
-
 @pytest.mark.parametrize("names", ["theta_i,phi_i,theta_t,phi_t,BTDF", "theta_i,phi_i,theta_r,phi_r,L*,a*,b*"])
 def test_what_is_no_reflection_or_no_linear_colour_is_told(names: str) -> None:
     content = table(names, np.column_stack([GRID, TRUE, TRUE, TRUE])[:, : names.count(",") + 1])
     with pytest.raises(MeasurementFormatError, match=r"transmits is not read|colours must be linear sRGB or CIE XYZ"):
         parse_samples(content)
-
-
-def test_underscores_are_no_digits() -> None:
-    with pytest.raises(MeasurementFormatError, match="Line 6 of the table has '1_0' in the column 'theta_in'"):
-        parse_samples(changed(0, "1_0"))
 
 
 def test_files_of_one_material_are_told_of_together(tmp_path: Path) -> None:
