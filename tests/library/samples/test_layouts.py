@@ -41,10 +41,10 @@ def test_layouts_are_read_or_refused_by_name(path: Path) -> None:
 
 HABITS = Path(__file__).parent / "habits"
 OPTIONS = {
-    "blocks_without_names.txt": {"columns": "theta_out=1,phi_out=2,value=3,theta_in=4,phi_in=5"},
-    "columns_of_a_lamp.csv": {"columns": "theta_in=1,phi_in=lamp q,theta_out=3,phi_out=4"},
-    "matrix_at_one_incidence.csv": {"constants": "theta_in=40,phi_in=180"},
-    "positions_count_cells_of_rows.txt": {"columns": "theta_out=1,phi_out=2,theta_in=3,phi_in=4,value=6"},
+    "blocks_without_names.txt": TableOptions(columns="theta_out=1,phi_out=2,value=3,theta_in=4,phi_in=5"),
+    "columns_of_a_lamp.csv": TableOptions(columns="theta_in=1,phi_in=lamp q,theta_out=3,phi_out=4"),
+    "matrix_at_one_incidence.csv": TableOptions(constants="theta_in=40,phi_in=180"),
+    "positions_count_cells_of_rows.txt": TableOptions(columns="theta_out=1,phi_out=2,theta_in=3,phi_in=4,value=6"),
 }
 UNREADABLE_WITHOUT = {
     "blocks_without_names.txt": r"has no line that names .* lines of 2 between them",
@@ -58,7 +58,7 @@ def test_tables_are_read_with_the_habits_of_their_writers(path: Path) -> None:
     if path.name in UNREADABLE_WITHOUT:
         with pytest.raises(MeasurementFormatError, match=UNREADABLE_WITHOUT[path.name]):
             read_samples(path)
-    samples = read_samples(path, TableOptions(**OPTIONS.get(path.name, {})))
+    samples = read_samples(path, OPTIONS.get(path.name, TableOptions()))
     assert len(samples.values) >= 72
     assert np.ptp(samples.values) > 0.2
     np.testing.assert_allclose(samples.values, truth(samples.omega_in, samples.omega_out), rtol=2e-5)

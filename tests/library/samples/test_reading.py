@@ -237,7 +237,7 @@ WRONG = [
         b"theta_out / theta_in" + b",1" * 1700 + b"\n" + (b"1" + b",1" * 1700 + b"\n") * 10,
         "has 17000 rows of 3 cells, and it may have 50000 cells",
     ),
-    (zemax(*[b"1 " * 99] * 3, b"1 2 3 4"), "has 970299 rows of 7 cells, and it may have 50000 cells"),
+    (zemax(b"1 " * 99, b"1 " * 99, b"1 " * 99, b"1 2 3 4"), "970299 rows of 7 cells, and it may have 50000"),
     (b"", "The table is empty and has no line that names its columns; it needs one such as theta_in, "),
     ("\n".join(WORDS[1:]).encode(), "7 numbers, such as " + WORDS[1].replace(",", ", ")[:60] + ": name them by"),
     ("\n".join(["felt BRDF today", *WORDS[1:]]).encode(), "names its columns; its rows have 7 numbers"),
