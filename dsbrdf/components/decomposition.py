@@ -119,12 +119,12 @@ def _described(
 
 
 def _are_one_highlight(highlights: Sequence[Description]) -> bool:
-    """Tell whether two highlights are one, because they are of nearly one width, or both spikes, or both lobes."""
-    widths = [one.surface_half_width for one in highlights]
-    if len(widths) < 2 or None in widths:
+    """Tell whether two highlights are one: the lobe is hardly wider than the spike, or both are spikes or lobes."""
+    widths = [one.surface_half_width for one in highlights if one.surface_half_width is not None]
+    if len(widths) < 2:
         return False
-    narrow, wide = sorted(width for width in widths if width is not None)
-    return wide < _MIN_WIDTH_RATIO * narrow or (narrow < SPIKE_HALF_WIDTH) == (wide < SPIKE_HALF_WIDTH)
+    spike, lobe = widths
+    return lobe < _MIN_WIDTH_RATIO * spike or (spike < SPIKE_HALF_WIDTH) == (lobe < SPIKE_HALF_WIDTH)
 
 
 def _labelled_by_width(split: Decomposition) -> Decomposition:

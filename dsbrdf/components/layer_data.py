@@ -22,7 +22,6 @@ import numpy as np
 
 from dsbrdf.arrays import Array, Evaluate, Mask
 from dsbrdf.components.points import LightRule, Points
-from dsbrdf.data.geometry import DEFAULT_HORIZON_CUTOFF
 from dsbrdf.data.reduction import center_share, interval_ends, seen_weight, trust
 
 N_SAMPLES = 50.0
@@ -33,6 +32,8 @@ MODEL_ERROR = 0.01
 _THETA_DIFF = np.radians([0.0, 10, 20, 30, 40, 48, 55, 61, 66, 70, 73, 76, 79, 82, 85, 88])
 _THETA_HALF = np.radians(np.concatenate([[0.0], np.geomspace(0.1, 2.0, 8), np.linspace(1.73, 9.27, 20) ** 2]))
 _PHI_DIFF = np.radians([20.0, 70.0])
+_ACCURATE_CUTOFF = np.radians(70.0)
+"""The weight of a pair falls if one direction is farther from the normal, where fits are several times less accurate."""
 LAYER_POWER = 1.4
 """Where layers are separated, squared errors are divided by this power of the values."""
 PLAIN_ERROR_WEIGHT = 0.3
@@ -262,7 +263,7 @@ def _grid() -> _Grid:
     level = np.cos(theta_diff) * np.cos(theta_half)
     swing = np.sin(theta_diff) * np.sin(theta_half) * np.cos(phi_diff)
     lowest = np.maximum(level - swing, 0.0)
-    trusted = trust(lowest, DEFAULT_HORIZON_CUTOFF)
+    trusted = trust(lowest, _ACCURATE_CUTOFF)
     interval = np.diff(interval_ends(_THETA_DIFF))[:, np.newaxis, np.newaxis]
     solid_angle = -np.diff(np.cos(interval_ends(_THETA_HALF)))[:, np.newaxis] * (np.sin(2.0 * theta_diff) + 0.1)
     lit = lowest * (level + swing) * solid_angle * interval
