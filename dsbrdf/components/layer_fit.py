@@ -5,7 +5,7 @@ The cost of a structure with the unknowns x is
     E(x) = n log(C(x) + c**2) + sum_i nu_i log(1 + d_i**2 / nu_i),
 
 where C is the weighted squared error as a fraction of the weighted squared values, n the number of independent samples,
-and c the model error, the lowest error of any layers. The d_i are independent deviations of x from its prior mean, with
+and c the model error, which few layers fall below. The d_i are independent deviations of x from its prior mean, with
 Student's t priors of nu_i degrees of freedom. The cost is minimised first with a fixed noise of 20 % in place of the
 logarithm: otherwise the prior dominates while C is large, and the fit loses narrow highlights. The evidence of a
 structure is Laplace's approximation,

@@ -81,12 +81,14 @@ def _prior(
     )
 
 
+MAX_ALPHA = 0.7
+"""Maximum roughness of a surface, because a rougher surface looks like a matte ground."""
 _DIELECTRIC_LOG_F0_BOUNDS = (-12.0, np.log(0.2))  # Diamond, the brightest dielectric, has F0 = 0.17.
 _LOG_F0_BOUNDS = (-12.0, np.log(3.0))
 _RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # priors of a surface's exponents q1 and q2, along two axes of their plane
 # Bounds of log F90, q1, q2, log alpha, log tau, masking and under_coat, the unknowns of a surface after its colour.
 _SPECULAR_BOUNDS = (
-    (-5.0, 0.0), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(0.7)), (np.log(0.6), np.log(60.0)),
+    (-5.0, 0.0), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(MAX_ALPHA)), (np.log(0.6), np.log(60.0)),
     (-0.5, 1.5), (-0.5, 2.0),
 )  # fmt: skip
 
@@ -97,7 +99,7 @@ _MAX_TURN = 4.0
 
 
 def _specular(color: Pair, tint: float, *, strength: Pair = _LOG_F0_BOUNDS, under_coat: bool = False) -> LayerPrior:
-    """Make the prior of a surface up to roughness 0.7; a rougher surface looks like a matte ground."""
+    """Make the prior of a surface whose roughness is at most `MAX_ALPHA`."""
     bounds = (strength, *_SPECULAR_BOUNDS)
     others = (
         (-0.1, 0.4),  # log F90

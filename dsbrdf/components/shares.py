@@ -3,8 +3,8 @@
 The uncertainty is the spread of the components' parameters over probable layers. Some light may count as specular or as
 diffuse, such as the light of fibres, and half of the draws count it on the other side. Layers are drawn from every
 structure that explains the model's values, in proportion to the weight of the structure. Within a structure, layers are
-drawn from the Gaussian that the normal equations of the structure's fit define, with a width that grows with the error
-of the layers and with the roughness of the widest highlight.
+drawn from the Gaussian that the normal equations of the structure's fit define, with a width that grows with the
+roughness of the widest highlight.
 
 The draws do not cover the difference between the model and the layers, although this light may belong to any component.
 At a pair of directions where a component reflects the fraction p of the light of all layers, 4 p (1 - p) of the
@@ -20,9 +20,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import MODEL_ERROR
 from dsbrdf.components.layer_fit import FittedStructure, structure_weights
-from dsbrdf.components.layers import GRAZING_ANGLE, Layer, LayeredModel, RetroLayer, SpecularLayer
+from dsbrdf.components.layer_priors import MAX_ALPHA
+from dsbrdf.components.layers import GRAZING_ANGLE, DiffuseLayer, Layer, LayeredModel, RetroLayer, SpecularLayer
 from dsbrdf.components.points import NORMAL, Points
 
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
@@ -144,10 +144,9 @@ RANGE_HALF_WIDTH_SIGMAS = 1.645
 _MIN_WEIGHT = 0.01  # A structure of layers with a smaller weight is dropped.
 _MIN_DRAWS = 4  # The layers of every structure are drawn at least this number of times.
 _N_SHARED_DRAWS = 30  # This number of further draws is divided among structures by weight.
-# With the next three numbers, ranges contain the truth of about 90 % of known materials at each roughness.
-_MIN_ERROR = 0.005  # Layers with a smaller relative error spread as if they had this error.
-_MIN_SPREAD = 0.3  # Layers with a narrow highlight spread by this fraction of what independent samples give.
-_ALPHA_OF_UNIT_SPREAD = 0.22  # Layers of this roughness spread as independent samples do.
+# With the next two numbers, ranges contain the truth of more than 90 % of known materials.
+_MIN_SPREAD = 0.2  # Layers with a narrow highlight spread by this fraction of what independent samples give.
+_ALPHA_OF_UNIT_SPREAD = 0.3  # Layers of this roughness spread as independent samples do.
 
 Range: TypeAlias = tuple[float, float]
 RgbRange: TypeAlias = tuple[Range, Range, Range]
@@ -295,12 +294,17 @@ def _probable(found: Sequence[FittedStructure]) -> list[tuple[FittedStructure, f
 def _spread(found: FittedStructure) -> float:
     """Return the factor between the spread of draws and the spread that a structure's normal equations give.
 
-    Structures are weighed with a noise of at least `MODEL_ERROR`, but within a structure the noise is the error of its
-    layers. This error is alike over the width of a highlight, so a rougher surface has fewer independent samples.
+    Errors of layers are alike over the width of a highlight, so a rougher surface has fewer independent samples. Sheen
+    is at least as wide as the roughest surface.
     """
-    widest = max((one.alpha for one in found.model.layers if isinstance(one, SpecularLayer | RetroLayer)), default=0.0)
-    of_error = np.hypot(found.error, _MIN_ERROR) / np.hypot(found.error, MODEL_ERROR)
-    return float(of_error * np.hypot(_MIN_SPREAD, widest / _ALPHA_OF_UNIT_SPREAD))
+    layers = found.model.layers
+    alphas = [
+        one.alpha if isinstance(one, SpecularLayer | RetroLayer) else MAX_ALPHA
+        for one in layers
+        if not isinstance(one, DiffuseLayer)
+    ]
+    widest = max(alphas, default=0.0)
+    return float(np.hypot(_MIN_SPREAD, widest / _ALPHA_OF_UNIT_SPREAD))
 
 
 def _misses_highlight(found: FittedStructure, values: Array) -> bool:

@@ -173,7 +173,7 @@ def test_split_that_is_open_is_said() -> None:
     low, high = parts.diffuse.ranges.light_share
     assert 0.6 < low < 0.9 < high
     assert parts.remarks[0].startswith(
-        f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to 100%. "
+        f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to {high:.0%}. "
     )
     assert parts.structure in parts.remarks[0]
     assert parts.structure == max(parts.structures, key=lambda one: one.weight).name

@@ -106,7 +106,7 @@ def test_the_descent_ends_in_a_minimum_of_the_documented_cost() -> None:
         values = structure.model(x).layer_values(data.points).sum(axis=0)
         error = np.sum((values * data.root_weight - data.weighted) ** 2)
         off = structure.root @ (x - structure.mean)
-        return float(50.0 * np.log(error + 0.01**2) + structure.freedom @ np.log1p(off**2 / structure.freedom))
+        return float(50.0 * np.log(error + 0.005**2) + structure.freedom @ np.log1p(off**2 / structure.freedom))
 
     here = cost(found.unknowns)
     better = minimize(cost, found.unknowns, method="L-BFGS-B", bounds=list(zip(*structure.bounds, strict=True)))

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dsbrdf.components import LABELS, DiffuseLayer, LayeredModel, SpecularLayer
+from dsbrdf.components import LABELS, DiffuseLayer, Layer, LayeredModel, SheenLayer, SpecularLayer
 from dsbrdf.components.layer_fit import FittedStructure
 from dsbrdf.components.points import NORMAL, Points
 from dsbrdf.components.shares import DrawnLayers, WeightedLayers
-from dsbrdf.components.structures import STRUCTURES
+from dsbrdf.components.structures import RARE_STRUCTURES, STRUCTURES, LayerStructure
 
 SURFACE = SpecularLayer((0.04, 0.05, 0.06), 0.9, 0.3, 2.0, (0.0, 0.0), 0.5, 0.0)
 GROUND = DiffuseLayer((0.3, 0.2, 0.1), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -39,18 +39,20 @@ def test_a_range_has_the_spread_of_the_draws_and_the_doubtful_light() -> None:
         assert drawn.ranges(LABELS[2:]).albedo[0] == pytest.approx((max(0.24 - half, 0.0), 0.24 + half), abs=1e-3)
 
 
-def test_rough_or_inexact_layers_are_drawn_wider() -> None:
-    structure = next(one for one in STRUCTURES if one.name == "dielectric over diffuse")
+def test_rough_layers_and_sheen_are_drawn_wider() -> None:
+    names = "dielectric over diffuse", "dielectric over diffuse with sheen"
+    plain, with_sheen = (next(one for one in (*STRUCTURES, *RARE_STRUCTURES) if one.name == name) for name in names)
 
-    def deviation(alpha: float, error: float) -> float:
-        unknowns = np.concatenate([replace(SURFACE, alpha=alpha).unknowns, GROUND.unknowns])
-        found = FittedStructure(structure, unknowns, error, 0.0, 1e4 * np.eye(unknowns.size))
+    def deviation(structure: LayerStructure, alpha: float, *others: Layer) -> float:
+        layers = replace(SURFACE, alpha=alpha), GROUND, *others
+        unknowns = np.concatenate([layer.unknowns for layer in layers])
+        found = FittedStructure(structure, unknowns, 0.01, 0.0, 1e4 * np.eye(unknowns.size))
         drawn = DrawnLayers.of(LAYERS.model.layer_values(NORMAL.points).sum(axis=0), [found])
         return float(np.std([one.model.layers[0].unknowns[6] for one in drawn.layers]))
 
-    smooth, rough, inexact = deviation(0.1, 0.01), deviation(0.4, 0.01), deviation(0.1, 0.05)
+    smooth, rough = deviation(plain, 0.1), deviation(plain, 0.4)
     assert rough > 2.0 * smooth
-    assert inexact > 1.2 * smooth
+    assert deviation(with_sheen, 0.1, SheenLayer((0.02, 0.02, 0.02), (2.5, 2.5))) > rough
 
 
 def test_a_colour_that_layers_miss_is_not_the_colour_of_a_faint_highlight() -> None:
