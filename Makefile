@@ -55,10 +55,10 @@ docs: $(DOCS_READY)  ## build the documentation: docs/_build/html/index.html
 WORKERS = $$($(BIN)/python -c 'import os; print(min(os.cpu_count() + 2, 4))')
 
 test: $(TESTS_READY)  ## run all tests, on up to four cores
-	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --no-loadscope-reorder
 
 quick: $(TESTS_READY)  ## run the tests of library and service that are not marked as slow
-	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile -m 'not slow' tests/library tests/service
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) -m 'not slow' tests/library tests/service
 
 check: $(TESTS_READY)  ## check format, lint, prose, types and security
 	$(BIN)/ruff format --check .
@@ -82,7 +82,7 @@ fix: $(TESTS_READY)  ## format and repair what can be repaired automatically
 	$(BIN)/ruff format .
 
 bench: $(TESTS_READY)  ## run the tests of the benchmarks, then all benchmarks except the long ones
-	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile benchmarks
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) benchmarks
 	$(BIN)/python -m benchmarks
 
 soak: $(TESTS_READY) $(DOCS_READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats

@@ -9,9 +9,11 @@ from contextlib import ExitStack, closing
 from itertools import count
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
 
 from dsbrdf import Measurement, write_merl
 from tests.support import launcher
@@ -51,6 +53,14 @@ def pytest_collection_finish() -> None:
     """Look for garbage from now on, but not among modules and tests, again and again."""
     gc.freeze()
     gc.enable()
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Run the tests of a file in one process, and those of all files of the page, which share a browser and fits."""
+    scheduler = LoadFileScheduling(config, log)
+    file_of = scheduler._split_scope
+    scheduler._split_scope = lambda nodeid: "page" if "/http/page/" in nodeid else file_of(nodeid)
+    return scheduler
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -70,9 +70,9 @@ def site(guarded: Guarded, data: bytes) -> Site:
     return made
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def browser() -> "Iterator[Browser]":
-    """A browser for the tests of a file: while it is there, no other test of the process can have an event loop."""
+    """A browser for the tests of the folder: while it is there, no other test of the process can have an event loop."""
     with running_browser() as running:
         yield running
 
@@ -85,7 +85,7 @@ def _context(browser: "Browser", site: Site, webgl: bool, key: str | None, **opt
     return context
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def signed_in(browser: "Browser", site: Site) -> "Mapping[bool, BrowserContext]":
     """The user's browser with WebGL and without; the user looks at all pages in it, each picture is drawn once."""
     return {webgl: _context(browser, site, webgl, site.key) for webgl in (True, False)}
