@@ -110,12 +110,6 @@ def test_result_is_evaluated_and_drawn_as_its_model(result: FitResult) -> None:
     np.testing.assert_array_equal(render_sphere(result, size=16), render_sphere(result.model, size=16))
 
 
-def test_repr_is_one_short_line(result: FitResult) -> None:
-    assert repr(result.report) == f"<FitReport: no metrics, {result.model.n_numbers} numbers>"
-    known = replace(result.report, metrics=Metrics(relative_rms=0.0123456))
-    assert repr(known).startswith("<FitReport: relative_rms 0.01235, ")
-
-
 def test_findings_are_those_of_the_fit_and_of_the_components(result: FitResult) -> None:
     known = replace(result, report=replace(result.report, findings_of_fit=(Finding("grey", "Grey."),)))
     assert known.report.findings == (Finding("grey", "Grey."), *decompose(known).findings)

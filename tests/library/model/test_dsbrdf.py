@@ -140,9 +140,6 @@ def test_copies_are_equal_read_only_and_hash_alike() -> None:
             assert hash(other) == hash(model)
             np.testing.assert_array_equal(other.evaluate(0.3, 0.4), model.evaluate(0.3, 0.4))
             assert not other.kappa.flags.writeable
-        assert len(pickle.dumps(model)) < 3000 + 9 * sum(
-            getattr(model, name).size for name in ("amplitude", "kappa", "gamma", "center", "elongation", "delta")
-        )
 
 
 def test_models_that_differ_in_anything_are_not_equal() -> None:
@@ -161,12 +158,6 @@ def test_models_that_differ_in_anything_are_not_equal() -> None:
     negative_zero = DSBRDF(*[*state[:4], np.where(model.center == 0.0, -0.0, model.center), *state[5:]])
     assert (negative_zero == model, hash(negative_zero)) == (True, hash(model))
     assert len({model, random_model(), random_model(1)}) == 2
-
-
-def test_repr_is_short_and_says_what_it_is() -> None:
-    text = repr(random_model())
-    assert text == f"<DSBRDF: 4 lobes (hemi_epd), 4 knots, {random_model().n_numbers} numbers>"
-    assert "1 lobe " in repr(random_model(n_lobes=1, family="student"))
 
 
 def test_numbers_that_count() -> None:

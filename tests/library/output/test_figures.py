@@ -25,12 +25,10 @@ from dsbrdf import (
     Profiles,
     ScatteredSamples,
     decompose,
-    extras,
     render_sphere,
 )
 from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon, half_difference, spherical
 from dsbrdf.output import encode_figure
-from dsbrdf.output.figure_panels import log_ticks
 from dsbrdf.output.figures import lobes_figure, overview_figure, parameters_figure, profiles_figure
 from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
 from dsbrdf.output.report_text import lobes_in_channel
@@ -148,24 +146,6 @@ def test_drawn_parts_sum_to_the_fit_in_the_red_channel(overview: Figure, lobes: 
         np.testing.assert_allclose(np.sum(values, axis=0), total, rtol=1e-9, atol=1e-12)
 
 
-def test_own_layers_are_drawn_dashed_below_the_components(plastic_profiles: Profiles) -> None:
-    ax = lobes_figure(plastic_profiles, PAINT).axes[0]
-    dashed = [line for line in ax.lines if line.get_linestyle() == "--"]
-    for line, component in zip(dashed, decompose(PAINT), strict=True):
-        angles = np.radians(np.abs(np.asarray(line.get_xdata(), float))).clip(max=np.pi / 2)
-        np.testing.assert_allclose(y_of(line), component.layers.evaluate(angles, 0.0)[:, 0], rtol=1e-9)
-        (named,) = [other for other in ax.lines if str(other.get_label()).startswith(component.label.replace("_", " "))]
-        assert named.get_color() == line.get_color()
-
-
-def test_what_cannot_be_seen_is_not_in_the_legend(plastic_profiles: Profiles) -> None:
-    dark = MODEL.amplitude.copy()
-    dark[..., 0] = 0.0
-    figure = lobes_figure(plastic_profiles, replace(MODEL, amplitude=dark), model_lobes=True)
-    shown = [text.get_text() for text in figure.subfigs[1].legends[0].get_texts()]
-    assert [label[:6] for label in shown] == ["fit", "measur", "lobe 1", "lobe 2", "delta "]
-
-
 def test_black_models_and_slices_without_data_are_drawn(plastic_profiles: Profiles) -> None:
     black = MODEL.select((), with_delta=False)
     assert not np.any(plastic_profiles.weight[:, 89])
@@ -186,13 +166,6 @@ def test_figures_are_encoded_as_png_svg_and_pdf_without_pyplot(lobes: Figure, mo
         encode_figure(lobes, "bmp")
 
 
-def test_missing_matplotlib_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(extras, "find_spec", lambda name: None)
-    said = r"matplotlib must be installed for figures: pip install 'dsbrdf\[plot\]'"
-    with pytest.raises(extras.MissingExtraError, match=said):
-        parameters_figure(PAINT)
-
-
 def test_overview_ends_with_spheres(overview: Figure, spheres: SphereComparison) -> None:
     panels = overview.axes[8:]
     assert [ax.get_title() for ax in panels] == list(spheres.panels)
@@ -200,13 +173,6 @@ def test_overview_ends_with_spheres(overview: Figure, spheres: SphereComparison)
     assert shown is not None
     np.testing.assert_array_equal(shown[3:13, 3:13, :3], spheres.panels["fit"][3:13, 3:13])
     assert np.all(shown[3:13, 3:13, 3] == 1.0)
-
-
-def test_legend_is_below_the_labels_of_the_axes(lobes: Figure) -> None:
-    encode_figure(lobes, dpi=50)
-    lowest = min(box.y0 for ax in lobes.axes if (box := ax.get_tightbbox()) is not None)
-    (row,) = [part for part in lobes.subfigs if part.legends]
-    assert row.legends[0].get_window_extent().y1 <= lowest + 1.0
 
 
 def test_the_peak_is_drawn_to_four_half_widths_and_a_rise_to_the_horizon_is_none(plastic_profiles: Profiles) -> None:
@@ -226,14 +192,6 @@ def test_the_peak_is_drawn_to_four_half_widths_and_a_rise_to_the_horizon_is_none
         assert drawn(model) == (90.0, "the same, linear axis")
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.02, 0.3), (0.9, 1.4), (1e-6, 3e4), (0.17, 70.0), (3e-4, 2e3)])
-def test_logarithmic_axis_has_a_few_round_ticks(low: float, high: float) -> None:
-    ticks = log_ticks(low, high)
-    assert 3 <= ticks.size <= 6
-    assert np.all((ticks >= low) & (ticks <= high))
-    assert [float(f"{tick:.1e}") for tick in ticks] == pytest.approx(ticks.tolist())
-
-
 def test_edge_of_a_sphere_covers_its_area_and_has_no_dark_rim() -> None:
     picture = np.zeros((40, 40, 3))
     picture[sphere_normals(40)[1]] = 0.7
@@ -241,13 +199,6 @@ def test_edge_of_a_sphere_covers_its_area_and_has_no_dark_rim() -> None:
     assert np.all(cut[..., :3][cut[..., 3] > 0.0] == 0.7)
     assert cut[..., 3].sum() == pytest.approx(np.pi * 20.0**2, rel=2e-3)
     assert np.count_nonzero((cut[..., 3] > 0.0) & (cut[..., 3] < 1.0)) > 100
-
-
-def test_component_that_nobody_can_see_has_no_sphere() -> None:
-    titles = ("measured", "fit", "difference x 4", "specular spike", "diffuse")
-    brightest = (1.0, 1.0, 0.02, 1.0, 0.05)
-    panels = {title: np.full((8, 8, 3), value) for title, value in zip(titles, brightest, strict=True)}
-    assert list(SphereComparison(panels, 1.0, 40.0, 1.0, "under three lights").seen) == list(titles[:4])
 
 
 def test_panels_have_the_exposure_of_the_measurement(plastic: Measurement) -> None:

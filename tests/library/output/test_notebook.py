@@ -2,7 +2,7 @@ import re
 import sys
 from base64 import b64decode
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace
 
@@ -53,17 +53,14 @@ def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_
         assert light + ("" if width is None else f", half width {np.degrees(width):.1f}°") + "</td>" in card
     layers = dsbrdf.decompose(two_lobe_fit).layers
     assert f"{len(layers.layers)} layers, {layers.n_numbers} numbers" in html_of(layers)
-    assert thumbnail(html_of(layers)) != thumbnail(card)
     assert "<li>less than &lt;1 %&gt;</li>" in card
     assert html_of(warned.report) in card
-    assert thumbnail(html_of(replace(plastic, name="<b>"))) != thumbnail(card)
     assert f"<td>{plastic.valid.mean():.1%}</td>" in html_of(plastic)
     assert "<td>&lt;b&gt;</td>" in html_of(replace(plastic, name="<b>"))
     diffuse = dsbrdf.decompose(two_lobe_fit.model).diffuse
     assert diffuse is not None
     assert f"<td>{diffuse.structure}</td>" in html_of(diffuse)
     assert thumbnail(html_of(diffuse)) != thumbnail(card)
-    assert "0 lobes" in html_of(two_lobe_fit.model.select((), with_delta=False))
 
 
 def test_a_running_notebook_shows_objects_as_html(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,12 +110,6 @@ def test_plot_of_a_measurement_draws_its_means_and_what_is_between(plastic: Meas
     points, curve = (np.asarray(lines[f"green, {name}"].get_xydata()) for name in ("measured", "interpolated"))
     at_points = np.interp(points[:, 0], *curve.T)
     assert np.abs(at_points / points[:, 1] - 1.0).max() < 0.05
-
-
-def test_help_on_fit_lists_the_options() -> None:
-    text = dsbrdf.fit.__doc__ or ""
-    for option in fields(dsbrdf.FitOptions):
-        assert re.search(rf"^(\w+, )*{option.name}[ ,\n]", text, re.MULTILINE)
 
 
 def test_measurements_of_the_same_bytes_and_name_are_equal(plastic: Measurement, metal: Measurement) -> None:
