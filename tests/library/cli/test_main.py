@@ -42,12 +42,10 @@ def test_internal_error_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> 
         cli.main(["show"])
 
 
-@pytest.mark.parametrize("words", ["--version", "fit none.binary --json"])
-def test_a_closed_output_is_no_fault(words: str) -> None:
-    command = ["sh", "-c", f'exec "$0" -m dsbrdf.cli.main {words} 1>&-', sys.executable]
+def test_a_closed_output_is_no_fault() -> None:
+    command = ["sh", "-c", 'exec "$0" -m dsbrdf.cli.main fit none.binary --json 1>&-', sys.executable]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert "Traceback" not in done.stderr
-    assert done.returncode == (2 if "fit" in words else 0)
+    assert ("Traceback" in done.stderr, done.returncode) == (False, 2)
 
 
 def test_version_is_printed() -> None:

@@ -96,13 +96,13 @@ def test_samples_of_a_clipped_highlight_count_as_lower_bounds(metal: Measurement
     assert {surface.alpha for part in parts for surface in part.surfaces} <= {None}
 
 
-@pytest.mark.parametrize("fault", [with_garbage, lambda values: np.where(BEYOND, 0.0, values)], ids=["noise", "zero"])
-def test_garbage_beyond_a_cutoff_changes_nothing_inside(plastic: Measurement, fault: Callable[[Array], Array]) -> None:
-    spoiled = changed(plastic, fault)
-    models = (dsbrdf.fit(data, n_lobes=1, ring_lobes=0).model for data in (plastic, spoiled))
-    good, found = (relative_errors(sample_errors(model, plastic, CUTOFF)) for model in models)
+def test_garbage_beyond_a_cutoff_changes_nothing_inside(plastic: Measurement) -> None:
+    spoiled = [changed(plastic, fault) for fault in (with_garbage, lambda values: np.where(BEYOND, 0.0, values))]
+    models = (dsbrdf.fit(data, n_lobes=1, ring_lobes=0).model for data in (plastic, *spoiled))
+    good, *found = (relative_errors(sample_errors(model, plastic, CUTOFF)) for model in models)
     assert good is not None
-    assert found is not None
-    assert found.relative_rms < 1.1 * good.relative_rms + 0.005
+    for errors in found:
+        assert errors is not None
+        assert errors.relative_rms < 1.1 * good.relative_rms + 0.005
     assert horizon_disagreement(profiles(plastic).folded, CUTOFF)[0] < 1.0
-    assert horizon_disagreement(profiles(spoiled).folded, None)[0] == 0.0
+    assert horizon_disagreement(profiles(spoiled[0]).folded, None)[0] == 0.0

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf import MeasurementFormatError
-from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, parse_rgl, read_rgl, spherical
+from dsbrdf.data import parse_rgl, read_rgl, spherical
 from dsbrdf.data.rgl import Warp, encode_tensors, parse_tensors
 from dsbrdf.output.export.rgl import rgl_bsdf
 from tests.support.known_models import pairs_of_directions
@@ -56,17 +56,6 @@ def test_values_are_those_of_mitsuba(tmp_path: Path, content: Callable[[], bytes
     error = np.abs(values / np.array(expected) - 1.0)
     assert np.median(error) < 1e-5
     assert np.quantile(error, 0.99) < 1e-3  # Mitsuba has single precision
-
-
-def test_measurement_is_what_the_file_was_made_of() -> None:
-    measurement = parse_rgl(of_model(), "blue").measurement()
-    assert measurement.name == "blue"
-    i, j, k = (part.ravel() for part in np.mgrid[1:80:9, 0:70:10, 0:180:20])
-    chosen = measurement.valid[i, j, k]
-    assert chosen.mean() > 0.6
-    i, j, k = i[chosen], j[chosen], k[chosen]
-    expected = MODEL.evaluate(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF[k])
-    assert np.median(np.abs(measurement.values[:, i, j, k].T / expected - 1.0)) < 0.01
 
 
 def test_non_reciprocity_is_the_median_difference_of_pairs_up_to_75_degrees_a_quarter_of_them_mirrored() -> None:

@@ -20,7 +20,7 @@ from dsbrdf.output.serialize import model_from_dict, model_to_dict, report_from_
 from tests.support.known_models import single_lobe
 from tests.support.models import ARRAYS, TEXTS, assert_same_bits, make_model
 from tests.support.random_models import random_model
-from tests.support.strategies import MODEL
+from tests.support.strategies import MODEL, examples
 
 
 @pytest.mark.parametrize("interpolation", ["spline", "linear"])
@@ -238,6 +238,7 @@ def places(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 PLACES = list(places(json.loads(to_json(MODEL))))
 
 
+@examples(0.5)
 @given(st.lists(st.tuples(st.sampled_from(PLACES), st.one_of(json_values, st.just(...))), max_size=5))
 def test_changed_json_document_is_refused_or_valid(changes: list[tuple[tuple[Any, ...], Any]]) -> None:
     document = json.loads(to_json(MODEL))

@@ -167,17 +167,6 @@ def test_slices_that_stop_at_the_bound_are_reported_and_warned_about(plastic_pro
     assert report.warnings[0].startswith(f"{iterations.size} slices stopped at the bound of 2 iterations before")
 
 
-def test_material_that_reflects_red_only() -> None:
-    truth = known_model((3.0, 0.0, 50.0, 0.0))
-    values = model_measurement(truth).values
-    values[1:] = np.where(values[1:] > 0, 0.0, values[1:])
-    result = fit(Measurement.from_values(values), paper(n_lobes=2, horizon_cutoff_deg=None))
-    grid = result.model.evaluate(THETA_HALF, THETA_DIFF[:, None])
-    assert np.abs(grid[..., 1:]).max() < 1e-8
-    assert result.report.metrics.relative_rms == pytest.approx(0.0, abs=0.02)
-    assert np.all(np.isfinite(result.model.kappa))
-
-
 def test_few_data_are_fitted_where_they_are_and_too_few_are_an_error_with_a_remedy(plastic: Measurement) -> None:
     def within(rows: slice, columns: slice) -> Measurement:
         valid = np.zeros(plastic.valid.shape, bool)
