@@ -14,6 +14,7 @@ import numpy as np
 
 import dsbrdf
 from dsbrdf.output.sphere_panels import compare_spheres, cut_out
+from dsbrdf.rendering import displayed
 
 README_PICTURE = Path(__file__).parents[1] / "_static" / "spheres.webp"
 README_MATERIALS = ("rgl_aurora_white", "rgl_satin_purple", "rgl_acrylic_felt_pink")
@@ -33,22 +34,29 @@ def readme_picture(folder: Path, materials: Sequence[str] = README_MATERIALS) ->
     from matplotlib.figure import Figure
     from PIL import Image
 
-    step, rows = _README_SPHERE_SIZE + _README_GAP, len(materials)
+    size, rows = _README_SPHERE_SIZE, len(materials)
+    step = size + _README_GAP
     width, height = _README_LINE_HEIGHT + step * len(_README_COLUMNS), _README_LINE_HEIGHT + step * rows
     canvas = FigureCanvasAgg(Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0, facecolor="none"))
     text = {"color": "0.5", "fontsize": 22, "ha": "center", "va": "center"}  # seen on white and on black
     for row, name in enumerate(materials):
         measurement = dsbrdf.read_merl(folder / f"{name}.binary")
-        panels = compare_spheres(
-            measurement, dsbrdf.fit(measurement).model, lighting="environment", size=_README_SPHERE_SIZE
-        ).panels
+        model = dsbrdf.fit(measurement).model
+        compared = compare_spheres(measurement, model, with_components=False, lighting="environment", size=size)
+        parts = [
+            (part.label, dsbrdf.render_sphere(part, lighting="environment", size=size))
+            for part in dsbrdf.decompose(model)
+        ]
+        highlights = np.sum([sphere for label, sphere in parts if label != "diffuse"], axis=0)
+        panels = compared.panels | {
+            "specular": displayed(highlights, compared.exposure),
+            "diffuse": displayed(dict(parts)["diffuse"], compared.exposure),
+        }
         below = step * (rows - 1 - row)
         title = name.removeprefix("rgl_").replace("_", " ")
         canvas.figure.text(22 / width, (below + step / 2) / height, title, rotation=90, **text)
         for column, panel in enumerate(_README_COLUMNS):
-            drawn = [spheres for label, spheres in panels.items() if label.startswith(panel)]
-            if drawn:  # None of these materials has both a spike and a lobe.
-                canvas.figure.figimage(cut_out(drawn[0]), _README_LINE_HEIGHT + step * column, below)
+            canvas.figure.figimage(cut_out(panels[panel]), _README_LINE_HEIGHT + step * column, below)
     for column, panel in enumerate(_README_COLUMNS):
         place = _README_LINE_HEIGHT + step * (column + 0.5)
         canvas.figure.text(place / width, 1.0 - _README_LINE_HEIGHT / 2 / height, panel, **text)
