@@ -82,7 +82,7 @@ fix: $(TESTS_READY)  ## format and repair what can be repaired automatically
 	$(BIN)/ruff format .
 
 bench: $(TESTS_READY)  ## run the tests of the benchmarks, then all benchmarks except the long ones
-	$(BIN)/python -m pytest --numprocesses=$(WORKERS) benchmarks
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile benchmarks
 	$(BIN)/python -m benchmarks
 
 soak: $(TESTS_READY) $(DOCS_READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
