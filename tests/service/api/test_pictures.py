@@ -212,9 +212,3 @@ def test_table_is_the_measurement_without_gaps(server: Server, stored: str, plas
     angles = np.radians(i**2 / 90.0), np.radians(j), np.radians(k)
     expected = plastic.interpolated.evaluate(*angles)
     assert np.exp(table[i, j, k].astype(float)) - 1e-6 == pytest.approx(expected, rel=5e-3, abs=1e-6)
-
-
-def test_likeness_is_said_in_words(server: Server, fitted: str) -> None:
-    fit = server.http.get(f"/v1/fits/{fitted}").json()
-    assert fit["likeness"].endswith(f"({fit['metrics']['psnr']:.1f} dB)")
-    assert fit["likeness"] in [item["likeness"] for item in server.http.get("/v1/fits").json()["items"]]

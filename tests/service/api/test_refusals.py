@@ -17,9 +17,8 @@ OF_LISTS = [
     "cursor=-1",
     "cursor=99999999999999999999",
     "cursor=%00",
-    "page=2",
 ]
-OF_WAITS = ["wait=-1", "wait=nan", "wait=inf", "wait=1e999", "waiting=1"]
+OF_WAITS = ["wait=-1", "wait=nan", "wait=inf", "wait=1e999"]
 WITH_NUMBERS = ["/v1/fits?limit", "{fit}?wait", "{fit}/figures/sphere.png?size", "{fit}/brdf?theta_half_deg"]
 TARGETS = [(f"/v1/fits?{query}", query.partition("=")[0]) for query in OF_LISTS]
 TARGETS += [(f"/v1/measurements?{query}", query.partition("=")[0]) for query in OF_LISTS]
@@ -30,7 +29,6 @@ TARGETS += [(f"{{fit}}/export?component=diffuse&format={name}", "merl & layers")
 TARGETS += [
     ("{fit}/export?component=diffuse&format=materialx", "merl & layers"),
     ("{fit}/export?component=ring&format=json", "'diffuse'"),
-    ("{fit}/export?format=JSON", "'json'"),
     ("{fit}/export?format=..%2f..%2fetc%2fpasswd", "'json'"),
     ("{fit}/export", "format"),
     ("{fit}/export?name=flat&format=glsl&sampling=true", "must not be a word of GLSL"),
@@ -38,12 +36,8 @@ TARGETS += [
     ("{fit}/figures/sphere.png?size=1000", "256"),
     ("{fit}/figures/sphere.png?lighting=moon", "'environment'"),
     ("{fit}/figures/sphere.png?component=ring", "'diffuse'"),
-    ("{fit}/figures/sphere.png?hue=1", "hue"),
-    ("{fit}/figures/residual.svg?hue=1", "'hue'"),
     ("/v1/fits?limit=1&limit=2", "'limit' & more than once"),
     ("{fit}?wait=0&wait=1", "'wait' & more than once"),
-    ("{fit}/export?format=csv&format=json", "'format' & more than once"),
-    ("{fit}/figures/sphere.png?size=16&size=32", "'size' & more than once"),
 ]
 
 

@@ -16,7 +16,6 @@ import pytest
 from starlette.requests import Request
 from starlette.types import Message
 
-from dsbrdf.components import decomposition
 from dsbrdf.engines import Fault, Processes
 from dsbrdf.engines.engine import MEMORY_LIMIT
 from dsbrdf_service.access import CALLER_NAME
@@ -36,13 +35,6 @@ FIT_PATH = f"/v1/fits/{FIT}"
 EXPORT = f"{FIT_PATH}/export?format=bsdf"
 SPHERE = f"{FIT_PATH}/figures/sphere.png?size=16"
 COMPONENTS = ("specular_spike", "specular_lobe", "diffuse")
-OF_COMPONENTS = [
-    FIT_PATH,
-    f"{FIT_PATH}/components",
-    f"{FIT_PATH}/components/diffuse/brdf?{_ANGLES}",
-    f"{FIT_PATH}/export?format=json&component=layers",
-    f"{SPHERE}&component=diffuse",
-]
 LONG_BATCH = json.dumps({"theta_half_deg": [1.25] * 10_000, "theta_diff_deg": [2.25] * 10_000}).encode()
 
 
@@ -88,24 +80,6 @@ async def test_what_nobody_waits_for_is_not_computed(
     again = await running.ask(targets[-1], key).end()
     assert again.status == 200
     assert len(blocked.calls) <= 2
-
-
-async def test_stored_result_is_sent_without_being_parsed(running: Application) -> None:
-    key = running.new_key()
-    caller = Caller(key.split("_")[1])
-    row, _ = running.store.add_fit(caller, add(running.store, caller=caller), {}, 10)
-    running.store.start_fit(row.key)
-    running.store.complete_fit(row.key, '{"model": no JSON}', {})
-    state, _, result = (await running.ask(f"/v1/fits/{row.id}", key).end()).body.partition(b',"model": ')
-    assert json.loads(state + b"}")["status"] == "succeeded"
-    assert result == b"no JSON}"
-
-
-async def test_components_come_with_the_fit(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decomposition, "fit_structures", None)
-    asked = [running.ask(target, key) for target in OF_COMPONENTS]
-    batch = running.ask(f"{FIT_PATH}/components/diffuse/brdf", key, "POST", LONG_BATCH)
-    assert [(await one.end()).status for one in (*asked, batch)] == [200] * (len(asked) + 1)
 
 
 async def test_a_long_computation_holds_up_no_other(running: Application, key: str, block: Block) -> None:

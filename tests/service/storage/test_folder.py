@@ -19,7 +19,6 @@ from dsbrdf_service.storage.database import FILE_NAME, Database
 from dsbrdf_service.storage.files import Incoming
 from dsbrdf_service.storage.keys import add_key
 from dsbrdf_service.storage.maintenance import purge_folder
-from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.commands import run_main
 from tests.support.stores import LOCAL, add, receive
@@ -300,18 +299,6 @@ def test_file_comes_before_its_row_and_goes_after_it(
     steps.clear()
     assert store.remove_measurement("", incoming.sha256)
     assert steps == ["commit of 0 rows", f"os.remove {path}", "commit of 0 rows"]
-
-
-def test_upload_looks_at_no_file_that_another_key_has(store: Store, steps: list[str]) -> None:
-    """So that its time does not tell whether there is one."""
-    done = []
-    for owner in ("first", "second"):
-        incoming = receive(store, b"content")
-        store.blobs.path(incoming.sha256).parent.mkdir(exist_ok=True)
-        steps.clear()
-        assert store.add_measurement(Caller(owner), incoming)[1]
-        done.append([step.replace(str(incoming.path), "the upload") for step in steps])
-    assert done[0] == done[1] != []
 
 
 def test_deletion_that_cannot_be_committed_keeps_the_file(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,6 @@
 """Quotas: what is being written counts, and a key says who is let in, how often, and with how much."""
 
 import asyncio
-import hashlib
 import sqlite3
 import threading
 from contextlib import AsyncExitStack, closing
@@ -13,7 +12,7 @@ import dsbrdf
 from dsbrdf.data import FILE_SIZE
 from dsbrdf_service import access as keys_module
 from dsbrdf_service.access import Keys
-from dsbrdf_service.errors import InvalidKeyError, MeasurementDamagedError, ProblemError
+from dsbrdf_service.errors import InvalidKeyError, ProblemError
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage import files
 from dsbrdf_service.storage.database import RESERVE, Database
@@ -70,29 +69,6 @@ def test_answers_that_nobody_reads_count_as_uploads_do(store: Store, tmp_path: P
 
     asyncio.run(answers())
     assert not list((tmp_path / "tmp").iterdir())
-
-
-def test_digest_of_a_file_is_computed_once_until_the_file_changes(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    computed, file_digest = [], hashlib.file_digest
-
-    def counted(*arguments: object) -> object:
-        computed.append(arguments)
-        return file_digest(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(hashlib, "file_digest", counted)
-    sha256 = add(store, b"content")
-    path = store.measurement_file("", sha256)[1]
-    assert not computed  # The upload was hashed while it was written.
-    path.write_bytes(b"contenX")
-    for _ in range(2):
-        with pytest.raises(MeasurementDamagedError, match="its sha256 is another one"):
-            store.measurement_file("", sha256)
-    path.write_bytes(b"content")
-    for _ in range(9):
-        assert store.measurement_file("", sha256)[1] == path
-    assert len(computed) == 3
 
 
 def test_unfinished_fit_of_another_algorithm_fails_and_says_so(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
