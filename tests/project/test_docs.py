@@ -293,6 +293,7 @@ def test_the_table_becomes_a_sphere_with_a_purple_highlight_and_says_what_its_fi
 _COMPONENT = re.compile(r"^(\w+) +\d+% +\d+%-\d+%(?: +([\d.]+)°)?" + r" +([\d.]+)" * 3 + "$", re.MULTILINE)
 
 
+@pytest.mark.usefixtures("read_once")
 def test_demo_prints_all_results_and_stops_the_service(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,7 +19,6 @@ import pytest
 
 from dsbrdf_service.admin import serve
 from tests.support.commands import run_main
-from tests.support.dask_cluster import DaskCluster
 from tests.support.processes import alive, command, wait_until
 from tests.support.server import ENDLESS, QUICK, Server, StartServer, head_of_upload
 from tests.support.soak import repeats
@@ -287,22 +286,3 @@ def test_start_that_could_harm_is_refused(server: Server, tmp_path: Path) -> Non
     refused = run_main(serve.main, "--port", "0", "--data-dir", str(server.data_dir))
     assert (refused.returncode, "in use" in refused.stderr) == (2, True)
     assert server.http.get("/health/ready").status_code == 200
-
-
-@pytest.mark.soak
-def test_killed_server_leaves_no_fit_on_a_cluster_and_resumes_it(
-    own_server: StartServer, cluster: DaskCluster, data: bytes
-) -> None:
-    server = own_server(engine="dask", scheduler=cluster.address, workers="1")
-    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    interrupted, waiting = {"n_lobes": 4, "em_iterations": 100}, QUICK
-    fits = [server.submit(sha256, prefer="respond-async", **options).json()["id"] for options in (interrupted, waiting)]
-    wait_until(lambda: bool(cluster.fitting()), 120.0)
-    victims = cluster.fitting()
-    server.stop(signal.SIGKILL)
-    wait_until(lambda: not any(alive(pid) for pid in victims))
-    server.start()
-    before = server.memory()
-    for fit_id in fits:
-        assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
-    assert server.memory() - before < 24  # neither the file (35 MB) nor what is made of it

@@ -12,8 +12,8 @@ import httpx
 import pytest
 
 import dsbrdf
-from dsbrdf.data import encode_merl
 from dsbrdf.output.serialize import model_from_dict
+from tests.support.merl_files import with_value
 from tests.support.models import assert_same_bits
 from tests.support.processes import alive, wait_until
 from tests.support.server import ENDLESS, QUICK, Server, StartServer, assert_problem
@@ -61,8 +61,8 @@ def test_repeated_request_returns_the_stored_fit(server: Server, data: bytes, st
     assert server.submit(stored, n_lobes=1, em_iterations=5).json()["id"] != first.json()["id"]
 
 
-def test_concurrent_requests_with_one_file_make_one_fit(server: Server, metal: dsbrdf.Measurement) -> None:
-    content = encode_merl(metal)
+def test_concurrent_requests_with_one_file_make_one_fit(server: Server, data: bytes) -> None:
+    content = with_value(data, 0.75)
 
     def post(_: int) -> httpx.Response:
         return httpx.post(server.http.base_url.join("/v1/fits"), params=QUICK, content=content, timeout=60)

@@ -17,9 +17,10 @@ from dsbrdf.output.documents import summary_of_table
 from dsbrdf.samples.reading import parse_samples, read_table
 from tests.library.samples.test_layouts import KINDS
 from tests.library.samples.test_spreadsheet import spreadsheet
+from tests.support.merl_files import with_value
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.models import assert_same_bits
-from tests.support.server import Server, StartServer, assert_problem
+from tests.support.server import QUICK, Server, StartServer, assert_problem
 from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow
@@ -47,8 +48,8 @@ def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, s
     assert again.headers["location"] == place
 
 
-def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, matte: dsbrdf.Measurement) -> None:
-    sha256 = server.http.post("/v1/measurements", content=encode_merl(matte)).json()["sha256"]
+def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, data: bytes) -> None:
+    sha256 = server.http.post("/v1/measurements", content=with_value(data, 0.8)).json()["sha256"]
     url = f"/v1/measurements/{sha256}"
     fit_id = server.submit(sha256, prefer="respond-async", n_lobes=8).json()["id"]
     answer = server.http.delete(url)
@@ -63,12 +64,12 @@ def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, matte: dsbr
     assert_problem(server.submit(sha256, n_lobes=2), 404, "not-found")
 
 
-def test_measurement_has_a_document_with_its_fits(server: Server, matte: dsbrdf.Measurement) -> None:
-    content = encode_merl(matte)[:-1] + b"\xc1"
+def test_measurement_has_a_document_with_its_fits(server: Server, data: bytes) -> None:
+    content = with_value(data, 0.9)
     uploaded = server.http.post("/v1/measurements", params={"name": "paint"}, content=content).json()
     url = f"/v1/measurements/{uploaded['sha256']}"
     assert server.http.get(url).json() == {**uploaded, "fits": []}
-    fits = [server.submit(uploaded["sha256"], n_lobes=n).json()["id"] for n in (1, 2)]
+    fits = [server.submit(uploaded["sha256"], **QUICK, horizon_cutoff_deg=cutoff).json()["id"] for cutoff in (70, 75)]
     answer = server.http.get(url, headers={"Accept": "text/html, */*"})
     assert answer.json() == {**uploaded, "fits": fits[::-1]}
     assert answer.json().keys() >= {"name", "size", "created"}
@@ -143,16 +144,9 @@ def test_a_table_is_stored_as_its_samples(server: Server, table: bytes, name: st
     assert (again.status_code, again.json()["sha256"]) == (200, samples.sha256)
 
 
-@pytest.mark.parametrize(
-    ("name", "media_type"),
-    [
-        ("felt", "application/octet-stream"),
-        ("felt.csv", "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet"),
-    ],
-)
-def test_a_spreadsheet_is_the_table_in_it(server: Server, table: bytes, name: str, media_type: str) -> None:
+def test_a_spreadsheet_is_the_table_in_it(server: Server, table: bytes) -> None:
     content = spreadsheet(Data=[HEAD.split(","), *([*map(float, line.split(b","))] for line in table.splitlines()[1:])])
-    answer = post(server, content, name, media_type)
+    answer = post(server, content, "felt.csv", "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet")
     assert answer.status_code in (200, 201), answer.text
     place = answer.headers["location"]
     found = np.load(BytesIO(server.http.get(f"{place}/samples.npy").content))

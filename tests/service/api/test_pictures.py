@@ -89,9 +89,9 @@ def test_figures_are_drawn_and_names_are_no_formulas(server: Server, data: bytes
         assert answer.content.startswith(b"<?xml")
         first[figure] = answer.content
         assert server.http.get(url, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
-    url = f"/v1/fits/{fit}/figures/parameters.svg"
+    url = f"/v1/fits/{fit}/figures/residual.svg"
     dark, light = server.http.get(f"{url}?dark=true").content, server.http.get(url).content
-    assert light == first["parameters"]  # one tag, the same bytes
+    assert light == first["residual"]  # one tag, the same bytes
     assert b"#000000" in light
     assert b"#000000" not in dark  # no black marks
     assert b'z\n"/>' not in dark  # no areas without a colour, which are black
