@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.foreign_catalogue import CATALOGUE, burley_diffuse
+from benchmarks.judgement import RULES, Truth, judged
 from benchmarks.truth import drawn, load_truth, save_truth
 from dsbrdf.arrays import Array
 from dsbrdf.data import spherical
@@ -18,7 +19,6 @@ from tests.support.foreign_bsdfs import (
     principled_diffuse,
 )
 from tests.support.foreign_materials import Material
-from tests.support.foreign_truth import RULES, Truth, judged
 
 OCHRE = (0.6, 0.4, 0.2)
 EACH_FORMULA = (

@@ -16,6 +16,7 @@ import numpy as np
 
 import dsbrdf
 from benchmarks.foreign_catalogue import CATALOGUE, ashikhmin_shirley, materials_of_kinds, ward_duer
+from benchmarks.judgement import RULES, Judgement, Truth, judged
 from dsbrdf import ConvergenceWarning, Measurement
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, directions, nodes_above_horizon
 from tests.support.foreign_bsdfs import Color, lambert
@@ -26,7 +27,6 @@ from tests.support.foreign_materials import (
     plastic_material,
     principled_material,
 )
-from tests.support.foreign_truth import RULES, Judgement, Truth, judged
 
 METALS = ("Ag", "Al", "Au", "Cr", "Cu", "Mo", "Ni_palik", "TiN", "V_palik", "W")
 

@@ -12,7 +12,7 @@ from dsbrdf import InvalidArgumentError, MeasurementFormatError, ScatteredSample
 from dsbrdf.data import spherical
 from dsbrdf.fitting.report import SuggestedPair
 from dsbrdf.samples.plan import plan_table
-from tests.library.samples.test_layouts import LAYOUTS, truth
+from tests.library.samples.test_layouts import LAYOUTS, PUBLISHED, truth
 from tests.library.samples.test_reading import ANGLES, RGB, table
 
 READ = TableOptions(scale=1.0 / 3.0, cosine="out")
@@ -100,7 +100,6 @@ def _written(folder: Path, content: bytes, name: str = "whole.csv") -> Path:
     return path
 
 
-PUBLISHED = Path(__file__).parent / "published"
 PAIRS = [SuggestedPair(60.0, 25.0, 180.0), SuggestedPair(20.0, 55.0, 0.0), SuggestedPair(20.0, 20.0, 180.0)]
 ASIDE = SuggestedPair(40.0, 70.0, 130.0)
 SEPARATORS = {
