@@ -42,7 +42,7 @@ DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
 ADDRESS = "http://127.0.0.1:8000"
 PAGES = {file.name: file.read_text() for file in sorted(DOCS.glob("*.md"))}
-RUN_BY_SPHINX = {"tutorial.md", "choices.md"}  # notebooks
+NOTEBOOKS = {"tutorial.md", "choices.md"}
 SPHINX = {"{code-cell}", "{toctree}", "{include}", "{eval-rst}"}
 
 
@@ -124,13 +124,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def test_every_block_is_run() -> None:
     languages = {name: {language for language, _ in blocks_of(text)} for name, text in PAGES.items()}
     assert set().union(*languages.values()) - SPHINX == {"python", "sh", "text", "ini", "yaml"}
-    assert {name for name, used in languages.items() if "{code-cell}" in used} == RUN_BY_SPHINX
-    assert {name for name, used in languages.items() if "python" in used} == {
-        "faults.md",
-        "index.md",
-        "python.md",
-        "http.md",
-    }
+    assert {name for name, used in languages.items() if "{code-cell}" in used} == NOTEBOOKS
     shell = [command.split()[0] for text in blocks("sh", http=False) for command in commands(text)]
     assert set(shell) == {"dsbrdf"}
 

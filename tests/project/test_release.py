@@ -103,9 +103,8 @@ def run(*command: str | Path) -> str:
     return answer.stdout
 
 
-def services(path: Path) -> dict[str, dict[str, Any]]:
-    found: dict[str, dict[str, Any]] = yaml.safe_load(path.read_text())["services"]
-    return found
+def services(path: Path) -> Any:
+    return yaml.safe_load(path.read_text())["services"]
 
 
 def test_dockerfile_compose_files_and_script_pass_their_linters() -> None:
@@ -168,22 +167,6 @@ def test_every_setting_exists_and_fits_stay_within_the_memory_of_the_container(p
         if name == "service":
             assert service["mem_limit"] == "4g"
             assert ((settings.workers or 0) + 1) * settings.fit_memory_mb <= 4096
-
-
-@pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.name)
-def test_containers_are_limited_and_of_this_repository(path: Path) -> None:
-    for service in services(path).values():
-        assert service["init"] is True
-        assert service["stop_grace_period"] == "15s"  # the service takes 10 s at most, the proxy 8 s
-        assert service["mem_limit"]
-        assert service["pids_limit"]
-        build = service.get("build")
-        if build is None:
-            assert service["pull_policy"] == "never"
-        else:
-            assert (DOCKER / build["context"]).resolve() == ROOT
-            assert (ROOT / build["dockerfile"]).is_file()
-            assert f" AS {build['target']}\n" in DOCKERFILE
 
 
 def test_networks_isolate_service_and_cluster() -> None:
