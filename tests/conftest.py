@@ -18,10 +18,9 @@ from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
 from dsbrdf import Measurement, write_merl
 from tests.support import launcher
 from tests.support.dask_cluster import DaskCluster
-from tests.support.guarded import Guarded, new_key
 from tests.support.materials import glossy_plastic, matte_paint, polished_metal
 from tests.support.processes import short_folder
-from tests.support.server import Server, StartServer
+from tests.support.server import Guarded, Server, StartServer, new_key
 from tests.support.soak import SOAK
 
 REFERENCE_VARIABLE = "DSBRDF_REFERENCE_DATA"

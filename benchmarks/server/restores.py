@@ -12,9 +12,8 @@ import httpx
 
 from benchmarks.server.runner import Place, Row
 from dsbrdf_service.storage.database import FILE_NAME
-from tests.support.guarded import new_key
 from tests.support.processes import wait_until
-from tests.support.server import QUICK, Server
+from tests.support.server import QUICK, Server, new_key
 
 _FITS: tuple[dict[str, Any], ...] = ({}, {"n_lobes": 2}, {"n_lobes": 3})
 _REFUSED = 2  # exit code

@@ -9,10 +9,19 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.support.guarded import Guarded, keys_command, new_key
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, QUICK, Server, StartServer, assert_problem, head_of_upload
+from tests.support.server import (
+    ENDLESS,
+    QUICK,
+    Guarded,
+    Server,
+    StartServer,
+    assert_problem,
+    head_of_upload,
+    keys_command,
+    new_key,
+)
 
 OPEN = ("/health/live", "/health/ready", "/docs", "/page/docs.js", "/openapi.json")
 

@@ -20,11 +20,10 @@ from dsbrdf_service.client import Client, ClientEngine, ServiceError
 from dsbrdf_service.wire import canonical
 from tests.support import endless_fit
 from tests.support.command_line import QUICK, document, sentence
-from tests.support.guarded import Guarded
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.models import assert_same_bits
 from tests.support.processes import wait_until
-from tests.support.server import Server
+from tests.support.server import Guarded, Server
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")]
 OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff_deg=75)

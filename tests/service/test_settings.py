@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from dsbrdf_service.admin.commands import doctor
 from dsbrdf_service.admin.serve import main
 from dsbrdf_service.settings import PREFIX, Settings
-from tests.support.commands import run_main, start_in_vain
+from tests.support.command_line import run_main, start_in_vain
 from tests.support.server import QUICK, Server, StartServer
 
 

@@ -1,5 +1,6 @@
 """The real service as a process of its own, and what tests want to know of it."""
 
+import io
 import os
 import re
 import signal
@@ -8,13 +9,21 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
+from subprocess import CompletedProcess
 from types import MappingProxyType
 from typing import Any
 
 import httpx
+import numpy as np
+from numpy.typing import ArrayLike
 
+from dsbrdf_service.admin.commands import keys
+from dsbrdf_service.storage.database import Database
+from dsbrdf_service.storage.keys import add_key
 from tests.support import endless_fit
+from tests.support.command_line import run_main
 from tests.support.launcher import ForkedProcess, launcher
 from tests.support.processes import alive, children, wait_until
 
@@ -182,3 +191,38 @@ def assert_problem(response: httpx.Response, status: int, kind: str | None = Non
     detail: str = problem["detail"]
     assert detail
     return detail
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """A service that wants keys, and the headers that hold the keys of two users."""
+
+    server: Server
+    alice: dict[str, str]
+    bob: dict[str, str]
+
+    def new_key(self, name: str = "another", **limits: Any) -> dict[str, str]:
+        """Return the header of a further key."""
+        return new_key(self.server, name, **limits)[1]
+
+
+def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, str]]:
+    """Make a key beside a running service, and use it at once; return its id and the header that holds it."""
+    database = Database(server.data_dir, exclusive=False)
+    key_id, key = add_key(database, name, **limits)
+    database.close()
+    header = {"Authorization": f"Bearer {key}"}
+    assert server.http.get("/v1/fits", headers=header).status_code == 200
+    return key_id, header
+
+
+def keys_command(*words: str) -> "CompletedProcess[str]":
+    """Run ``dsbrdf keys`` without a process of its own."""
+    return run_main(keys, *words)
+
+
+def npy(array: ArrayLike) -> bytes:
+    """Return an array as the content of a .npy file."""
+    buffer = io.BytesIO()
+    np.save(buffer, np.asarray(array))
+    return buffer.getvalue()

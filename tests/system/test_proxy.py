@@ -18,9 +18,8 @@ import pytest
 from dsbrdf_service.http.messages import NPY
 from dsbrdf_service.http.problems import KINDS, TYPE_PREFIX
 from dsbrdf_service.settings import Settings
-from tests.support.points import npy
 from tests.support.processes import free_port, wait_until
-from tests.support.server import ENDLESS, QUICK, Server, StartServer, head_of_upload
+from tests.support.server import ENDLESS, QUICK, Server, StartServer, head_of_upload, npy
 
 CONFIGURATION = Path(__file__).parents[2] / "docker" / "nginx.conf"
 

@@ -18,7 +18,7 @@ import httpx
 import pytest
 
 from dsbrdf_service.admin import serve
-from tests.support.commands import run_main
+from tests.support.command_line import run_main
 from tests.support.processes import alive, command, wait_until
 from tests.support.server import ENDLESS, QUICK, Server, StartServer, head_of_upload
 from tests.support.soak import repeats

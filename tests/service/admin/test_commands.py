@@ -21,11 +21,10 @@ from dsbrdf_service.storage.files import Blobs
 from dsbrdf_service.storage.keys import add_key, revoke_key
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
-from tests.support.commands import run_main, start_in_vain
-from tests.support.guarded import Guarded, keys_command
+from tests.support.command_line import run_main, start_in_vain
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, QUICK, Server, StartServer, assert_problem
+from tests.support.server import ENDLESS, QUICK, Guarded, Server, StartServer, assert_problem, keys_command
 from tests.support.soak import SOAK
 from tests.support.stores import LOCAL, add
 

@@ -21,9 +21,7 @@ from dsbrdf.output import from_json
 from dsbrdf.rendering import displayed, exposure, sphere_normals
 from dsbrdf_service.http.messages import NPY
 from dsbrdf_service.http.problems import KINDS, problem_of
-from tests.support.guarded import Guarded
-from tests.support.points import npy
-from tests.support.server import QUICK, Server, assert_problem
+from tests.support.server import QUICK, Guarded, Server, assert_problem, npy
 
 pytestmark = pytest.mark.slow
 

@@ -17,9 +17,8 @@ from dsbrdf.output.documents import component_documents
 from dsbrdf.output.export import part_of
 from dsbrdf_service.compute.computations import LoadedFit
 from dsbrdf_service.errors import ProblemError
-from tests.support.guarded import Guarded
 from tests.support.models import assert_same_bits
-from tests.support.server import Server, assert_problem
+from tests.support.server import Guarded, Server, assert_problem
 
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
 

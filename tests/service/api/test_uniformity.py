@@ -2,8 +2,7 @@
 
 import pytest
 
-from tests.support.guarded import Guarded, new_key
-from tests.support.server import QUICK, Server, StartServer, assert_problem
+from tests.support.server import QUICK, Guarded, Server, StartServer, assert_problem, new_key
 
 
 def test_every_resource_can_be_asked_for_with_head(server: Server, stored: str, fitted: str) -> None:

@@ -13,9 +13,8 @@ import httpx
 import pytest
 
 from dsbrdf.data import FILE_SIZE
-from tests.support.guarded import new_key
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, Server, StartServer, assert_problem, head_of_upload, in_progress
+from tests.support.server import ENDLESS, Server, StartServer, assert_problem, head_of_upload, in_progress, new_key
 
 pytestmark = pytest.mark.slow
 

@@ -24,8 +24,7 @@ from dsbrdf_service.app import create_app
 from dsbrdf_service.http.problems import KINDS
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.wire import from_query, table_from_query, to_wire
-from tests.support.guarded import new_key
-from tests.support.server import Server, StartServer
+from tests.support.server import Server, StartServer, new_key
 from tests.support.soak import SOAK, repeats
 
 

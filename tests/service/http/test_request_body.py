@@ -18,10 +18,9 @@ import pytest
 from dsbrdf import parse_merl
 from dsbrdf.data import FILE_SIZE
 from dsbrdf.output import export_model, from_json
-from tests.support.guarded import new_key
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
-from tests.support.server import QUICK, Server, StartServer, assert_problem, head_of_upload, in_progress
+from tests.support.server import QUICK, Server, StartServer, assert_problem, head_of_upload, in_progress, new_key
 
 pytestmark = pytest.mark.slow
 

@@ -19,8 +19,7 @@ from dsbrdf_service.storage.database import RESERVE, Database
 from dsbrdf_service.storage.keys import add_key, revoke_key
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
-from tests.support.guarded import Guarded, keys_command
-from tests.support.server import assert_problem
+from tests.support.server import Guarded, assert_problem, keys_command
 from tests.support.stores import add, receive
 
 LOCAL = Caller()

@@ -12,7 +12,7 @@ from dsbrdf import DSBRDF, render_sphere
 from dsbrdf.data import encode_merl, synthetic_measurement
 from dsbrdf.output import from_json
 from dsbrdf.rendering import exposure, sphere_normals
-from tests.support.guarded import Guarded
+from tests.support.server import Guarded
 from tests.support.webgl import CHROMIUM
 
 if CHROMIUM is not None and find_spec("playwright"):

@@ -13,8 +13,7 @@ from dsbrdf import render_sphere
 from dsbrdf.rendering import displayed, psnr, sphere_normals
 from tests.service.http.page.conftest import Site
 from tests.support.browser import PAINTED, SPHERE, Visit, expect
-from tests.support.guarded import Guarded
-from tests.support.server import ENDLESS
+from tests.support.server import ENDLESS, Guarded
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.service.http.page.conftest import Site
 from tests.support.browser import PAINTED, Visit, expect
-from tests.support.guarded import Guarded
+from tests.support.server import Guarded
 
 pytest.importorskip("axe_playwright_python", reason='"axe_playwright_python" is not installed')
 
