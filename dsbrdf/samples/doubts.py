@@ -21,7 +21,8 @@ from scipy.linalg import solve_triangular
 from dsbrdf.arrays import Array
 from dsbrdf.components.points import Points
 from dsbrdf.data.geometry import half_difference, spherical
-from dsbrdf.samples.prediction import dark_level, smooth_covariance, thinned
+from dsbrdf.samples.prediction import smooth_covariance, thinned
+from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 _MAX_ALBEDO_BOUND = 1.05  # limit of plausible albedos, above 1 because of the noise of samples of a white material

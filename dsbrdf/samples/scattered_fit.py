@@ -43,7 +43,8 @@ from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.fitting.report import LeftOutErrors, SuggestedPair
 from dsbrdf.model.dsbrdf import DSBRDF
-from dsbrdf.samples.prediction import SamplePrediction, dark_level, left_out_predictions, thinned
+from dsbrdf.samples.prediction import SamplePrediction, left_out_predictions, thinned
+from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 # A node of the table gets half weight if its uncertainty equals this relative error, the smallest that lobes reach.
