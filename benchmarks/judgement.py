@@ -8,28 +8,12 @@ import dsbrdf
 from dsbrdf.arrays import Array
 from dsbrdf.components.layers import Color
 from dsbrdf.components.shares import RgbRange
+from tests.support.foreign_kinds import directional_rule
 from tests.support.foreign_materials import Material
 
 ANGLES_DEG = (0.0, 40.0, 70.0)
 MIN_F0 = 0.02  # Below it, the relative error of a channel says nothing.
 MIN_LIGHT_OF_COMPONENT = 1e-3  # A part with a smaller fraction of all light is no component.
-
-
-def directional_rule(theta_out: float) -> tuple[Array, Array, Array]:
-    """Directions (n, 3) of the light and of the eye, and weights (n,) of an integral over the light's cosine [sr].
-
-    A midpoint rule in half vectors, dense about the mirror direction; half of the azimuths stand for all.
-    """
-    rings, azimuths = 300, 60
-    u = (np.arange(rings) + 0.5) / rings
-    half, azimuth = np.meshgrid(np.pi / 2 * u**3, (np.arange(azimuths) + 0.5) / azimuths * np.pi, indexing="ij")
-    area = np.sin(half) * (np.pi / 2 * 3.0 * u**2 / rings)[:, np.newaxis] * (2.0 * np.pi / azimuths)
-    normal = np.stack([np.sin(half) * np.cos(azimuth), np.sin(half) * np.sin(azimuth), np.cos(half)], axis=-1)
-    eye = np.array([np.sin(theta_out), 0.0, np.cos(theta_out)])
-    cos_diff = normal @ eye
-    light = 2.0 * cos_diff[..., np.newaxis] * normal - eye
-    lit = (cos_diff > 0.0) & (light[..., 2] > 1e-6)
-    return light[lit], np.broadcast_to(eye, light.shape)[lit], (4.0 * cos_diff * light[..., 2] * area)[lit]
 
 
 RULES = tuple(directional_rule(float(np.radians(angle))) for angle in ANGLES_DEG)

@@ -3,7 +3,7 @@
 Their own values are decomposed: that a fit has them is asked of fits.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import cast
@@ -18,10 +18,12 @@ from dsbrdf.components import LABELS
 from dsbrdf.data import directions
 from dsbrdf.model import ReflectanceModel, directional_albedo
 from tests.support.foreign_bsdfs import Part, conductor, lambert
+from tests.support.foreign_kinds import GOLD, KINDS, compensation
 from tests.support.foreign_materials import CATALOGUE, Material, plastic_material
 
 pytestmark = pytest.mark.slow
 
+WHITE = (0.95, 0.95, 0.95)
 ANGLES = np.radians([0.0, 40.0, 70.0])
 SPIKE, LOBE, DIFFUSE = LABELS
 COMPONENTS = {
@@ -133,18 +135,17 @@ def test_metal_and_flakes_colour_their_highlight_and_a_coat_none(
     np.testing.assert_allclose(known(name).parts[label].color, color, atol=0.1 if label == SPIKE else 0.04)
 
 
-@pytest.mark.parametrize(
-    "material",
-    [
-        lambda: Material((conductor(0.55, color=(0.04, 0.04, 0.04)),)),
-        lambda: plastic_material(0.8, (0.3, 0.1, 0.05)),
-    ],
-    ids=["black dielectric", "plastic"],
-)
-def test_it_is_said_that_nobody_can_part_very_rough_surfaces_and_diffuse_layers(
-    material: Callable[[], Material],
-) -> None:
-    found = Split.of(material())
+LOOK_DIFFUSE = {
+    "black dielectric": lambda: Material((conductor(0.55, color=(0.04, 0.04, 0.04)),)),
+    "white metal": lambda: Material((conductor(0.8, color=WHITE), compensation(0.8, WHITE))),
+    "gold": lambda: Material((conductor(0.75, color=GOLD), compensation(0.75, GOLD))),
+    "plastic": lambda: plastic_material(0.8, (0.3, 0.1, 0.05)),
+}
+
+
+@pytest.mark.parametrize("name", LOOK_DIFFUSE)
+def test_it_is_said_that_nobody_can_part_very_rough_surfaces_and_diffuse_layers(name: str) -> None:
+    found = Split.of(LOOK_DIFFUSE[name]())
     assert found.is_inside
     is_said = any("does not determine how much of the light is diffuse" in remark for remark in found.parts.remarks)
     assert is_said or found.moved < 0.01
@@ -153,3 +154,10 @@ def test_it_is_said_that_nobody_can_part_very_rough_surfaces_and_diffuse_layers(
 def test_two_coloured_highlights_over_grey_are_not_a_metal() -> None:
     first, second = conductor(0.15, color=(0.2, 0.05, 0.12)), conductor(0.4, color=(0.08, 0.15, 0.2))
     assert Split.of(Material((first, second), (lambert((0.06, 0.06, 0.06)),))).moved < 0.03
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_light_that_a_material_scatters_several_ways_is_on_its_own_side(kind: str) -> None:
+    found = Split.of(KINDS[kind]())
+    assert found.moved < 0.03
+    assert found.is_inside
