@@ -12,13 +12,11 @@ from tests.support.mixtures import COARSE_ANGLES
 
 @pytest.fixture(scope="session")
 def plastic_profiles(plastic: Measurement) -> Profiles:
-    """The plastic's profiles with the default options."""
     return profiles(plastic)
 
 
 @pytest.fixture(scope="session")
 def plastic_fit(plastic: Measurement) -> FitResult:
-    """The default fit of the plastic."""
     return fit(plastic)
 
 

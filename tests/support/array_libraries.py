@@ -16,7 +16,6 @@ DIRECTIONS = ("omega_in", "omega_out")
 
 
 def loaded(path: Path) -> ModuleType:
-    """Import a file."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None

@@ -57,7 +57,6 @@ def _exit_code(words: Sequence[str]) -> int:
 
 
 def load_fit(path: Path) -> dsbrdf.FitResult:
-    """Return the fit in a file, which must have a report."""
     found = dsbrdf.load(path)
     assert isinstance(found, dsbrdf.FitResult)
     return found

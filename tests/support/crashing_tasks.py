@@ -5,9 +5,6 @@ import resource
 import signal
 import socket
 import sys
-from collections.abc import Callable
-
-import numpy as np
 
 from dsbrdf.engines import FitTask, OnProgress, Outcome
 from dsbrdf.engines.local import compute
@@ -54,15 +51,6 @@ def compute_unless_named_one(task: FitTask, on_progress: OnProgress) -> Outcome:
     if task.fit_id == "one":
         die(signal.SIGKILL, on_progress)
     return compute(task, on_progress)
-
-
-def fill_and_free(_: Callable[[float], None]) -> int:
-    """Fill ten buffers of 2 MB, ten times; return how many pages had to be fetched for that."""
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    for _round in range(10):
-        buffers = [np.ones(1 << 18) for _number in range(10)]
-        buffers.clear()
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
 def nice_value(_: OnProgress) -> int:

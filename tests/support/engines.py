@@ -74,7 +74,6 @@ def until_fitting(stage: Stage) -> list[int]:
 
 
 def until_busy(cluster: DaskCluster) -> ForkedProcess:
-    """Return a worker that fits."""
     return until(lambda: [worker for worker in cluster.workers if forked(worker.pid)], bool)[0]
 
 

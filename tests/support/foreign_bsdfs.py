@@ -22,7 +22,6 @@ _LEAST_COSINE = 1e-9
 
 
 def rgb(color: Color) -> dict[str, Any]:
-    """A colour as a texture of Mitsuba."""
     return {"type": "rgb", "value": list(color)}
 
 
@@ -75,7 +74,6 @@ def plastic(
 
 
 def principled(color: Color, roughness: float, metallic: float = 0.0, **others: float) -> Part:
-    """Mitsuba's principled BSDF (Burley 2012) as a whole."""
     return plugin(
         {"type": "principled", "base_color": rgb(color), "roughness": roughness, "metallic": metallic} | others
     )

@@ -22,7 +22,6 @@ def materialx_document(text: str) -> Any:
 
 
 def surface_of(document: Any) -> OpenPBR:
-    """Return the inputs of the document's only surface."""
     node = document.getNode(_SHADER)
     assert node.getCategory() == "open_pbr_surface"
     values: dict[str, Any] = {}

@@ -12,7 +12,6 @@ _OLDEST_LLVM = (17,)
 
 
 def mitsuba_variant(name: str) -> ModuleType:
-    """Return Mitsuba with a variant set."""
     if importlib.util.find_spec("mitsuba") is None:
         pytest.skip('"mitsuba" is not installed')
     module = importlib.import_module("mitsuba")

@@ -52,7 +52,6 @@ def scattered_samples(model: DSBRDF, count: int, seed: int = 1) -> ScatteredSamp
 
 
 def samples_table(samples: ScatteredSamples) -> bytes:
-    """Return samples as a table with commas, to the last digit."""
     file, columns = BytesIO(), np.hstack([samples.omega_in, samples.omega_out, samples.values])
     np.savetxt(file, columns, "%.17g", ",", header=",".join((*VECTORS, *CHANNELS)), comments="")
     return file.getvalue()
@@ -70,13 +69,11 @@ def scattered_directions(model: DSBRDF, count: int, seed: int) -> tuple[Array, A
 
 
 def found_by_fit(n_lobes: int, seed: int) -> DSBRDF:
-    """Return the model that the default fit finds for a mixture with noise."""
     data = profiles(model_measurement(mixture(n_lobes, seed), noise=NOISE, seed=seed))
     return fit(data, FitOptions()).model
 
 
 def numbers_of_lobes(model: DSBRDF) -> tuple[int, int]:
-    """Return the numbers of lobes about the normal and of ring lobes."""
     rings = int(np.count_nonzero(model.is_ring))
     return model.n_lobes - rings, rings
 

@@ -69,7 +69,6 @@ class Split:
 
     @classmethod
     def of(cls, material: Material) -> "Split":
-        """Decompose a material's own values."""
         diffuse, whole = Light(material.diffuse), Light((*material.specular, *material.diffuse))
         parts = dsbrdf.decompose(cast(dsbrdf.DSBRDF, whole))
 
@@ -88,7 +87,6 @@ class Split:
 
 @cache
 def known(name: str) -> Split:
-    """The components of a material of the catalogue."""
     return Split.of(CATALOGUE[name])
 
 

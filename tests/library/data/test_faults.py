@@ -53,7 +53,6 @@ FAULTS = {
 
 @pytest.fixture(scope="module")
 def paint() -> Measurement:
-    """A dark glossy paint with 2 % noise."""
     return synthetic_measurement(roughness=0.12, diffuse=(0.004, 0.005, 0.006), noise=0.02)
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from dsbrdf import MeasurementFormatError, parse_merl, read_merl
 from dsbrdf.data import FILE_SIZE, GRID_SHAPE, nodes_above_horizon
-from dsbrdf.data.merl_validation import ROW_NODES, SCALE, check_values
+from dsbrdf.data.merl_validation import SCALE
 from tests.support.merl_files import ABOVE, BELOW, HEADER, NODES, filled, header, with_values
 from tests.support.strategies import SPECIAL, examples
 
@@ -29,7 +29,6 @@ def whole(data: bytes) -> str:
 
 
 def refusal(data: bytes) -> str:
-    """The sentence of the parser."""
     sentence = whole(data)
     assert re.fullmatch(r".*\.", sentence)
     return sentence
@@ -43,13 +42,6 @@ def memory() -> Iterator[Callable[[], tuple[int, int]]]:
         yield tracemalloc.get_traced_memory
     finally:
         tracemalloc.stop()
-
-
-def test_checking_rows_takes_bounded_memory(data: bytes) -> None:
-    nodes_above_horizon()  # shared by all checks
-    with memory() as used:
-        check_values(np.frombuffer(data, "<f8", ROW_NODES, start) for start in range(12, len(data), 8 * ROW_NODES))
-        assert used()[1] < 5_000_000
 
 
 def test_reading_takes_little_more_memory_than_the_file(plastic_file: Path) -> None:
@@ -74,17 +66,13 @@ def scaled(data: bytes, factor: float) -> bytes:
 FAULTS: dict[str, tuple[Make, str]] = {
     "empty": (lambda _: b"", "The data is empty; a MERL measurement has exactly 34992012 bytes"),
     "a cut header": (lambda data: data[:11], "only 11 bytes and seems cut off; a MERL measurement has"),
-    "a header": (lambda data: data[:12], "only 12 bytes and seems cut off"),
-    "a cut value": (lambda data: data[:20], "only 20 bytes and seems cut off"),
     "one channel": (lambda data: data[: 12 + 8 * NODES], f"only {12 + 8 * NODES} bytes"),
     "one byte less": (lambda data: data[:-1], "only 34992011 bytes"),
-    "one value less": (lambda data: data[:-8], "only 34992004 bytes"),
     "one byte more": (lambda data: data + b"\0", "The data is longer than 34992012 bytes"),
     "another grid": (
         lambda data: header(90, 91, 179) + data[12:100_000],
         "(90, 91, 179): theta_diff is 91 and not 90, phi_diff is 179 and not 180; a MERL measurement has (90, 90, 180)",
     ),
-    "below zero": (lambda data: header(-90, 90, 180) + data[12:100_000], "theta_half is -90 and not 90"),
     "swapped": (
         lambda data: header(180, 90, 90) + data[12:100_000],
         "swapped: (180, 90, 90); a MERL measurement has (90, 90, 180)",
@@ -101,9 +89,7 @@ FAULTS: dict[str, tuple[Make, str]] = {
     ),
     "another unit": (lambda data: scaled(data, 1e-30), "have a value of at least 1e-08/sr"),
     "JSON": (lambda _: json.dumps({"measurement": [1.0] * 1000}).encode(), "The data is a text that begins with '{"),
-    "PNG": (lambda _: b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(1000), "The data is a PNG image"),
     "a text": (lambda _: b"# dsbrdf\n\nCompact models", "The data is a text that begins with '# dsbrdf', and no MERL"),
-    "anything": (lambda _: b"\x07\x01\x02\x7f" * 10, "which begins with the dimensions (90, 90, 180)"),
 }
 
 

@@ -18,7 +18,6 @@ CELLS = [(0, 0), (0, 30), (30, 0), (40, 33), (55, 60), (10, 85), (60, 75), (89, 
 
 @pytest.fixture(scope="module")
 def speckled(plastic: Measurement) -> Measurement:
-    """The noisy plastic with random holes."""
     holes = np.random.default_rng(5).uniform(size=plastic.valid.shape) < 0.3
     return Measurement.from_values(plastic.values, plastic.valid & ~holes)
 

@@ -100,24 +100,27 @@ def test_fit_that_loses_four_workers_fails_and_they_leave_nothing(own_cluster: D
 
 
 @pytest.mark.soak
-def test_worker_that_may_not_start_processes_is_not_used(own_cluster: DaskCluster, plastic_file: Path) -> None:
+@pytest.mark.parametrize(
+    ("flags", "nanny", "words"),
+    [
+        ((), True, "may not start child processes: start it with --no-nanny, or with DASK_"),
+        (
+            ("--memory-limit", "200MiB"),
+            False,
+            "has 200 MB for a fit, which needs 768 MB: start it with a higher --memory",
+        ),
+    ],
+)
+def test_worker_that_cannot_fit_is_not_used(
+    own_cluster: DaskCluster, plastic_file: Path, flags: tuple[str, ...], nanny: bool, words: str
+) -> None:
     own_cluster.start_scheduler()
-    own_cluster.add_worker(nanny=True)
+    own_cluster.add_worker(*flags, nanny=nanny)
     with closing(Stage(own_cluster).engine()) as engine:
-        fault = str(until(lambda: fault_of(engine), lambda fault: "processes" in str(fault)))
-        assert "may not start child processes: start it with --no-nanny, or with DASK_" in fault
+        until(lambda: fault_of(engine), lambda fault: words in str(fault))
         own_cluster.add_worker()
         fit = engine.submit(FitTask("one", plastic_file, QUICK), ignore)
         assert isinstance(fit.result(PATIENCE), FitDocument)
-
-
-@pytest.mark.soak
-def test_worker_with_too_little_memory_is_not_used(own_cluster: DaskCluster) -> None:
-    own_cluster.start_scheduler()
-    own_cluster.add_worker("--memory-limit", "200MiB")
-    with closing(Stage(own_cluster).engine()) as engine:
-        fault = str(until(lambda: fault_of(engine), lambda fault: "memory" in str(fault)))
-        assert "has 200 MB for a fit, which needs 768 MB: start it with a higher --memory-limit" in fault
 
 
 @pytest.mark.parametrize(

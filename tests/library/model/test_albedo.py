@@ -18,7 +18,6 @@ from tests.support.mixtures import mixture
 
 
 def gauss(ends: Array, nodes: int) -> tuple[Array, Array]:
-    """Composite Gauss-Legendre nodes and weights."""
     x, w = np.polynomial.legendre.leggauss(nodes)
     places = [0.5 * (b - a) * (1.0 + x) + a for a, b in pairwise(ends.tolist())]
     weights = [0.5 * (b - a) * w for a, b in pairwise(ends.tolist())]

@@ -6,8 +6,8 @@ from scipy.special import chdtrc
 
 from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.arrays import Array
-from dsbrdf.data import directions, spherical
-from dsbrdf.model.sampling import MIN_COSINE_FRACTION, direction_sampler
+from dsbrdf.data import spherical
+from dsbrdf.model.sampling import MIN_COSINE_FRACTION
 from tests.support import known_models
 from tests.support.known_models import single_lobe
 from tests.support.random_models import random_model
@@ -96,26 +96,6 @@ def test_many_samples_have_the_stretch_and_disc_of_the_density(elongation: float
     model = single_lobe(2.0, 50.0, 5.0, elongation=elongation, delta=disc)
     theta_edges = np.radians([0.0, 0.7, 0.95, 1.0, 1.05, 2.0, 5.0, 8.0, 12.0])
     assert p_value(model, angle, theta_edges, 16, 400_000) > 1e-3
-
-
-def test_a_surface_as_stretched_as_a_part_of_the_mixture_is_sampled_by_it_most() -> None:
-    across = 1e-3 ** (6.0 / 13.0) * np.exp(-0.5)  # It lies among the roughnesses between 0.001 and 1.
-    along = np.e * across
-
-    def reflected(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-        """Density of mirrored visible normals over the cosine: Walter et al. 2007, eqs. 34 and 38, for each axis."""
-        omega_in, omega_out = directions(theta_half, theta_diff, phi_diff)
-        half, radius = omega_in + omega_out, np.hypot(omega_out[:, 0], omega_out[:, 1]) + 1e-300
-        half /= np.linalg.norm(half, axis=1, keepdims=True)
-        toward = (half[:, :2] * omega_out[:, :2]).sum(axis=1) / radius
-        aside = np.sqrt(np.maximum(1.0 - toward**2 - half[:, 2] ** 2, 0.0))
-        normals = ((toward / along) ** 2 + (aside / across) ** 2 + half[:, 2] ** 2) ** -2.0 / (np.pi * along * across)
-        seen = 2.0 / (1.0 + np.hypot(1.0, along * radius / omega_out[:, 2]))
-        return np.repeat((seen * normals / (4.0 * omega_out[:, 2] * omega_in[:, 2]))[:, None], 3, axis=1)
-
-    sampler, row = direction_sampler(reflected), 4
-    part = np.diff(sampler.cumulative[row, :-1], prepend=0.0).argmax()
-    assert (sampler.along[row, part], sampler.across[row, part]) == pytest.approx((along, across), rel=1e-9)
 
 
 def test_shapes_and_seeds() -> None:

@@ -4,8 +4,6 @@ import io
 import itertools
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,17 +29,14 @@ from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon, half_difference, sp
 from dsbrdf.output import encode_figure
 from dsbrdf.output.figures import lobes_figure, overview_figure, parameters_figure, profiles_figure
 from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
-from dsbrdf.output.report_text import lobes_in_channel
 from dsbrdf.output.sphere_panels import (
     DIFFERENCE_GAIN,
     SphereComparison,
     compare_spheres,
-    cut_out,
     encode_png,
     side_by_side,
 )
-from dsbrdf.rendering import displayed, sphere_likeness, sphere_normals
-from tests.support.known_models import single_lobe
+from dsbrdf.rendering import displayed, sphere_likeness
 from tests.support.mixtures import mixture
 from tests.support.random_models import papers_model
 
@@ -173,32 +168,6 @@ def test_overview_ends_with_spheres(overview: Figure, spheres: SphereComparison)
     assert shown is not None
     np.testing.assert_array_equal(shown[3:13, 3:13, :3], spheres.panels["fit"][3:13, 3:13])
     assert np.all(shown[3:13, 3:13, 3] == 1.0)
-
-
-def test_the_peak_is_drawn_to_four_half_widths_and_a_rise_to_the_horizon_is_none(plastic_profiles: Profiles) -> None:
-    def drawn(model: Any) -> tuple[float, str]:
-        ax = profiles_figure(plastic_profiles, model).axes[1]
-        return ax.get_xlim()[1], ax.get_title()
-
-    def falls_behind_its_rim(theta_half: NDArray[np.float64], *_: object) -> NDArray[np.float64]:
-        return np.select([theta_half > 1.48, theta_half > 1.3], [0.0, 0.3], 0.1)[..., None] * np.ones((1, 24, 3))
-
-    narrow, rim = single_lobe(2.0, 900.0, 0.5, family="student"), single_lobe(3.0, 4.0, 0.3, center=1.4)
-    half_width = np.degrees(lobes_in_channel(narrow, 0.0, 0)["half_width"][0])
-    extent, title = drawn(narrow)
-    assert extent == pytest.approx(4.0 * half_width, rel=0.05)
-    assert title == "the peak, linear axis"
-    for model in (rim, single_lobe(0.2, 0.0, 1.0), SimpleNamespace(evaluate=falls_behind_its_rim)):
-        assert drawn(model) == (90.0, "the same, linear axis")
-
-
-def test_edge_of_a_sphere_covers_its_area_and_has_no_dark_rim() -> None:
-    picture = np.zeros((40, 40, 3))
-    picture[sphere_normals(40)[1]] = 0.7
-    cut = cut_out(picture)
-    assert np.all(cut[..., :3][cut[..., 3] > 0.0] == 0.7)
-    assert cut[..., 3].sum() == pytest.approx(np.pi * 20.0**2, rel=2e-3)
-    assert np.count_nonzero((cut[..., 3] > 0.0) & (cut[..., 3] < 1.0)) > 100
 
 
 def test_panels_have_the_exposure_of_the_measurement(plastic: Measurement) -> None:

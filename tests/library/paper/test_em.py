@@ -135,16 +135,6 @@ def test_robust_option_resists_a_spike() -> None:
     assert robust.gamma[0, 0] == pytest.approx(30.0, rel=1e-3)
 
 
-def test_huber_weights_by_their_definition() -> None:
-    residual = np.array([[0.0, 1.0, -2.0, 3.0, -100.0, 7.0], [0.0, 0.0, 0.0, 0.0, 1e-9, -5.0]])
-    weight = np.array([[1.0, 2.0, 1.0, 1.0, 1.0, 0.0], [1.0] * 6])
-    found = em.huber_weights(residual, weight)
-    scale = 1.345 * 1.4826 * 2.0  # the median of 0 1 2 3 100: what has no weight does not count
-    np.testing.assert_allclose(found[0], [1, 1, 1, 1, scale / 100, scale / 7])
-    # Without any scale what fits exactly keeps its weight, and nothing else has one.
-    assert found[1].tolist() == [1, 1, 1, 1, 0, 0]
-
-
 def test_kappa_keeps_below_its_bound_and_gamma_is_fitted_to_it() -> None:
     # Steep data just outside one degree, none within: without a bound the peak goes where nothing holds it.
     mean = plain_lobe(ANGLES, 12.0, 2e4)[None]

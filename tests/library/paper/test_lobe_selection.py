@@ -106,7 +106,6 @@ def test_few_nodes_bound_the_number_of_lobes(plastic_profiles: Profiles) -> None
 
 
 def chosen(statistic: ArrayLike, alpha: float = 0.01) -> int:
-    """Smallest number of lobes that is not worse."""
     return next(row.n_lobes for row in williams_test(statistic, alpha) if not row.significant)
 
 

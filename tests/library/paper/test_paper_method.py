@@ -27,7 +27,6 @@ UNCONVERGED = pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarni
 
 
 def paper(**chosen: Any) -> FitOptions:
-    """Options of the paper's method with 3 lobes unless another number is asked for."""
     settings: dict[str, Any] = {"method": "paper", "n_lobes": 3} | chosen
     return FitOptions(**settings)
 
@@ -49,7 +48,6 @@ def worst_by_slice(found: DSBRDF, truth: DSBRDF) -> Array:
 
 @pytest.fixture(scope="module")
 def one_lobe(plastic: Measurement) -> FitResult:
-    """A fit that takes a fraction of the time."""
     return fit(plastic, paper(n_lobes=1))
 
 

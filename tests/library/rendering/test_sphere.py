@@ -92,15 +92,6 @@ def test_the_environment_is_summed_up(evaluate: Evaluate, tolerance: float) -> N
     np.testing.assert_allclose(image[mask][chosen], expected, rtol=tolerance, atol=0.1 * tolerance * expected.max())
 
 
-def test_the_window_of_the_environment_is_half_as_bright_at_its_edge() -> None:
-    along = np.array([0.87, 0.13, 0.5]) / np.linalg.norm([0.87, 0.13, 0.5])
-    across = np.cross(along, (0.0, 1.0, 0.0)) / np.linalg.norm(along[::2])
-    for edge in (0.35 * across, 0.5 * np.cross(across, along)):
-        towards = np.array([along, along + edge]) / np.linalg.norm([along, along + edge], axis=1)[:, np.newaxis]
-        without = environment_radiance(towards * [-1.0, 1.0, -1.0])  # as high up, on the other side
-        np.testing.assert_allclose((environment_radiance(towards) - without)[:, 0], [3.0, 1.5], rtol=1e-3)
-
-
 def test_a_mirror_shows_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsbrdf.rendering.sphere.SUN", Light(SUN.direction, (0.0, 0.0, 0.0)))
     image = render_sphere(mirror, lighting="environment", size=128)
@@ -180,19 +171,13 @@ def test_a_small_bright_spot_is_a_distant_light() -> None:
     np.testing.assert_allclose(brightest, [32 * (1 - towards[1]), 32 * (1 + towards[0])], atol=2)
 
 
-def test_a_spot_below_sixteen_times_the_mean_stays_in_the_picture() -> None:
-    for brightness, n_lights in ((14.0, 0), (18.0, 1)):
-        pixels = np.ones((64, 128, 3))
-        pixels[16, 20] = brightness
-        assert len(EnvironmentMap.from_pixels(pixels).lights) == n_lights
-
-
-def test_a_large_bright_area_stays_in_the_picture() -> None:
-    pixels = np.full((32, 64, 3), 0.001)
-    pixels[12:16, 30:36] = 1.0
-    environment = EnvironmentMap.from_pixels(pixels)
-    assert environment.lights == ()
-    np.testing.assert_array_equal(environment.pixels, pixels)
+def test_what_is_no_small_bright_spot_stays_in_the_picture() -> None:
+    faint, large = np.ones((64, 128, 3)), np.full((32, 64, 3), 0.001)
+    faint[16, 20], large[12:16, 30:36] = 14.0, 1.0
+    for pixels in (faint, large):
+        environment = EnvironmentMap.from_pixels(pixels)
+        assert environment.lights == ()
+        np.testing.assert_array_equal(environment.pixels, pixels)
 
 
 @pytest.mark.parametrize(
@@ -273,23 +258,21 @@ def written(mitsuba: ModuleType, image: NDArray[np.floating[Any]], path: Path) -
     return path
 
 
-@pytest.mark.parametrize("alpha", [False, True])
-def test_panoramas_by_another_program_are_read(mitsuba: ModuleType, tmp_path: Path, alpha: bool) -> None:
-    image = np.concatenate([PANORAMA, np.ones((64, 128, 1), np.float32)], axis=2) if alpha else PANORAMA
-    np.testing.assert_array_equal(read_environment(written(mitsuba, image, tmp_path / "a.exr")).pixels, PANORAMA)
-
-
-def test_negative_values_become_0(mitsuba: ModuleType, tmp_path: Path) -> None:
-    image = PANORAMA * np.where(np.arange(128) % 2, 1.0, -1.0)[:, np.newaxis]
-    np.testing.assert_array_equal(
-        read_environment(written(mitsuba, image, tmp_path / "a.exr")).pixels, np.maximum(image, 0.0)
-    )
+def test_panoramas_by_another_program_are_read_and_values_below_0_become_0(mitsuba: ModuleType, tmp_path: Path) -> None:
+    with_alpha = np.concatenate([PANORAMA, np.ones((64, 128, 1), np.float32)], axis=2)
+    negative = PANORAMA * np.where(np.arange(128) % 2, 1.0, -1.0)[:, np.newaxis]
+    for image, expected in ((PANORAMA, PANORAMA), (with_alpha, PANORAMA), (negative, np.maximum(negative, 0.0))):
+        found = read_environment(written(mitsuba, image, tmp_path / "a.exr"))
+        np.testing.assert_array_equal(found.pixels, expected)
 
 
 def test_damaged_files_are_refused(mitsuba: ModuleType, tmp_path: Path) -> None:
     whole = written(mitsuba, PANORAMA, tmp_path / "a.exr").read_bytes()
     (tmp_path / "b.exr").write_bytes(whole[:-40])
     (tmp_path / "c.exr").write_bytes(whole[:4] + struct.pack("<I", 2) + bytes(100))
+    (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE\n\n-Y 4 +X 8\n")
+    with pytest.raises(ImageFormatError, match=r"must be an OpenEXR picture; save it as \.exr"):
+        read_environment(tmp_path / "a.hdr")
     for name in ("b.exr", "c.exr"):
         with pytest.raises(ImageFormatError, match="damaged or cut off"):
             read_environment(tmp_path / name)
@@ -297,10 +280,3 @@ def test_damaged_files_are_refused(mitsuba: ModuleType, tmp_path: Path) -> None:
         read_environment(written(mitsuba, np.where(PANORAMA > 0.9, np.inf, PANORAMA), tmp_path / "d.exr"))
     with pytest.raises(ImageFormatError, match="has the channels Y, not R, G and B"):
         read_environment(written(mitsuba, PANORAMA[..., :1], tmp_path / "e.exr"))
-
-
-@pytest.mark.parametrize("content", [b"#?RADIANCE\n\n-Y 4 +X 8\n", b"\x89PNG\r\n\x1a\n", b""])
-def test_other_pictures_are_refused(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "a.hdr").write_bytes(content)
-    with pytest.raises(ImageFormatError, match=r"must be an OpenEXR picture; save it as \.exr"):
-        read_environment(tmp_path / "a.hdr")

@@ -26,7 +26,6 @@ DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")
 
 
 def spherical(angles: Array) -> tuple[Array, Array]:
-    """omega_in and omega_out of angles in degrees."""
     theta, phi = np.radians(angles[:, ::2]), np.radians(angles[:, 1::2])
     vectors = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
     return vectors[:, 0], vectors[:, 1]

@@ -60,7 +60,6 @@ def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta
 
 
 def scaled(samples: ScatteredSamples, factor: Any, notes: tuple[str, ...] = ()) -> ScatteredSamples:
-    """The samples with their values times a factor."""
     return ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, samples.values * factor, notes=notes)
 
 
@@ -200,7 +199,6 @@ def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF)
 
 
 def noisy(samples: ScatteredSamples, seed: int = 1) -> ScatteredSamples:
-    """The samples with 2 % noise."""
     return scaled(samples, 1.0 + 0.02 * np.random.default_rng(seed).standard_normal(samples.values.shape))
 
 

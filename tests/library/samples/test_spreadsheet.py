@@ -3,73 +3,26 @@
 import io
 import sys
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import Mock
-from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
 
-from dsbrdf import MeasurementFormatError, ScatteredSamples, read_measurement
+from dsbrdf import MeasurementFormatError, ScatteredSamples, read_measurement, read_samples
 from dsbrdf.extras import MissingExtraError
 from dsbrdf.samples.reading import parse_samples
-from tests.library.samples.test_reading import ANGLES, DIRECTION, RGB, table
+from tests.library.samples.test_reading import RGB, table
 
-NAMES = (*DIRECTION, "red", "green", "blue")
-ROWS = np.hstack([ANGLES, RGB]).tolist()
-
-
-SCHEMAS = "http://schemas.openxmlformats.org"
-
-
-def spreadsheet(**sheets: Sequence[Sequence[Any]]) -> bytes:
-    """An .xlsx file."""
-    main, links = f"{SCHEMAS}/spreadsheetml/2006/main", f"{SCHEMAS}/officeDocument/2006/relationships"
-    titles = "".join(f'<sheet name="{title}" sheetId="{at}" r:id="r{at}"/>' for at, title in enumerate(sheets, 1))
-    targets = "".join(
-        f'<Relationship Id="r{at}" Target="worksheets/sheet{at}.xml" Type="{links}/worksheet"/>'
-        for at in range(1, len(sheets) + 1)
-    )
-    book = f'<Relationship Id="r1" Target="xl/workbook.xml" Type="{links}/officeDocument"/>'
-    parts = {
-        "_rels/.rels": f'<Relationships xmlns="{SCHEMAS}/package/2006/relationships">{book}</Relationships>',
-        "xl/workbook.xml": f'<workbook xmlns="{main}" xmlns:r="{links}"><sheets>{titles}</sheets></workbook>',
-        "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{SCHEMAS}/package/2006/relationships">{targets}'
-        "</Relationships>",
-    }
-    for at, rows in enumerate(sheets.values(), 1):
-        lines = "".join(f"<row>{''.join(map(xlsx_cell, row))}</row>" for row in rows)
-        parts[f"xl/worksheets/sheet{at}.xml"] = sheet_of(lines)
-    return archive(parts)
-
-
-def sheet_of(rows: str) -> str:
-    return f'<worksheet xmlns="{SCHEMAS}/spreadsheetml/2006/main"><sheetData>{rows}</sheetData></worksheet>'
-
-
-def xlsx_cell(value: Any) -> str:
-    if value is None:
-        return "<c/>"
-    text = escape(str(value))
-    return f'<c t="inlineStr"><is><t>{text}</t></is></c>' if isinstance(value, str) else f"<c><v>{text}</v></c>"
-
-
-def archive(parts: dict[str, str]) -> bytes:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as made:
-        for name, content in parts.items():
-            made.writestr(name, content)
-    return file.getvalue()
-
-
-XLS, ODS = ((Path(__file__).parent / f"plate.{suffix}").read_bytes() for suffix in ("xls", "ods"))
+FOLDER = Path(__file__).parent
+XLSX, XLS, ODS = ((FOLDER / f"plate.{suffix}").read_bytes() for suffix in ("xlsx", "xls", "ods"))
 """The table of `test_reading`."""
+MAIN_SCHEMA = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 
 
-@pytest.mark.parametrize("content", [spreadsheet(Table1=[NAMES, *ROWS]), ODS, XLS])
+@pytest.mark.parametrize("content", [XLSX, ODS, XLS])
 def test_a_sheet_is_read_as_the_same_table_in_a_text(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "felt.XLSX"
     path.write_bytes(content)
@@ -81,12 +34,7 @@ def test_a_sheet_is_read_as_the_same_table_in_a_text(content: bytes, tmp_path: P
 
 
 def test_what_people_write_around_a_table_is_left_out() -> None:
-    rows: list[list[Any]] = [[*row, None] for row in ROWS]
-    rows[3] += [None, 'measured; "twice",\nby hand']
-    rows[5][4] = None
-    units = ["deg"] * 4 + [None, "1/sr", "1/sr"]
-    data = [["Gonio 3"], [], NAMES, units, *rows[:100], [], *rows[100:]]
-    samples = parse_samples(spreadsheet(Info=[["a", 1.0]], Data=data))
+    samples = read_samples(FOLDER / "notes_around.xlsx")
     assert samples.notes == (
         "The spreadsheet has 2 sheets; the longest was read, 'Data'.",
         "1 row has no finite number in a column that is needed; it is left out.",
@@ -95,10 +43,8 @@ def test_what_people_write_around_a_table_is_left_out() -> None:
 
 
 def test_lines_in_errors_are_rows_of_the_sheet() -> None:
-    rows = [list(row) for row in ROWS]
-    rows[7][2] = "x"
     with pytest.raises(MeasurementFormatError, match="Line 10 of the table has 'x' in the column 'theta_out'"):
-        parse_samples(spreadsheet(Data=[["a title"], NAMES, *rows]))
+        read_samples(FOLDER / "wrong_cell.xlsx")
 
 
 def changed(content: bytes, part: str, now: bytes | None) -> bytes:
@@ -113,11 +59,9 @@ def changed(content: bytes, part: str, now: bytes | None) -> bytes:
     return file.getvalue()
 
 
-VALID_SPREADSHEET = spreadsheet(Data=[NAMES, *ROWS])
-
-
 def with_sheet(rows: str) -> bytes:
-    return changed(VALID_SPREADSHEET, "xl/worksheets/sheet1.xml", sheet_of(rows).encode())
+    sheet = f'<worksheet xmlns="{MAIN_SCHEMA}"><sheetData>{rows}</sheetData></worksheet>'
+    return changed(XLSX, "xl/worksheets/sheet1.xml", sheet.encode())
 
 
 def with_many_rows() -> bytes:
@@ -139,13 +83,13 @@ def with_many_rows() -> bytes:
         ),
         (with_many_rows, "a sheet with more than 5000000 cells"),
         (
-            lambda: changed(VALID_SPREADSHEET, "xl/_rels/workbook.xml.rels", None),
+            lambda: changed(XLSX, "xl/_rels/workbook.xml.rels", None),
             "The spreadsheet cannot be read; save its sheet as .csv.",
         ),
-        (lambda: changed(VALID_SPREADSHEET, "xl/workbook.xml", None), "The file is a ZIP archive, as"),
-        (lambda: VALID_SPREADSHEET[:2000], "The file is a ZIP archive, as"),
+        (lambda: changed(XLSX, "xl/workbook.xml", None), "The file is a ZIP archive, as"),
+        (lambda: XLSX[:2000], "The file is a ZIP archive, as"),
         (lambda: XLS[:9000], "The spreadsheet cannot be read; save its sheet as .csv."),
-        (lambda: spreadsheet(Data=[]), "The table is empty"),
+        (lambda: with_sheet(""), "The table is empty"),
     ],
 )
 def test_a_spreadsheet_that_is_no_table_is_refused(content: Callable[[], bytes], words: str) -> None:
@@ -157,7 +101,7 @@ def test_a_spreadsheet_that_is_no_table_is_refused(content: Callable[[], bytes],
 def test_without_the_extra_the_way_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "python_calamine", None)
     with pytest.raises(MissingExtraError) as caught:
-        parse_samples(VALID_SPREADSHEET)
+        parse_samples(XLSX)
     assert str(caught.value) == (
         "python_calamine must be installed for spreadsheets, which can also be saved as .csv: "
         "pip install 'dsbrdf[xlsx]'"
@@ -168,4 +112,4 @@ def test_a_panic_of_the_library_is_a_damaged_file(monkeypatch: pytest.MonkeyPatc
     panic = type("PanicException", (BaseException,), {})
     monkeypatch.setattr("python_calamine.CalamineWorkbook", SimpleNamespace(from_filelike=Mock(side_effect=panic)))
     with pytest.raises(MeasurementFormatError, match="The spreadsheet cannot be read; save its sheet"):
-        parse_samples(VALID_SPREADSHEET)
+        parse_samples(XLSX)

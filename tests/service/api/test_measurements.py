@@ -16,7 +16,7 @@ from dsbrdf.output import from_json
 from dsbrdf.output.documents import summary_of_table
 from dsbrdf.samples.reading import parse_samples, read_table
 from tests.library.samples.test_layouts import KINDS
-from tests.library.samples.test_spreadsheet import spreadsheet
+from tests.library.samples.test_spreadsheet import XLSX
 from tests.support.merl_files import with_value
 from tests.support.mixtures import mixture, samples_table, scattered_samples
 from tests.support.models import assert_same_bits
@@ -144,15 +144,14 @@ def test_a_table_is_stored_as_its_samples(server: Server, table: bytes, name: st
     assert (again.status_code, again.json()["sha256"]) == (200, samples.sha256)
 
 
-def test_a_spreadsheet_is_the_table_in_it(server: Server, table: bytes) -> None:
-    content = spreadsheet(Data=[HEAD.split(","), *([*map(float, line.split(b","))] for line in table.splitlines()[1:])])
-    answer = post(server, content, "felt.csv", "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet")
+def test_a_spreadsheet_is_the_table_in_it(server: Server) -> None:
+    answer = post(server, XLSX, "felt.csv", "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet")
     assert answer.status_code in (200, 201), answer.text
     place = answer.headers["location"]
     found = np.load(BytesIO(server.http.get(f"{place}/samples.npy").content))
-    np.testing.assert_allclose(found[:, 6:], parse_samples(table).values, rtol=1e-6)
+    np.testing.assert_allclose(found[:, 6:], parse_samples(XLSX).values, rtol=1e-6)
     file = server.http.get(f"{place}/content")
-    assert file.content == parse_samples(content).encode()
+    assert file.content == parse_samples(XLSX).encode()
 
 
 def test_samples_of_a_table_are_given_all_or_some(server: Server, table: bytes, stored: str) -> None:
