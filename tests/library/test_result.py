@@ -57,7 +57,8 @@ def test_noisy_measurement() -> None:
     )
 
 
-BRIGHTEST, SPREAD = (
+OFF_HIGHLIGHT = "The brightest values of the fit are off by"
+ASYMMETRIC_SAMPLES = "At phi_diff, -phi_diff and 180 degrees - phi_diff the samples differ by"
     "The brightest values of the fit are off by",
     "At phi_diff, -phi_diff and 180 degrees - phi_diff the",
 )
@@ -68,8 +69,8 @@ BRIGHTEST, SPREAD = (
     [
         (0.09, 0.0, 0.1, []),
         (0.14, 0.1, 0.1, []),
-        (0.11, 0.0, 0.1, [f"{BRIGHTEST} 11.0% (relative_rms), where a model of this"]),
-        (0.32, 0.2, 0.1, [f"{SPREAD} samples differ by 20.0%", f"{BRIGHTEST} 32.0% "]),
+        (0.11, 0.0, 0.1, [f"{OFF_HIGHLIGHT} 11.0% (relative_rms), where a model of this"]),
+        (0.32, 0.2, 0.1, [f"{ASYMMETRIC_SAMPLES} 20.0%", f"{OFF_HIGHLIGHT} 32.0% "]),
         (0.1, 0.1, 0.2, ["The model reflects 20.0% more or less light than the measurement"]),
     ],
 )

@@ -89,7 +89,6 @@ MODEL = mixture(2, 0)
 EXAMPLE = Path(examples.__file__).with_name("satin_purple.bsdf")
 N_ROWS = repeats(20_000, 2_000_000)
 FEW_LOBES = {"n_lobes": "1", "ring_lobes": "0"}
-HEAD = "omega_in_x,omega_in_y,omega_in_z,omega_out_x,omega_out_y,omega_out_z,red,green,blue"
 
 
 @pytest.fixture(scope="module")
