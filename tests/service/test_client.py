@@ -31,7 +31,6 @@ OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_
 
 @pytest.fixture
 def client(server: Server) -> Client:
-    """A client of the shared service."""
     return Client(str(server.http.base_url))
 
 

@@ -39,10 +39,8 @@ def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["--prot", "3"], "dsbrdf serve: there is no option --prot; did you mean --port"),
-        (["--port"], "dsbrdf serve: --port needs a value"),
         (["--port", "eighty"], "dsbrdf: --port must be a whole number, not 'eighty'.\n"),
         (["--port", "99999"], "dsbrdf: --port must be at most 65535, not '99999'.\n"),
-        (["8000"], "dsbrdf serve: there is no place for 8000"),
     ],
 )
 def test_wrong_flag_is_named_in_one_sentence(capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
@@ -78,12 +76,9 @@ def test_address_is_told_at_a_terminal(tmp_path: Path) -> None:
     ("name", "value"),
     [
         ("DSBRDF_PORT", "eighty"),
-        ("DSBRDF_LOG_LEVEL", "loud"),
         ("DSBRDF_WORKERS", "0"),
         ("DSBRDF_FIT_MEMORY_MB", "767"),
         ("DSBRDF_SHUTDOWN_SECONDS", "99999999999999999999"),
-        ("DSBRDF_IDLE_TIMEOUT", "-1"),
-        ("DSBRDF_INSECURE", "perhaps"),
     ],
 )
 def test_invalid_setting_is_named_in_one_sentence(

@@ -109,10 +109,7 @@ def identity(options: FitOptions, measurement: str = "a" * 64) -> str:
         ({}, {"weighting": "balanced"}),
         ({"horizon_cutoff_deg": None}, {"horizon_cutoff_deg": 90}),
         ({}, {"knots_deg": (0, 30, 55, 68, 75, 81, 89)}),
-        (
-            {"variation": "parametric"},
-            {"variation": "parametric", "knots_deg": (0, 70, 89)},
-        ),
+        ({"variation": "parametric"}, {"variation": "parametric", "knots_deg": (0, 70, 89)}),
         ({"method": "paper"}, {"method": "paper", "mask": 1}),
         ({"method": "paper"}, {"method": "paper", "ring_lobes": 0, "weighting": "plain"}),
     ],
@@ -124,24 +121,11 @@ def test_options_that_change_nothing_leave_the_identity(options: dict[str, Any],
 
 
 def test_every_other_option_measurement_and_algorithm_changes_the_identity(monkeypatch: pytest.MonkeyPatch) -> None:
-    changed: list[dict[str, Any]] = [
-        {},
-        {"n_lobes": 3},
-        {"ring_lobes": 0},
-        {"lobe": "student"},
-        {"knots_deg": (0, 60)},
-        {"variation": "parametric"},
-        {"variation": "parametric", "knots_deg": (0, 60)},
-        {"horizon_cutoff_deg": 75},
-        {"mask": 1.0},
-        {"weighting": "plain"},
-        {"robust": True},
-        {"method": "paper"},
-        {"method": "paper", "em_iterations": 7},
-        {"method": "paper", "mask": 0.0},
-        {"method": "paper", "n_lobes": 2},
-        {"method": "paper", "weighting": "log"},
-    ]
+    of_global: dict[str, Any] = {"n_lobes": 3, "ring_lobes": 0, "lobe": "student", "knots_deg": (0, 60), "mask": 1.0}
+    of_global |= {"variation": "parametric", "horizon_cutoff_deg": 75, "weighting": "plain", "robust": True}
+    of_paper: dict[str, Any] = {"em_iterations": 7, "mask": 0.0, "n_lobes": 2, "weighting": "log"}
+    changed: list[dict[str, Any]] = [{}, *({name: value} for name, value in of_global.items())]
+    changed += [{"method": "paper"}, *({"method": "paper", name: value} for name, value in of_paper.items())]
     identities = {identity(FitOptions(**options)) for options in changed} | {identity(FitOptions(), "b" * 64)}
     monkeypatch.setattr(dsbrdf, "ALGORITHM_VERSION", "another")
     assert len(identities | {identity(FitOptions())}) == len(changed) + 2
@@ -160,11 +144,7 @@ def test_every_other_option_measurement_and_algorithm_changes_the_identity(monke
             b'{"theta_in_deg": "x", "theta_out_deg": [NaN]}',
             "theta_in_deg must be a list, not 'x'; theta_out_deg.0 must be a finite number",
         ),
-        (
-            from_json,
-            b'{"omega_in": [[0, 1]], "omega_out": []}',
-            "omega_in.0 must have at least 3 items, not 2.",
-        ),
+        (from_json, b'{"omega_in": [[0, 1]], "omega_out": []}', "omega_in.0 must have at least 3 items, not 2."),
         (partial(parse, NewName), b'{"nam": "x"}', "Unknown 'nam'; known are name."),
         (partial(parse, NewName), b'{"name": 5}', "name must be a text, not 5."),
     ],

@@ -113,29 +113,22 @@ class Application:
         body: bytes = b"",
         media_type: str = "application/json",
         *,
-        stalled: bool = False,
         unread: bool = False,
     ) -> Exchange:
-        """Begin a request; a stalled one never sends the last byte of its body, an unread one takes no second piece."""
+        """Begin a request; an unread one takes no second piece of its answer."""
         path, _, query = target.partition("?")
         headers = [(b"host", b"localhost"), (b"authorization", f"Bearer {key}".encode())]
         if body:
-            headers.append((b"content-length", str(len(body) + stalled).encode()))
+            headers.append((b"content-length", str(len(body)).encode()))
             headers.append((b"content-type", media_type.encode()))
-        scope: dict[str, Any] = {
-            "type": "http",
-            "http_version": "1.0",
-            "method": method,
-            "path": path,
-            "headers": headers,
-        }
-        scope |= {"query_string": query.encode(), "client": ("127.0.0.1", 1)}
+        scope: dict[str, Any] = {"type": "http", "http_version": "1.0", "method": method, "path": path}
+        scope |= {"headers": headers, "query_string": query.encode(), "client": ("127.0.0.1", 1)}
         messages: list[Message] = []
         gone, unsent = asyncio.Event(), [body]
 
         async def receive() -> Message:
             if unsent:
-                return {"type": "http.request", "body": unsent.pop(), "more_body": stalled}
+                return {"type": "http.request", "body": unsent.pop(), "more_body": False}
             await gone.wait()
             return {"type": "http.disconnect"}
 

@@ -41,7 +41,6 @@ _REPORTED = "Failed to load resource: the server responded with a status of 4"
 
 @contextmanager
 def running_browser() -> Iterator[Browser]:
-    """Start the browser that is installed."""
     expect.set_options(timeout=_PATIENCE)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(

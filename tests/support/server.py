@@ -56,7 +56,6 @@ class Server:
     @classmethod
     @contextmanager
     def running(cls, data_dir: Path, **environment: str) -> "Iterator[Server]":
-        """Start a service for as long as the block lasts."""
         server = cls(data_dir, **environment)
         try:
             yield server.start()
@@ -96,7 +95,6 @@ class Server:
         return begin
 
     def stop(self, number: int = signal.SIGTERM) -> int:
-        """Send a signal and return the exit code."""
         if self.process.poll() is None:
             self.process.send_signal(number)
         return self.process.wait(timeout=60)
@@ -107,7 +105,6 @@ class Server:
             self.stop(signal.SIGKILL)
 
     def connection(self, sent: bytes = b"", seconds: float = 60.0) -> socket.socket:
-        """Open a connection, and send some bytes as they are."""
         url = self.http.base_url
         connection = socket.create_connection((url.host, url.port or 80), timeout=seconds)
         connection.sendall(sent)
@@ -202,7 +199,6 @@ class Guarded:
     bob: dict[str, str]
 
     def new_key(self, name: str = "another", **limits: Any) -> dict[str, str]:
-        """Return the header of a further key."""
         return new_key(self.server, name, **limits)[1]
 
 

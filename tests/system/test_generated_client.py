@@ -46,12 +46,10 @@ def call(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Iterator[C
 
 
 def model(name: str) -> Any:
-    """A class of the generated client."""
     return getattr(importlib.import_module("dsbrdf_api.models"), name)
 
 
 def file(path: Path) -> Any:
-    """A body of a generated call."""
     return importlib.import_module("dsbrdf_api.types").File(payload=BytesIO(path.read_bytes()))
 
 

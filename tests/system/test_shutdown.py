@@ -135,7 +135,6 @@ def test_sigterm_with_unread_answers_ends_with_zero(own_server: StartServer, dat
 
 
 def pipes(pid: int) -> int:
-    """Return how many ends of pipes a process has."""
     return sum(
         str(link.readlink()).startswith("pipe:") for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()
     )

@@ -13,7 +13,6 @@ from tests.support.server import QUICK, Server, assert_problem
 
 @pytest.fixture(scope="module")
 def other(data: bytes) -> bytes:
-    """A measurement that no other test sends."""
     return data[:-8] + b"\0" * 7 + b"\xc0"
 
 

@@ -86,7 +86,6 @@ def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF)
 
 @cache
 def part(model: dsbrdf.DSBRDF, component: str | None) -> Any:
-    """What is exported of a model, decomposed once."""
     return part_of(model, component)
 
 

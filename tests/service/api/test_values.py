@@ -30,7 +30,6 @@ def url(server: Server, stored: str) -> str:
 
 @pytest.fixture(scope="session")
 def model(server: Server, url: str) -> dsbrdf.DSBRDF:
-    """The model of that fit, without loss."""
     return from_json(server.http.get(url.replace("brdf", "export?format=json")).text)[0]
 
 

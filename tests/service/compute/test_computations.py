@@ -30,7 +30,6 @@ from tests.support.stores import add
 
 pytestmark = pytest.mark.anyio
 Block = Callable[[object, str], Blocked]
-_ANGLES = "theta_half_deg=10&theta_diff_deg=30"
 FIT_PATH = f"/v1/fits/{FIT}"
 EXPORT = f"{FIT_PATH}/export?format=bsdf"
 SPHERE = f"{FIT_PATH}/figures/sphere.png?size=16"
@@ -46,7 +45,6 @@ async def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncItera
 
 @pytest.fixture
 def key(running: Application) -> str:
-    """A key that has a fit."""
     return running.new_key()
 
 

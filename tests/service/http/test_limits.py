@@ -156,7 +156,6 @@ def test_no_caller_can_take_all_places(own_server: StartServer, data: bytes) -> 
     ("target", "headers", "status", "kind"),
     [
         ("/health/live", ["Host: x", f"X-Long: {'x' * 8187}"], 431, "head-too-long"),
-        ("/health/live", ["Host: x", f"{'x' * 9000}: y"], 431, "head-too-long"),
         ("/health/live", ["Host: x", *(f"X-{number}: y" for number in range(100))], 431, "head-too-long"),
         (f"/v1/fits?name={'x' * 8192}", ["Host: x"], 431, "head-too-long"),
         ("/health/live", ["Host: x", "Host: x"], 400, "bad-request"),
@@ -168,6 +167,9 @@ def test_head_that_is_too_long_or_not_clear_is_refused(
 ) -> None:
     with impatient.connection("\r\n".join([f"GET {target} HTTP/1.1", *headers, "", ""]).encode()) as connection:
         assert problem(rest(connection)) == (status, kind)
+
+
+def test_longest_head_that_is_allowed_is_answered(impatient: Server) -> None:
     longest = ["Host: x", f"X-Long: {'x' * 8186}", *(f"X-{number}: y" for number in range(97)), "Connection: close"]
     with impatient.connection("\r\n".join(["GET /health/live HTTP/1.1", *longest, "", ""]).encode()) as connection:
         assert rest(connection).startswith(b"HTTP/1.1 200 ")

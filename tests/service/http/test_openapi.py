@@ -30,7 +30,6 @@ from tests.support.soak import SOAK, repeats
 
 @pytest.fixture(scope="module")
 def document(server: Server) -> dict[str, Any]:
-    """The OpenAPI document as the service serves it."""
     content: dict[str, Any] = server.http.get("/openapi.json").json()
     return content
 

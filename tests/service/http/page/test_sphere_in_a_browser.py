@@ -53,7 +53,6 @@ def choose(page: Page, name: str, option: str) -> np.ndarray:
 
 
 def box_of(page: Page, selector: str) -> "FloatRect":
-    """Where an element is."""
     page.locator(SPHERE).scroll_into_view_if_needed()
     box = page.locator(selector).bounding_box()
     assert box is not None
