@@ -1,16 +1,30 @@
-"""Models, functions and GGX beside a measurement."""
+"""What is drawn and compared with one call, and what a notebook shows."""
 
+import re
+import sys
+from base64 import b64decode
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
+from types import SimpleNamespace
+
+import matplotlib.figure
 import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf import FunctionModel, InvalidArgumentError, Measurement
+from dsbrdf import Finding, FitResult, FunctionModel, InvalidArgumentError, Measurement, Profiles
 from dsbrdf.components import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.components.ggx import fit_ggx
 from dsbrdf.data import directions, nodes_above_horizon
+from dsbrdf.notebook_display import register
 from dsbrdf.output import export_model
+from dsbrdf.output.notebook import html as html_of
+from dsbrdf.output.plots import Shown
+from tests.support.mixtures import mixture
 
 pytestmark = pytest.mark.slow
+
 # Two GGX highlights over a Lambertian ground: the tail exponent is 2, and the masking 0 is height-correlated.
 SHARP_LAYER = SpecularLayer((0.04, 0.05, 0.06), 0.9, 0.05, 2.0, (0.0, 0.0), 0.0, 0.0)
 ROUGH_LAYER = SpecularLayer((0.3, 0.2, 0.1), 0.8, 0.3, 2.0, (0.0, 0.0), 0.0, 0.0)
@@ -72,3 +86,113 @@ def test_a_function_that_returns_something_else_is_refused(wrong: object) -> Non
 def test_what_is_no_material_is_refused(measurement: Measurement) -> None:
     with pytest.raises(InvalidArgumentError, match='a function or "ggx" can be compared, not an object of type int'):
         dsbrdf.compare(measurement, {"number": 3})  # type: ignore[dict-item]
+
+
+PAINT = mixture(2, 0)
+
+
+def thumbnail(html: str) -> bytes:
+    (encoded,) = re.findall(r'src="data:image/png;base64,([\w+/=]+)"', html)
+    return b64decode(encoded)
+
+
+def test_repr_is_one_short_line(plastic: Measurement, plastic_profiles: Profiles, two_lobe_fit: FitResult) -> None:
+    up = np.tile([0, 0, 1.0], (200, 1))
+    samples = dsbrdf.ScatteredSamples.from_arrays(up, up, np.ones((200, 3)))
+    light = dsbrdf.EnvironmentMap.from_pixels(np.ones((32, 64, 3)))
+    model, report = two_lobe_fit.model, two_lobe_fit.report
+    part = dsbrdf.decompose(model).diffuse
+    for shown in (plastic, plastic_profiles, samples, light, two_lobe_fit, model, report, part):
+        assert 10 < len(repr(shown)) < 260
+        assert "\n" not in repr(shown)
+        assert type(shown).__name__ in repr(shown)
+
+
+def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_fit: FitResult) -> None:
+    warned = replace(
+        two_lobe_fit, report=replace(two_lobe_fit.report, findings_of_fit=(Finding("less", "less than <1 %>"),))
+    )
+    card = html_of(warned)
+    assert thumbnail(card) == thumbnail(html_of(two_lobe_fit.model))
+    assert thumbnail(card).startswith(b"\x89PNG")
+    assert f"<th>relative_rms</th><td>{two_lobe_fit.report.metrics.relative_rms:.4g}</td>" in card
+    for component in dsbrdf.decompose(two_lobe_fit):
+        red, green, blue = component.albedo
+        light = f"{component.light_share:.0%} of the light, albedo {red:.4f}, {green:.4f}, {blue:.4f}"
+        width = component.half_width
+        assert light + ("" if width is None else f", half width {np.degrees(width):.1f}°") + "</td>" in card
+    layers = dsbrdf.decompose(two_lobe_fit).layers
+    assert f"{len(layers.layers)} layers, {layers.n_numbers} numbers" in html_of(layers)
+    assert "<li>less than &lt;1 %&gt;</li>" in card
+    assert html_of(warned.report) in card
+    assert f"<td>{plastic.valid.mean():.1%}</td>" in html_of(plastic)
+    assert "<td>&lt;b&gt;</td>" in html_of(replace(plastic, name="<b>"))
+    diffuse = dsbrdf.decompose(two_lobe_fit.model).diffuse
+    assert diffuse is not None
+    assert f"<td>{diffuse.structure}</td>" in html_of(diffuse)
+    assert thumbnail(html_of(diffuse)) != thumbnail(card)
+
+
+def test_a_running_notebook_shows_objects_as_html(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: dict[str, Callable[[object], str]] = {}
+    formatter = SimpleNamespace(for_type_by_name=lambda module, name, html: shown.update({f"{module}.{name}": html}))
+    shell = SimpleNamespace(display_formatter=SimpleNamespace(formatters={"text/html": formatter}))
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    register()
+    model = two_lobe_fit.model
+    assert shown[f"{type(model).__module__}.{type(model).__name__}"](model) == html_of(model)
+    assert all(hasattr(import_module(module), name) for module, _, name in (key.rpartition(".") for key in shown))
+
+
+def test_plot_draws_the_fit_or_the_parameters(plastic: Measurement, two_lobe_fit: FitResult) -> None:
+    parameters, fitted = dsbrdf.plot(two_lobe_fit), dsbrdf.plot(two_lobe_fit, plastic)
+    assert isinstance(parameters, matplotlib.figure.Figure)
+    assert [len(figure.findobj(matplotlib.axes.Axes)) for figure in (parameters, fitted)] == [2, 8]
+    parts = dsbrdf.decompose(two_lobe_fit)
+    curves = [len(figure.axes[0].lines) for figure in (dsbrdf.plot(two_lobe_fit.model), dsbrdf.plot(parts["diffuse"]))]
+    assert curves == [4 * len(parts), 4]  # three channels and a name each
+    preview = parameters._repr_png_()  # type: ignore[attr-defined]
+    assert int.from_bytes(preview[16:20]) == pytest.approx(80 * parameters.get_size_inches()[0], abs=1)
+
+
+def test_plot_compares_named_materials_in_profiles_and_spheres(plastic: Measurement) -> None:
+    parts = dsbrdf.decompose(PAINT)
+    mean = dsbrdf.blend(PAINT, parts.layers, 0.5)
+    shown: dict[str, Shown] = {"paint": PAINT, "plastic": plastic, "layers": parts.layers, "mean": mean}
+    figure = dsbrdf.plot(shown)
+    axes = figure.findobj(matplotlib.axes.Axes)
+    assert axes[0].get_legend_handles_labels()[1] == [*shown]
+    assert [ax.get_title() for ax in axes[4:]] == [*shown]
+    curves = {line.get_label(): np.asarray(line.get_xydata()) for line in axes[0].lines}
+    at = np.radians(np.abs(curves["paint"][:, 0]))
+    np.testing.assert_allclose(curves["paint"][:, 1], PAINT.evaluate(at, 0.0).mean(axis=-1), rtol=1e-9, atol=1e-12)
+    assert len(dsbrdf.plot(parts.layers).findobj(matplotlib.axes.Axes)) == 5
+    assert len(dsbrdf.plot(parts).axes[0].lines) == 4 * len(parts)
+
+
+def test_plot_of_a_measurement_draws_its_means_and_what_is_between(plastic: Measurement) -> None:
+    figure = dsbrdf.plot(plastic)
+    (axes, *_) = figure.findobj(matplotlib.axes.Axes)
+    labels = axes.get_legend_handles_labels()[1]
+    assert {"red, measured", "red, interpolated"} <= set(labels)
+    lines = {str(line.get_label()): line for line in axes.lines}
+    points, curve = (np.asarray(lines[f"green, {name}"].get_xydata()) for name in ("measured", "interpolated"))
+    at_points = np.interp(points[:, 0], *curve.T)
+    assert np.abs(at_points / points[:, 1] - 1.0).max() < 0.05
+
+
+def test_measurements_of_the_same_bytes_and_name_are_equal(plastic: Measurement, metal: Measurement) -> None:
+    same = replace(plastic, stored=plastic.stored.copy())
+    assert plastic == same
+    assert len({plastic, same, metal, replace(plastic, name="other")}) == 3
+
+
+def test_what_cannot_be_drawn_is_refused(plastic: Measurement) -> None:
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="only a model or a fit can be drawn together"):
+        dsbrdf.plot(plastic, plastic)
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="not an object of type str"):
+        dsbrdf.plot("nickel.binary")  # type: ignore[arg-type]
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="to compare materials, name them"):
+        dsbrdf.plot(PAINT, PAINT)  # type: ignore[arg-type]
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="compares 1 to 8 materials, not 9"):
+        dsbrdf.plot({f"paint {number}": PAINT for number in range(9)})

@@ -1,4 +1,4 @@
-"""Lit spheres against closed forms and plain sums over the directions of the light."""
+"""Lit spheres against closed forms and plain sums, pictures of the sky, and the space of materials."""
 
 import struct
 from collections.abc import Callable
@@ -11,11 +11,22 @@ import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from dsbrdf import EnvironmentMap, ImageFormatError, InvalidArgumentError, Measurement, read_environment, render_sphere
+from dsbrdf import (
+    EnvironmentMap,
+    ImageFormatError,
+    InvalidArgumentError,
+    Measurement,
+    blend,
+    read_environment,
+    render_sphere,
+    space,
+)
+from dsbrdf.components import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.data import half_difference, incident_cosines
-from dsbrdf.rendering import LIGHTINGS, THREE_LIGHTS, displayed, exposure, psnr, sphere_normals, ssim
+from dsbrdf.rendering import LIGHTINGS, THREE_LIGHTS, MaterialSpace, displayed, exposure, psnr, sphere_normals, ssim
 from dsbrdf.rendering.environment import Light
 from dsbrdf.rendering.sphere import SUN, environment_radiance
+from tests.support.known_models import single_lobe
 from tests.support.mitsuba_variants import mitsuba_variant
 
 ALBEDO = np.array([0.8, 0.5, 0.2])
@@ -280,3 +291,54 @@ def test_damaged_files_are_refused(mitsuba: ModuleType, tmp_path: Path) -> None:
         read_environment(written(mitsuba, np.where(PANORAMA > 0.9, np.inf, PANORAMA), tmp_path / "d.exr"))
     with pytest.raises(ImageFormatError, match="has the channels Y, not R, G and B"):
         read_environment(written(mitsuba, PANORAMA[..., :1], tmp_path / "e.exr"))
+
+
+def coated(alpha: float, color: tuple[float, float, float] = (0.4, 0.2, 0.1)) -> LayeredModel:
+    surface = SpecularLayer((0.05,) * 3, 1.0, alpha, 2.0, (0.0, 0.0), 0.5, 0.0)
+    return LayeredModel((surface, DiffuseLayer(color, (0.0,) * 6)))
+
+
+MODELS = {f"alpha {alpha}": coated(alpha) for alpha in (0.05, 0.1, 0.2, 0.4)}
+
+
+@pytest.fixture(scope="module")
+def materials() -> MaterialSpace:
+    matte = LayeredModel((DiffuseLayer((0.4, 0.4, 0.4), (0.0,) * 6),))
+    darker = LayeredModel((DiffuseLayer((0.04, 0.01, 0.02), (0.0,) * 6),))
+    return space({**MODELS, "matte": matte, "darker": darker})
+
+
+def test_distances_are_those_of_roughness_not_of_colour(materials: MaterialSpace) -> None:
+    np.testing.assert_allclose(materials.distance, materials.distance.T)
+    assert materials.nearest("matte")[0][0] == "darker"
+    polished = materials.names.index("alpha 0.05")
+    assert 0.03 < materials.distance[materials.names.index("matte"), polished] < 0.3
+    assert materials.nearest("matte", 1)[0][1] > 50.0  # The same but for colour and brightness, of coloured lights.
+    assert [name for name, _ in materials.nearest("alpha 0.05", 2)] == ["alpha 0.1", "alpha 0.2"]
+    likeness = [db for _, db in materials.nearest("alpha 0.4", 5)]
+    assert likeness == sorted(likeness, reverse=True)
+    index = materials.names.index
+    assert likeness[0] == pytest.approx(-20 * np.log10(materials.distance[index("alpha 0.4"), index("matte")]))
+
+
+def test_map_lays_out_a_series_in_its_order_with_gloss_to_the_right(materials: MaterialSpace) -> None:
+    across = [materials.places[materials.names.index(name), 0] for name in (*MODELS, "matte")]
+    assert across == sorted(across, reverse=True)
+
+
+def test_midpoint_lies_between_its_ends() -> None:
+    ends = coated(0.05, (0.05, 0.1, 0.3)), single_lobe(1.5, 1.0, 0.3)
+    found = space({"a": ends[0], "middle": blend(*ends, 0.5), "b": ends[1]}).distance
+    assert max(found[0, 1], found[1, 2]) < 0.8 * found[0, 2]
+
+
+def test_few_materials_islands_and_bad_input() -> None:
+    assert space({"one": MODELS["alpha 0.1"]}).places.tolist() == [[0.0, 0.0]]
+    twins = space({"one": MODELS["alpha 0.1"], "twin": MODELS["alpha 0.1"]})
+    assert twins.nearest("one") == [("twin", np.inf)]
+    with pytest.raises(InvalidArgumentError, match="no material 'three'"):
+        twins.nearest("three")
+    with pytest.raises(InvalidArgumentError, match="at least one material"):
+        space({})
+    with pytest.raises(InvalidArgumentError, match="black: the material reflects no light"):
+        space({"black": single_lobe(1.0, 1.0, 0.0)})
