@@ -97,11 +97,6 @@ def test_a_measurement_is_evaluated_between_its_nodes_and_nan_where_nothing_was_
     assert holed.evaluate(0.1, 0.2).shape == (3,)
 
 
-def test_angles_that_are_none_are_refused(plastic: Measurement) -> None:
-    with pytest.raises(InvalidArgumentError, match="finite"):
-        plastic.interpolated.evaluate(0.1, np.nan, 0.0)
-
-
 def test_a_channel_below_0_beside_a_valid_one_is_0(plastic: Measurement) -> None:
     values = plastic.values.copy()
     values[2, :, 20:40] = -1e-3

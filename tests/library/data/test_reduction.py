@@ -57,16 +57,6 @@ def test_cells_are_those_of_a_loop_over_samples(speckled: Measurement, cutoff: f
     assert filled >= 6
 
 
-def test_whole_sums_are_those_of_the_samples(speckled: Measurement) -> None:
-    found = profiles(speckled, horizon_cutoff=None)
-    used = speckled.values[:, speckled.valid]
-    for data in (found, found.folded):
-        assert data.weight.sum() == used.size
-        assert float(np.sum(data.weight * data.mean)) == pytest.approx(float(used.sum()), rel=1e-12)
-    power = float(np.sum(found.weight * found.mean**2 + found.within))
-    assert power == pytest.approx(float(np.sum(used**2)), rel=1e-12)
-
-
 def test_the_cutoff_itself_counts_and_the_next_degree_does_not(plastic: Measurement) -> None:
     # At theta_half = 0 both directions are at theta_diff, at theta_diff = 0 both are at theta_half.
     usual = profiles(plastic).weight
@@ -248,10 +238,3 @@ def test_balanced_counts_errors_of_dark_values_alike_below_a_fiftieth_of_what_a_
     black, at_a_fiftieth, bright = seen_weight(lit, mean, typical)
     assert black / at_a_fiftieth == pytest.approx(2.0**1.2, rel=1e-6)
     assert bright == pytest.approx(1.01**-1.2, rel=1e-6)
-
-
-def test_material_without_phi_diff_has_finite_weights(folded: FoldedProfiles) -> None:
-    flat = replace(folded, mean=np.broadcast_to(folded.mean[..., :1], folded.mean.shape))
-    black = replace(folded, mean=np.zeros_like(folded.mean))
-    for data, weighting in itertools.product((flat, black), WEIGHTINGS):
-        assert np.isfinite(bin_weights(data, weighting, CUTOFF)).all()

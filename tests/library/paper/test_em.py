@@ -108,21 +108,6 @@ def test_gamma_keeps_above_its_bound_and_kappa_is_fitted_to_it() -> None:
     assert found.kappa[0, 0] == pytest.approx(fitted_alone(mean, (-8.0, 0.0)), rel=1e-6)
 
 
-def test_batch_equals_one_by_one(plastic_profiles: Profiles) -> None:
-    slices = [slice_of(plastic_profiles, channel, row) for channel in (0, 2) for row in (0, 30, 60, 75)]
-    mean, weight = (np.array(part) for part in zip(*slices, strict=True))
-    numbers: list[int] = []
-    batch = em.fit_slices(ANGLES, mean, weight, 3, iterations=10, on_iteration=numbers.append)
-    assert np.all(np.diff(batch.kappa, axis=1) <= 0.0)
-    assert numbers == list(range(1, batch.iterations.max() + 1))
-    assert np.all(batch.iterations[~batch.converged] == 10)
-    for i in range(len(mean)):
-        single = em.fit_slices(ANGLES, mean[i : i + 1], weight[i : i + 1], 3, iterations=10)
-        assert (single.iterations[0], single.converged[0]) == (batch.iterations[i], batch.converged[i])
-        np.testing.assert_allclose(single.kappa[0], batch.kappa[i], rtol=1e-9)
-        np.testing.assert_allclose(single.gamma[0], batch.gamma[i], rtol=1e-9)
-
-
 def test_robust_option_resists_a_spike() -> None:
     kappa, gamma = np.array([[2.0]]), np.array([[30.0]])
     mean = mixture(kappa, gamma)

@@ -96,15 +96,6 @@ def test_papers_method_chooses_and_says_so(plastic_profiles: Profiles) -> None:
     json.dumps(report.to_dict(), allow_nan=False)
 
 
-@pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")
-def test_few_nodes_bound_the_number_of_lobes(plastic_profiles: Profiles) -> None:
-    few = np.zeros((90, 90))
-    few[::5, 15:21] = 1.0  # six angles can tell three lobes at most
-    thin = replace(plastic_profiles, weight=plastic_profiles.weight * few)
-    result = fit(thin, FitOptions(method="paper", em_iterations=5))
-    assert [row.n_lobes for row in result.report.selection] == [1, 2, 3]
-
-
 def chosen(statistic: ArrayLike, alpha: float = 0.01) -> int:
     return next(row.n_lobes for row in williams_test(statistic, alpha) if not row.significant)
 

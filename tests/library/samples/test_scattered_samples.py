@@ -3,6 +3,7 @@
 import csv
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,31 +68,26 @@ def test_files_of_one_material_are_one_measurement(tmp_path: Path) -> None:
     assert len(dsbrdf.read_samples(few).values) == 60
 
 
-def test_weights_are_positive_and_as_many_as_samples() -> None:
-    up = np.tile([0.0, 0.0, 1.0], (300, 1))
-    with pytest.raises(MeasurementFormatError, match="weight is not positive; leave out"):
-        ScatteredSamples.from_arrays(up, up, up, np.zeros(300))
-    with pytest.raises(MeasurementFormatError, match=r"weight must have the shape \(300,\), not \(3,\)"):
-        ScatteredSamples.from_arrays(up, up, up, np.ones(3))
-    with pytest.raises(MeasurementFormatError, match="omega_in must be real numbers"):
-        ScatteredSamples.from_arrays([["a"]], up, up)
+UP = np.tile([0.0, 0.0, 1.0], (200, 1))
+NEARLY_UNIT = np.tile([0.6004, 0.0, 0.8], (200, 1))
 
 
-def test_directions_are_made_unit_vectors() -> None:
-    nearly = np.tile([0.6004, 0.0, 0.8], (300, 1))
-    samples = ScatteredSamples.from_arrays(nearly, nearly, np.ones((300, 3)))
-    np.testing.assert_allclose(np.linalg.norm(samples.omega_in, axis=1), 1.0, rtol=1e-15)
-    with pytest.raises(MeasurementFormatError, match=r"In 300 of 300 samples.* omega_in is not of unit length"):
-        ScatteredSamples.from_arrays(1.01 * nearly, nearly, np.ones((300, 3)))
-
-
-def test_values_and_weights_that_no_fit_can_tell_from_none_are_refused() -> None:
-    omega = np.tile([0.0, 0.0, 1.0], (200, 1))
-    with pytest.raises(MeasurementFormatError, match="largest value is 1e-200/sr"):
-        ScatteredSamples.from_arrays(omega, omega, np.full((200, 3), 1e-200))
-    for weight in (1e308, 1e-308):
-        with pytest.raises(MeasurementFormatError, match=r"200 of 200 samples.* weight is not from 1e-12 to 1e12"):
-            ScatteredSamples.from_arrays(omega, omega, np.ones((200, 3)), np.full(200, weight))
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ((UP, UP, UP, np.zeros(200)), "weight is not positive; leave out"),
+        ((UP, UP, UP, np.ones(3)), r"weight must have the shape \(200,\), not \(3,\)"),
+        ((UP, UP, UP, np.full(200, 1e308)), r"200 of 200 samples.* weight is not from 1e-12 to 1e12"),
+        ((UP, UP, UP, np.full(200, 1e-308)), r"200 of 200 samples.* weight is not from 1e-12 to 1e12"),
+        (([["a"]], UP, UP), "omega_in must be real numbers"),
+        ((1.01 * NEARLY_UNIT, UP, UP), r"In 200 of 200 samples.* omega_in is not of unit length"),
+        ((UP, UP, 1e-200 * (UP + 1.0)), "largest value is 2e-200/sr"),
+    ],
+)
+def test_arrays_that_are_no_samples_are_refused(arrays: tuple[Any, ...], words: str) -> None:
+    ScatteredSamples.from_arrays(NEARLY_UNIT, UP, UP)
+    with pytest.raises(MeasurementFormatError, match=words):
+        ScatteredSamples.from_arrays(*arrays)
 
 
 def _written(folder: Path, content: bytes, name: str = "whole.csv") -> Path:
