@@ -276,6 +276,17 @@ async def test_requests_that_have_waited_make_room(place: Race) -> None:
     assert place.queue.has_room(key.owner)
 
 
+async def test_waiting_is_timed_and_never_negative_when_the_clock_is_set_back(place: Race) -> None:
+    keys = [await place.submit(options=dsbrdf.FitOptions(mask=mask)) for mask in (0.1, 0.2)]
+    await place.until_it_runs()
+    with place.store.database.transaction() as db:
+        db.execute("UPDATE fits SET created = created + 3600.0 WHERE status = 'accepted'")
+    for key in keys:
+        await place.end(key)
+    (metric,) = place.meters.waiting.collect()
+    assert [0.0 <= sample.value < 60.0 for sample in metric.samples if sample.name.endswith("_sum")] == [True]
+
+
 class Process(Future[None]):
     """A process that ends some time after it was asked to."""
 

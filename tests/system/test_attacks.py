@@ -5,7 +5,6 @@ accepted: the machine that tests run on may be slow or busy.
 """
 
 import json
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from http.client import HTTPResponse
@@ -15,7 +14,6 @@ import pytest
 from tests.support.server import QUICK, Server
 
 UPLOADS = 6.0
-PATIENCE = 60.0
 MEGABYTES = 64.0
 NOT_HTTP = b"Invalid HTTP request received."  # what the server says of it
 LEAKS = ("Traceback", 'File "', "site-packages", ".py", "sqlite3.", "root:x:0")
@@ -35,7 +33,6 @@ class Target:
         self.before = self.contents()
         self.memory = server.memory("VmHWM")
         self.spent = server.cpu_seconds()
-        self.begin = time.monotonic()
 
     def contents(self) -> object:
         lists = [self.server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
@@ -48,9 +45,7 @@ class Target:
     def check(self, name: str, status: int, media_type: str | None, body: bytes) -> None:
         """One answer: 4xx, soon, a problem document, and nothing in it that is not for the client."""
         spent, self.spent = self.spent, self.server.cpu_seconds()
-        begin, self.begin = self.begin, time.monotonic()
         assert 400 <= status < 500, (name, status, body[:500])
-        assert self.begin - begin < PATIENCE, name
         assert self.spent - spent < self.limit, name
         if body != NOT_HTTP:
             problem = json.loads(body)
@@ -64,7 +59,7 @@ class Target:
     def close(self) -> None:
         assert self.contents() == self.before
         assert self.grown() <= MEGABYTES
-        self.spent, self.begin = self.server.cpu_seconds(), time.monotonic()
+        self.spent = self.server.cpu_seconds()
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +78,7 @@ BOMBS = {
 
 def test_hostile_json_is_refused_cheaply(target: Target) -> None:
     for name, bomb in BOMBS.items():
-        target.spent, target.begin = target.server.cpu_seconds(), time.monotonic()
+        target.spent = target.server.cpu_seconds()
         for path in ("/v1/fits", f"/v1/fits/{target.fit}/brdf"):
             answer = target.server.http.post(path, content=bomb, headers={"Content-Type": "application/json"})
             target.check(name, answer.status_code, answer.headers["content-type"], answer.content)

@@ -5,8 +5,7 @@ from urllib.parse import urlencode
 import pytest
 from starlette.requests import Request
 
-from dsbrdf import FitOptions, InvalidArgumentError
-from dsbrdf_service.client import Client
+from dsbrdf import InvalidArgumentError
 from dsbrdf_service.http.messages import content_disposition, given_name
 from tests.support.server import QUICK, Server, assert_problem
 
@@ -47,10 +46,6 @@ def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: 
     page = server.http.get("/v1/fits", params={"name": "nickel", "limit": 1})
     assert page.links == {}
     assert [item["name"] for item in server.http.get("/v1/fits", params={"name": "b"}).json()["items"]] == ["b"]
-    with Client(str(server.http.base_url)) as client:
-        assert client.upload(other) == fit["measurement"]
-        options = FitOptions(method="paper", n_lobes=1, em_iterations=5)  # No fit has these yet.
-        assert [client.submit(other, options, name=name)["name"] for name in ("c", "d", None)] == ["c", "d", "d"]
 
 
 @pytest.mark.parametrize("name", ["", " a", "a/b", "a\\b", "a\nb", "x" * 101, "\x00", "\u202e"])
@@ -103,21 +98,21 @@ def test_fits_are_listed_newest_first_page_by_page(server: Server, stored: str) 
         document = {"measurement": stored, "options": options}
         assert server.http.post("/v1/fits", params={"name": "a&b"}, json=document).json()["status"] == "succeeded"
 
-    for iterations in range(11, 16):
+    for iterations in (11, 12, 13):
         submit(iterations)
-    whole = server.http.get("/v1/fits", params={"name": "a&b", "limit": 5})
-    assert numbers(whole.json()["items"]) == [15, 14, 13, 12, 11]
+    whole = server.http.get("/v1/fits", params={"name": "a&b", "limit": 3})
+    assert numbers(whole.json()["items"]) == [13, 12, 11]
     assert whole.links == {}
     assert {"components", "model"}.isdisjoint(whole.json()["items"][0])
-    page = server.http.get("/v1/fits", params={"name": "a&b", "limit": 2})
+    page = server.http.get("/v1/fits", params={"name": "a&b", "limit": 1})
     pages = [numbers(page.json()["items"])]
     # The cursor stays valid when fits come and go.
-    submit(16)
-    assert server.http.delete(f"/v1/fits/{page.json()['items'][1]['id']}").json()["status"] == "deleted"
+    submit(14)
+    assert server.http.delete(f"/v1/fits/{page.json()['items'][0]['id']}").json()["status"] == "deleted"
     while "next" in page.links and len(pages) < 9:
         page = server.http.get(page.links["next"]["url"])
         pages.append(numbers(page.json()["items"]))
-    assert pages == [[15, 14], [13, 12], [11]]
+    assert pages == [[13], [12], [11]]
 
 
 def test_fits_are_filtered_by_state_and_measurement(server: Server, data: bytes) -> None:

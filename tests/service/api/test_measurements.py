@@ -1,6 +1,8 @@
-"""Measurements: MERL files, RGL files and tables, what is stored of them, given back, refused and deleted."""
+"""Measurements: MERL files, RGL files and tables, what is stored of them, given back, refused, damaged and deleted."""
 
 import hashlib
+import os
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from dsbrdf.data import FILE_SIZE, encode_merl, parse_rgl
 from dsbrdf.output import from_json
 from dsbrdf.output.documents import summary_of_table
 from dsbrdf.samples.reading import parse_samples, read_table
+from dsbrdf_service.client import Client
 from tests.library.samples.test_layouts import KINDS
 from tests.library.samples.test_spreadsheet import XLSX
 from tests.support.merl_files import with_value
@@ -29,23 +32,15 @@ pytestmark = pytest.mark.slow
 def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, stored: str) -> None:
     assert stored == hashlib.sha256(data).hexdigest()
     place = f"/v1/measurements/{stored}"
-    url = f"{place}/content"
-    got = server.http.get(url)
-    assert got.content == data
-    assert got.headers["etag"] == f'"{stored}"'
-    head = server.http.head(url)
-    assert (head.status_code, head.content) == (200, b"")
-    assert int(head.headers["content-length"]) == FILE_SIZE
-    assert head.headers["etag"] == f'"{stored}"'
-    assert server.http.head(url, headers={"If-None-Match": f'W/"{stored}"'}).status_code == 304
+    got = server.http.get(f"{place}/content")
+    assert (got.content, got.headers["etag"]) == (data, f'"{stored}"')
+    head = server.http.head(f"{place}/content")
+    assert (head.headers["content-length"], head.headers["etag"]) == (str(FILE_SIZE), f'"{stored}"')
+    assert server.http.head(f"{place}/content", headers={"If-None-Match": f'W/"{stored}"'}).status_code == 304
     assert server.http.head(f"/v1/measurements/{'0' * 64}/content").status_code == 404
-    named = server.http.get(place, headers={"Accept": "application/octet-stream, application/json;q=0.5"})
-    assert (named.content, named.headers["etag"]) == (data, got.headers["etag"])
     again = server.http.post("/v1/measurements", content=data)
-    assert again.status_code == 200
-    assert again.json()["sha256"] == stored
+    assert (again.status_code, again.headers["location"], again.json()["sha256"]) == (200, place, stored)
     assert again.json()["valid_nodes"] == dsbrdf.parse_merl(data).valid.sum()
-    assert again.headers["location"] == place
 
 
 def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, data: bytes) -> None:
@@ -76,7 +71,7 @@ def test_measurement_has_a_document_with_its_fits(server: Server, data: bytes) -
     head = server.http.head(url)
     for name in ("content-type", "content-length", "etag"):
         assert head.headers[name] == answer.headers[name]
-    file = server.http.get(url, headers={"Accept": "application/octet-stream"})
+    file = server.http.get(url, headers={"Accept": "application/octet-stream, application/json;q=0.5"})
     assert (file.content, file.headers["etag"]) == (content, f'"{uploaded["sha256"]}"')
     for either in (answer, file):
         assert "Accept" in either.headers["vary"]
@@ -263,3 +258,67 @@ def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> Non
     answer = server.http.post("/v1/tables?n_lobes=2", content=content, headers=headers)
     assert "n_lobes" in assert_problem(answer, 422, "invalid-argument")
     assert server.files() == before
+
+
+def flip(path: Path) -> None:
+    """Change one bit, and set the file's time back."""
+    before = path.stat()
+    content = bytearray(path.read_bytes())
+    content[20_000_000] ^= 1
+    path.write_bytes(content)
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+@pytest.fixture(scope="module")
+def used(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[tuple[Server, str, str]]:
+    """A service with one measurement and a fit, and their ids; each test leaves the file whole."""
+    with Server.running(tmp_path_factory.mktemp("damage") / "data") as server:
+        fit = server.http.post("/v1/fits", params=QUICK, content=data).json()
+        yield server, fit["measurement"], fit["id"]
+
+
+HARMS: list[Callable[[Path], None]] = [Path.unlink, cut, flip]
+
+
+@pytest.mark.parametrize("harm", HARMS)
+def test_every_reader_refuses_a_damaged_file_in_the_same_way(
+    used: tuple[Server, str, str], data: bytes, harm: Callable[[Path], None]
+) -> None:
+    server, sha256, fit = used
+    options = QUICK | {"mask": 0.01 * HARMS.index(harm)}  # No other test has a fit with these.
+    stored = f"/v1/measurements/{sha256}"
+    url = f"{stored}/content"
+    senders, drawers = [{}, {"If-None-Match": f'"{sha256}"'}], [f"{stored}/figures/sphere.png"]
+    drawers += [f"/v1/fits/{fit}/figures/{figure}" for figure in ("parameters.svg", "residual.svg")]
+    drawers += [f"{stored}/{array}.npy" for array in ("table", "figures/sphere")]
+    assert server.http.get(url).content == data  # so it was right not long ago
+    (path,) = server.files()
+    harm(path)
+    answers = [server.http.get(url, headers=headers) for headers in senders]
+    answers += [server.http.get(drawer) for drawer in drawers]
+    (said,) = {assert_problem(answer, 404, "measurement-damaged") for answer in answers}
+    assert server.http.head(url).status_code == 404
+    error = server.submit(sha256, **options).json()["error"]
+    assert error == {"origin": "system", "type": "MeasurementDamaged", "message": said}
+    with Client(str(server.http.base_url)) as client:
+        assert client.upload(data) == sha256  # it asks whether one is needed
+    assert server.http.get(url).content == data
+    for drawer in drawers[::4] if harm is flip else []:
+        assert server.http.get(drawer).is_success, drawer
+    assert harm is not flip or server.submit(sha256, **options).json()["status"] == "succeeded"
+
+
+def test_download_survives_the_deletion_of_its_file(used: tuple[Server, str, str], data: bytes) -> None:
+    server, sha256, _ = used
+    head = f"GET /v1/measurements/{sha256}/content HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+    with server.connection(head.encode()) as connection:
+        answer = bytearray(connection.recv(1000))
+        assert server.http.delete(f"/v1/measurements/{sha256}").status_code == 204
+        while piece := connection.recv(1 << 20):  # the connection did not hold it all
+            answer += piece
+    assert answer.endswith(data)
+    assert server.http.post("/v1/measurements", content=data).status_code == 201
