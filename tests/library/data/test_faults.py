@@ -172,13 +172,10 @@ def test_model_measurement_holds_the_model() -> None:
     ("arguments", "message"),
     [
         ({"roughness": 0.0}, r"roughness must be in \[0\.005, 1\], not 0"),
-        ({"roughness": np.nan}, r"roughness must be"),
         ({"diffuse": (0.1, 0.2)}, r"diffuse must be three numbers \(RGB\) in \[0, 1\], not \(0\.1, 0\.2\)"),
         ({"specular": (0.1, 0.2, 1.1)}, r"specular must be three numbers"),
-        ({"specular": (0.1, 0.2, np.nan)}, r"specular must be three numbers"),
         ({"noise": np.nan}, r"noise must be in"),
         ({"noise": -0.1}, r"noise must be in \[0, 1\], not -0\.1"),
-        ({"noise": 2.0}, r"noise must be in"),
     ],
 )
 def test_parameters_out_of_range_are_named(arguments: dict[str, float], message: str) -> None:

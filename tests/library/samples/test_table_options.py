@@ -134,12 +134,6 @@ def test_a_value_that_stands_for_what_is_missing_is_left_out_or_named(missing: f
     check_same(parse_samples(content, options=TableOptions(missing=(-1, missing))), ANGLES[~spoiled], rgb[~spoiled])
 
 
-def test_values_of_a_grey_table_are_counted_once() -> None:
-    values = np.where(np.arange(COUNT) % 60 == 0, -0.002, GREY[:, 0])[:, None]
-    notes = parse_samples(table((*DIRECTION, "value"), np.hstack([ANGLES, values]))).notes
-    assert any(note.startswith("4 values are negative") for note in notes)
-
-
 VISIBLE = np.arange(400.0, 701.0, 20.0)
 # x, y, z of the CIE 1931 observer at these wavelengths, from its table (CIE 015)
 OBSERVER = np.array(
