@@ -1,5 +1,6 @@
 """One browser, one service that wants keys, one key with two fits: for all tests of the pages."""
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -23,8 +24,9 @@ if CHROMIUM is not None and find_spec("playwright"):
 
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"
 """A page whose spheres are pictures of the service takes a quarter of the time."""
-NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>'
-"""Instead of figures that take the service seconds to draw; the tests of their routes have them."""
+DRAWN = re.compile(r"/figures/(\w+\.svg|sphere\.png\?(size=112&)?lighting=environment)")
+NO_PICTURE = '<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>'
+"""Instead of figures and small spheres that take the service seconds to draw; the tests of their routes have them."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def _context(browser: "Browser", site: Site, webgl: bool, key: str | None, **opt
     context = new_context(browser, site.address, key, **options)
     if not webgl:
         context.add_init_script(NO_WEBGL)
-    context.route("**/figures/*.svg*", lambda route: route.fulfill(body=NO_FIGURE, content_type="image/svg+xml"))
+    context.route(DRAWN, lambda route: route.fulfill(body=NO_PICTURE, content_type="image/svg+xml"))
     return context
 
 
