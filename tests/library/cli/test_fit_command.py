@@ -75,9 +75,8 @@ def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Pa
     assert (sentences, captured.stderr) == ([found["sentence"] for found in answer["findings"]], "")
     assert answer["findings"][0]["code"] == "not-converged"
     (tmp_path / "printed.json").write_text(captured.stdout)
-    assert [part["label"] for part in answer["components"]] == [
-        *dsbrdf.decompose(load(tmp_path / "printed.json")).labels
-    ]
+    labels = decompose(load(tmp_path / "printed.json")).labels
+    assert [part["label"] for part in answer["components"]] == [*labels]
     assert (answer["status"], answer["metrics"]) == ("succeeded", answer["report"]["metrics"])
     shown = [f"warning: {sentence}" for sentence in sentences]
     file = tmp_path / "plastic.json"

@@ -79,17 +79,15 @@ def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:
         ("reflectance", "value", ""),
         ("probe", None, ""),
     ]
-    assert found["ranges"]["theta_in_deg"] == pytest.approx([0.0, 60.0])
     assert found["ranges"]["theta_out_deg"] == pytest.approx([0.0, 80.0], abs=1e-6)
-    assert found["ranges"]["green"][1] == pytest.approx(320.0 * 0.003183, rel=0.1)
     assert found["angles_of_incidence_deg"] == [0.0, 30.0, 60.0]
     assert found["in_plane_of_incidence"] == 1.0
     assert any("probe" in sentence for sentence in found["warnings"])
     assert found["first"][0] == pytest.approx([0.0, 80.0, 180.0, *[20.0 * 0.003183] * 3], rel=1e-4, abs=1e-6)
     text = printed("table", path, *flags)
-    assert "63 rows, 62 samples" in text
-    assert "probe        not read" in text
-    assert "angles of incidence: 0, 30, 60" in text
+    assert all(
+        words in text for words in ("63 rows, 62 samples", "probe        not read", "angles of incidence: 0, 30, 60")
+    )
     (tmp_path / "tile.binary").write_bytes(HEADER + bytes(99))
     assert (
         "is a MERL file, a measurement on a grid, and no table" in run("table", tmp_path / "tile.binary", code=2).stderr

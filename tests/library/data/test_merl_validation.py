@@ -44,13 +44,6 @@ def memory() -> Iterator[Callable[[], tuple[int, int]]]:
         tracemalloc.stop()
 
 
-def test_reading_takes_little_more_memory_than_the_file(plastic_file: Path) -> None:
-    nodes_above_horizon.cache_clear()  # made once per process, and part of the cost
-    with memory() as used:
-        read_merl(plastic_file)
-        assert used()[1] < FILE_SIZE + 10_000_000
-
-
 Make = Callable[[bytes], bytes]
 
 

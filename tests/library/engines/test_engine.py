@@ -84,30 +84,28 @@ def test_result_equals_that_of_the_library_bit_for_bit(
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "limits", "fault"),
+    ("name", "asked", "fault"),
     [
-        ("other", QUICK, LIMITS, ("input", "MeasurementFormatError", "which begins with the dimensions (90, 90, 180)")),
-        ("plastic", NO_DATA_LEFT, LIMITS, ("input", "FitError", "leave no slice with enough valid samples")),
-        ("gone", QUICK, LIMITS, ("system", "MeasurementUnreadable", "not be read: No such file or directory.")),
-        ("plastic", SLOW_FIT, FitLimits(60.0, 200), ("compute", "MemoryLimit", "more memory than a fit may use.")),
-        ("plastic", ENDLESS, FitLimits(0.5, 4096), ("compute", "TimeLimit", "took longer than the 0.5 s that a fit")),
+        (
+            "other",
+            (QUICK, LIMITS),
+            ["input", "MeasurementFormatError", "which begins with the dimensions (90, 90, 180)"],
+        ),
+        ("plastic", (NO_DATA_LEFT, LIMITS), ["input", "FitError", "leave no slice with enough valid samples"]),
+        ("gone", (QUICK, LIMITS), ["system", "MeasurementUnreadable", "not be read: No such file or directory."]),
+        ("plastic", (SLOW_FIT, FitLimits(60.0, 200)), ["compute", "MemoryLimit", "more memory than a fit may use."]),
+        ("plastic", (ENDLESS, FitLimits(0.5, 4096)), ["compute", "TimeLimit", "took longer than the 0.5 s that a fit"]),
     ],
     ids=["no measurement", "no data left", "no file", "memory", "time"],
 )
 def test_failed_fit_is_a_fault_that_says_why(
-    stage: Stage,
-    plastic_file: Path,
-    tmp_path: Path,
-    name: str,
-    options: FitOptions,
-    limits: FitLimits,
-    fault: tuple[str, str, str],
+    stage: Stage, plastic_file: Path, tmp_path: Path, name: str, asked: tuple[FitOptions, FitLimits], fault: list[str]
 ) -> None:
     (tmp_path / "other.binary").write_bytes(bytes(range(256)))
     path = plastic_file if name == "plastic" else tmp_path / f"{name}.binary"
-    outcome, _ = run(stage, FitTask("one", path, options), limits)
+    outcome, _ = run(stage, FitTask("one", path, asked[0]), asked[1])
     assert isinstance(outcome, Fault)
-    assert (outcome.origin, outcome.type) == fault[:2]
+    assert [outcome.origin, outcome.type] == fault[:2]
     assert fault[2] in outcome.message
     wait_until(lambda: not stage.fitting())
 
@@ -271,23 +269,6 @@ def test_unreachable_scheduler_is_reported_in_one_sentence(address: str, words: 
     assert fault.startswith(start)
     assert words in fault.removeprefix(start)
     assert "\n" not in fault
-
-
-@pytest.mark.soak
-def test_scheduler_that_hangs_is_a_fault_until_it_answers(own_cluster: DaskCluster, plastic_file: Path) -> None:
-    own_cluster.start_scheduler()
-    own_cluster.add_worker()
-    scheduler = own_cluster.scheduler
-    assert scheduler is not None
-    with started(DaskEngine(own_cluster.address, 1, LIMITS)) as engine:
-        try:
-            scheduler.send_signal(signal.SIGSTOP)
-            fault = until(lambda: fault_of(engine), bool)
-            assert "cannot be reached: " in str(fault)
-            fit = engine.submit(FitTask("one", plastic_file, QUICK), ignore)
-        finally:
-            scheduler.send_signal(signal.SIGCONT)
-        assert isinstance(fit.result(PATIENCE), FitDocument)
 
 
 def test_versions_are_those_of_what_computes() -> None:

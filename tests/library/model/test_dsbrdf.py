@@ -158,13 +158,6 @@ def test_models_that_differ_in_anything_are_not_equal() -> None:
     assert len({model, random_model(), random_model(1)}) == 2
 
 
-def test_numbers_that_count() -> None:
-    model = random_model()  # One of its four lobes has a center.
-    assert model.is_ring.tolist() == [False, True, False, False]
-    assert model.n_numbers == 3 * 6 * 4 + 6 * 4 + 6 * 4 + 6 + 5 * 4
-    assert papers_model().n_numbers == 3 * 4 * 3 * 3 + 3 * 4
-
-
 ONE = np.ones((1, 2, 1))
 VALID_ARGUMENTS: dict[str, Any] = {
     "theta_diff": [0.0, 0.5],

@@ -31,7 +31,6 @@ from dsbrdf.output.figures import lobes_figure, overview_figure, parameters_figu
 from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
 from dsbrdf.output.sphere_panels import (
     DIFFERENCE_GAIN,
-    SphereComparison,
     compare_spheres,
     encode_png,
     side_by_side,
@@ -48,14 +47,9 @@ ELONGATED = replace(MODEL, elongation=np.array([[1.5, 0.5, -0.5]]), delta=np.zer
 
 
 @pytest.fixture(scope="module")
-def spheres() -> SphereComparison:
-    return compare_spheres(MODEL, MODEL, size=16)
-
-
-@pytest.fixture(scope="module")
-def overview(plastic_profiles: Profiles, spheres: SphereComparison) -> Figure:
+def overview(plastic_profiles: Profiles) -> Figure:
     """At theta_diff of 0 and 45 degrees: axes 0 to 3 show profiles, 4 to 7 components in red, then come spheres."""
-    return overview_figure(plastic_profiles, MODEL, spheres=spheres)
+    return overview_figure(plastic_profiles, MODEL, spheres=compare_spheres(MODEL, MODEL, size=16))
 
 
 @pytest.fixture(scope="module")
@@ -159,15 +153,6 @@ def test_figures_are_encoded_as_png_svg_and_pdf_without_pyplot(lobes: Figure, mo
     assert encode_figure(parameters_figure(PAINT), "pdf").startswith(b"%PDF")
     with pytest.raises(InvalidArgumentError, match="the image format must be png, svg or pdf, not 'bmp'"):
         encode_figure(lobes, "bmp")
-
-
-def test_overview_ends_with_spheres(overview: Figure, spheres: SphereComparison) -> None:
-    panels = overview.axes[8:]
-    assert [ax.get_title() for ax in panels] == list(spheres.panels)
-    shown = panels[1].images[0].get_array()
-    assert shown is not None
-    np.testing.assert_array_equal(shown[3:13, 3:13, :3], spheres.panels["fit"][3:13, 3:13])
-    assert np.all(shown[3:13, 3:13, 3] == 1.0)
 
 
 def test_panels_have_the_exposure_of_the_measurement(plastic: Measurement) -> None:
