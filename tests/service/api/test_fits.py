@@ -177,6 +177,7 @@ def test_full_queue_refuses_requests_and_loses_none(own_server: StartServer, dat
     server.until_running(first)
     answers = [server.submit(sha256, prefer="respond-async", n_lobes=1, em_iterations=i + 3) for i in range(6)]
     assert [answer.status_code for answer in answers] == [202] * 2 + [503] * 4
+    assert [answer.json()["progress"] for answer in answers[:2]] == [0.0, 0.0]
     accepted = [answer.json()["id"] for answer in answers[:2]]
     for answer in answers[2:]:
         assert_problem(answer, 503, "queue-full")
