@@ -171,7 +171,6 @@ def test_layers_are_values_in_the_formats_that_hold_values() -> None:
     np.testing.assert_allclose(table.values[:, 10, 20, 30], LAYERS.evaluate(*np.radians([10 / 9, 20.0, 30.0])))
 
 
-PART = decompose(MODEL)["diffuse"]
 NO_NAMES = ("", "2nd", "gl_paint", "a__b", "paint_", "flat", "a-b", "é", "p" * 65)
 
 
@@ -181,7 +180,7 @@ NO_NAMES = ("", "2nd", "gl_paint", "a__b", "paint_", "flat", "a-b", "é", "p" * 
         (lambda: dsbrdf.export(MODEL, "paint.obj"), r"paint\.obj: the file must end in one of .*\.json, .*\.mtlx"),
         *(
             (
-                lambda name=name: export_model(PART, name),
+                lambda name=name: export_model(decompose(MODEL)["diffuse"], name),
                 f"format {name} cannot contain .* glsl, .*bsdf.*, or export the",
             )
             for name in ("json", "csv", "materialx")
