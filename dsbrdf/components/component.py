@@ -25,7 +25,7 @@ from dsbrdf.process_settings import one_blas_thread
 
 MIN_COMPONENT_LIGHT = 2e-3
 """A component is left out if it reflects a smaller fraction of all reflected light at every angle."""
-MIN_LIGHT_OF_UNLIKELY_COMPONENT = 0.02
+MIN_LIGHT_OF_UNLIKELY_COMPONENT = 0.05
 """An unlikely component is left out if it reflects a smaller fraction of all reflected light at every angle."""
 _MIN_REMARKED_LIGHT = 0.02
 """A remark tells of sheen or retro-reflection that has a larger fraction of all reflected light."""

@@ -81,6 +81,6 @@ def test_compare_names_models_and_puts_their_components_side_by_side(tmp_path: P
     assert about["output"] is None
     alone = document("compare", files[0], files[2], "--size", "24", "--json")["likeness"]
     assert about["likeness"][1] == alone
-    diffuse = document("compare", *files[:2], "--size", "24", "--component", "diffuse", "--json")
-    spheres = [render_sphere(whole["diffuse"], size=24) for whole in (first, second)]
-    assert diffuse["likeness"]["psnr"] == pytest.approx(sphere_likeness(*spheres)[0])
+    lobe = document("compare", *files[:2], "--size", "24", "--component", "specular_lobe", "--json")
+    spheres = [render_sphere(whole["specular_lobe"], size=24) for whole in (first, second)]
+    assert lobe["likeness"]["psnr"] == pytest.approx(sphere_likeness(*spheres)[0])
