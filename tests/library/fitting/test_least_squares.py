@@ -18,6 +18,7 @@ ROWS = np.arange(0, 80, 9)
 COLUMNS = np.array([0, 6, 14, 22, 30, 45, 60, 75])
 KNOTS = np.radians([0.0, 40.0, 68.0])  # rows go beyond
 SMOOTHING = (1e-4, 3e-4, 2e-4)  # far above the usual, so that it counts in the tests
+PRIOR = (2e-4, 1e-4)  # costs of squared log kappa and of squared elongations
 
 
 def structure_of(rings: tuple[bool, ...], family: str = "hemi_epd") -> Structure:
@@ -49,13 +50,18 @@ def problem_of(structure: Structure, seed: int = 0) -> MixtureProblem:
     blank = np.zeros((3, *cos2_phi.shape))
     points = FitData(blank, blank, cos2_phi, THETA_DIFF[ROWS], THETA_HALF[COLUMNS])
     exact = MixtureProblem(points, structure).values(truth_of(structure))
-    return MixtureProblem(data_of(exact, cos2_phi, seed=seed), structure, SMOOTHING)
+    return MixtureProblem(data_of(exact, cos2_phi, seed=seed), structure, SMOOTHING, PRIOR)
 
 
 def residuals(problem: MixtureProblem, unknowns: Array) -> Array:
-    """Residuals whose squares add up to the cost: weighted ones, and those of the pull towards smooth parameters."""
-    parts = zip(problem.structure.split(unknowns), SMOOTHING, strict=True)
-    pull = np.concatenate([np.sqrt(share) * np.diff(part, 2, axis=0).ravel() for part, share in parts])
+    """Residuals whose squares add up to the cost: weighted ones, and those of the pull towards the prior."""
+    parts = problem.structure.split(unknowns)
+    smooth = [np.sqrt(share) * np.diff(part, 2, axis=0).ravel() for part, share in zip(parts, SMOOTHING, strict=True)]
+    usual = [
+        np.sqrt(share) * part.ravel()
+        for part, share in zip((parts[1][:, : problem.structure.n_lobes], parts[2]), PRIOR, strict=True)
+    ]
+    pull = np.concatenate(smooth + usual)
     fit = np.sqrt(problem.data.weight) * (problem.values(unknowns) - problem.data.mean)
     return np.concatenate([fit.ravel(), np.sqrt(problem.data.signal) * pull])
 
@@ -103,7 +109,7 @@ def test_single_precision_is_nearly_the_same(family: str) -> None:
     double = problem_of(structure_of((False, False, True, True), family))
     unknowns = truth_of(double.structure)
     double.structure.split(unknowns)[1][:, 4] = np.log(1e-5)
-    single = MixtureProblem(double.data.single(), double.structure, SMOOTHING)
+    single = MixtureProblem(double.data.single(), double.structure, SMOOTHING, PRIOR)
     assert single.values(unknowns).dtype == single.evaluate(unknowns).parts[0][1].dtype == np.float32
     near = double.evaluate(unknowns + 0.1), single.evaluate(unknowns + 0.1)
     assert near[1].cost == pytest.approx(near[0].cost, rel=1e-4)
