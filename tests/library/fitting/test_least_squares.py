@@ -157,7 +157,7 @@ def test_optimum_at_bounds_is_that_of_scipy() -> None:
     _, shape, elongation = structure.split(truth)
     shape[:, 2], elongation[:, 1] = np.log(0.05 * REACH_BOUNDS[0]), 1.5 * ELONGATION_BOUNDS[1]
     data = replace(problem.data, mean=problem.values(truth))
-    problem = MixtureProblem(data, structure, SMOOTHING)
+    problem = MixtureProblem(data, structure, SMOOTHING, PRIOR)
     solution = minimize(problem, truth_of(structure, seed=5), tolerance=1e-12, iterations=800)
     low, high = structure.bounds
     assert solution.converged
