@@ -53,13 +53,13 @@ def problem_of(structure: Structure, seed: int = 0) -> MixtureProblem:
     return MixtureProblem(data_of(exact, cos2_phi, seed=seed), structure, SMOOTHING, PRIOR)
 
 
-def residuals(problem: MixtureProblem, unknowns: Array) -> Array:
+def residuals(problem: MixtureProblem, unknowns: Array, prior: tuple[float, float] = PRIOR) -> Array:
     """Residuals whose squares add up to the cost: weighted ones, and those of the pull towards the prior."""
     parts = problem.structure.split(unknowns)
     smooth = [np.sqrt(share) * np.diff(part, 2, axis=0).ravel() for part, share in zip(parts, SMOOTHING, strict=True)]
     usual = [
         np.sqrt(share) * part.ravel()
-        for part, share in zip((parts[1][:, : problem.structure.n_lobes], parts[2]), PRIOR, strict=True)
+        for share, part in zip(prior, (parts[1][:, : problem.structure.n_lobes], parts[2]), strict=True)
     ]
     pull = np.concatenate(smooth + usual)
     fit = np.sqrt(problem.data.weight) * (problem.values(unknowns) - problem.data.mean)
@@ -137,7 +137,7 @@ def scipys_cost(problem: MixtureProblem, start: Array) -> float:
     low, high = problem.structure.bounds
     inside = np.clip(start, low + 1e-9, high - 1e-9)
     best = least_squares(
-        lambda x: residuals(problem, x),  # type: ignore[misc]
+        lambda x: residuals(problem, x, (0.0, 0.0)),  # type: ignore[misc]
         inside,
         bounds=(low, high),
         x_scale="jac",
@@ -157,7 +157,7 @@ def test_optimum_at_bounds_is_that_of_scipy() -> None:
     _, shape, elongation = structure.split(truth)
     shape[:, 2], elongation[:, 1] = np.log(0.05 * REACH_BOUNDS[0]), 1.5 * ELONGATION_BOUNDS[1]
     data = replace(problem.data, mean=problem.values(truth))
-    problem = MixtureProblem(data, structure, SMOOTHING, PRIOR)
+    problem = MixtureProblem(data, structure, SMOOTHING)  # A prior would pull unknowns away from their bounds.
     solution = minimize(problem, truth_of(structure, seed=5), tolerance=1e-12, iterations=800)
     low, high = structure.bounds
     assert solution.converged
