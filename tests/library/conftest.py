@@ -1,12 +1,16 @@
 """Fits that tests of several rooms look at, each made once; tests must not change them."""
 
+import fcntl
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from dsbrdf import FitResult, Measurement, Profiles, fit, profiles
+from dsbrdf import FitResult, Measurement, Profiles, fit, profiles, save
 from dsbrdf.model import sampling
 from dsbrdf.output.export import glsl, mitsuba
+from tests.support.command_line import load_fit
 from tests.support.mixtures import COARSE_ANGLES
 
 
@@ -15,15 +19,30 @@ def plastic_profiles(plastic: Measurement) -> Profiles:
     return profiles(plastic)
 
 
-@pytest.fixture(scope="session")
-def plastic_fit(plastic: Measurement) -> FitResult:
-    return fit(plastic)
+def fitted_once(path: Path, measurement: Measurement, **options: Any) -> FitResult:
+    """Fit in the first worker that asks; the others read its file."""
+    with path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.exists():
+            save(fit(measurement, **options), path)
+    return load_fit(path)
 
 
 @pytest.fixture(scope="session")
-def two_lobe_fit(plastic: Measurement) -> FitResult:
-    """A fit of the plastic that takes a third of the time, with two lobes."""
-    return fit(plastic, n_lobes=2, ring_lobes=0)
+def shared_folder(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """A folder of all workers of a run."""
+    own = tmp_path_factory.getbasetemp()
+    return own if worker_id == "master" else own.parent
+
+
+@pytest.fixture(scope="session")
+def plastic_fit(plastic: Measurement, shared_folder: Path) -> FitResult:
+    return fitted_once(shared_folder / "default.json", plastic)
+
+
+@pytest.fixture(scope="session")
+def two_lobe_fit(plastic: Measurement, shared_folder: Path) -> FitResult:
+    return fitted_once(shared_folder / "two_lobes.json", plastic, n_lobes=2, ring_lobes=0)
 
 
 @pytest.fixture(scope="module")
