@@ -171,6 +171,7 @@ def test_layers_are_values_in_the_formats_that_hold_values() -> None:
     np.testing.assert_allclose(table.values[:, 10, 20, 30], LAYERS.evaluate(*np.radians([10 / 9, 20.0, 30.0])))
 
 
+OF_LOBES = ("json", "csv", "materialx")
 NO_NAMES = ("", "2nd", "gl_paint", "a__b", "paint_", "flat", "a-b", "é", "p" * 65)
 
 
@@ -178,17 +179,8 @@ NO_NAMES = ("", "2nd", "gl_paint", "a__b", "paint_", "flat", "a-b", "é", "p" * 
     ("call", "said"),
     [
         (lambda: dsbrdf.export(MODEL, "paint.obj"), r"paint\.obj: the file must end in one of .*\.json, .*\.mtlx"),
-        *(
-            (
-                lambda name=name: export_model(decompose(MODEL)["diffuse"], name),
-                f"format {name} cannot contain .* glsl, .*bsdf.*, or export the",
-            )
-            for name in ("json", "csv", "materialx")
-        ),
-        *(
-            (lambda name=name: export_model(MODEL, "glsl", name=name), "must begin with a letter, have")
-            for name in NO_NAMES
-        ),
+        *((lambda name=name: export_model(decompose(MODEL)["diffuse"], name), f"{name} cannot") for name in OF_LOBES),
+        *((lambda name=name: export_model(MODEL, "glsl", name=name), "must begin with a letter") for name in NO_NAMES),
         (lambda: glsl_function(single_lobe(1.0, 1.0, 1e39)), "too large for GLSL"),
         (lambda: export_model(single_lobe(1.0, 1.0, 1e200), "materialx"), "too large for a picture"),
         (
