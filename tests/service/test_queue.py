@@ -207,6 +207,20 @@ async def test_model_is_that_of_the_fit_as_it_is_now(place: Race) -> None:
     assert await models.get(key) is again is not first
 
 
+async def test_only_the_models_that_were_used_last_are_kept(place: Race) -> None:
+    models, keys = (
+        ModelCache(place.store, 2),
+        [await place.submit(options=dsbrdf.FitOptions(mask=m)) for m in (0, 1, 2)],
+    )
+    for key in keys:
+        await place.end(key)
+    first, second = [await models.get(key) for key in keys[:2]]
+    assert await models.get(keys[0]) is first
+    await models.get(keys[2])
+    assert await models.get(keys[0]) is first
+    assert await models.get(keys[1]) is not second
+
+
 async def test_simultaneous_requests_for_values_share_one_evaluation(place: Race) -> None:
     models, model = ModelCache(place.store, 8), random_model()
     key = await place.submit()

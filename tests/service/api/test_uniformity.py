@@ -35,13 +35,11 @@ def test_what_the_client_has_is_not_sent_again(server: Server, stored: str, fitt
 
 
 def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored: str, fitted: str) -> None:
-    paths = [f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"]
-    requests = [(method, path) for path in paths for method in ("GET", "DELETE")]
-    requests += [("GET", f"/v1/fits/{fitted}/{part}") for part in ("events", "components", "export", "brdf")]
-    requests += [("POST", f"/v1/fits/{fitted}/brdf"), ("POST", "/v1/measurements")]
-    requests += [
-        ("GET", path) for path in ("/v1/fits", "/v1/measurements", "/health/live", "/health/ready", "/metrics")
-    ]
+    fit, measurement = f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"
+    parts = [f"{fit}/{part}" for part in ("events", "components", "export", "brdf")]
+    parts += [fit, measurement, "/v1/fits", "/v1/measurements", "/health/live", "/health/ready", "/metrics"]
+    requests = [("GET", path) for path in parts] + [("DELETE", path) for path in (fit, measurement)]
+    requests += [("POST", f"{fit}/brdf"), ("POST", "/v1/measurements")]
     for method, path in requests:
         answer = server.http.request(method, path, params={"nonsense": "1"})
         assert "'nonsense'" in assert_problem(answer, 422, "invalid-argument"), (method, path)
