@@ -106,10 +106,12 @@ def test_stalled_client_takes_half_a_megabyte(own_server: StartServer, data: byt
         for request in requests:
             stack.enter_context(closing(server.connection(request)))
         wait_until(lambda: in_progress(server) > len(requests))
+        arriving = server.data_dir / "tmp"
+        wait_until(lambda: sum(path.stat().st_size > 460_000 for path in arriving.iterdir()) >= 48)
         assert server.memory() - before < 0.5 * len(requests)
         assert server.http.get(f"{path}/brdf?theta_half_deg=0&theta_diff_deg=0").status_code == 200
     wait_until(lambda: in_progress(server) == 1)
-    wait_until(lambda: not list((server.data_dir / "tmp").iterdir()))
+    wait_until(lambda: not list(arriving.iterdir()))
 
 
 def test_bodies_of_one_caller_take_limited_memory_and_no_disk(own_server: StartServer, data: bytes) -> None:
