@@ -218,6 +218,7 @@ def probes(fit: str, sha256: str, tags: Mapping[str, str]) -> Iterator[tuple[str
     yield "DELETE", f"/v1/fits/{fit}?wait=0.1", {}
 
 
+@pytest.mark.slow
 def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) -> None:
     server = guarded.server
     alice, bob = guarded.new_key("owner"), guarded.new_key("prober", requests_per_second=100_000)

@@ -130,6 +130,7 @@ def test_every_metric_is_explained(server: Server) -> None:
     )
 
 
+@pytest.mark.slow
 def test_backup_of_a_running_service_can_be_restored(own_server: StartServer, data: bytes, tmp_path: Path) -> None:
     server, copy = own_server(), tmp_path / "copy"
     fit = server.http.post("/v1/fits", params={**QUICK, "name": "nickel"}, content=data).json()

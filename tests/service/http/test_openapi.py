@@ -1,18 +1,21 @@
-"""The OpenAPI document and the service against it: thousands of cases made of the document, each answer checked.
+"""The OpenAPI document, a client generated from it, and the service against it: thousands of cases made of it.
 
 The cases are the same in every run; DSBRDF_SCHEMA_SEED=N makes others, and ``make soak`` more of them.
 """
 
+import importlib
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from openapi_schema_validator import validate
 from openapi_spec_validator import OpenAPIV31SpecValidator
@@ -24,7 +27,7 @@ from dsbrdf_service.app import create_app
 from dsbrdf_service.http.problems import KINDS
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.wire import from_query, table_from_query, to_wire
-from tests.support.server import Server, StartServer, new_key
+from tests.support.server import QUICK, Server, StartServer, new_key
 from tests.support.soak import SOAK, repeats
 
 
@@ -198,6 +201,7 @@ schemathesis.serializer.alias("application/x-npy", "application/octet-stream")
 """
 
 
+@pytest.mark.slow
 def test_service_conforms_to_its_openapi_document(own_server: StartServer, data: bytes, tmp_path: Path) -> None:
     server = own_server(require_keys="true", key_requests_per_second="100000")
     header = new_key(server, "x")[1]
@@ -223,3 +227,77 @@ def test_service_conforms_to_its_openapi_document(own_server: StartServer, data:
     print(f"{cases} cases")
     assert cases >= MIN_CASES
     assert server.http.get("/health/live").status_code == 200
+
+
+HTTP_PAGE = (Path(__file__).parents[3] / "docs/http.md").read_text()
+
+
+@pytest.fixture(scope="module")
+def call(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Any]]:
+    """Call an operation of the generated client by its module's name, and return the whole answer."""
+    folder = tmp_path_factory.mktemp("generated")
+    found = re.search(r"```yaml\n(# generator.yaml\n.*?)```", HTTP_PAGE, re.DOTALL)
+    assert found
+    (folder / "generator.yaml").write_text(f"{found[1]}post_hooks: []\n")
+    (folder / "openapi.json").write_bytes(server.http.get("/openapi.json").content)
+    command = [sys.executable, "-m", "openapi_python_client", "generate", "--path", "openapi.json"]
+    command += ["--config", "generator.yaml", "--meta", "none", "--output-path", "dsbrdf_api"]
+    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+    left_out = {line.strip() for line in done.stdout.splitlines() if line.strip().startswith("Unsupported")}
+    assert left_out <= {f"Unsupported content type text/{kind}" for kind in ("csv", "plain", "tab-separated-values")}
+    assert "will not be generated" not in done.stdout
+    sys.path.insert(0, str(folder))
+    client = importlib.import_module("dsbrdf_api").Client(base_url=str(server.http.base_url), timeout=60.0)
+
+    def detailed(operation: str, *arguments: Any, **named: Any) -> Any:
+        module = importlib.import_module(f"dsbrdf_api.api.{operation}")
+        return module.sync_detailed(*arguments, client=client, **named)
+
+    try:
+        with client:
+            yield detailed
+    finally:
+        sys.path.remove(str(folder))
+
+
+def model(name: str) -> Any:
+    return getattr(importlib.import_module("dsbrdf_api.models"), name)
+
+
+def file(path: Path) -> Any:
+    return importlib.import_module("dsbrdf_api.types").File(payload=BytesIO(path.read_bytes()))
+
+
+@pytest.mark.slow
+def test_generated_client_sends_and_reads_what_the_document_describes(
+    call: Callable[..., Any], plastic_file: Path
+) -> None:
+    stored = call("measurements.upload_measurement", body=file(plastic_file)).parsed
+    assert call("measurements.download_measurement", stored.sha256).content == plastic_file.read_bytes()
+    request = model("FitRequest").from_dict({"measurement": stored.sha256, "options": QUICK})
+    fit = call("fits.submit_fit", body=request, name="generated").parsed
+    assert (fit.status, fit.measurement, fit.options.n_lobes) == ("succeeded", stored.sha256, 1)
+    numbers = {name: QUICK[name] for name in ("n_lobes", "em_iterations")}
+    again = call("fits.submit_fit", body=file(plastic_file), method=model("SubmitFitMethod").PAPER, **numbers)
+    assert (again.status_code, again.parsed.id) == (200, fit.id)
+    assert fit.id in {item.id for item in call("fits.list_fits").parsed.items}
+    assert b"event: succeeded" in call("fits.follow_fit", fit.id).content
+    assert call("fits.rename_fit", fit.id, body=model("NewName")(name="another name")).parsed.name == "another name"
+
+    angles: dict[str, Any] = {"theta_half_deg": [5.0, 20.0], "theta_diff_deg": [10.0]}
+    values = call("values.get_values", fit.id, **angles).parsed.values
+    assert call("values.post_values", fit.id, body=model("AnglesRequest")(**angles)).parsed.values == values
+    parts = [
+        call("values.get_component_values", fit.id, part.label, **angles).parsed.values
+        for part in call("components.get_components", fit.id).parsed.items
+    ]
+    np.testing.assert_allclose(np.sum(parts, axis=0), values, rtol=1e-9)
+    layers = model("ExportFitComponentType0").LAYERS
+    exported = call("export.export_fit", fit.id, format_=model("ExportFitFormat").JSON, component=layers)
+    assert exported.parsed.payload.read() == exported.content
+    picture = call("figures.draw_sphere", fit.id, model("DrawSphereFileFormat").NPY, size=16).parsed.payload
+    assert np.load(picture).shape == (16, 16, 3)
+
+    missing = call("fits.get_fit", "0" * 32)
+    assert (missing.status_code, missing.parsed.status) == (404, 404)
+    assert call("fits.delete_fit", fit.id).parsed.status == "deleted"
