@@ -23,7 +23,7 @@ from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.schema import Caller, FitKey
 from tests.support.races import MAX_WAIT_S, Race, until
 from tests.support.random_models import random_model
-from tests.support.stores import add
+from tests.support.server import add
 
 pytestmark = pytest.mark.anyio
 LOST = Fault("system", "ProcessLost", "The fit's process was ended from outside (SIGKILL).")

@@ -20,7 +20,7 @@ from dsbrdf_service.storage.schema import Caller, FitKey, FitRow
 from dsbrdf_service.storage.store import Store
 from dsbrdf_service.wire import to_wire
 from tests.support.random_models import random_model
-from tests.support.stores import LOCAL, add
+from tests.support.server import LOCAL, add
 
 OPTIONS = dsbrdf.FitOptions()
 MAX_WAIT_S = 60.0

@@ -1,4 +1,4 @@
-"""The real service as a process of its own, and what tests want to know of it."""
+"""The real service as a process of its own, what tests want to know of it, and what they put into its store."""
 
 import io
 import os
@@ -21,7 +21,10 @@ from numpy.typing import ArrayLike
 
 from dsbrdf_service.admin.commands import keys
 from dsbrdf_service.storage.database import Database
+from dsbrdf_service.storage.files import Incoming
 from dsbrdf_service.storage.keys import add_key
+from dsbrdf_service.storage.schema import Caller
+from dsbrdf_service.storage.store import Store
 from tests.support import endless_fit
 from tests.support.command_line import run_main
 from tests.support.launcher import ForkedProcess, launcher
@@ -222,3 +225,23 @@ def npy(array: ArrayLike) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, np.asarray(array))
     return buffer.getvalue()
+
+
+LOCAL = Caller()
+
+
+def receive(store: Store, content: bytes = b"content") -> Incoming:
+    incoming = Incoming(store.blobs.temporary)
+    incoming.write(content)
+    incoming.valid_nodes = 1
+    incoming.close()
+    return incoming
+
+
+def add(store: Store, content: bytes = b"content", caller: Caller = LOCAL) -> str:
+    """Store bytes as a measurement and return their sha256."""
+    incoming = receive(store, content)
+    row, new = store.add_measurement(caller, incoming)
+    incoming.discard()
+    assert (new, row.owner) == (True, caller.owner)
+    return row.sha256

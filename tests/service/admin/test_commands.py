@@ -24,9 +24,8 @@ from dsbrdf_service.storage.store import Store
 from tests.support.command_line import run_main, start_in_vain
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
-from tests.support.server import ENDLESS, QUICK, Guarded, Server, StartServer, assert_problem, keys_command
+from tests.support.server import ENDLESS, LOCAL, QUICK, Guarded, Server, StartServer, add, assert_problem, keys_command
 from tests.support.soak import SOAK
-from tests.support.stores import LOCAL, add
 
 pytestmark = pytest.mark.slow
 

@@ -25,8 +25,7 @@ from dsbrdf_service.http.messages import PIECE_BYTES
 from dsbrdf_service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application
 from tests.support.processes import wait_until
-from tests.support.server import QUICK, StartServer
-from tests.support.stores import add
+from tests.support.server import QUICK, StartServer, add
 
 pytestmark = pytest.mark.anyio
 Block = Callable[[object, str], Blocked]

@@ -21,7 +21,7 @@ from dsbrdf_service.storage.keys import add_key
 from dsbrdf_service.storage.maintenance import purge_folder
 from dsbrdf_service.storage.store import Store
 from tests.support.command_line import run_main
-from tests.support.stores import LOCAL, add, receive
+from tests.support.server import LOCAL, add, receive
 
 pytestmark = pytest.mark.slow
 

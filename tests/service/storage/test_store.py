@@ -31,7 +31,7 @@ from dsbrdf_service.storage.schema import ROW_DAMAGED, ROW_SIZE, UNFINISHED_SIZE
 from dsbrdf_service.storage.store import Store, fit_identity
 from dsbrdf_service.wire import to_wire
 from tests.support.processes import short_folder
-from tests.support.stores import LOCAL, add, receive
+from tests.support.server import LOCAL, add, receive
 
 OPTIONS = to_wire(dsbrdf.FitOptions())
 

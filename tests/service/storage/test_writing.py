@@ -19,10 +19,7 @@ from dsbrdf_service.storage.database import RESERVE, Database
 from dsbrdf_service.storage.keys import add_key, revoke_key
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
-from tests.support.server import Guarded, assert_problem, keys_command
-from tests.support.stores import add, receive
-
-LOCAL = Caller()
+from tests.support.server import LOCAL, Guarded, add, assert_problem, keys_command, receive
 
 
 def test_uploads_in_progress_count_towards_the_quota_but_one_may_exceed_it(
