@@ -208,9 +208,7 @@ def pinned_by(lock: str) -> set[tuple[str, str]]:
     ],
     ids=["installer", "service", "all", "docs"],
 )
-def test_the_lock_pins_with_hashes_and_names_no_registry(
-    lock: str, extras: Iterable[str], groups: Iterable[str]
-) -> None:
+def test_lock_pins_with_hashes_and_names_no_registry(lock: str, extras: Iterable[str], groups: Iterable[str]) -> None:
     text = (ROOT / lock).read_text()
     hashed = re.findall(r"^\S+==.* \\\n +--hash=sha256:\w{64}", text, re.MULTILINE)
     assert len(hashed) == len(re.findall(r"^[^ #\n]", text, re.MULTILINE)) > 0

@@ -34,9 +34,7 @@ def client(server: Server) -> Client:
     return Client(str(server.http.base_url))
 
 
-def test_client_fit_equals_the_library_bit_for_bit(
-    client: Client, plastic: dsbrdf.Measurement, plastic_file: Path
-) -> None:
+def test_fit_equals_the_library_bit_for_bit(client: Client, plastic: dsbrdf.Measurement, plastic_file: Path) -> None:
     expected = dsbrdf.fit(plastic, OPTIONS)
     with client:
         for source in (plastic_file, str(plastic_file), plastic_file.read_bytes(), plastic):
@@ -83,9 +81,7 @@ def test_client_raises_the_library_errors(client: Client, plastic: dsbrdf.Measur
         assert missing.value.problem["status"] == 404
 
 
-def test_client_sends_its_key_and_raises_what_was_refused(
-    guarded: Guarded, data: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_key_is_sent_and_refusals_are_raised(guarded: Guarded, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     url = str(guarded.server.http.base_url)
     key = guarded.new_key("client", queued_fits=0)["Authorization"].removeprefix("Bearer ")
     with Client(url, key=key, timeout=4.9) as client:
@@ -128,9 +124,7 @@ def test_client_tells_the_progress_and_gives_names(client: Client, plastic: dsbr
     assert seen[-1] == 1.0
 
 
-def test_engine_asks_for_as_many_fits_at_once_as_it_is_told_and_is_closed_at_once(
-    server: Server, plastic_file: Path
-) -> None:
+def test_engine_asks_for_so_many_fits_at_once_and_is_closed_at_once(server: Server, plastic_file: Path) -> None:
     begun: list[int] = []
     with closing(ClientEngine(str(server.http.base_url), 2)) as engine:
         fits = [

@@ -78,9 +78,7 @@ async def test_cancelled_attempt_cannot_overwrite_the_next_one(
 
 
 @pytest.mark.parametrize("after", [False, True])
-async def test_request_during_completion_gets_the_result(
-    place: Race, monkeypatch: pytest.MonkeyPatch, after: bool
-) -> None:
+async def test_request_at_completion_gets_the_result(place: Race, monkeypatch: pytest.MonkeyPatch, after: bool) -> None:
     slow = place.slow_down(monkeypatch, "complete_fit", 10.0, after=after)
     key = await place.submit()
     place.engine.go_on()
@@ -92,9 +90,7 @@ async def test_request_during_completion_gets_the_result(
     assert len(place.engine.begun) == 1
 
 
-async def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(
-    place: Race, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_wait_goes_on_if_a_fit_is_cancelled_and_sent_again(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
     key = await place.submit()
     await place.until_it_runs()
     slow = place.slow_down(monkeypatch, "fit", MAX_WAIT_S)
@@ -109,9 +105,7 @@ async def test_wait_goes_on_when_a_fit_is_cancelled_and_sent_again(
 
 
 @pytest.mark.parametrize("error", [sqlite3.OperationalError("disk I/O error"), OSError(5, "Input/output error")])
-async def test_result_is_written_when_the_disk_works_again(
-    place: Race, monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
+async def test_result_waits_for_the_disk(place: Race, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
     monkeypatch.setattr(queue_module, "_RETRY_DELAY", 0.01)
     complete = place.store.complete_fit
     failures = iter([error, error])

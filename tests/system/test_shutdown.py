@@ -229,9 +229,7 @@ def test_accepted_fits_finish_after_a_kill(own_server: StartServer, data: bytes)
     assert {fit["id"] for fit in server.http.get("/v1/fits").json()["items"]} == {endless, quick}
 
 
-def test_temporary_folders_are_empty_after_each_stop(
-    tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_temporary_folders_are_empty_after_stops(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     deep = tmp_path / ("x" * 100) / ("y" * 100)  # a socket's own path has at most 107 characters
@@ -251,9 +249,7 @@ def test_temporary_folders_are_empty_after_each_stop(
         assert "Traceback" not in server.log.read_text()
 
 
-def test_a_fit_has_the_memory_limit_of_the_settings_and_the_smallest_is_enough(
-    own_server: StartServer, data: bytes
-) -> None:
+def test_fit_has_the_memory_limit_of_the_settings(own_server: StartServer, data: bytes) -> None:
     memory_mb = 768
     server = own_server(fit_memory_mb=str(memory_mb))
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]

@@ -160,9 +160,7 @@ def test_samples_of_a_table_are_given_all_or_some(server: Server, table: bytes, 
     assert "is a grid" in assert_problem(server.http.get(f"/v1/measurements/{stored}/samples.npy"), 404)
 
 
-def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
-    own_server: StartServer, table: bytes
-) -> None:
+def test_table_is_fitted_after_a_kill_as_by_the_library_without_pictures(own_server: StartServer, table: bytes) -> None:
     server = own_server()
     uploaded = post(server, table, "felt.csv")
     server.stop(9)
@@ -202,9 +200,7 @@ def test_after_a_kill_a_table_is_fitted_as_by_the_library_and_has_no_pictures(
     ],
     ids=["cut off", "rows without end", "no text", "too long"],
 )
-def test_what_is_wrong_is_told_soon_and_nothing_is_stored(
-    server: Server, name: str, content: bytes, status: int, words: str
-) -> None:
+def test_wrong_file_is_told_and_not_stored(server: Server, name: str, content: bytes, status: int, words: str) -> None:
     before = sorted(server.files())
     assert words in assert_problem(post(server, content, name), status)  # The client waits a minute at most.
     assert sorted(server.files()) == before
@@ -285,7 +281,7 @@ HARMS: list[Callable[[Path], None]] = [Path.unlink, cut, flip]
 
 
 @pytest.mark.parametrize("harm", HARMS)
-def test_every_reader_refuses_a_damaged_file_in_the_same_way(
+def test_every_reader_refuses_a_damaged_file(
     used: tuple[Server, str, str], data: bytes, harm: Callable[[Path], None]
 ) -> None:
     server, sha256, fit = used

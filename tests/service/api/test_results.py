@@ -23,9 +23,7 @@ from tests.support.server import Guarded, Server, assert_problem
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
 
 
-def test_components_are_the_documents_of_the_library_and_lead_the_fits_document(
-    server: Server, fitted: str, model: dsbrdf.DSBRDF
-) -> None:
+def test_components_of_the_library_lead_the_document(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
     items = server.http.get(f"/v1/fits/{fitted}/components").json()["items"]
     fit = server.http.get(f"/v1/fits/{fitted}").json()
     assert fit["components"] == items == json.loads(json.dumps(component_documents(model)))

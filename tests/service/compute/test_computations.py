@@ -146,9 +146,7 @@ async def test_keys_take_turns_with_long_batches(running: Application, key: str,
     assert bodies.index(LONG_BATCH[:-2] + b",1]}") <= 2
 
 
-async def test_full_disk_under_an_export_is_507(
-    running: Application, key: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_full_disk_at_an_export_is_507(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(results, "export_step", lambda *_: Path("/dev/full").write_bytes(b"a table"))
     answer = await running.ask(f"{FIT_PATH}/export?format=merl", key).end()
     assert (answer.status, json.loads(answer.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")

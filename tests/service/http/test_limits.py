@@ -73,9 +73,7 @@ def test_stalled_body_times_out(impatient: Server, data: bytes) -> None:
     ("path", "media_type", "length"),
     [("/v1/measurements", "application/octet-stream", FILE_SIZE), ("/v1/fits", "application/json", 1000)],
 )
-def test_body_below_the_minimum_rate_times_out(
-    impatient: Server, data: bytes, path: str, media_type: str, length: int
-) -> None:
+def test_too_slow_body_times_out(impatient: Server, data: bytes, path: str, media_type: str, length: int) -> None:
     before = impatient.files()
     with impatient.connection(head_of_upload(length, path, content_type=media_type)) as connection:
         assert problem(trickle(connection, data[:400])) == (408, "request-timeout")

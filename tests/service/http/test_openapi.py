@@ -269,9 +269,7 @@ def file(path: Path) -> Any:
 
 
 @pytest.mark.slow
-def test_generated_client_sends_and_reads_what_the_document_describes(
-    call: Callable[..., Any], plastic_file: Path
-) -> None:
+def test_generated_client_sends_and_reads_what_is_described(call: Callable[..., Any], plastic_file: Path) -> None:
     stored = call("measurements.upload_measurement", body=file(plastic_file)).parsed
     assert call("measurements.download_measurement", stored.sha256).content == plastic_file.read_bytes()
     request = model("FitRequest").from_dict({"measurement": stored.sha256, "options": QUICK})

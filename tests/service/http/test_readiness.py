@@ -26,9 +26,7 @@ from tests.support.server import QUICK, StartServer, assert_problem
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 
 
-def test_locked_database_is_not_ready_but_alive_and_what_is_known_is_answered(
-    own_server: StartServer, data: bytes
-) -> None:
+def test_locked_database_is_not_ready_but_known_fits_are_answered(own_server: StartServer, data: bytes) -> None:
     limit = 0.5  # [s] The service's own limits are several seconds.
     server = own_server(
         constants={f"{database.__name__}._BUSY_TIMEOUT": limit, f"{monitoring.__name__}.READY_TIMEOUT_S": limit}
@@ -71,9 +69,7 @@ def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: StartServ
     assert server.submit(sha256, **QUICK).json()["status"] == "succeeded"
 
 
-def test_removed_socket_of_the_fork_server_is_not_ready_until_the_next_start(
-    own_server: StartServer, data: bytes
-) -> None:
+def test_removed_socket_of_fork_server_is_not_ready_until_next_start(own_server: StartServer, data: bytes) -> None:
     server = own_server()
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
     shutil.rmtree(server.data_dir / "run")
@@ -87,9 +83,7 @@ def test_removed_socket_of_the_fork_server_is_not_ready_until_the_next_start(
     assert server.http.get(f"/v1/fits/{fit}?wait=60").json()["status"] == "succeeded"
 
 
-async def test_nearly_full_disk_and_damaged_database_are_not_ready(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_full_disk_and_damaged_database_are_not_ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise sqlite3.DatabaseError("database disk image is malformed")
 

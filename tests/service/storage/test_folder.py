@@ -85,7 +85,7 @@ def snapshot(folder: Path) -> dict[str, tuple[int, int, object]]:
 
 @pytest.mark.parametrize("kind", MAKE)
 @pytest.mark.parametrize("names", [[FILE_NAME, "a letter"], [FILE_NAME, "blobs"], [f"{FILE_NAME}-wal"], ["tmp", "run"]])
-def test_folder_that_is_not_the_services_is_refused_and_left_as_it_is(
+def test_foreign_folder_is_left_as_it_is(
     folder: Path, refused: Callable[..., str], kind: str, names: list[str]
 ) -> None:
     folder.mkdir()
@@ -98,7 +98,7 @@ def test_folder_that_is_not_the_services_is_refused_and_left_as_it_is(
 
 @pytest.mark.parametrize("kind", ["a file", "a link to a folder", "a link to nothing"])
 @pytest.mark.parametrize("name", ["run", "tmp", "blobs"])
-def test_what_is_in_the_place_of_a_folder_is_named_and_left_as_it_is(
+def test_what_replaces_a_folder_is_named_and_left(
     folder: Path, refused: Callable[..., str], kind: str, name: str
 ) -> None:
     Database(folder).close()

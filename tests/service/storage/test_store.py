@@ -124,9 +124,7 @@ def test_transactions_are_synced_to_the_disk_before_they_end(store: Store) -> No
 
 @pytest.mark.parametrize("suffix", ["", "-wal", "-shm"])
 @pytest.mark.parametrize("replaced", [True, False])
-def test_nothing_is_written_to_a_database_that_was_removed_or_replaced(
-    store: Store, tmp_path: Path, suffix: str, replaced: bool
-) -> None:
+def test_lost_database_is_not_written(store: Store, tmp_path: Path, suffix: str, replaced: bool) -> None:
     path = tmp_path / f"{FILE_NAME}{suffix}"
     shutil.copy(path, tmp_path / "copy")
     lost = pytest.raises(DatabaseLostError, match=f"{path.name} has been removed or replaced")
@@ -209,9 +207,7 @@ def change(folder: Path, *statements: str) -> None:
         ("name = CAST(x'41ff' AS TEXT)", "accepted"),
     ],
 )
-def test_damaged_row_is_listed_and_examined_and_can_be_deleted(
-    store: Store, tmp_path: Path, damage: str, status: str
-) -> None:
+def test_damaged_row_is_listed_examined_and_deleted(store: Store, tmp_path: Path, damage: str, status: str) -> None:
     sha256 = add(store)
     key, other = (store.add_fit(LOCAL, sha256, {"n_lobes": number}, 10)[0].key for number in (1, 2))
     assert check_database(tmp_path) == (True, "intact, 2 fits")

@@ -66,9 +66,7 @@ def painted(visit: Visit, site: Site, **options: Any) -> Page:
     return page
 
 
-def test_fit_and_measurement_are_shown_as_the_library_renders_them(
-    visit: Visit, site: Site, plastic: Measurement
-) -> None:
+def test_spheres_are_shown_as_the_library_renders_them(visit: Visit, site: Site, plastic: Measurement) -> None:
     page, model = painted(visit, site), site.model(site.fits["glossy"])
     shown = pixels(page)
     size = len(shown)
