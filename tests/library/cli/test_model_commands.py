@@ -68,6 +68,12 @@ def test_text_holds_at_60_columns(words: list[str], model_file: Path, monkeypatc
     assert [line for line in lines if len(line) > 60 and not line.startswith("warning")] == []
 
 
+def test_values_of_a_component_are_those_of_the_library(model_file: Path) -> None:
+    words = ("--theta-half", "0.5", "12", "--theta-diff", "45", "--component", "diffuse", "--json")
+    expected = decompose(load_fit(model_file).model)["diffuse"].evaluate(np.radians([0.5, 12.0]), np.radians(45.0))
+    np.testing.assert_array_equal(document("eval", model_file, *words)["values"], expected)
+
+
 def test_decompose_prints_the_components(model_file: Path) -> None:
     items = document("decompose", model_file, "--json")["items"]
     lines = printed("decompose", model_file).splitlines()

@@ -95,6 +95,8 @@ def test_a_measurement_is_evaluated_between_its_nodes_and_nan_where_nothing_was_
     at_nodes = holed.evaluate(THETA_HALF[row], THETA_DIFF[diff], PHI_DIFF[column])
     np.testing.assert_allclose(at_nodes, holed.values[:, row, diff, column].T, rtol=1e-5)
     assert holed.evaluate(0.1, 0.2).shape == (3,)
+    with pytest.raises(InvalidArgumentError, match="finite"):
+        holed.evaluate(0.1, np.nan, 0.0)
 
 
 def test_a_channel_below_0_beside_a_valid_one_is_0(plastic: Measurement) -> None:

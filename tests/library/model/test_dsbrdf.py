@@ -133,6 +133,13 @@ def test_copies_are_equal_read_only_and_hash_alike() -> None:
             assert not other.kappa.flags.writeable
 
 
+def test_numbers_that_count() -> None:
+    model = random_model()  # One of its four lobes has a center.
+    assert model.is_ring.tolist() == [False, True, False, False]
+    assert model.n_numbers == 3 * 6 * 4 + 6 * 4 + 6 * 4 + 6 + 5 * 4
+    assert papers_model().n_numbers == 3 * 4 * 3 * 3 + 3 * 4
+
+
 def test_a_model_has_arrays_of_its_own() -> None:
     kappa = np.ones((3, 4, 2))
     model = DSBRDF(SLICES, kappa, kappa, kappa, interpolation="linear")

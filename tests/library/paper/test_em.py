@@ -132,8 +132,8 @@ def test_kappa_keeps_below_its_bound_and_gamma_is_fitted_to_it() -> None:
 
 
 def test_more_lobes_than_data_have_stay_finite() -> None:
-    mean, weight = np.zeros((2, 1, ANGLES.size))
-    mean[0, 3:6], weight[0, 3:6] = [1e5, 2e5, 1e4], 1.0
+    mean, weight = np.zeros((2, 2, ANGLES.size))  # The second slice is black.
+    mean[0, 3:6], weight[0, 3:6], weight[1] = [1e5, 2e5, 1e4], 1.0, 1.0
     found = em.fit_slices(ANGLES, mean, weight, 8)
     assert np.isfinite([found.kappa, found.gamma]).all()
     assert np.isfinite(mixture(found.kappa, found.gamma)).all()
