@@ -190,6 +190,7 @@ MISTAKES = {
     "render model.json -o a.png --lighting moon": "moon",
     "render model.json -o a.png --lighting bad.exr": "bad.exr: A panorama must be an OpenEXR picture; save it as .exr",
     "render model.json -o a.png --lighting room.hdr": "must be three_lights, environment or an .exr file",
+    "compare felt.csv felt.csv": "fit it first",
     "render felt.csv -o a.png": "felt.csv: the file is a table of samples, not a measurement on a grid",
     # convert
     "convert plastic.binary out.png": "the output must end in .binary, .bsdf or .csv",

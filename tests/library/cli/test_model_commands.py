@@ -21,7 +21,6 @@ from dsbrdf.output import export_model, from_json
 from dsbrdf.output.export import part_of
 from dsbrdf.rendering import displayed
 from tests.support.command_line import FEW_LOBES, document, load_fit, printed, run, sentence
-from tests.support.mixtures import samples_table, scattered_samples
 
 pytestmark = pytest.mark.slow
 
@@ -244,17 +243,6 @@ def test_compare_with_its_fit(model_file: Path, plastic_file: Path, two_lobe_fit
     count = 3 + len(decompose(two_lobe_fit).labels)
     assert spheres.shape == (256, count * 256, 3)
     assert all(part.max() > 0.5 for part in np.split(names, count, axis=1))  # each sphere has its name above it
-
-
-def test_samples_are_drawn_beside_the_fit_and_compared_with_it(model_file: Path, tmp_path: Path) -> None:
-    table, pictures = tmp_path / "table.csv", [tmp_path / "plot.png", tmp_path / "compare.png"]
-    samples = scattered_samples(load_fit(model_file).model, 200)
-    table.write_bytes(samples_table(replace(samples, values=1.1 * samples.values)))
-    run("plot", table, model_file, "-o", pictures[0])
-    answer = document("compare", model_file, table, "-o", pictures[1], "--json")
-    assert answer["likeness"] == {"relative_rms": pytest.approx(1.0 - 1.0 / 1.1, rel=1e-6)}
-    assert pixels_of(pictures[0]).shape == pixels_of(pictures[1]).shape
-    assert "fit it first" in sentence("compare", table, table)
 
 
 def test_ggx_and_a_function_in_a_file_are_compared_with_a_measurement(plastic_file: Path, tmp_path: Path) -> None:

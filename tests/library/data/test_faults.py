@@ -1,10 +1,12 @@
 """Synthetic materials, and faults of measurements: noticed, while good measurements are not blamed."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import dsbrdf
 from dsbrdf import InvalidArgumentError, Measurement, profiles
@@ -24,8 +26,12 @@ from dsbrdf.model import directional_albedo
 from tests.support.random_models import random_model
 
 CUTOFF = float(np.radians(80.0))
-LOWEST = np.minimum(*incident_cosines(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF))
-BEYOND = np.cos(CUTOFF) > LOWEST
+
+
+@cache
+def beyond_cutoff() -> NDArray[np.bool_]:
+    lowest = np.minimum(*incident_cosines(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF))
+    return np.asarray(np.cos(CUTOFF) > lowest)
 
 
 def changed(measurement: Measurement, change: Callable[[Array], Array]) -> Measurement:
@@ -44,7 +50,7 @@ def in_8_bits(values: Array) -> Array:
 
 def with_garbage(values: Array) -> Array:
     factors = np.exp(1.5 * np.random.default_rng(0).standard_normal(values.shape))
-    return np.where(BEYOND, values * factors, values)
+    return np.where(beyond_cutoff(), values * factors, values)
 
 
 def outside_gamut(values: Array) -> Array:
@@ -107,7 +113,9 @@ def test_samples_of_a_clipped_highlight_count_as_lower_bounds(metal: Measurement
 
 
 def test_garbage_beyond_a_cutoff_changes_nothing_inside(plastic: Measurement) -> None:
-    spoiled = [changed(plastic, fault) for fault in (with_garbage, lambda values: np.where(BEYOND, 0.0, values))]
+    spoiled = [
+        changed(plastic, fault) for fault in (with_garbage, lambda values: np.where(beyond_cutoff(), 0.0, values))
+    ]
     models = (dsbrdf.fit(data, n_lobes=1, ring_lobes=0).model for data in (plastic, *spoiled))
     good, *found = (relative_errors(sample_errors(model, plastic, CUTOFF)) for model in models)
     assert good is not None

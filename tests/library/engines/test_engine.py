@@ -53,6 +53,22 @@ pytestmark = [
 NO_DATA_LEFT = FitOptions(method="paper", n_lobes=8, mask=10.0, horizon_cutoff_deg=1.7)
 
 
+@pytest.fixture(autouse=True)
+def impatience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let checks of a cluster, which the tests wait for, find it lost soon: a good one is checked again each time."""
+    monkeypatch.setattr(dask, "_CLUSTER_CHECK_LIFETIME_S", 0.0)
+    monkeypatch.setattr(dask, "_SCHEDULER_TIMEOUT_S", 1.0)
+
+
+@pytest.fixture(autouse=True)
+def sockets_that_dask_leaves() -> Iterator[None]:
+    """Collect them here: a Dask client that is closed while it connects does not close its socket."""
+    yield
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "unclosed <socket", ResourceWarning)
+        gc.collect()
+
+
 @pytest.fixture(params=["local", pytest.param("dask", marks=pytest.mark.soak)])
 def stage(request: pytest.FixtureRequest) -> Stage:
     return Stage(None if request.param == "local" else request.getfixturevalue("cluster"))
@@ -168,22 +184,6 @@ def test_without_fork_server_processes_are_spawned(plastic_file: Path, monkeypat
     assert not forked(os.getpid())
     assert isinstance(outcome, FitDocument)
     assert shares[-1] == 1.0
-
-
-@pytest.fixture(autouse=True)
-def impatience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let checks of a cluster, which the tests wait for, find it lost soon: a good one is checked again each time."""
-    monkeypatch.setattr(dask, "_CLUSTER_CHECK_LIFETIME_S", 0.0)
-    monkeypatch.setattr(dask, "_SCHEDULER_TIMEOUT_S", 1.0)
-
-
-@pytest.fixture(autouse=True)
-def sockets_that_dask_leaves() -> Iterator[None]:
-    """Collect them here: a Dask client that is closed while it connects does not close its socket."""
-    yield
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "unclosed <socket", ResourceWarning)
-        gc.collect()
 
 
 @pytest.mark.filterwarnings("ignore::dsbrdf.errors.ConvergenceWarning")

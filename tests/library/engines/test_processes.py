@@ -63,7 +63,7 @@ def test_what_a_process_does_to_itself_is_a_crash(processes: Processes) -> None:
 
 
 def test_process_that_stops_while_it_sends_holds_up_no_other() -> None:
-    with closing(Processes(2, FitLimits(seconds=3.0))) as processes:
+    with closing(Processes(2, FitLimits(seconds=1.5))) as processes:
         stopped = processes.call(stop_itself)
         while not stopped.done():
             assert processes.call(do_nothing).result(PATIENCE) is None

@@ -42,7 +42,9 @@ PAIRS = pairs_of_directions(2000, lowest=float(np.cos(np.radians(80.0))), spread
 
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_values_and_derivatives_in_other_libraries(library: str, tmp_path: Path) -> None:
-    sources: dict[str, DSBRDF | LayeredModel] = {"model": TWO_KNOT_MODEL, "layers": LayeredModel(LAYERS.layers[1:])}
+    sources: dict[str, DSBRDF | LayeredModel] = {"model": TWO_KNOT_MODEL}
+    if library != "jax":  # It compiles for a second what is written as the model is.
+        sources["layers"] = LayeredModel(LAYERS.layers[1:])
     for name, source in sources.items():
         (tmp_path / f"{name}.py").write_bytes(export_model(source, "python"))
     modules = {name: loaded(tmp_path / f"{name}.py") for name in sources}
