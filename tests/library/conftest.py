@@ -11,7 +11,7 @@ from dsbrdf import FitResult, Measurement, Profiles, fit, profiles, save
 from dsbrdf.model import sampling
 from dsbrdf.output.export import glsl, mitsuba
 from tests.support.command_line import load_fit
-from tests.support.mixtures import COARSE_ANGLES, mixture, samples_table, scattered_samples
+from tests.support.mixtures import COARSE_ANGLES
 
 
 @pytest.fixture(scope="session")
@@ -59,12 +59,4 @@ def model_file(two_lobe_fit: FitResult, tmp_path_factory: pytest.TempPathFactory
     """What ``dsbrdf fit`` stores for the plastic; tests must not change it."""
     path = tmp_path_factory.mktemp("models") / "plastic.json"
     save(two_lobe_fit, path)
-    return path
-
-
-@pytest.fixture(scope="session")
-def samples_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A table of a few samples; tests must not change it."""
-    path = tmp_path_factory.mktemp("samples") / "samples.csv"
-    path.write_bytes(samples_table(scattered_samples(mixture(1, 0), 60)))
     return path

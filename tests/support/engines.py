@@ -22,7 +22,6 @@ T = TypeVar("T")
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=3)
 MIDDLE = FitOptions(method="paper", n_lobes=4, em_iterations=40)
 SLOW_FIT = FitOptions(n_lobes=8, ring_lobes=2)
-OF_SAMPLES = FitOptions(n_lobes=1, ring_lobes=0)
 ENDLESS = endless_fit.OPTIONS
 LIMITS = FitLimits(seconds=120.0, memory_mb=4096)
 PATIENCE = 120.0

@@ -27,7 +27,6 @@ from tests.support.engines import (
     ENDLESS,
     LIMITS,
     MIDDLE,
-    OF_SAMPLES,
     PATIENCE,
     QUICK,
     SLOW_FIT,
@@ -74,22 +73,12 @@ def stage(request: pytest.FixtureRequest) -> Stage:
     return Stage(None if request.param == "local" else request.getfixturevalue("cluster"))
 
 
-@pytest.mark.parametrize(
-    ("data", "options"),
-    [
-        ("plastic", FitOptions(2, "paper", em_iterations=5, weighting="log", robust=True, horizon_cutoff_deg=69)),
-        ("samples", OF_SAMPLES),
-    ],
-    ids=["paper, log and robust", "scattered samples"],
-)
-def test_result_equals_that_of_the_library_bit_for_bit(
-    stage: Stage, data: str, options: FitOptions, request: pytest.FixtureRequest
-) -> None:
-    path: Path = request.getfixturevalue(f"{data}_file")
-    expected, said = fitted_by_library(path, options)
-    outcome, shares = run(stage, FitTask("one", path, options, with_thumbnail=True))
+def test_result_equals_that_of_the_library_bit_for_bit(stage: Stage, plastic_file: Path) -> None:
+    options = FitOptions(2, "paper", em_iterations=5, weighting="log", robust=True, horizon_cutoff_deg=69)
+    expected, said = fitted_by_library(plastic_file, options)
+    outcome, shares = run(stage, FitTask("one", plastic_file, options, with_thumbnail=True))
     assert isinstance(outcome, FitDocument)
-    assert outcome.thumbnail == thumbnail(expected.model, read_measurement(path))
+    assert outcome.thumbnail == thumbnail(expected.model, read_measurement(plastic_file))
     assert_same(outcome, expected)
     report = result_from_json(outcome.text).report
     assert list(report.timings) == list(expected.report.timings)

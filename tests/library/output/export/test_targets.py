@@ -58,7 +58,7 @@ COMPONENTS: dict[str, tuple[DSBRDF, int]] = {
 }
 NAMES = (*MODELS, *LAYERED, *COMPONENTS)
 WEIGHTED = ("part of mixture", "only part")
-SAMPLED = ("mixture", "coat over metal")
+SAMPLED = ("mixture",)
 PAIRS = known_models.pairs_of_directions(128 * 16, lowest=0.05, spread=0.03)
 """Pairs in single precision, in 16 rows of 128 pixels; the directions are not quite of length 1."""
 BELOW = np.array([[0.6, 0.0, 0.8], [0.6, 0.0, -0.8]])
