@@ -155,6 +155,13 @@ def test_figures_are_encoded_as_png_svg_and_pdf_without_pyplot(lobes: Figure, mo
         encode_figure(lobes, "bmp")
 
 
+def test_component_that_nobody_can_see_has_no_sphere() -> None:
+    titles = ("measured", "fit", "difference x 4", "specular spike", "diffuse")
+    brightest = (1.0, 1.0, 0.02, 1.0, 0.05)
+    panels = {title: np.full((8, 8, 3), value) for title, value in zip(titles, brightest, strict=True)}
+    assert list(SphereComparison(panels, 1.0, 40.0, 1.0, "under three lights").seen) == list(titles[:4])
+
+
 def test_panels_have_the_exposure_of_the_measurement(plastic: Measurement) -> None:
     found = compare_spheres(plastic, PAINT, size=24)
     measured, fitted = (render_sphere(source, size=24) for source in (plastic, PAINT))
