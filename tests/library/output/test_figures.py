@@ -31,6 +31,7 @@ from dsbrdf.output.figures import lobes_figure, overview_figure, parameters_figu
 from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
 from dsbrdf.output.sphere_panels import (
     DIFFERENCE_GAIN,
+    SphereComparison,
     compare_spheres,
     encode_png,
     side_by_side,
