@@ -156,4 +156,6 @@ def test_fit_gets_another_name_or_none(server: Server, fitted: str) -> None:
         assert answer.json() == server.http.get(path).json() == {**before, "name": name}
     for wrong in ({"name": "a/b"}, {"name": ""}, {"name": 3}, {}, {"name": "a", "status": "failed"}):
         assert_problem(server.http.patch(path, json=wrong), 422, "invalid-argument")
+    text = server.http.patch(path, content=b'{"name": "a"}', headers={"Content-Type": "text/plain"})
+    assert_problem(text, 415, "unsupported-media-type")
     assert_problem(server.http.patch(f"/v1/fits/{'0' * 32}", json={"name": "a"}), 404, "not-found")
