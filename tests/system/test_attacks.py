@@ -131,6 +131,7 @@ HEADS_OF_UPLOADS = [
     *(f"Transfer-Encoding: {coding}" for coding in ("gzip", "chunked, identity", "chunked\r\n\r\nZZZ")),
     *(f"Content-Length: 0\r\nContent-Type: {kind}" for kind in ("application/x-python-pickle", "multipart/form-data")),
     *(f"Content-Length: 0\r\nContent-Encoding: {coding}" for coding in ("br", "gzip, gzip", "../x")),
+    "Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0",
 ]
 
 
