@@ -22,7 +22,7 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.components.layer_fit import FittedStructure, structure_weights
 from dsbrdf.components.layer_priors import MAX_ALPHA
-from dsbrdf.components.layers import GRAZING_ANGLE, DiffuseLayer, Layer, LayeredModel, RetroLayer, SpecularLayer
+from dsbrdf.components.layers import GRAZING_ANGLE, DiffuseLayer, Layer, LayeredModel, SheenLayer, SpecularLayer
 from dsbrdf.components.points import NORMAL, Points
 
 LABELS = ("specular_spike", "specular_lobe", "diffuse")
@@ -297,13 +297,8 @@ def _spread(found: FittedStructure) -> float:
     Errors of layers are alike over the width of a highlight, so a rougher surface has fewer independent samples. Sheen
     is at least as wide as the roughest surface.
     """
-    layers = found.model.layers
-    alphas = [
-        one.alpha if isinstance(one, SpecularLayer | RetroLayer) else MAX_ALPHA
-        for one in layers
-        if not isinstance(one, DiffuseLayer)
-    ]
-    widest = max(alphas, default=0.0)
+    layers = [one for one in found.model.layers if not isinstance(one, DiffuseLayer)]
+    widest = max((MAX_ALPHA if isinstance(one, SheenLayer) else one.alpha for one in layers), default=0.0)
     return float(np.hypot(_MIN_SPREAD, widest / _ALPHA_OF_UNIT_SPREAD))
 
 

@@ -9,6 +9,7 @@ from scipy.integrate import quad
 import dsbrdf
 from dsbrdf import DSBRDF, InvalidArgumentError, Measurement, decompose
 from dsbrdf.components import LABELS
+from dsbrdf.components.shares import SPIKE_HALF_WIDTH
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, synthetic_measurement
 from dsbrdf.model import FAMILIES
 from dsbrdf.model.lobes import gamma_of_half_width
@@ -121,6 +122,12 @@ def test_known_lobes_get_their_labels_and_come_back(groups: Any, labels: tuple[s
         np.testing.assert_allclose(component.albedo, student_model(*lobes).albedo(0.0), rtol=0.15)
         if component.half_width is not None:
             assert np.degrees(component.half_width) == pytest.approx(lobes[0][0], rel=0.15)
+
+
+def test_no_lobe_is_narrower_than_the_spike() -> None:
+    for part in decompose(random_model(182)):  # Its layers' labels contradict the widths of 2.7 and 5.4 degrees.
+        width = part.description.surface_half_width
+        assert width is None or (part.label == "specular_spike") == (width < SPIKE_HALF_WIDTH)
 
 
 def test_a_component_says_its_physical_parameters_with_ranges(paint_model: DSBRDF) -> None:
