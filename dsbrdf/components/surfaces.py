@@ -23,6 +23,7 @@ MAX_PEAK_MISFIT = 0.25  # A component whose peak value differs more from its lay
 MAX_COLOR_MISFIT = 0.15  # A component whose colour differs more from its layers has no F0 (relative error).
 MAX_WIDTH_MISFIT = 0.3  # A component whose half width differs more from its layers has no alpha (relative error).
 MAX_ALBEDO_MISFIT = 0.12  # A component whose albedo differs more from its layers has no F0 (relative error).
+_MAX_LOG_FACTOR = 200.0  # A factor between a value and an end of its range is at most e to this power, and so finite.
 _N_COMPARED_ALBEDOS = 2  # The error of the albedo at the third angle of `light_rules` widens ranges only.
 _PEAK_THETA_DIFF = np.radians([0.0, 15.0, 30.0, 45.0])
 _WIDTH_THETA_DIFF = np.radians(15.0)
@@ -293,7 +294,7 @@ def _smith_lambda(alpha: float, freedom: float) -> float:
 
 def _around(value: float, variance: float) -> Range:
     """Return the 90 % range of a positive value from the variance of its logarithm."""
-    factor = float(np.exp(RANGE_HALF_WIDTH_SIGMAS * np.sqrt(variance)))
+    factor = float(np.exp(min(RANGE_HALF_WIDTH_SIGMAS * np.sqrt(variance), _MAX_LOG_FACTOR)))
     return value / factor, value * factor
 
 
