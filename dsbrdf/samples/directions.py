@@ -28,9 +28,18 @@ from dsbrdf.samples.columns import (
     FoundColumns,
     find_columns,
 )
-from dsbrdf.samples.names import ANGLE_UNITS, COSINE, HALF_DIFFERENCE, VECTORS, includes_cosine
+from dsbrdf.samples.names import ANGLE_UNITS, COSINE, HALF_DIFFERENCE, TRISTIMULUS, VECTORS, includes_cosine
 from dsbrdf.samples.table_options import TableOptions
-from dsbrdf.samples.values import NO_UNIT, about_values, in_nanometres, largest_of, of_rows, rgb_of, written_values
+from dsbrdf.samples.values import (
+    NO_UNIT,
+    about_gamut,
+    about_values,
+    in_nanometres,
+    largest_of,
+    of_rows,
+    rgb_of,
+    written_values,
+)
 
 _MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
 _MAX_THETA_RAD = (
@@ -89,6 +98,7 @@ def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
         *_about_directions(found, is_turned=options.phi == "mirror"),
         *_about_unread(table, {column.written for column in columns.values()}),
         *about_values(found, wavelengths, options),
+        *(about_gamut(numbers[:, 6:9]) if wavelengths.size > 1 or found.values == TRISTIMULUS else ()),
     )
     is_grey = found.values == GREY and wavelengths.size == 0
     return SampleRows(numbers, written, tuple(notes), found.description, table.n_rows, is_grey)

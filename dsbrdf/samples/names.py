@@ -19,7 +19,7 @@ _SIDE_WORDS = {
 _ANGLE_WORDS = {
     "theta": "theta zenith polar zen za z",
     "phi": "phi azimuth azimuthal azimut azim azm azi az aa a",
-    "elevation": "elevation altitude",
+    "elevation": "elevation altitude grazing glancing",
 }
 _SIDES = {word: side for side, words in _SIDE_WORDS.items() for word in words.split()}
 _ANGLES = {word: angle for angle, words in _ANGLE_WORDS.items() for word in words.split()}

@@ -288,6 +288,11 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
         return values
     lowest, largest, allowed = -values.min(), values.max(), MAX_NOISE_FRACTION
     several, they_count = ("1 value is", "it counts") if count == 1 else (f"{count} values are", "they count")
+    if 2 * count > values.size:
+        raise MeasurementFormatError(
+            f"Most values are negative, down to {-lowest:.4g}, which no BRDF is: if they are decibels or other "
+            "logarithms, write the values themselves, in 1/sr."
+        )
     if lowest > allowed * largest or -values[negative].sum() > allowed * values[~negative].sum():
         raise MeasurementFormatError(
             f"{several} negative, down to {-lowest:.4g}, more than noise about zero explains: if they stand for what "

@@ -210,6 +210,15 @@ def about_values(found: FoundColumns, wavelengths: Array, options: TableOptions)
         yield from _about_bands(wavelengths)
 
 
+def about_gamut(rgb: Array) -> list[str]:
+    """Return a sentence on samples (n, 3), converted to linear sRGB, that have a channel at 0 beside another above 0."""
+    outside = (rgb == 0.0) & (rgb.max(axis=1, keepdims=True) > 0.0)
+    if not outside.any():
+        return []
+    names = " and ".join(name for name, of in zip(CHANNELS, outside.T, strict=True) if of.any())
+    return [f"In {outside.any(axis=1).mean():.1%} of the rows the colour is outside of sRGB: {names} below 0 count as 0."]
+
+
 def _about_bands(wavelengths: Array) -> Iterator[str]:
     visible = wavelengths[_is_visible(wavelengths)]
     if visible.size == 1:

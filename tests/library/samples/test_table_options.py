@@ -120,7 +120,7 @@ def test_names_of_instruments_are_known(names: tuple[str, ...]) -> None:
 
 def test_an_elevation_is_from_the_horizon() -> None:
     columns = np.hstack([np.abs([90.0, 0.0, 90.0, 0.0] - ANGLES), GREY[:, :1]])
-    samples = parse_samples(table(("light elevation", "phi_in", "elevation", "azimuth", "value"), columns))
+    samples = parse_samples(table(("light grazing angle", "phi_in", "elevation", "azimuth", "value"), columns))
     check_same(samples, ANGLES, GREY)
     assert any("theta_out is 90 degrees minus it" in note for note in samples.notes)
 
