@@ -219,7 +219,7 @@ def _fit_samples(
     metrics = replace(metrics, relative_rms_left_out=left_out, relative_rms_expected=expected)
     findings = (
         *(Finding("reading", sentence) for sentence in samples.notes),
-        *(Finding("doubtful-table", sentence) for sentence in doubts.sentences),
+        *doubts.findings,
         *sample_findings(samples, metrics, prediction.layers.found[0].structure.name, FEW_SAMPLES),
         *(Finding("unconfirmed-sample", sentence) for sentence in unconfirmed_sample(known, without)),
         *result.report.findings_of_fit,

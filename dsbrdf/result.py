@@ -36,6 +36,8 @@ The data of all reference materials reach 88 degrees.
 """
 _MAX_ALBEDO = 1.0 + 5e-4
 """A smaller albedo would be printed as 1.000, so there is no warning; the reference materials reach 0.93."""
+_MIN_ALBEDO = 1e-3
+"""A material that reflects less at every angle is probably in a wrong unit; black velvet reflects 0.004."""
 _MAX_RELATIVE_ASYMMETRY = 0.15
 """Noise of 20 % on each sample causes this relative difference between samples that are equal by symmetry.
 
@@ -188,7 +190,7 @@ def fit_findings(
     in_slices: bool = False,
     is_unit_wrong: bool = False,
 ) -> Iterator[Finding]:
-    """Yield findings about the convergence of a fit, missing data and a too large albedo.
+    """Yield findings about the convergence of a fit, missing data, and an albedo too large or too small.
 
     If `is_unit_wrong`, `dsbrdf.samples.doubts` has already found the unit wrong, and the albedo says nothing.
     """
@@ -214,6 +216,13 @@ def fit_findings(
             f"The model reflects more light than it receives: its directional albedo is {largest:.3f} at {angle:.0f} "
             f"degrees in the {CHANNELS[channel]} channel, so that rendered images can become too bright.",
             {"albedo": largest, "theta_out_deg": angle},
+        )
+    if largest < _MIN_ALBEDO:
+        yield Finding(
+            "albedo-near-0",
+            f"The model reflects at most {largest:.2g} of the light, less than black velvet, which reflects 0.004: "
+            "check the unit of the values.",
+            {"albedo": largest},
         )
 
 

@@ -194,11 +194,25 @@ def _sweep_findings(folded: FoldedProfiles) -> Iterator[Finding]:
         )
 
 
+def channel_findings(values: Array) -> Iterator[Finding]:
+    """Yield a finding if a channel of the values (3, n) is the same everywhere, and another is not."""
+    spread = np.ptp(values, axis=1)
+    if spread.max() > 0.0 and (constant := np.flatnonzero(spread == 0.0)).size:
+        names = " and ".join(CHANNELS[channel] for channel in constant)
+        value = float(values[constant[0], 0])
+        yield Finding(
+            "constant-channel",
+            f"All values of {names} are {value:.3g}/sr, and other channels vary: check the measurement of {names}.",
+            {"value": value},
+        )
+
+
 def value_findings(measurement: Measurement) -> Iterator[Finding]:
-    """Yield what single samples tell: colours outside of sRGB, and values of few levels."""
+    """Yield what single samples tell: a constant channel, colours outside of sRGB, and values of few levels."""
     nodes = np.flatnonzero(measurement.valid)
     nodes = nodes[:: max(nodes.size // _SAMPLED_NODES, 1)]
     values = measurement.stored.reshape(3, -1)[:, nodes] * measurement.scale[:, np.newaxis]
+    yield from channel_findings(values)
     below = (values < 0.0).mean(axis=1)
     share = float(below.max())
     if share > _MIN_OUTSIDE_FRACTION:

@@ -1,4 +1,4 @@
-"""Check samples for wrong units, a cosine in the values, a turned plane, and highlights of a single sample.
+"""Check samples for a saturated detector, wrong units, a cosine in the values, a turned plane, and single peaks.
 
 This module changes no value. A wrong factor is detected by energy alone: if a lower bound of the albedo is above 1, the
 samples reflect more light than they receive. The bound takes the minimum of neighbouring samples over theta_half, so
@@ -20,7 +20,9 @@ from scipy.linalg import solve_triangular
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.points import Points
-from dsbrdf.data.geometry import half_difference, spherical
+from dsbrdf.data.faults import MIN_CLIPPED_FRACTION, channel_findings
+from dsbrdf.data.geometry import CHANNELS, half_difference, spherical
+from dsbrdf.findings import Finding
 from dsbrdf.samples.prediction import smooth_covariance, thinned
 from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
@@ -66,6 +68,11 @@ _MIN_TURNED_LEAD = 50.0
 # A sample near the mirror direction is reported as a spike if it exceeds its neighbours by more than this factor.
 _SPIKE_FACTOR = 8.0
 _SPIKE_THETA_HALF = np.radians(3.0)
+# A highlight is clipped only if its largest value occurs at this number of different half and difference angles.
+_MIN_CLIPPED_PLACES = 4
+_PLACE_DEG = 0.5  # Angles are rounded to this step before they are compared.
+# A table with fewer different values is too coarse to tell a clipped highlight from a rounded one.
+_MIN_LEVELS = 20
 
 
 @dataclass(frozen=True)
@@ -76,12 +83,17 @@ class SampleDoubts:
     ----------
     factor : float
         Factor that gives the samples a usual albedo; 1 if their albedo is usual already.
-    sentences : tuple of str
-        A sentence on each property to check.
+    findings : tuple of Finding
+        A finding on each property to check.
     """
 
     factor: float
-    sentences: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The sentences of the findings."""
+        return tuple(finding.sentence for finding in self.findings)
 
 
 def sample_doubts(samples: ScatteredSamples) -> SampleDoubts:
@@ -92,7 +104,34 @@ def sample_doubts(samples: ScatteredSamples) -> SampleDoubts:
     factors = _likely_factors(samples.values, level) if bound > _MAX_ALBEDO_BOUND else []
     sentences = _about_energy(samples, bound, factors) if factors else _about_symmetry(samples)
     factor = factors[0][0] if factors else 1.0 if level > _MIN_LEVEL else _USUAL_ALBEDO / level
-    return SampleDoubts(factor, (*sentences, *_about_spikes(samples)))
+    doubtful = (Finding("doubtful-table", sentence) for sentence in (*sentences, *_about_spikes(samples)))
+    return SampleDoubts(factor, (*_clipping(samples), *channel_findings(samples.values.T), *doubtful))
+
+
+def _clipping(samples: ScatteredSamples) -> Iterator[Finding]:
+    """Yield a finding if the largest value of a channel fills most of a highlight, as of a saturated detector."""
+    theta_half, theta_diff, _ = half_difference(samples.omega_in, samples.omega_out)
+    # Samples that are equal by symmetry have one place.
+    places = np.rint(np.degrees([theta_half, theta_diff]) / _PLACE_DEG)
+    names, clipped = list[str](), np.zeros(samples.values.shape, dtype=bool)
+    for channel, values in enumerate(samples.values.T):
+        top, near = (values >= fraction * values.max() for fraction in (1.0 - 1e-9, 0.9))
+        n_top, n_near = (np.unique(places[:, chosen], axis=1).shape[1] for chosen in (top, near))
+        # Peaks of equal height at several angles of incidence lie at one theta_half, and are not clipped.
+        is_wide = np.ptp(places[0, top]) > 1.0
+        is_highlight = is_wide and near.mean() < 0.5 and np.unique(values).size >= _MIN_LEVELS
+        if is_highlight and n_top >= max(_MIN_CLIPPED_PLACES, MIN_CLIPPED_FRACTION * n_near):
+            names.append(CHANNELS[channel])
+            clipped[:, channel] = top
+    if names:
+        count, value = int(np.count_nonzero(clipped.any(axis=1))), float(samples.values[clipped].max())
+        yield Finding(
+            "clipped-highlight",
+            f"The highlight is clipped: {count} samples equal the largest value in {' and '.join(names)}, "
+            f"{value:.3g}/sr, as of a saturated detector. The fit follows them, so that its highlight is too dim. "
+            "Measure them again with a shorter exposure, or leave them out: set missing to their number in the table.",
+            {"fraction": count / len(clipped), "value": value},
+        )
 
 
 def _about_energy(samples: ScatteredSamples, bound: float, factors: list[tuple[float, str]]) -> Iterator[str]:

@@ -47,6 +47,8 @@ def test_model_that_reflects_more_than_it_receives(matte: Measurement) -> None:
     assert "than it receives: its directional albedo is 1.200 at 57 degrees in the green channel" in found.sentence
     assert found.numbers["albedo"] == 1.2
     assert not [*fit_findings(data, CONVERGED, MODERATE)]
+    (found,) = fit_findings(data, CONVERGED, replace(MODERATE, rgb=((2e-4,) * 3, (1e-4,) * 3)))
+    assert (found.code, found.numbers) == ("albedo-near-0", {"albedo": 2e-4})
 
 
 def test_noisy_measurement() -> None:

@@ -63,6 +63,7 @@ FAULTS = {
     "constant-floor": lambda values: values + 0.05,
     "bad-horizon": with_garbage,
     "outside-gamut": outside_gamut,
+    "constant-channel": lambda values: np.concatenate([values[:2], np.full_like(values[2:], 0.02)]),
     "uneven-sweeps": lambda values: values * np.where(np.arange(90) < 30, 1.0, 1.2)[:, None],
     "repeated-samples": lambda values: np.repeat(values[:, ::2], 2, axis=1),
 }

@@ -64,6 +64,27 @@ def test_one_stray_sample_at_an_incidence_of_its_own_is_no_reason_to_doubt_the_u
     assert not sample_doubts(parse_samples(table(NAMES, np.column_stack([rows, values])))).sentences
 
 
+def test_a_saturated_detector_is_told_of_and_equal_peaks_are_not() -> None:
+    (found,) = sample_doubts(read(np.minimum(TRUE, np.quantile(TRUE, 0.9)))).findings
+    assert found.code == "clipped-highlight"
+    assert found.numbers == {"fraction": pytest.approx(0.1, abs=0.01), "value": pytest.approx(np.quantile(TRUE, 0.9), rel=1e-4)}
+    assert not sample_doubts(read(TRUE)).findings
+    rough = np.minimum(TRUE, np.quantile(TRUE, 0.9)).round(2)
+    assert not any("clipped" in sentence for sentence in sample_doubts(read(rough)).sentences)
+
+
+def test_logarithms_without_a_word_are_told() -> None:
+    with pytest.raises(MeasurementFormatError, match="Most values are negative, .* if they are decibels"):
+        read(10.0 * np.log10(TRUE))
+
+
+def test_spectra_outside_of_srgb_are_told() -> None:
+    bands = np.arange(400.0, 701.0, 20.0)
+    names = (*NAMES[:-1], *(f"{band:g} nm" for band in bands))
+    laser = parse_samples(table(names, np.hstack([GRID, TRUE[:, None] * np.exp(-(((bands - 520.0) / 12.0) ** 2))])))
+    assert laser.notes[-1] == "In 100.0% of the rows the colour is outside of sRGB: red and blue below 0 count as 0."
+
+
 def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubted() -> None:
     values = TRUE.copy()
     for at, (theta_in, _, _, _) in enumerate(GRID):
