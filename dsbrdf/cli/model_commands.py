@@ -41,6 +41,7 @@ from dsbrdf.output.serialize import save
 from dsbrdf.pipeline import fit
 from dsbrdf.result import FitResult
 from dsbrdf.samples.reading import kind_of_file, read_samples
+from dsbrdf.samples.scattered_samples import CANONICAL
 from dsbrdf.samples.table_options import TableOptions
 
 _FORMAT_HELP = "; ".join(f"{name}: {kind.purpose}" for name, kind in FORMATS.items())
@@ -247,6 +248,10 @@ def convert(
     if not sources:
         raise InvalidArgumentError(f"there is nothing to convert to {target}: name the measurement before it")
     source = sources[0]
+    # In "dsbrdf convert *.csv" the last table would be the file to write.
+    is_table = suffix == ".csv" and target.is_file() and not target.read_bytes().startswith(CANONICAL)
+    if is_table or (target.exists() and any(map(target.samefile, sources))):
+        raise InvalidArgumentError(f"{target} may be a measurement, and is not replaced: name another file to write")
     with named_in_errors(source):
         content, sentences, about = _converted(sources, suffix, table.options(), spectral=spectral)
     write_atomically(target, [content])

@@ -1,5 +1,7 @@
 """Tables of samples on the command line: the options that say how they are read."""
 
+import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -95,3 +97,17 @@ def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:
     lines = run("table", path, tmp_path / "tile.binary", *flags, code=2).stdout.splitlines()
     assert "62 samples, theta_in 0, 30, 60, theta_out 0 to 80, up to" in lines[0]
     assert "not read: The file is a MERL file, a measurement on a grid" in lines[1]
+
+
+def test_no_measurement_is_replaced_or_half_read(tmp_path: Path) -> None:
+    first, last, made = (tmp_path / name for name in ("a.csv", "b.csv", "made.csv"))
+    for path in (first, last):
+        shutil.copy(LAYOUTS / "vectors.csv", path)
+    content = last.read_bytes()
+    assert "b.csv may be a measurement, and is not replaced" in run("convert", first, last, code=2).stderr
+    assert last.read_bytes() == content
+    for _ in range(2):
+        run("convert", first, made)
+    assert "made.csv may be a measurement" in run("convert", made, made, code=2).stderr
+    os.mkfifo(tmp_path / "pipe")
+    assert "A pipe or a device can be read only once" in run("fit", tmp_path / "pipe", code=2).stderr
