@@ -26,6 +26,7 @@ from dsbrdf.findings import Finding
 from dsbrdf.samples.prediction import smooth_covariance, thinned
 from dsbrdf.samples.sample_layers import dark_level
 from dsbrdf.samples.scattered_samples import ScatteredSamples
+from dsbrdf.samples.values import FAR_OFF_FACTOR
 
 _MAX_ALBEDO_BOUND = 1.05  # limit of plausible albedos, above 1 because of the noise of samples of a white material
 # Factors by which values are usually wrong, the most frequent first, each with the phrase that names it in a sentence.
@@ -35,6 +36,7 @@ _FACTORS = {
     1.0 / 100.0: "1/100 (scale 0.01; are they per cent?)",
 }
 _FACTOR_OF_INTEGERS = {1.0 / 1500.0: "1/1500 (scale 0.0006667; are they the integers of a MERL file?)"}
+_MAX_BYTE = 255
 _USUAL_ALBEDO = 0.3
 # A factor is not suggested if values times the factor have a smaller albedo, because few materials are so dark.
 _MIN_ALBEDO = 0.03
@@ -118,8 +120,10 @@ def _clipping(samples: ScatteredSamples) -> Iterator[Finding]:
         top, near = (values >= fraction * values.max() for fraction in (1.0 - 1e-9, 0.9))
         n_top, n_near = (np.unique(places[:, chosen], axis=1).shape[1] for chosen in (top, near))
         # Peaks of equal height at several angles of incidence lie at one theta_half, and are not clipped.
-        is_wide = np.ptp(places[0, top]) > 1.0
-        is_highlight = is_wide and near.mean() < 0.5 and np.unique(values).size >= _MIN_LEVELS
+        is_wide, levels = np.ptp(places[0, top]) > 1.0, np.unique(values)
+        # A largest value far above all others is a code, of which `about_repeated` tells.
+        is_reached = levels.size >= _MIN_LEVELS and levels[-1] < FAR_OFF_FACTOR * levels[-2]
+        is_highlight = is_wide and is_reached and near.mean() < 0.5
         if is_highlight and n_top >= max(_MIN_CLIPPED_PLACES, MIN_CLIPPED_FRACTION * n_near):
             names.append(CHANNELS[channel])
             clipped[:, channel] = top
@@ -198,6 +202,8 @@ def _likelihood(samples: ScatteredSamples, logs: Array) -> Array:
 def _likely_factors(values: Array, level: float) -> list[tuple[float, str]]:
     """Return the usual factors that turn an albedo of about `level` into an albedo below 1, most frequent first."""
     known = (_FACTOR_OF_INTEGERS if np.all(values == np.rint(values)) else {}) | _FACTORS
+    if values.max() == _MAX_BYTE and np.all(values == np.rint(values)):
+        return [(_USUAL_ALBEDO / level, "what makes them 1/sr; as in pictures of 8 bits, they may not even be linear")]
     likely = [item for item in known.items() if _MIN_ALBEDO < item[0] * level < _MAX_ALBEDO_BOUND]
     return likely or [(_USUAL_ALBEDO / level, "what makes them 1/sr")]
 

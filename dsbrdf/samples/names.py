@@ -13,7 +13,7 @@ _SIDE_WORDS = {
     "out": (
         "out o r s v e output ref refl reflected reflection outgoing exitant exit emergent emergence emission scat "
         "scattered scatter scattering receiver detector detection det view viewing viewer observer observation obs "
-        "sensor sen detektor"
+        "sensor sen detektor réfléchi"
     ),
 }
 _ANGLE_WORDS = {
@@ -45,7 +45,7 @@ _VALUES = (
 # A name of values may have one of these words more, as in "Panel BRF".
 _QUALIFIERS = {"panel", "sample", "target", "measured", "mean", "average", "calibrated", "corrected", "absolute"}
 _OTHERS = {
-    "theta_in": ("aoi", "sza", "incidence", "incident", "einfallswinkel", "angle_d'incidence"),
+    "theta_in": ("aoi", "sza", "incidence", "incident", "einfallswinkel", "angle_dincidence"),
     "theta_out": (
         *("aor", "aos", "aov", "vza", "scatter", "scatterbeta", "emission", "emergence", "viewing"),
         *("ausfallswinkel", "beobachtungswinkel", "angle_de_réflexion"),
@@ -87,7 +87,7 @@ _UNIT_BEHIND = re.compile(
 # A column is in decibels or another logarithm if its unit, or the first or the last word of its name, is one of these.
 _LOGARITHM = re.compile(r"(?:10_?\*_?)?(?:d_?b|dex|ln|lg|log(?:_?10)?|decibels?)")
 # LaTeX, quotation marks and arguments, as in f_r(theta_i, theta_r), are removed from a name.
-_MARKUP = re.compile(r"[$\\{}'\"#]|\([^()=]*theta[^()=]*,[^()=]*\)")
+_MARKUP = re.compile(r"[$\\{}'’\"#]|\([^()=]*theta[^()=]*,[^()=]*\)")
 _BAND_IN_BRACKETS = re.compile(r"(?:lambda ?= ?)?([0-9.]+ ?(?:nm|um|μm)?)")
 _MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"}, {"theta_out", "wavelength"})
 _N_MATRIX_NAMES = 3  # The first cell of a matrix counts as three column names: of both angles and of the values.

@@ -41,7 +41,7 @@ _MIN_DIFFERENT_VALUES = 10
 # A repeated extreme value gets a note only if at least this number of rows have the value.
 _MIN_EQUAL_VALUES = 4
 # A repeated extreme value gets a note only if it differs from the next value by more than this factor.
-_FAR_OFF_FACTOR = 3.0
+FAR_OFF_FACTOR = 3.0
 # A repeated smallest value gets no note if the next value is below this fraction of the median: both may be noise.
 _CLEARLY_LIT_FRACTION = 0.02
 _N_NEIGHBOURS = 4
@@ -105,8 +105,8 @@ def about_repeated(values: Array) -> list[str]:
     found = np.unique(values)
     if found.size < _MIN_DIFFERENT_VALUES:
         return []
-    least = max(_FAR_OFF_FACTOR * found[0], _CLEARLY_LIT_FRACTION * float(np.median(values)))
-    extremes = (("smallest", 0, found[1] > least), ("largest", -1, found[-1] > _FAR_OFF_FACTOR * found[-2]))
+    least = max(FAR_OFF_FACTOR * found[0], _CLEARLY_LIT_FRACTION * float(np.median(values)))
+    extremes = (("smallest", 0, found[1] > least), ("largest", -1, found[-1] > FAR_OFF_FACTOR * found[-2]))
     counts = {place: int(np.count_nonzero(np.any(values == found[place], axis=1))) for place in (0, -1)}
     return [
         f"{counts[place]} samples have the same {which} value, {found[place]:g}, far from all others: if it stands for "

@@ -97,6 +97,7 @@ def test_options_are_checked_when_they_are_made(choice: dict[str, object], words
 
 OF_INSTRUMENTS = {
     "AOI, AOR": ("AOI", "phi_i", "AOR", "phi_r"),
+    "in French": ("Angle d’incidence", "Azimut incident", "Angle de réflexion", "Azimut réfléchi"),
     "in words": ("Angle of incidence", "Incident azimuth", "Angle of reflection", "Azimuth"),
     "zenith angles": ("Illumination zenith angle (deg)", "Illumination azimuth", "View zenith (deg)", "View azimuth"),
     "of remote sensing": ("SZA", "SAA", "VZA", "VAA"),

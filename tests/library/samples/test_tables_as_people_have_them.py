@@ -69,8 +69,14 @@ def test_a_saturated_detector_is_told_of_and_equal_peaks_are_not() -> None:
     assert found.code == "clipped-highlight"
     assert found.numbers == {"fraction": pytest.approx(0.1, abs=0.01), "value": pytest.approx(np.quantile(TRUE, 0.9), rel=1e-4)}
     assert not sample_doubts(read(TRUE)).findings
+    assert sample_doubts(read(np.where(np.arange(len(TRUE)) % 9, TRUE, 99999.0))).findings[0].code == "doubtful-table"
     rough = np.minimum(TRUE, np.quantile(TRUE, 0.9)).round(2)
     assert not any("clipped" in sentence for sentence in sample_doubts(read(rough)).sentences)
+
+
+def test_values_of_a_picture_are_told() -> None:
+    (said,) = sample_doubts(read(np.rint(255.0 * (TRUE / TRUE.max()) ** 0.45))).sentences
+    assert "as in pictures of 8 bits, they may not even be linear" in said
 
 
 def test_logarithms_without_a_word_are_told() -> None:
