@@ -216,7 +216,9 @@ def about_gamut(rgb: Array) -> list[str]:
     if not outside.any():
         return []
     names = " and ".join(name for name, of in zip(CHANNELS, outside.T, strict=True) if of.any())
-    return [f"In {outside.any(axis=1).mean():.1%} of the rows the colour is outside of sRGB: {names} below 0 count as 0."]
+    return [
+        f"In {outside.any(axis=1).mean():.1%} of the rows the colour is outside of sRGB: {names} below 0 count as 0."
+    ]
 
 
 def _about_bands(wavelengths: Array) -> Iterator[str]:

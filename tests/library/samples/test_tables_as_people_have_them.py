@@ -67,7 +67,10 @@ def test_one_stray_sample_at_an_incidence_of_its_own_is_no_reason_to_doubt_the_u
 def test_a_saturated_detector_is_told_of_and_equal_peaks_are_not() -> None:
     (found,) = sample_doubts(read(np.minimum(TRUE, np.quantile(TRUE, 0.9)))).findings
     assert found.code == "clipped-highlight"
-    assert found.numbers == {"fraction": pytest.approx(0.1, abs=0.01), "value": pytest.approx(np.quantile(TRUE, 0.9), rel=1e-4)}
+    assert found.numbers == {
+        "fraction": pytest.approx(0.1, abs=0.01),
+        "value": pytest.approx(np.quantile(TRUE, 0.9), rel=1e-4),
+    }
     assert not sample_doubts(read(TRUE)).findings
     assert sample_doubts(read(np.where(np.arange(len(TRUE)) % 9, TRUE, 99999.0))).findings[0].code == "doubtful-table"
     rough = np.minimum(TRUE, np.quantile(TRUE, 0.9)).round(2)
