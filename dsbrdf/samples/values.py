@@ -211,7 +211,7 @@ def about_values(found: FoundColumns, wavelengths: Array, options: TableOptions)
 
 
 def about_gamut(rgb: Array) -> list[str]:
-    """Return a sentence on samples (n, 3), converted to linear sRGB, that have a channel at 0 beside another above 0."""
+    """Return a sentence on samples (n, 3), converted to linear sRGB, of which only some channels are 0."""
     outside = (rgb == 0.0) & (rgb.max(axis=1, keepdims=True) > 0.0)
     if not outside.any():
         return []

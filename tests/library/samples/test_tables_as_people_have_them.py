@@ -83,7 +83,7 @@ def test_values_of_a_picture_are_told() -> None:
 
 
 def test_logarithms_without_a_word_are_told() -> None:
-    with pytest.raises(MeasurementFormatError, match="Most values are negative, .* if they are decibels"):
+    with pytest.raises(MeasurementFormatError, match=r"Most values are negative, .* if they are decibels"):
         read(10.0 * np.log10(TRUE))
 
 
