@@ -22,6 +22,9 @@ MAX_CLIPPED_SHARE = 0.7
 """If a larger fraction of all bins equals the maximum, the material is an ideal diffuser, or black, in this channel."""
 MIN_HIGHLIGHT_RATIO = 2.0
 """A maximum below this multiple of the median is no highlight."""
+_MIN_PLATEAU_RATIO = 20.0
+"""A highlight is flat if it has this multiple of the bins at 86 to 93 % of its maximum above 93 %; good ones: 10."""
+_OUTLYING_BINS = 20  # The maximum of a noisy highlight is the largest value but for these.
 MIN_ROUGHNESS = 0.3
 """Limit of the difference of logarithms between bins beyond the cutoff and the mean of their neighbours in theta_diff.
 
@@ -117,6 +120,8 @@ def profile_findings(data: Profiles) -> Iterator[Finding]:
             "again with a shorter exposure.",
             {"fraction": share, "value": value},
         )
+    else:
+        yield from _plateau_finding(folded)
     filled = (folded.weight > 0.0).any(axis=(0, 1, 3))
     first = float(THETA_HALF[filled.argmax()])
     if first > CENTER_CUTOFF:
@@ -138,6 +143,27 @@ def profile_findings(data: Profiles) -> Iterator[Finding]:
         )
     yield from _floor_finding(folded)
     yield from _sweep_findings(folded)
+
+
+def _plateau_finding(folded: FoldedProfiles) -> Iterator[Finding]:
+    """Yield a finding if the top of a highlight is flat, as if noise or a correction followed the clipping."""
+    names = list[str]()
+    for channel, mean, weight in zip(CHANNELS, folded.mean, folded.weight, strict=True):
+        values = mean[weight > 0.0]
+        largest = (
+            float(np.partition(values, -_OUTLYING_BINS)[-_OUTLYING_BINS]) if values.size >= MIN_CLIPPED_BINS else 0.0
+        )
+        above, below = (int(np.count_nonzero(values >= fraction * largest)) for fraction in (0.93, 0.86))
+        is_highlight = above >= MIN_CLIPPED_BINS and largest > MIN_HIGHLIGHT_RATIO * np.median(values)
+        if is_highlight and above > _MIN_PLATEAU_RATIO * (below - above + 3):
+            names.append(channel)
+    if names:
+        yield Finding(
+            "clipped-highlight",
+            f"The highlight seems to be clipped: its top is flat in {' and '.join(names)}, with an edge. The fit "
+            "follows it, so that the height and the width of the highlight are wrong if it is. Measure it again with a "
+            "shorter exposure.",
+        )
 
 
 def _floor_finding(folded: FoldedProfiles) -> Iterator[Finding]:

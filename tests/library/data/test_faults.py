@@ -99,6 +99,14 @@ def test_there_are_no_false_alarms(
         assert codes(good) == []
 
 
+def test_a_highlight_with_noise_after_clipping_is_noticed(paint: Measurement, metal: Measurement) -> None:
+    noise = 1.0 + 0.01 * np.random.default_rng(3).standard_normal(paint.values.shape)
+    for material in (paint, metal):
+        (one,) = profile_findings(profiles(changed(material, lambda values: clipped(values) * noise)))
+        assert one.code == "clipped-highlight"
+        assert "seems to be clipped: its top is flat in red and green and blue" in one.sentence
+
+
 def test_samples_of_a_clipped_highlight_count_as_lower_bounds(metal: Measurement) -> None:
     spoiled = changed(metal, clipped)
     assert np.isfinite(clip_levels(profiles(spoiled).folded)).all()
