@@ -26,7 +26,7 @@ from dsbrdf_service.errors import (
     ProblemError,
 )
 from dsbrdf_service.storage.database import FILE_NAME, Database
-from dsbrdf_service.storage.maintenance import check_database, check_measurements
+from dsbrdf_service.storage.maintenance import check_database, check_measurements, purge_folder, remove_files
 from dsbrdf_service.storage.schema import ROW_DAMAGED, ROW_SIZE, UNFINISHED_SIZE, Caller, FitKey
 from dsbrdf_service.storage.store import Store, fit_identity
 from dsbrdf_service.wire import to_wire
@@ -291,6 +291,21 @@ def test_full_disk_keeps_a_file_that_another_key_has(store: Store, monkeypatch: 
     assert store.sound_file(sha256).read_bytes() == b"content"
     assert store.remove_measurement("other", sha256)
     assert not store.blobs.path(sha256).exists()
+
+
+def test_file_whose_bytes_were_uploaded_again_meanwhile_stays(store: Store) -> None:
+    sha256 = add(store)  # as between the deletion of an earlier row and that of its file
+    assert remove_files(store.database, store.blobs, [sha256]) == []
+    assert store.sound_file(sha256).read_bytes() == b"content"
+
+
+def test_fit_of_another_owner_does_not_keep_an_old_measurement(store: Store, tmp_path: Path) -> None:
+    sha256, other = add(store), Caller("other")
+    add(store, caller=other)
+    store.add_fit(other, sha256, OPTIONS, 10)
+    assert purge_folder(tmp_path, 1e12) == {"fits": 0, "measurements": 1, "files_without_rows": 0, "bytes": 0}
+    assert not store.measurements("", 9, None)
+    assert store.measurement_file("other", sha256)[1].read_bytes() == b"content"
 
 
 def test_space_is_enough_if_it_is_what_the_settings_ask_for(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
