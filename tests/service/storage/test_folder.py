@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,7 +19,7 @@ from dsbrdf_service.errors import DataFolderError, MeasurementDamagedError
 from dsbrdf_service.storage.database import FILE_NAME, Database
 from dsbrdf_service.storage.files import Incoming
 from dsbrdf_service.storage.keys import add_key
-from dsbrdf_service.storage.maintenance import purge_folder
+from dsbrdf_service.storage.maintenance import purge_folder, remove_rows
 from dsbrdf_service.storage.store import Store
 from tests.support.command_line import run_main
 from tests.support.server import LOCAL, add, receive
@@ -318,6 +319,16 @@ def test_deletion_that_cannot_be_committed_keeps_the_file(store: Store, monkeypa
     assert store.measurement_file("", sha256)[1].read_bytes() == b"content"
     assert store.remove_measurement("", sha256)
     assert not store.blobs.path(sha256).exists()
+
+
+def test_full_disk_has_the_space_of_a_removed_file_before_the_commit(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+    sha256 = add(store)
+    with store.database.transaction() as db:
+        assert remove_rows(db, store.blobs, db.execute("SELECT rowid, sha256 FROM measurements").fetchall()) == [sha256]
+        assert not store.blobs.path(sha256).exists()
 
 
 def test_measurement_is_deleted_also_where_its_file_cannot_be(store: Store, caplog: pytest.LogCaptureFixture) -> None:
