@@ -102,6 +102,8 @@ def about_repeated(values: Array) -> list[str]:
     values = values[np.isfinite(values).all(axis=1)]
     if not values.size or not values.any(axis=1).all():  # Rows of zeros are left out: `unmeasured_zeros` examines them.
         values = values[values.any(axis=1)]
+    # A channel with one value throughout is not missing in some rows: `channel_findings` tells of it.
+    values = values[:, np.any(values != values[:1], axis=0)]
     found = np.unique(values)
     if found.size < _MIN_DIFFERENT_VALUES:
         return []

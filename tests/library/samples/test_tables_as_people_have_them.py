@@ -77,6 +77,13 @@ def test_a_saturated_detector_is_told_of_and_equal_peaks_are_not() -> None:
     assert not any("clipped" in sentence for sentence in sample_doubts(read(rough)).sentences)
 
 
+def test_a_black_channel_is_told_of_and_not_taken_for_missing_values() -> None:
+    names = (*NAMES[:-1], "red", "green", "blue")
+    samples = parse_samples(table(names, np.hstack([GRID, TRUE[:, None] * [1.0, 0.8, 0.0]])))
+    assert [found.code for found in sample_doubts(samples).findings] == ["constant-channel"]
+    assert not any("set missing" in note for note in samples.notes)
+
+
 def test_values_of_a_picture_are_told() -> None:
     (said,) = sample_doubts(read(np.rint(255.0 * (TRUE / TRUE.max()) ** 0.45))).sentences
     assert "as in pictures of 8 bits, they may not even be linear" in said
