@@ -192,3 +192,15 @@ def test_an_uncertain_reflectance_at_70_degrees_is_left_out_with_a_sentence() ->
     assert found.remarks("specular_lobe") == (
         "F70 of surface 2 of the specular lobe is left out: it is uncertain by more than a factor of 2.",
     )
+
+
+def test_a_black_channel_has_finite_ranges() -> None:
+    """Nothing determines the blue F0; a standard deviation of its logarithm in the thousands must not overflow."""
+    plain = mixture(3, 1)
+    amplitude = plain.amplitude * np.array([1.0, 1.0, 1e-300])[:, np.newaxis, np.newaxis]
+    shape = (plain.kappa, plain.gamma, plain.center, plain.elongation)
+    model = dsbrdf.DSBRDF(plain.theta_diff, amplitude, *shape, delta=plain.delta)
+    surfaces = [one for part in dsbrdf.decompose(model) for one in part.surfaces]
+    assert surfaces
+    for one in surfaces:
+        assert one.f0_range is None or np.all(np.isfinite(one.f0_range))
