@@ -23,7 +23,10 @@ MAX_CLIPPED_SHARE = 0.7
 MIN_HIGHLIGHT_RATIO = 2.0
 """A maximum below this multiple of the median is no highlight."""
 _MIN_PLATEAU_RATIO = 20.0
-"""A highlight is flat if it has this multiple of the bins at 86 to 93 % of its maximum above 93 %; good ones: 10."""
+"""A highlight is flat if bins above 93 % of its maximum outnumber those at 86 to 93 % by this factor.
+
+The reference materials reach a factor of 10.
+"""
 _OUTLYING_BINS = 20  # The maximum of a noisy highlight is the largest value but for these.
 MIN_ROUGHNESS = 0.3
 """Limit of the difference of logarithms between bins beyond the cutoff and the mean of their neighbours in theta_diff.
@@ -160,9 +163,8 @@ def _plateau_finding(folded: FoldedProfiles) -> Iterator[Finding]:
     if names:
         yield Finding(
             "clipped-highlight",
-            f"The highlight seems to be clipped: its top is flat in {' and '.join(names)}, with an edge. The fit "
-            "follows it, so that the height and the width of the highlight are wrong if it is. Measure it again with a "
-            "shorter exposure.",
+            f"The highlight seems to be clipped: its top is flat in {' and '.join(names)}, with an edge. If it is, the "
+            "height and the width of the fitted highlight are wrong. Measure it again with a shorter exposure.",
         )
 
 
