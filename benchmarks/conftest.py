@@ -3,7 +3,7 @@
 import pytest
 
 from dsbrdf import Measurement
-from tests.support.materials import glossy_plastic
+from tests.support.merl_files import glossy_plastic
 
 
 @pytest.fixture(scope="session")

@@ -6,19 +6,6 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from tests.support import foreign_kinds, foreign_materials
-from tests.support.foreign_bsdfs import (
-    Color,
-    Part,
-    charlie_sheen,
-    conductor,
-    dielectric_coat,
-    half_vector,
-    lambert,
-    oren_nayar,
-    plugin,
-    rgb,
-    under_coat,
-)
 from tests.support.foreign_kinds import (
     anodised,
     compensated_metal,
@@ -33,13 +20,24 @@ from tests.support.foreign_materials import (
     ORANGE,
     PINK,
     WHITE,
+    Color,
     Material,
+    Part,
     car_paint,
+    charlie_sheen,
     coated_metal,
+    conductor,
+    dielectric_coat,
+    half_vector,
     highlight,
+    lambert,
     metal,
+    oren_nayar,
     plastic_material,
+    plugin,
     principled_material,
+    rgb,
+    under_coat,
 )
 
 YELLOW = (0.70, 0.58, 0.08)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes
+from tests.support.models import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes
 
 LIMIT = 0.02
 

@@ -12,13 +12,7 @@ from benchmarks.judgement import RULES, Truth, judged
 from benchmarks.truth import drawn, load_truth, save_truth
 from dsbrdf.arrays import Array
 from dsbrdf.data import spherical
-from tests.support.foreign_bsdfs import (
-    dielectric_transmittance,
-    lambert,
-    oren_nayar,
-    principled_diffuse,
-)
-from tests.support.foreign_materials import Material
+from tests.support.foreign_materials import Material, dielectric_transmittance, lambert, oren_nayar, principled_diffuse
 
 OCHRE = (0.6, 0.4, 0.2)
 EACH_FORMULA = (

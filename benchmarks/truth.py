@@ -19,10 +19,11 @@ from benchmarks.foreign_catalogue import CATALOGUE, ashikhmin_shirley, materials
 from benchmarks.judgement import RULES, Judgement, Truth, judged
 from dsbrdf import ConvergenceWarning, Measurement
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, directions, nodes_above_horizon
-from tests.support.foreign_bsdfs import Color, lambert
 from tests.support.foreign_materials import (
+    Color,
     Material,
     car_paint,
+    lambert,
     metal,
     plastic_material,
     principled_material,

@@ -16,9 +16,10 @@ from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
 
 from dsbrdf import Measurement, write_merl
+from dsbrdf.data import synthetic_measurement
 from tests.support import launcher
 from tests.support.dask_cluster import DaskCluster
-from tests.support.materials import glossy_plastic, matte_paint, polished_metal
+from tests.support.merl_files import glossy_plastic
 from tests.support.processes import short_folder
 from tests.support.server import Guarded, Server, StartServer, new_key
 from tests.support.soak import SOAK
@@ -81,13 +82,13 @@ def plastic() -> Measurement:
 @pytest.fixture(scope="session")
 def metal() -> Measurement:
     """A polished coloured metal without a diffuse part and without noise."""
-    return polished_metal()
+    return synthetic_measurement(roughness=0.05, diffuse=(0.0, 0.0, 0.0), specular=(0.95, 0.64, 0.54), name="metal")
 
 
 @pytest.fixture(scope="session")
 def matte() -> Measurement:
     """A rough, nearly diffuse material without noise."""
-    return matte_paint()
+    return synthetic_measurement(roughness=0.7, diffuse=(0.6, 0.5, 0.4), specular=(0.02, 0.02, 0.02), name="matte")
 
 
 @pytest.fixture(scope="session")

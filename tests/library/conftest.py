@@ -11,7 +11,7 @@ from dsbrdf import FitResult, Measurement, Profiles, fit, profiles, save
 from dsbrdf.model import sampling
 from dsbrdf.output.export import glsl, mitsuba
 from tests.support.command_line import load_fit
-from tests.support.mixtures import COARSE_ANGLES
+from tests.support.models import COARSE_ANGLES
 
 
 @pytest.fixture(scope="session")

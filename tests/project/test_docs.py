@@ -33,7 +33,7 @@ from dsbrdf_service.settings import Settings
 from examples import demo
 from examples.demo import address_when_ready, stop
 from tests.support.command_line import FEW_LOBES, Capture, run_main
-from tests.support.mitsuba_variants import mitsuba_variant
+from tests.support.renderers import mitsuba_variant
 from tests.support.soak import SOAK
 
 ROOT = Path(__file__).parents[2]

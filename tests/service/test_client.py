@@ -6,7 +6,6 @@ import re
 import time
 from contextlib import closing
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 
 import httpx
@@ -18,12 +17,11 @@ from dsbrdf.data.rgl import RglMaterial
 from dsbrdf.engines import FitTask
 from dsbrdf_service.client import Client, ClientEngine, ServiceError
 from dsbrdf_service.wire import canonical
-from tests.support import endless_fit
 from tests.support.command_line import QUICK, document, sentence
-from tests.support.mixtures import mixture, samples_table, scattered_samples
-from tests.support.models import assert_same_bits
+from tests.support.models import assert_same_bits, mixture, samples_table, scattered_samples
 from tests.support.processes import wait_until
 from tests.support.server import Guarded, Server
+from tests.support.tasks import ENDLESS
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")]
 OPTIONS = dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=8, horizon_cutoff_deg=75)
@@ -125,25 +123,16 @@ def test_client_tells_the_progress_and_gives_names(client: Client, plastic: dsbr
 
 
 def test_engine_asks_for_so_many_fits_at_once_and_is_closed_at_once(server: Server, plastic_file: Path) -> None:
-    begun: list[int] = []
+    tasks = [FitTask(str(mask), plastic_file, replace(ENDLESS, mask=float(mask))) for mask in range(3)]
+    progress: list[list[float]] = [[], [], []]
     with closing(ClientEngine(str(server.http.base_url), 2)) as engine:
-        fits = [
-            engine.submit(
-                FitTask(str(mask), plastic_file, replace(endless_fit.OPTIONS, mask=float(mask))),
-                partial(note, begun, mask),
-            )
-            for mask in range(3)
-        ]
-        wait_until(lambda: {*begun} == {0, 1})
+        fits = [engine.submit(task, told.append) for task, told in zip(tasks, progress, strict=True)]
+        wait_until(lambda: [*map(bool, progress)] == [True, True, False])
     assert all(fit.done() for fit in fits)
-    assert {*begun} == {0, 1}
+    assert [*map(bool, progress)] == [True, True, False]
     for unfinished in server.http.get("/v1/fits?limit=100").json()["items"]:
         if unfinished["status"] in ("accepted", "running"):
             server.http.delete(f"/v1/fits/{unfinished['id']}")
-
-
-def note(begun: list[int], number: int, _: float) -> None:
-    begun.append(number)
 
 
 @pytest.fixture
@@ -196,14 +185,6 @@ def test_request_is_not_repeated_beyond_reason(slept: list[float], answer: tuple
         upload(12.0, (404, None), (429, "6"), answer)
     assert error.value.problem["status"] == answer[0]
     assert slept == [6.0]
-
-
-def test_client_without_a_service_says_where_nothing_answers() -> None:
-    with (
-        Client("http://127.0.0.1:9") as client,
-        pytest.raises(ConnectionError, match="nothing answers at"),
-    ):
-        client.get("0" * 32)
 
 
 def test_fit_of_the_command_on_a_server_is_the_fit_here(

@@ -21,8 +21,8 @@ from dsbrdf_service.errors import FitNotFoundError
 from dsbrdf_service.queue import result_of
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.schema import Caller, FitKey
-from tests.support.races import MAX_WAIT_S, Race, until
-from tests.support.random_models import random_model
+from tests.support.application import MAX_WAIT_S, Race, until
+from tests.support.models import random_model
 from tests.support.server import add
 
 pytestmark = pytest.mark.anyio

@@ -1,36 +1,52 @@
-"""The application in this process, with one finished fit: for tests that stop a computation and look at who waits."""
+"""The application in this process, whose computations a test stops, and a queue whose fits end when a test says so."""
 
 import asyncio
 import json
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from contextvars import copy_context
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from fastapi import FastAPI
 from starlette.types import Message
 
 import dsbrdf
-from dsbrdf.engines import OnProgress, Processes, local
+from dsbrdf.engines import FitDocument, FitTask, OnProgress, Outcome, Processes, local
 from dsbrdf.engines.engine import run_step
 from dsbrdf.output import to_json
 from dsbrdf_service.app import create_app
+from dsbrdf_service.http.monitoring import Metrics
+from dsbrdf_service.queue import FitQueue
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage.keys import add_key
-from dsbrdf_service.storage.schema import checksum
+from dsbrdf_service.storage.schema import Caller, FitKey, FitRow, checksum
 from dsbrdf_service.storage.store import Store
 from dsbrdf_service.wire import to_wire
-from tests.support.random_models import random_model
+from tests.support.models import random_model
+from tests.support.server import LOCAL, add
 
 FIT = "a" * 32
-_PATIENCE = 60.0  # seconds
+OPTIONS = dsbrdf.FitOptions()
+MAX_WAIT_S = 60.0
+
+
+async def until(happened: Callable[[], bool]) -> None:
+    async with asyncio.timeout(MAX_WAIT_S):
+        while not happened():
+            await asyncio.sleep(0.001)
+
+
+@cache
+def stored_text() -> str:
+    model = random_model()
+    return to_json(model, None, dsbrdf.decompose(model))
 
 
 @dataclass
@@ -47,7 +63,7 @@ class Exchange:
         await self.end()
 
     async def end(self) -> "Exchange":
-        done, _ = await asyncio.wait([self.task], timeout=_PATIENCE)
+        done, _ = await asyncio.wait([self.task], timeout=MAX_WAIT_S)
         assert done, "there is no answer"
         return self
 
@@ -75,13 +91,11 @@ class Blocked:
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         self.calls.append(arguments)
-        assert self.may_return.wait(_PATIENCE)
+        assert self.may_return.wait(MAX_WAIT_S)
         return self.function(*arguments, **named)
 
-    async def until_called(self, times: int = 1) -> None:
-        async with asyncio.timeout(_PATIENCE):
-            while len(self.calls) < times:
-                await asyncio.sleep(0.005)
+    async def until_called(self) -> None:
+        await until(lambda: bool(self.calls))
 
 
 class Application:
@@ -93,10 +107,8 @@ class Application:
     def new_key(self) -> str:
         """Return a key that has the fit `FIT`."""
         owner, key = add_key(self.store.database, "a key")
-        model = random_model()
-        document = to_json(model, None, dsbrdf.decompose(model))
-        written = checksum(None, document.encode())
-        values = (owner, FIT, "0" * 64, json.dumps(to_wire(dsbrdf.FitOptions())), time.time(), document, written)
+        written = checksum(None, stored_text().encode())
+        values = (owner, FIT, "0" * 64, json.dumps(to_wire(OPTIONS)), time.time(), stored_text(), written)
         with self.store.database.transaction() as db:
             db.execute(
                 "INSERT INTO fits (seq, owner, id, measurement, options, algorithm, library, status, created, result,"
@@ -160,3 +172,91 @@ async def application(folder: Path, monkeypatch: pytest.MonkeyPatch, **settings:
     app = create_app(Settings(data_dir=folder, workers=1, require_keys=True, **settings), store)
     async with app.router.lifespan_context(app):
         yield Application(app, store)
+
+
+class Fit(Future[Outcome]):
+    """A fit that can be cancelled while it runs, as those of engines."""
+
+    def cancel(self) -> bool:
+        if not self.done():
+            self.set_exception(CancelledError())
+        return False
+
+
+class Engine:
+    """Ends fits when it may, each with another number as its metrics, so that one can tell which has ended."""
+
+    def __init__(self) -> None:
+        self.outcomes: list[Outcome | Exception] = []  # The next calls end with these in place of results.
+        self.begun: list[str] = []
+        self.holds = True
+        self.held: list[tuple[Fit, int]] = []
+
+    def submit(self, task: FitTask, on_progress: Callable[[float], None]) -> Fit:
+        self.begun.append(task.fit_id)
+        self.held.append((Fit(), len(self.begun)))
+        fit = self.held[-1][0]
+        if not self.holds:
+            self.go_on()
+        return fit
+
+    def go_on(self) -> None:
+        """End what is held, and all that comes."""
+        self.holds = False
+        for fit, number in self.held:
+            if not fit.done():
+                outcome = self.outcomes.pop(0) if self.outcomes else FitDocument(stored_text(), {"run": number})
+                fit.set_exception(outcome) if isinstance(outcome, Exception) else fit.set_result(outcome)
+        self.held.clear()
+
+
+class _Slow(NamedTuple):
+    """A call that has got to its pause, the end of the pause, and that of the first such call."""
+
+    there: threading.Event
+    on: threading.Event
+    over: threading.Event
+
+
+class Race:
+    """A store with one measurement, and a queue of fits on it."""
+
+    workers = 1
+
+    def __init__(self, folder: Path) -> None:
+        self.store = Store(folder)
+        self.engine: Any = Engine()
+        self.measurement = add(self.store)
+        self.begin()
+
+    def begin(self) -> None:
+        self.meters = Metrics().fit_meters
+        self.queue = FitQueue(self.store, self.engine, Settings(workers=self.workers), self.meters)
+
+    async def submit(self, caller: Caller = LOCAL, options: dsbrdf.FitOptions = OPTIONS) -> FitKey:
+        row, _ = await self.queue.submit(caller, self.measurement, to_wire(options))
+        return row.key
+
+    async def until_it_runs(self) -> None:
+        await until(lambda: bool(self.engine.begun))
+
+    async def end(self, key: FitKey) -> FitRow:
+        self.engine.go_on()
+        return await self.queue.wait(key, MAX_WAIT_S)
+
+    def slow_down(self, monkeypatch: pytest.MonkeyPatch, name: str, *pauses: float, after: bool = False) -> _Slow:
+        """Make calls of the store pause, one after the other, before they work or after it."""
+        original = getattr(self.store, name)
+        slow = _Slow(threading.Event(), threading.Event(), threading.Event())
+        rest = iter(pauses)
+
+        def work(*arguments: Any) -> Any:
+            answer = original(*arguments) if after else None
+            slow.there.set()
+            slow.on.wait(next(rest, 0.0))
+            answer = answer if after else original(*arguments)
+            slow.over.set()
+            return answer
+
+        monkeypatch.setattr(self.store, name, work)
+        return slow

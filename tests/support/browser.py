@@ -18,18 +18,7 @@ pytest.importorskip("playwright", reason='"playwright" is not installed')
 
 from playwright.sync_api import Browser, BrowserContext, FloatRect, Page, expect, sync_playwright
 
-__all__ = [
-    "PAINTED",
-    "SPHERE",
-    "Browser",
-    "FloatRect",
-    "Page",
-    "Visit",
-    "Visitor",
-    "expect",
-    "new_context",
-    "running_browser",
-]
+__all__ = ["PAINTED", "SPHERE", "FloatRect", "Page", "Visit", "Visitor", "expect", "new_context", "running_browser"]
 
 SPHERE = ".sphere canvas"
 PAINTED = f"{SPHERE}[data-painted]:not([data-drawing])"

@@ -5,7 +5,7 @@ import signal
 from pathlib import Path
 
 from tests.support.launcher import ForkedProcess, launcher
-from tests.support.processes import alive, children, command, free_port
+from tests.support.processes import alive, children, forked, free_port
 
 
 class DaskCluster:
@@ -55,11 +55,6 @@ class DaskCluster:
         quiet = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}
         environment = {**os.environ, **quiet, "TMPDIR": str(self.folder), **self._environment}
         return launcher("dask").launch([kind, "--no-dashboard", *flags], environment, self.folder / "log")
-
-
-def forked(pid: int) -> list[int]:
-    """Processes that the fork server of a process has forked."""
-    return [child for server in children(pid) if b"forkserver" in command(server) for child in children(server)]
 
 
 def _kill(process: ForkedProcess) -> None:

@@ -6,8 +6,10 @@ from functools import cache
 import numpy as np
 
 from dsbrdf.arrays import Array
-from tests.support.foreign_bsdfs import (
+from tests.support.foreign_materials import (
+    UP,
     Color,
+    Material,
     Part,
     charlie_sheen,
     conductor,
@@ -16,7 +18,6 @@ from tests.support.foreign_bsdfs import (
     plastic,
     under_coat,
 )
-from tests.support.foreign_materials import UP, Material
 
 GOLD: Color = (0.95, 0.72, 0.30)
 

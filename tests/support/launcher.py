@@ -195,7 +195,7 @@ def _warm_up() -> None:
     """Import and cache what each process of a fit or of a figure would by itself, in half of its time."""
     for module in ("figure", "backends.backend_agg", "backends.backend_svg"):
         import_module(f"matplotlib.{module}")
-    measurement = import_module("tests.support.materials").glossy_plastic()
+    measurement = import_module("tests.support.merl_files").glossy_plastic()
     library = import_module("dsbrdf")
     with warnings.catch_warnings(action="ignore"):  # Three iterations do not converge.
         library.decompose(library.fit(measurement, method="paper", n_lobes=1, em_iterations=3).model)
@@ -204,7 +204,7 @@ def _warm_up() -> None:
 
 def _let_endless_fits_sleep() -> None:
     """Let endless fits sleep instead of computing: a test looks at one for seconds, in which it would take a core."""
-    local, endless = import_module("dsbrdf.engines.local"), import_module("tests.support.endless_fit").OPTIONS
+    local, endless = import_module("dsbrdf.engines.local"), import_module("tests.support.tasks").ENDLESS
     fit = local.fit_quietly
 
     def sleep_or_fit(measurement: object, options: Any, on_progress: Callable[[float], object]) -> object:

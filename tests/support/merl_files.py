@@ -1,13 +1,23 @@
-"""MERL files to damage: the layout of the format, and changed copies of a file."""
+"""The measurement that most tests are about, and MERL files to damage: their layout, and changed copies of a file."""
 
 import struct
+from functools import cache
 
 import numpy as np
+
+from dsbrdf import Measurement
+from dsbrdf.data import synthetic_measurement
 
 NODES = 90 * 90 * 180
 HEADER = struct.pack("<3i", 90, 90, 180)
 BELOW = (80, 80, 0)  # theta_half + theta_diff = 151 degrees: below the horizon
 ABOVE = (10, 20, 30)
+
+
+@cache
+def glossy_plastic() -> Measurement:
+    """A glossy coloured plastic with 2 % noise."""
+    return synthetic_measurement(noise=0.02, seed=1, name="plastic")
 
 
 def header(*dimensions: int, order: str = "<") -> bytes:

@@ -7,6 +7,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TypeVar
+
+T = TypeVar("T")
 
 ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of the benchmarks, which measure times on one core."""
@@ -60,3 +63,20 @@ def wait_until(condition: Callable[[], bool], seconds: float = 300.0) -> float:
         assert time.monotonic() - start < seconds, "it did not happen in time"
         time.sleep(0.02)
     return time.monotonic() - start
+
+
+def until(ask: Callable[[], T], good: Callable[[T], object]) -> T:
+    """Return the first good answer of a function."""
+    answers: list[T] = []
+
+    def asked() -> bool:
+        answers[:] = [ask()]
+        return bool(good(answers[0]))
+
+    wait_until(asked)
+    return answers[0]
+
+
+def forked(pid: int) -> list[int]:
+    """Processes that the fork server of a process has forked."""
+    return [child for server in children(pid) if b"forkserver" in command(server) for child in children(server)]

@@ -25,7 +25,8 @@ from dsbrdf_service.storage.files import Incoming
 from dsbrdf_service.storage.keys import add_key
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
-from tests.support import endless_fit
+from dsbrdf_service.wire import DEFAULTS, to_wire
+from tests.support import tasks
 from tests.support.command_line import run_main
 from tests.support.launcher import ForkedProcess, launcher
 from tests.support.processes import alive, children, wait_until
@@ -33,7 +34,8 @@ from tests.support.processes import alive, children, wait_until
 # Fits that take no time, and minutes: a test that wants to find a fit unfinished should not have to hurry.
 QUICK: dict[str, Any] = {"method": "paper", "n_lobes": 1, "em_iterations": 3}
 
-ENDLESS = endless_fit.ON_THE_WIRE
+CHANGED = {name: value for name, value in to_wire(tasks.ENDLESS).items() if value != DEFAULTS[name]}
+ENDLESS: dict[str, Any] = {"method": "global", **CHANGED}
 StartServer = Callable[..., "Server"]
 """Type of the fixture `own_server`."""
 

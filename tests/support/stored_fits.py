@@ -13,7 +13,7 @@ import numpy as np
 
 import dsbrdf
 from dsbrdf.data import encode_merl
-from tests.support.materials import glossy_plastic
+from tests.support.merl_files import glossy_plastic
 from tests.support.server import Server
 
 THETA_HALF = np.radians([[0.0], [5.0], [20.0], [60.0]])

@@ -24,7 +24,7 @@ from dsbrdf.engines import FileFit, batch, local
 from dsbrdf.fitting.options import sentences_of
 from dsbrdf.output.export.rgl import rgl_bsdf
 from tests.support.command_line import QUICK, document, load_fit, printed, run, sentence
-from tests.support.known_models import single_lobe
+from tests.support.models import single_lobe
 
 pytestmark = pytest.mark.slow
 

@@ -20,7 +20,7 @@ from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
 from dsbrdf.engines import FileFit
 from tests.support.command_line import printed, run, sentence
-from tests.support.mixtures import mixture, samples_table, scattered_samples
+from tests.support.models import mixture, samples_table, scattered_samples
 
 
 @pytest.mark.parametrize(

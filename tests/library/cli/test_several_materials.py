@@ -11,7 +11,7 @@ import dsbrdf
 from dsbrdf import decompose, render_sphere
 from dsbrdf.rendering import sphere_likeness
 from tests.support.command_line import document, load_fit, printed, run, sentence
-from tests.support.random_models import random_model
+from tests.support.models import random_model
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from dsbrdf.engines import batch
 from dsbrdf.samples.names import VECTORS
 from tests.library.samples.test_layouts import LAYOUTS, MIRROR_60, REFUSED
 from tests.support.command_line import document, load_fit, printed, run
-from tests.support.mixtures import mixture, scattered_samples
+from tests.support.models import mixture, scattered_samples
 from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow

@@ -13,8 +13,7 @@ from dsbrdf.components.shares import SPIKE_HALF_WIDTH
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, synthetic_measurement
 from dsbrdf.model import FAMILIES
 from dsbrdf.model.lobes import gamma_of_half_width
-from tests.support.known_models import single_lobe
-from tests.support.random_models import random_model
+from tests.support.models import random_model, single_lobe
 from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow

@@ -14,8 +14,7 @@ from dsbrdf.components.description import Description
 from dsbrdf.components.points import Points
 from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, Misfit, Surface
 from dsbrdf.model import ReflectanceModel
-from tests.support.mixtures import mixture
-from tests.support.random_models import random_model
+from tests.support.models import mixture, random_model
 
 GREEN = (0.02, 0.14, 0.08)
 GROUND = DiffuseLayer((0.3, 0.25, 0.28), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))

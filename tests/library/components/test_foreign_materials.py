@@ -17,9 +17,8 @@ from dsbrdf.arrays import Array
 from dsbrdf.components import LABELS
 from dsbrdf.data import directions
 from dsbrdf.model import ReflectanceModel, directional_albedo
-from tests.support.foreign_bsdfs import Part, conductor, lambert
 from tests.support.foreign_kinds import GOLD, KINDS, compensation
-from tests.support.foreign_materials import CATALOGUE, Material, plastic_material
+from tests.support.foreign_materials import CATALOGUE, Material, Part, conductor, lambert, plastic_material
 
 pytestmark = pytest.mark.slow
 

@@ -23,7 +23,7 @@ from dsbrdf.data import (
 from dsbrdf.data.faults import clip_levels, horizon_disagreement, profile_findings, value_findings
 from dsbrdf.fitting import relative_errors, sample_errors
 from dsbrdf.model import directional_albedo
-from tests.support.random_models import random_model
+from tests.support.models import random_model
 
 CUTOFF = float(np.radians(80.0))
 

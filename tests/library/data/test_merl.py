@@ -31,10 +31,9 @@ from dsbrdf.data.files import write_atomically
 from dsbrdf.data.merl import map_merl
 from dsbrdf.data.rgl import Warp, encode_tensors, parse_tensors
 from dsbrdf.output.export.rgl import rgl_bsdf
-from tests.support.known_models import pairs_of_directions
 from tests.support.merl_files import ABOVE, BELOW, HEADER, position, with_values
-from tests.support.mitsuba_variants import mitsuba_variant
-from tests.support.mixtures import mixture
+from tests.support.models import mixture, pairs_of_directions
+from tests.support.renderers import mitsuba_variant
 
 
 def test_file_layout_is_that_of_the_merl_format(data: bytes, plastic: Measurement) -> None:

@@ -15,11 +15,8 @@ import dsbrdf
 from dsbrdf import FitOptions
 from dsbrdf.cli import main as cli
 from dsbrdf.engines import FileFit, LocalEngine, batch, dask, fit_files, local
-from tests.support import endless_fit
-from tests.support.crashing_tasks import compute_unless_named_one
-from tests.support.dask_cluster import forked
-from tests.support.engines import until
-from tests.support.processes import alive, short_folder, wait_until
+from tests.support.processes import alive, forked, short_folder, until, wait_until
+from tests.support.tasks import ENDLESS, compute_unless_named_one
 
 pytestmark = [
     pytest.mark.slow,
@@ -96,7 +93,7 @@ def test_fit_processes_have_one_thread_and_end_with_the_iterator_and_the_environ
             raise Seen
 
     asked = [Path("none.binary"), *files[:2]]
-    with closing(fit_files(asked, endless_fit.OPTIONS, LocalEngine(2), progress=look)) as items:
+    with closing(fit_files(asked, ENDLESS, LocalEngine(2), progress=look)) as items:
         assert next(items).error == "No such file or directory"
         with pytest.raises(Seen):
             next(items)
@@ -119,7 +116,8 @@ def test_killed_process_loses_only_its_file(files: list[Path], tmp_path: Path, m
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_ended_command_leaves_no_process_and_no_file(files: list[Path], tmp_path: Path, number: signal.Signals) -> None:
     """Two endless fits are at work, in a process group of their own as a terminal has it."""
-    words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs", "2", *endless_fit.FLAGS]
+    words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs=2", "--n-lobes=10", "--ring-lobes=9"]
+    words += ["--robust", "--lobe=student", f"--knots-deg={','.join(map(str, ENDLESS.knots_deg))}"]
     program = [sys.executable, "-m", "dsbrdf.cli.main", *words]
     with (
         short_folder() as temporary,

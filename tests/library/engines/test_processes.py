@@ -18,18 +18,9 @@ import pytest
 
 from dsbrdf.engines import Fault, FitLimits, OnProgress, Processes
 from dsbrdf.engines.engine import MEMORY_LIMIT
-from tests.support.crashing_tasks import (
-    address_space,
-    die,
-    do_nothing,
-    exit_with,
-    nice_value,
-    spin,
-    stop_itself,
-)
-from tests.support.dask_cluster import forked
-from tests.support.processes import alive, children, wait_until
+from tests.support.processes import alive, children, forked, wait_until
 from tests.support.soak import repeats
+from tests.support.tasks import address_space, die, do_nothing, exit_with, nice_value, spin, stop_itself
 
 pytestmark = pytest.mark.slow
 PATIENCE = 300.0

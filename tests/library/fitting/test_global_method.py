@@ -29,8 +29,7 @@ from dsbrdf.fitting.mixture_problem import MixtureProblem
 from dsbrdf.model import half_width
 from dsbrdf.pipeline import profiles_for
 from dsbrdf.version import versions
-from tests.support.known_models import single_lobe
-from tests.support.mixtures import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes
+from tests.support.models import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes, single_lobe
 
 pytestmark = pytest.mark.slow
 

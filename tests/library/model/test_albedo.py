@@ -13,8 +13,7 @@ from dsbrdf import DSBRDF, white_furnace
 from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.data import half_difference
 from dsbrdf.model import FAMILIES
-from tests.support.known_models import single_lobe
-from tests.support.mixtures import mixture
+from tests.support.models import mixture, single_lobe
 
 
 def gauss(ends: Array, nodes: int) -> tuple[Array, Array]:

@@ -12,9 +12,7 @@ from dsbrdf import DSBRDF, InvalidArgumentError, blend
 from dsbrdf.components import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.data import GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, directions, half_difference, incident_cosines
 from dsbrdf.model import FAMILIES
-from tests.support.known_models import pairs_of_directions, single_lobe
-from tests.support.mixtures import mixture
-from tests.support.random_models import SLICES, papers_model, random_model
+from tests.support.models import SLICES, mixture, pairs_of_directions, papers_model, random_model, single_lobe
 
 
 @pytest.mark.parametrize("family", FAMILIES)

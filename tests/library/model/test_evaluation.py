@@ -13,7 +13,7 @@ from dsbrdf.arrays import Array
 from dsbrdf.model import FAMILIES, MAX_CENTER, gamma_of_half_width, half_width
 from dsbrdf.model.lobes import GRAZING_COSINE, lobe_curves, lobe_values, log_cosine, reach_of_width, width_of_reach
 from dsbrdf.model.splines import n_control_values
-from tests.support.known_models import single_lobe
+from tests.support.models import single_lobe
 from tests.support.soak import repeats
 
 Number = Any  # mpmath has no types

@@ -8,12 +8,11 @@ from dsbrdf import DSBRDF, InvalidArgumentError
 from dsbrdf.arrays import Array
 from dsbrdf.data import spherical
 from dsbrdf.model.sampling import MIN_COSINE_FRACTION
-from tests.support import known_models
-from tests.support.known_models import single_lobe
-from tests.support.random_models import random_model
+from tests.support import models
+from tests.support.models import random_model, single_lobe
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
-MODELS = {name: copy.copy(model) for name, model in known_models.MODELS.items()}
+MODELS = {name: copy.copy(model) for name, model in models.MODELS.items()}
 """Copies, whose tables of densities are theirs alone."""
 N_SAMPLES = 30_000
 PAIRS = [(name, angle) for name in MODELS for angle in (0.0, 45.0, 69.9, 88.9)]

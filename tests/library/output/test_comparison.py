@@ -21,7 +21,7 @@ from dsbrdf.notebook_display import register
 from dsbrdf.output import export_model
 from dsbrdf.output.notebook import html as html_of
 from dsbrdf.output.plots import Shown
-from tests.support.mixtures import mixture
+from tests.support.models import mixture
 
 pytestmark = pytest.mark.slow
 

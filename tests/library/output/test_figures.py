@@ -37,8 +37,7 @@ from dsbrdf.output.sphere_panels import (
     side_by_side,
 )
 from dsbrdf.rendering import displayed, sphere_likeness
-from tests.support.mixtures import mixture
-from tests.support.random_models import papers_model
+from tests.support.models import mixture, papers_model
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ from dsbrdf import Measurement, Profiles, profiles
 from dsbrdf.arrays import Array
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.paper import em
-from tests.support.known_models import plain_lobe
+from tests.support.models import plain_lobe
 from tests.support.soak import repeats
 
 CUTOFF = float(np.radians(80.0))

@@ -12,7 +12,7 @@ from dsbrdf.data import THETA_HALF
 from dsbrdf.fitting import OUTSIDE_CENTER, SelectionStep
 from dsbrdf.paper import WilliamsRow, em, williams_critical_value, williams_test
 from dsbrdf.paper.paper_method import UNIFORM_FRACTION, choose_n_lobes, expected_negative_log_probability
-from tests.support.known_models import plain_lobe
+from tests.support.models import plain_lobe
 
 ANGLES = THETA_HALF[OUTSIDE_CENTER]
 LOBES = np.array([[4.0, 1500.0], [1.5, 40.0], [0.3, 1.0]])

@@ -26,8 +26,8 @@ from dsbrdf.data import half_difference, incident_cosines
 from dsbrdf.rendering import LIGHTINGS, THREE_LIGHTS, MaterialSpace, displayed, exposure, psnr, sphere_normals, ssim
 from dsbrdf.rendering.environment import Light
 from dsbrdf.rendering.sphere import SUN, environment_radiance
-from tests.support.known_models import single_lobe
-from tests.support.mitsuba_variants import mitsuba_variant
+from tests.support.models import single_lobe
+from tests.support.renderers import mitsuba_variant
 
 ALBEDO = np.array([0.8, 0.5, 0.2])
 Evaluate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]

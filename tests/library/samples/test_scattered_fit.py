@@ -11,7 +11,7 @@ from dsbrdf.result import sample_findings
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction
 from dsbrdf.samples.scattered_fit import planned_pairs, predicted_profiles, sample_rows, scattered_metrics
-from tests.support.mixtures import deviations, mixture, scattered_directions, scattered_samples
+from tests.support.models import deviations, mixture, scattered_directions, scattered_samples
 
 pytestmark = pytest.mark.slow
 TRUTH = mixture(2, 1)

@@ -21,8 +21,7 @@ from dsbrdf_service.client import Client
 from tests.library.samples.test_layouts import KINDS
 from tests.library.samples.test_spreadsheet import XLSX
 from tests.support.merl_files import with_value
-from tests.support.mixtures import mixture, samples_table, scattered_samples
-from tests.support.models import assert_same_bits
+from tests.support.models import assert_same_bits, mixture, samples_table, scattered_samples
 from tests.support.server import QUICK, Server, StartServer, assert_problem
 from tests.support.soak import repeats
 

@@ -13,7 +13,7 @@ import dsbrdf
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.output import from_json
 from dsbrdf_service.http.messages import NPY
-from tests.support.known_models import pairs_of_directions
+from tests.support.models import pairs_of_directions
 from tests.support.server import Server, assert_problem, npy
 
 FROM_NPY = {"Content-Type": NPY}

@@ -22,8 +22,8 @@ from dsbrdf.output import export_model
 from dsbrdf.output.export.mitsuba import PARAMETERS, register
 from tests.support import array_libraries
 from tests.support.array_libraries import loaded
-from tests.support.known_models import LAYERS, MODELS, pairs_of_directions
-from tests.support.mitsuba_variants import mitsuba_variant, surface_at
+from tests.support.models import LAYERS, MODELS, pairs_of_directions
+from tests.support.renderers import mitsuba_variant, surface_at
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
 

@@ -24,10 +24,8 @@ from dsbrdf.output.export.glsl import glsl_function
 from dsbrdf.output.export.materialx import FoundSurface, fit_openpbr
 from dsbrdf.output.export.openpbr import OpenPBR
 from dsbrdf.rendering import LIGHTINGS, displayed, exposure, sphere_likeness, sphere_normals
-from tests.support.known_models import pairs_of_directions, single_lobe
-from tests.support.materialx_shader import generated_function, materialx_document, surface_of
-from tests.support.mitsuba_variants import mitsuba_variant
-from tests.support.mixtures import mixture
+from tests.support.models import mixture, pairs_of_directions, single_lobe
+from tests.support.renderers import generated_function, materialx_document, mitsuba_variant, surface_of
 from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]

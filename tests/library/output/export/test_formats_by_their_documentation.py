@@ -19,9 +19,7 @@ import dsbrdf
 from dsbrdf.components import LayeredModel
 from dsbrdf.data import CHANNELS
 from dsbrdf.output import export_model
-from tests.support.known_models import LAYERS
-from tests.support.mixtures import mixture
-from tests.support.random_models import papers_model
+from tests.support.models import LAYERS, mixture, papers_model
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Work for processes of fits that are to die, or to be looked at."""
+"""Work for the processes of fits: a fit that does not end while a test looks at it, and tasks that are to die."""
 
 import os
 import resource
@@ -6,8 +6,12 @@ import signal
 import socket
 import sys
 
+from dsbrdf import FitOptions
 from dsbrdf.engines import FitTask, OnProgress, Outcome
 from dsbrdf.engines.local import compute
+
+ENDLESS = FitOptions(n_lobes=10, ring_lobes=9, knots_deg=tuple(range(90)), robust=True, lobe="student")
+"""The longest fit that options can ask for."""
 
 
 def die(number: signal.Signals, _: OnProgress) -> None:
