@@ -49,7 +49,7 @@ _NO_LINES = Box("    \n" * 8)
 _COMMANDS = {
     "Models": {
         "fit": ("fit_command:fit", "Fit models to measurements."),
-        "show": ("model_commands:show", "Print the report of a fit again."),
+        "show": ("model_commands:show", "Print the report of a stored fit."),
         "eval": ("model_commands:evaluate", "Print values of a model."),
         "materials": ("model_commands:print_materials", "List measured materials whose fits come with the package."),
         "decompose": ("model_commands:print_components", "Print the specular spike, specular lobe and diffuse part."),
@@ -60,16 +60,16 @@ _COMMANDS = {
             "Draw a measurement, its fit, the parameters of a model, or several materials.",
         ),
         "render": ("picture_commands:render", "Draw a lit sphere of a model or a measurement."),
-        "map": ("picture_commands:map_materials", "Draw a map of materials by their likeness, and list neighbours."),
+        "map": ("picture_commands:map_materials", "Draw a map on which similar materials lie near each other."),
         "compare": ("compare_command:compare", "Compare models or measurements, with their spheres side by side."),
     },
     "Files": {
         "export": ("model_commands:export", "Write a model for other programs."),
-        "table": ("table_command:table", "Print what is understood of a table of samples."),
+        "table": ("table_command:table", "Print how a table of samples is understood."),
         "convert": ("model_commands:convert", "Write a measurement as another kind of file."),
     },
     "More": {
-        "completion": ("commands:completion", "Print what makes a shell complete commands and options."),
+        "completion": ("commands:completion", "Print the script with which a shell completes commands."),
     },
 }
 

@@ -168,7 +168,7 @@ def _source(path: Path, table: TableOptions, component: str | None) -> tuple[Any
 def _beside(word: str, first: Any) -> tuple[RenderableModel, dict[str, Any]]:
     """Return a model that ``--with`` names, and its description and metrics relative to the first source by name."""
     if not isinstance(first, Measurement | RenderableModel):
-        raise InvalidArgumentError("--with compares with a measurement on a grid or with a whole model")
+        raise InvalidArgumentError("--with compares with a .binary or .bsdf file or a whole model; fit a table first")
     if word == "ggx":
         evaluate = first.interpolated.evaluate if isinstance(first, Measurement) else first.evaluate_unmasked
         model: RenderableModel = fit_ggx(evaluate)
@@ -176,7 +176,7 @@ def _beside(word: str, first: Any) -> tuple[RenderableModel, dict[str, Any]]:
     elif Path(word).suffix == ".py":
         model, about = FunctionModel(_function_in(Path(word))), {"kind": "a function"}
     else:
-        raise InvalidArgumentError(f"--with takes ggx or a Python file, not {word!r}")
+        raise InvalidArgumentError(f"--with must be ggx or a .py file, not {word!r}")
     if isinstance(first, Measurement):
         about |= asdict(compare_with(first, {word: model})[word])
     return model, about

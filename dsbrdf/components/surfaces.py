@@ -21,7 +21,7 @@ from dsbrdf.components.shares import RANGE_HALF_WIDTH_SIGMAS, Range, RgbRange, S
 
 MAX_PEAK_MISFIT = 0.25  # A component whose peak value differs more from its layers has no F0 (relative error).
 MAX_COLOR_MISFIT = 0.15  # A component whose colour differs more from its layers has no F0 (relative error).
-MAX_WIDTH_MISFIT = 0.3  # A component whose half width differs more from its layers has no alpha (relative error).
+MAX_WIDTH_MISFIT = 0.3  # A component has no alpha if the half width of its layers is wrong by a larger fraction.
 MAX_ALBEDO_MISFIT = 0.12  # A component whose albedo differs more from its layers has no F0 (relative error).
 _MAX_LOG_FACTOR = 200.0  # A factor between a value and an end of its range is at most e to this power, and so finite.
 _N_COMPARED_ALBEDOS = 2  # The error of the albedo at the third angle of `light_rules` widens ranges only.
@@ -229,7 +229,7 @@ def _variance_of_shared_light(surface: SpecularLayer, other: SpecularLayer) -> t
 def _surface(
     layers: Sequence[SpecularLayer], covariance: Array, of_alpha: float, of_f0: Array, of_f70: Array, misfit: Misfit
 ) -> Surface:
-    """State some layers as one surface.
+    """Describe the layers of a highlight as one surface.
 
     `covariance` belongs to the layers' unknowns. The next arguments are further variances of the logarithms of alpha,
     F0 and F70; a large misfit withholds parameters.

@@ -123,7 +123,7 @@ class FitOptions:
 
     n_lobes: Annotated[int, Bounds(1, MAX_LOBES)] | Literal["auto"] = option(
         "auto",
-        'Number of all lobes, 1 to 10. "auto" takes as many as lower the error on held-out samples; with the method '
+        'Number of all lobes, 1 to 10. "auto" takes 9, or fewer if the rest is noise or negligible; with the method '
         '"paper" it takes the smallest number from 1 to 5 that Williams\' test does not find worse than 5.',
     )
     method: Literal["global", "paper"] = option(
@@ -137,7 +137,7 @@ class FitOptions:
         'most. The method "paper" has none.',
     )
     lobe: Family = option(
-        "hemi_epd", 'Family of the lobes, which glossary and model describe; the method "paper" has "hemi_epd" only.'
+        "hemi_epd", '"hemi_epd" is the lobe of the paper and of the method "paper"; "student" has heavier tails.'
     )
     knots_deg: Annotated[tuple[int, ...], Bounds(0, THETA_DIFF.size - 1)] | Literal["auto"] = option(
         "auto",

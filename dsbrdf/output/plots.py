@@ -119,8 +119,9 @@ def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
     """
     figure, (slices, planes, below) = figure_of_rows(samples.name, 2, [ROW_HEIGHT_IN] * 3)
     near = f"samples (squares) within {MAX_DRAWN_DISTANCE_DEG:g}°"
-    slices.suptitle(rf"(a) {near} of $\theta_\mathrm{{diff}}$, and fit (lines)", fontsize=10)
-    planes.suptitle(f"(b) {near} of the plane of incidence, and fit (lines)", fontsize=10)
+    over_phi = r"fit, mean (lines) and range (shaded) over $\phi_\mathrm{diff}$"
+    slices.suptitle(rf"(a) {near} of $\theta_\mathrm{{diff}}$; {over_phi}", fontsize=10)
+    planes.suptitle(f"(b) {near} of the plane of incidence; fit (lines)", fontsize=10)
     below.suptitle("(c) difference of fit and samples", fontsize=10)
     shown = _thinned(samples)
     angles = _angles(shown)

@@ -181,15 +181,14 @@ def space_figure(found: MaterialSpace, models: Mapping[str, Source]) -> Figure:
         "materials by likeness of their lit spheres, glossy ones to the right", 2, height=_FIGURE_HEIGHT_IN
     )
     ax = figure.subplots()
-    ax.plot(*found.places.T, ".", color="0.8", markersize=1.0)  # Matplotlib sets the axis limits by these points.
-    ax.margins(0.06)
+    edge = 0.06 * np.ptp(found.places, axis=0).max()
+    ax.plot(*np.concatenate([found.places - edge, found.places + edge]).T, alpha=0.0)  # These points set the limits.
     ax.set(aspect="equal", adjustable="datalim", xticks=[], yticks=[])
-    mask = sphere_normals(_SPHERE_SIZE_PX)[1]
+    mask, scale = sphere_normals(_SPHERE_SIZE_PX)[1], float(np.clip(40.0 / len(found.names), 1.0, 1.6))
     for name, place in zip(found.names, found.places, strict=True):
         sphere = render_sphere(models[name], size=_SPHERE_SIZE_PX)
         picture = cut_out(displayed(sphere, exposure(sphere, mask)))
-        ax.add_artist(AnnotationBbox(OffsetImage(picture, zoom=_SPHERE_ZOOM), place, frameon=False))
-        ax.annotate(
-            name, place, (0, -14), textcoords="offset points", ha="center", va="top", fontsize=4.5, parse_math=False
-        )
+        ax.add_artist(AnnotationBbox(OffsetImage(picture, zoom=scale * _SPHERE_ZOOM), place, frameon=False))
+        below, size = (0.0, -14.0 * scale), 4.5 * scale
+        ax.annotate(name, place, below, "data", "offset points", ha="center", va="top", size=size, parse_math=False)
     return figure

@@ -237,7 +237,7 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
         with CalamineWorkbook.from_filelike(io.BytesIO(data)) as book:
             texts = {name: _text(book.get_sheet_by_name(name).to_python(False)) for name in book.sheet_names}
     except BaseException as error:
-        # A panic of the library, at some damaged files, is no Exception, and its class has no public name.
+        # Some damaged files make the library panic; this error is no `Exception`, and its class has no public name.
         unreadable = isinstance(error, CalamineError | zipfile.BadZipFile | zlib.error | EOFError | RuntimeError)
         if not unreadable and type(error).__name__ != "PanicException":
             raise

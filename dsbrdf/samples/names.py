@@ -90,7 +90,7 @@ _LOGARITHM = re.compile(r"(?:10_?\*_?)?(?:d_?b|dex|ln|lg|log(?:_?10)?|decibels?)
 _MARKUP = re.compile(r"[$\\{}'’\"#]|\([^()=]*theta[^()=]*,[^()=]*\)")
 _BAND_IN_BRACKETS = re.compile(r"(?:lambda ?= ?)?([0-9.]+ ?(?:nm|um|μm)?)")
 _MATRICES = ({"theta_in", "theta_out"}, {"theta_out", "phi_out"}, {"theta_out", "wavelength"})
-_N_MATRIX_NAMES = 3  # The first cell of a matrix counts as three column names: of both angles and of the values.
+_N_MATRIX_NAMES = 3  # The first cell of a matrix counts as three column names: two angles and the values.
 _MAX_NAME_LENGTH = 200  # A longer cell is not searched for a column name and its unit [characters].
 _BAND = re.compile(
     rf"(?:(?:{'|'.join((*_FACTORS, *_DENSITIES))}|beta|rrs|band|b|f|r|l|w|wl|lambda)_?)?"

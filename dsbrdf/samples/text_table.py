@@ -41,7 +41,7 @@ _MAX_HEAD_LENGTH = 1 << 18  # The column names are searched only in this part at
 _LISTED = re.compile(
     r"[ \t]*(?:[#%!]+[ \t]*(?:column|col\.?|field)?|column|col\.?|field)[ \t]*([0-9]+)[ \t]*[-:=.)][ \t]*(\S.*)", re.I
 )
-# The line with most column names is taken; a line with a name for each cell of the row below gets so many extra names.
+# The line with the most names names the columns; with a name for each cell of the row below, it has this many more.
 _FITS_BONUS = 2
 # If the line below the column names has at least this number of names, the line is a translation and has no units.
 _MIN_NAMES = 2
@@ -87,7 +87,7 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
     separator, first = ",", 0
     numbered = [[line.strip('"') for line in line.replace(",", " ").split()] for _, line in lines[:3]]
     if [row[:1] for row in numbered] == [["1"], ["2"], ["3"]] and {len(row) for row in numbered} == {len(names) + 1}:
-        names = ("row", *names)  # R writes the numbers of rows without a name.
+        names = ("row", *names)  # R numbers the rows in a column without a name.
     for number, line in lines[:_MAX_LINES_OF_UNITS]:
         separator = _separator_of_row(number, line, len(names))
         cells = [cell.strip(" []()") for cell in _cells(line, separator)]

@@ -142,7 +142,7 @@ class FitQueue:
     async def wait(self, key: FitKey, seconds: float, *ends: "asyncio.Future[None]") -> FitRow:
         """Wait until a fit ends, `seconds` are over or a future in `ends` is done; return the fit's row.
 
-        An owner whose requests already wait for as many fits as is allowed gets the row at once.
+        If an owner already has the maximum number of waiting requests, the row is returned at once.
         """
         with move_on_after(seconds if self.has_room(key.owner) else 0.0):
             async for _ in self.watch(key, *ends, each_step=False):

@@ -25,9 +25,6 @@ from ..storage.keys import add_key, all_keys, revoke_key
 
 _MAX_NAME_LENGTH = 100
 _TIME_COLUMNS = ("created", "revoked")
-_PURGE_PURPOSE = (
-    "Remove fits that ended long ago, measurements as old that no other fit uses, or files; a server may run."
-)
 DataDir = Annotated[Path | None, Parameter(metavar="DIR", help="The service's folder.")]
 Json = Annotated[bool, Parameter(help="Print one JSON document instead of text.")]
 
@@ -64,10 +61,10 @@ def refuse(reason: str) -> int:
 
 def keys(words: Sequence[str]) -> int:
     """Run the command with the arguments that follow its name; return the exit code."""
-    app = new_application("dsbrdf keys", "API keys of the service; a running server heeds a change at once.")
-    app.command(_add, name="add", help="Make a key and print it, this once.")
-    app.command(_list, name="list", help="Print the keys, without their secrets.")
-    app.command(_revoke, name="revoke", help="Refuse a key from now on; what is stored with it stays.")
+    app = new_application("dsbrdf keys", "Manage API keys of the service; a running server uses a change at once.")
+    app.command(_add, name="add", help="Make a key and print it; it is not shown again.")
+    app.command(_list, name="list", help="List the keys by their ids, without the keys themselves.")
+    app.command(_revoke, name="revoke", help="Refuse a key from now on; its stored data is kept.")
     return (
         _run_on_folder(app, words) if words else refuse("name a command: add, list or revoke (see dsbrdf keys --help)")
     )
@@ -78,16 +75,16 @@ def _check_name(_: Any, text: str) -> None:
         raise ValueError(f"the name must have 1 to {_MAX_NAME_LENGTH} printable characters")
 
 
-_Name = Annotated[str, Parameter(validator=_check_name, help="Whose key it is, for the list.")]
+_Name = Annotated[str, Parameter(validator=_check_name, help="Name of the key's owner, for the list.")]
 _Rate = Annotated[
     float | None,
-    Parameter(validator=Number(gte=0.001, lt=10**9), metavar="N", help="Five times as many may come at once."),
+    Parameter(validator=Number(gte=0.001, lt=10**9), metavar="N", help="Maximum rate; bursts may have 5 times more."),
 ]
 _Bound = Annotated[int | None, Whole, Parameter(validator=Number(gte=0, lt=10**12))]
-_StoredMb = Annotated[_Bound, Parameter(help="Most that may be stored [MB of 10^6 bytes].")]
-_QueuedFits = Annotated[_Bound, Parameter(help="Most fits that may wait or run.")]
-_MayReadMetrics = Annotated[bool, Parameter(help="It may read GET /metrics, the totals of all keys.")]
-_KeyId = Annotated[str, Parameter(name="ID", allow_leading_hyphen=True, help="As the list shows it.")]
+_StoredMb = Annotated[_Bound, Parameter(help="Maximum size of stored data [MB of 10^6 bytes].")]
+_QueuedFits = Annotated[_Bound, Parameter(help="Maximum number of fits that wait or run.")]
+_MayReadMetrics = Annotated[bool, Parameter(help="The key may read GET /metrics, the totals of all keys.")]
+_KeyId = Annotated[str, Parameter(name="ID", allow_leading_hyphen=True, help="Id from dsbrdf keys list.")]
 
 
 def _add(
@@ -106,7 +103,7 @@ def _add(
     with closing(Database(folder, exclusive=False)) as database:
         limits = {"requests_per_second": requests_per_second, "stored_mb": stored_mb, "queued_fits": queued_fits}
         key_id, key = add_key(database, name, **limits, metrics=metrics)
-    print_error(f"the key {key_id} of {name!r} is shown this once")
+    print_error(f"the key {key_id} of {name!r} is not shown again")
     print(key)
 
 
@@ -139,7 +136,7 @@ def purge(words: Sequence[str]) -> int:
     """Run the command with the arguments that follow its name; return the exit code."""
     app = new_application(
         "dsbrdf purge",
-        "Remove fits that ended long ago, measurements as old that no other fit uses, or files; a server may run.",
+        "Remove old fits with measurements that no other fit uses, or files without a row, also while a server runs.",
     )
     app.default(_purge)
     return _run_on_folder(app, words)
@@ -153,9 +150,9 @@ def _check_age(_: object, age: timedelta | None) -> None:
 def _purge(
     *,
     older_than: Annotated[
-        timedelta | None, Parameter(validator=_check_age, metavar="AGE", help="Such as 30d, 12h or 45m.")
+        timedelta | None, Parameter(validator=_check_age, metavar="AGE", help="Minimum age, such as 30d or 12h.")
     ] = None,
-    files_without_rows: Annotated[bool, Parameter(help="Remove the files that belong to no measurement.")] = False,
+    files_without_rows: Annotated[bool, Parameter(help="Remove files that belong to no measurement.")] = False,
     data_dir: DataDir = None,
     json: Json = False,
 ) -> int:
@@ -175,13 +172,13 @@ def _purge(
 
 def doctor(words: Sequence[str]) -> int:
     """Run the command with the arguments that follow its name; return the exit code."""
-    app = new_application("dsbrdf doctor", "Check the service's database and every measurement; a server may run.")
+    app = new_application("dsbrdf doctor", "Check the database and every measurement, also while a server runs.")
     app.default(_examine)
     return _run_on_folder(app, words)
 
 
 def _examine(*, data_dir: DataDir = None, json: Json = False) -> int:
-    from ..storage import maintenance  # It imports NumPy, which the help does without.
+    from ..storage import maintenance  # This module imports NumPy, and `--help` must not wait for NumPy.
 
     checks = {
         "database": maintenance.check_database,

@@ -196,7 +196,9 @@ class ModelCache:
     def __init__(self, store: Store, size: int) -> None:
         self._store = store
         self._size = size
-        self._models: OrderedDict[tuple[FitKey, int | None], LoadedFit] = OrderedDict()  # By fit and result's checksum.
+        self._models: OrderedDict[tuple[FitKey, int | None], LoadedFit] = (
+            OrderedDict()
+        )  # The keys are a fit and the checksum of its result.
         self._batches: dict[tuple[FitKey, str | None], _Batch] = {}  # Batches by fit and component label.
 
     async def get(self, key: FitKey) -> LoadedFit:

@@ -123,7 +123,7 @@ class Bodies:
             yield bytes(content)
         finally:
             self._held[caller] -= len(content)
-            self._held += Counter()  # Adding a counter removes callers with 0 bytes.
+            self._held += Counter()  # Adding an empty counter drops callers with 0 bytes.
 
 
 async def pieces_of(request: Request) -> AsyncIterator[bytes]:

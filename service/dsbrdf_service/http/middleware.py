@@ -29,7 +29,7 @@ _MAX_LINE_BYTES = 8192  # Longer headers and addresses are refused.
 _MAX_HEADERS = 100
 _MAX_HEAD_BYTES = 1 << 16
 _MAX_PIPELINED_REQUESTS = 64  # A client that sends more requests without reading answers is disconnected.
-_LAST_LOOK_S = 0.05  # After a time limit, a process that was stopped finds what arrived meanwhile.
+_LAST_LOOK_S = 0.05  # After a time limit, data that arrived while the process was stopped is still read.
 # A request may have each of these headers only once, because it would be unclear which one counts.
 _SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")
 _CLOSE_HEADERS = {"Connection": "close"}

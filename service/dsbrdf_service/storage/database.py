@@ -20,7 +20,7 @@ from .schema import VERSION, create_tables
 FILE_NAME = "dsbrdf.sqlite"
 RESERVE = "dsbrdf.reserve"
 """File that is deleted if the service starts on a full disk, to free space in which rows can be deleted."""
-_BUSY_TIMEOUT = 5.0  # [s] A transaction that waits longer for other transactions fails, and its request gets 503.
+_BUSY_TIMEOUT_S = 5.0  # A transaction that waits longer for other transactions fails, and its request gets 503.
 _MIN_DATABASE_BYTES = 512  # A shorter, non-empty file is refused, because SQLite would overwrite it.
 _MIN_FREE_BYTES = 1 << 16  # With less free space, SQLite cannot create its files beside the database.
 # With these codes, SQLite reports a fault of the disk or of the moment; others are faults of a row or of a query.
@@ -118,7 +118,7 @@ class Database:
         Raises sqlite3.OperationalError if other transactions take too long, and DatabaseLostError if the database or
         its log has been removed or replaced before the end of the block.
         """
-        if not self._writer_lock.acquire(timeout=_BUSY_TIMEOUT):
+        if not self._writer_lock.acquire(timeout=_BUSY_TIMEOUT_S):
             raise sqlite3.OperationalError("other transactions take too long")
         try:
             self._check_files()
@@ -138,7 +138,7 @@ class Database:
         """
         self._check_files()
         if not self._writer_lock.acquire(blocking=False):
-            if monotonic() - self._written_at > _BUSY_TIMEOUT:
+            if monotonic() - self._written_at > _BUSY_TIMEOUT_S:
                 raise sqlite3.OperationalError("a transaction takes too long")
             return
         try:
@@ -153,7 +153,7 @@ class Database:
             self._writer_lock.release()
 
     def _connection(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(self._path, timeout=_BUSY_TIMEOUT, isolation_level=None, check_same_thread=False)
+        connection = sqlite3.connect(self._path, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
         # A text with a damaged byte can still be shown.
         connection.text_factory = partial(str, encoding="utf-8", errors="replace")
         return connection
@@ -210,7 +210,7 @@ def read_only(folder: Path, query: str, of_row: Callable[[tuple[Any, ...]], Any]
 
 
 def _selected(uri: str, query: str, of_row: Callable[[tuple[Any, ...]], Any]) -> list[Any]:
-    with closing(sqlite3.connect(uri, uri=True, timeout=_BUSY_TIMEOUT)) as connection:
+    with closing(sqlite3.connect(uri, uri=True, timeout=_BUSY_TIMEOUT_S)) as connection:
         connection.text_factory = partial(str, encoding="utf-8", errors="surrogateescape")  # This keeps wrong bytes.
         return list(map(of_row, connection.execute(query)))
 

@@ -253,5 +253,5 @@ def test_ggx_and_a_function_in_a_file_are_compared_with_a_measurement(plastic_fi
     assert [item["kind"] for item in answer["items"]] == ["measurement", "2 GGX highlights", "a function"]
     assert answer["items"][1]["psnr"] > 25.0 > answer["items"][2]["psnr"]
     assert "broken.py: ZeroDivisionError" in sentence("compare", plastic_file, "--with", broken)
-    assert "--with takes ggx or a Python file" in sentence("compare", plastic_file, "--with", "phong")
+    assert "--with must be ggx or a .py file" in sentence("compare", plastic_file, "--with", "phong")
     assert "name a second file" in sentence("compare", plastic_file)

@@ -194,5 +194,5 @@ def test_what_cannot_be_drawn_is_refused(plastic: Measurement) -> None:
         dsbrdf.plot("nickel.binary")  # type: ignore[arg-type]
     with pytest.raises(dsbrdf.InvalidArgumentError, match="to compare materials, name them"):
         dsbrdf.plot(PAINT, PAINT)  # type: ignore[arg-type]
-    with pytest.raises(dsbrdf.InvalidArgumentError, match="compares 1 to 8 materials, not 9"):
-        dsbrdf.plot({f"paint {number}": PAINT for number in range(9)})
+    with pytest.raises(dsbrdf.InvalidArgumentError, match="compares 1 to 10 materials, not 11"):
+        dsbrdf.plot({f"paint {number}": PAINT for number in range(11)})

@@ -126,7 +126,7 @@ def test_secrets_are_neither_stored_nor_printed(guarded: Guarded, data: bytes) -
 
 
 def test_locked_database_is_reported_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dsbrdf_service.storage.database._BUSY_TIMEOUT", 0.1)
+    monkeypatch.setattr("dsbrdf_service.storage.database._BUSY_TIMEOUT_S", 0.1)
     with closing(Database(tmp_path)) as database, database.transaction():
         busy = keys_command("add", "x", "--data-dir", str(tmp_path))
     assert busy.returncode in (1, 2)
