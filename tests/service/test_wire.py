@@ -141,6 +141,11 @@ def test_every_other_option_measurement_and_algorithm_changes_the_identity(monke
         (from_json, b"null", "The body must be an object; give theta_half_deg"),
         (
             from_json,
+            b'{"theta_half_deg": 1, "theta_diff_deg": 2, "theta_half_deg": 3}',
+            "The member 'theta_half_deg' is",
+        ),
+        (
+            from_json,
             b'{"theta_in_deg": "x", "theta_out_deg": [NaN]}',
             "theta_in_deg must be a list, not 'x'; theta_out_deg.0 must be a finite number",
         ),

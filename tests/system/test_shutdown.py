@@ -5,21 +5,21 @@ import os
 import re
 import resource
 import signal
-import socket
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
 from dsbrdf_service.admin import serve
 from tests.support.command_line import run_main
-from tests.support.processes import alive, command, wait_until
+from tests.support.dask_cluster import DaskCluster
+from tests.support.processes import alive, command, until, wait_until
 from tests.support.server import ENDLESS, QUICK, Server, StartServer, head_of_upload
 from tests.support.soak import repeats
 
@@ -35,15 +35,6 @@ def start_fits(server: Server, data: bytes, number: int) -> list[str]:
     ]
     server.until_running(fits[0])
     return fits
-
-
-@contextmanager
-def upload_in_progress(server: Server, data: bytes) -> Iterator[socket.socket]:
-    """A connection on which the rest of a measurement does not come."""
-    before = len(server.files())
-    with server.connection(head_of_upload(len(data)) + data[:1_000_000], 20.0) as connection:
-        wait_until(lambda: len(server.files()) > before)
-        yield connection
 
 
 def follow(server: Server, fit: str, following: threading.Barrier) -> list[str]:
@@ -108,7 +99,8 @@ def test_sigterm_to_all_processes_fails_no_fit_and_cuts_off_no_answer(own_server
     fits = start_fits(server, data, 2)
     wait_until(lambda: len(server.workers()) == 2)
     everyone, stored = [*server.workers(), *server.helpers(), server.process.pid], server.files()
-    with upload_in_progress(server, data) as connection:
+    with server.connection(head_of_upload(len(data)) + data[:1_000_000], 20.0) as connection:  # The rest does not come.
+        wait_until(lambda: len(server.files()) > len(stored))
         for pid in everyone:
             os.kill(pid, signal.SIGTERM)
         head_of_answer, _, body = connection.makefile("rb").read().partition(b"\r\n\r\n")
@@ -135,9 +127,27 @@ def test_sigterm_with_unread_answers_ends_with_zero(own_server: StartServer, dat
 
 
 def pipes(pid: int) -> int:
-    return sum(
-        str(link.readlink()).startswith("pipe:") for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()
-    )
+    links = [link for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()]
+    return sum(str(link.readlink()).startswith("pipe:") for link in links)
+
+
+@pytest.mark.soak
+def test_killed_server_leaves_no_fit_on_a_dask_cluster_and_resumes_it(
+    own_server: StartServer, cluster: DaskCluster, data: bytes
+) -> None:
+    server = own_server(engine="dask", scheduler=cluster.address, workers="1")
+    sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
+    # One takes long enough to be interrupted, and one waits for it.
+    asked: list[dict[str, Any]] = [{"n_lobes": 4, "em_iterations": 100}, QUICK]
+    fits = [server.submit(sha256, prefer="respond-async", **options).json()["id"] for options in asked]
+    victims = until(cluster.fitting, bool)
+    server.stop(signal.SIGKILL)
+    wait_until(lambda: not any(alive(pid) for pid in victims))
+    server.start()
+    before = server.memory()
+    for fit in fits:
+        assert server.http.get(f"/v1/fits/{fit}?wait=60").json()["status"] == "succeeded"
+    assert server.memory() - before < 24  # neither the file (35 MB) nor what is made of it
 
 
 def test_hanging_fork_server_does_not_block_shutdown(own_server: StartServer, data: bytes) -> None:

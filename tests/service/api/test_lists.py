@@ -7,19 +7,16 @@ from starlette.requests import Request
 
 from dsbrdf import InvalidArgumentError
 from dsbrdf_service.http.messages import content_disposition, given_name
+from tests.support.merl_files import with_value
 from tests.support.server import QUICK, Server, assert_problem
-
-
-@pytest.fixture(scope="module")
-def other(data: bytes) -> bytes:
-    return data[:-8] + b"\0" * 7 + b"\xc0"
 
 
 def names_of(server: Server, noun: str, **query: str) -> list[str | None]:
     return [item["name"] for item in server.http.get(f"/v1/{noun}", params=query).json()["items"]]
 
 
-def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, other: bytes) -> None:
+def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, data: bytes) -> None:
+    other = with_value(data, 0.4)
     fit = server.http.post("/v1/fits", params={**QUICK, "name": "Näckel 1"}, content=other).json()
     assert fit["name"] == "Näckel 1"
     assert (

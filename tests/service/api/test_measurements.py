@@ -74,36 +74,24 @@ def test_measurement_has_a_document_with_its_fits(server: Server, data: bytes) -
     assert (file.content, file.headers["etag"]) == (content, f'"{uploaded["sha256"]}"')
     for either in (answer, file):
         assert "Accept" in either.headers["vary"]
-    assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}"), 404, "not-found")
-    server.http.delete(url)
-    assert_problem(server.http.get(url), 404, "not-found")
 
 
-MODEL = mixture(2, 0)
 EXAMPLE = Path(examples.__file__).with_name("satin_purple.bsdf")
-N_ROWS = repeats(20_000, 2_000_000)
 FEW_LOBES = {"n_lobes": "1", "ring_lobes": "0"}
 
 
 @pytest.fixture(scope="module")
-def bsdf() -> bytes:
-    return EXAMPLE.read_bytes()
-
-
-@pytest.fixture(scope="module")
 def table() -> bytes:
-    return samples_table(scattered_samples(MODEL, 60))
+    return samples_table(scattered_samples(mixture(2, 0), 60))
 
 
-def post(server: Server, content: bytes, name: str, media_type: str = "application/octet-stream") -> httpx.Response:
-    return server.http.post(
-        "/v1/measurements", params={"name": name}, content=content, headers={"Content-Type": media_type}
-    )
+def post(server: Server, content: bytes, name: str, kind: str = "application/octet-stream") -> httpx.Response:
+    return server.http.post("/v1/measurements", params={"name": name}, content=content, headers={"Content-Type": kind})
 
 
-def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, bsdf: bytes) -> None:
-    merl = encode_merl(parse_rgl(bsdf).measurement())
-    answer = post(server, bsdf, "paint.BSDF", "text/csv")  # The content decides.
+def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server) -> None:
+    merl = encode_merl(parse_rgl(EXAMPLE.read_bytes()).measurement())
+    answer = post(server, EXAMPLE.read_bytes(), "paint.BSDF", "text/csv")  # The content decides.
     assert answer.status_code == 201, answer.text
     document = answer.json()
     assert document["name"] == "paint"
@@ -179,11 +167,9 @@ def test_table_is_fitted_after_a_kill_as_by_the_library_without_pictures(own_ser
     assert_same_bits(from_json(exported)[0], expected.model)
     assert fit["metrics"]["relative_rms"] == expected.report.metrics.relative_rms
     assert fit["warnings"] == [*expected.report.warnings]
-    for path in (
-        f"/v1/measurements/{fit['measurement']}/figures/sphere.png",
-        f"/v1/measurements/{fit['measurement']}/table.npy",
-    ):
-        assert "a table of samples, without pictures" in assert_problem(server.http.get(path), 404)
+    for path in ("figures/sphere.png", "table.npy"):
+        answer = server.http.get(f"/v1/measurements/{fit['measurement']}/{path}")
+        assert "a table of samples, without pictures" in assert_problem(answer, 404)
     for figure in ("residual", "parameters"):
         assert b"felt" in server.http.get(f"/v1/fits/{fit['id']}/figures/{figure}.svg").content, figure
     assert server.http.get(f"/v1/fits/{fit['id']}/figures/sphere.png?size=16").is_success
@@ -193,7 +179,7 @@ def test_table_is_fitted_after_a_kill_as_by_the_library_without_pictures(own_ser
     ("name", "content", "status", "words"),
     [
         ("a.bsdf", EXAMPLE.read_bytes()[:100_000], 422, "damaged or cut off"),
-        ("a.csv", b"theta_in,theta_out,value\n" + b",,\n" * N_ROWS, 422, "0 samples"),
+        ("a.csv", b"theta_in,theta_out,value\n" + b",,\n" * repeats(20_000, 2_000_000), 422, "0 samples"),
         ("a.txt", bytes(range(256)) * 100, 422, "MERL"),
         ("a.csv", b"#" * ((1 << 23) + 1), 413, "at most 8388608 bytes here"),
     ],
@@ -212,7 +198,9 @@ def test_another_kind_of_file_is_named_as_by_the_library(server: Server, words: 
         assert f"The file is {words}" in assert_problem(answer, 422)
 
 
-def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: bytes) -> None:
+def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: bytes, data: bytes) -> None:
+    on_a_grid = server.http.post("/v1/measurements", params={"scale": "0.5"}, content=data)
+    assert "scale is an option of a table of samples" in assert_problem(on_a_grid, 422)
     odd = table.replace(b"blue", b"azure", 1) + b"0,0,1,0,0,1,-9,-9,-9\n"
     chosen = {"columns": "blue=azure", "missing": "-9", "scale": "0.5", "cosine": "out", "phi": "mirror"}
     assert "lacks blue: not understood are its columns" in assert_problem(post(server, odd, "odd.csv"), 422)
@@ -230,11 +218,6 @@ def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: b
     expected = np.hstack([samples.omega_in * [-1.0, -1.0, 1.0], samples.omega_out, values])
     of_table = server.http.get(f"/v1/measurements/{fit['measurement']}/samples.npy")
     np.testing.assert_allclose(np.load(BytesIO(of_table.content)), expected, rtol=1e-6, atol=1e-7)
-
-
-def test_a_measurement_on_a_grid_has_no_options_of_a_table(server: Server, data: bytes) -> None:
-    answer = server.http.post("/v1/measurements", params={"scale": "0.5"}, content=data)
-    assert "scale is an option of a table of samples" in assert_problem(answer, 422)
 
 
 def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> None:
@@ -264,10 +247,6 @@ def flip(path: Path) -> None:
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-1])
-
-
 @pytest.fixture(scope="module")
 def used(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[tuple[Server, str, str]]:
     """A service with one measurement and a fit, and their ids; each test leaves the file whole."""
@@ -276,12 +255,12 @@ def used(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[tupl
         yield server, fit["measurement"], fit["id"]
 
 
-HARMS: list[Callable[[Path], None]] = [Path.unlink, cut, flip]
+HARMS: list[Callable[[Path], object]] = [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-1]), flip]
 
 
 @pytest.mark.parametrize("harm", HARMS)
 def test_every_reader_refuses_a_damaged_file(
-    used: tuple[Server, str, str], data: bytes, harm: Callable[[Path], None]
+    used: tuple[Server, str, str], data: bytes, harm: Callable[[Path], object]
 ) -> None:
     server, sha256, fit = used
     options = QUICK | {"mask": 0.01 * HARMS.index(harm)}  # No other test has a fit with these.

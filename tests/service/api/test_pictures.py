@@ -1,15 +1,12 @@
 """Pictures of fits are those of the library; the files of the page, and the resources that were made for it."""
 
-import io
 import re
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 from starlette.requests import Request
 
@@ -24,12 +21,6 @@ from dsbrdf_service.http.problems import KINDS, problem_of
 from tests.support.server import QUICK, Guarded, Server, assert_problem, npy
 
 pytestmark = pytest.mark.slow
-
-
-def assert_shows(answer: httpx.Response, expected: NDArray[np.float64]) -> None:
-    assert answer.headers["content-type"] == "image/png"
-    with Image.open(BytesIO(answer.content)) as image:
-        assert np.abs(np.asarray(image) / 255.0 - expected).max() < 0.003
 
 
 def test_a_sphere_is_that_of_the_library_as_a_picture_and_as_radiance_in_any_light(
@@ -55,7 +46,9 @@ def test_a_sphere_is_that_of_the_library_as_a_picture_and_as_radiance_in_any_lig
             assert radiance.headers["content-type"] == NPY
             assert np.load(BytesIO(radiance.content)) == pytest.approx(image, rel=1e-5, abs=1e-7)
             picture = server.http.request(url=f"{figures}/sphere.png", **asked)
-            assert_shows(picture, displayed(image, exposure(exposed, mask)))
+            assert picture.headers["content-type"] == "image/png"
+            seen = np.asarray(Image.open(BytesIO(picture.content))) / 255.0
+            assert np.abs(seen - displayed(image, exposure(exposed, mask))).max() < 0.003
     assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/figures/sphere.png"), 404, "not-found")
 
 
@@ -94,11 +87,8 @@ def test_figures_are_drawn_and_names_are_no_formulas(server: Server, data: bytes
     assert b"#000000" in light
     assert b"#000000" not in dark  # no black marks
     assert b'z\n"/>' not in dark  # no areas without a colour, which are black
-
-
-@pytest.mark.parametrize("figure", ["parameters.png", "profiles.svg", "sphere.svg"])
-def test_there_are_no_other_figures(server: Server, fitted: str, figure: str) -> None:
-    assert_problem(server.http.get(f"/v1/fits/{fitted}/figures/{figure}"), 404, "not-found")
+    for other in ("parameters.png", "profiles.svg", "sphere.svg"):
+        assert_problem(server.http.get(f"/v1/fits/{fit}/figures/{other}"), 404, "not-found")
 
 
 def test_a_missing_library_is_named() -> None:
@@ -109,16 +99,8 @@ def test_a_missing_library_is_named() -> None:
     assert "pip install 'dsbrdf[plot]'" in problem.detail
 
 
-NPY_BOTH_WAYS = {"Content-Type": NPY, "Accept": NPY}
 PAGE = Path(dsbrdf_service.__file__).parent / "http" / "page"
 PAGES = ("/", "/compare?fit=a&fit=b", f"/fits/{'0' * 32}", "/fits/unknown", f"/measurements/{'0' * 64}", "/docs")
-
-
-def array(answer: httpx.Response) -> np.ndarray:
-    assert answer.status_code == 200, answer.text
-    assert answer.headers["content-type"] == "application/x-npy"
-    loaded: np.ndarray = np.load(io.BytesIO(answer.content))
-    return loaded
 
 
 def test_pages_load_nothing_from_other_hosts_and_run_no_script_of_their_own(server: Server) -> None:
@@ -175,7 +157,7 @@ def test_thumbnail_is_the_fit_and_on_the_left_its_measurement_which_it_outlives(
     fit = http.post("/v1/fits", params=QUICK, content=data, headers={**own, **kind}).json()
     thumbnail = f"/v1/fits/{fit['id']}/figures/thumbnail.png"
     answer = http.get(thumbnail, headers=own)
-    shown = np.asarray(Image.open(io.BytesIO(answer.content)))[..., :3] / 255.0
+    shown = np.asarray(Image.open(BytesIO(answer.content)))[..., :3] / 255.0
     model = from_json(http.get(f"/v1/fits/{fit['id']}/export?format=json", headers=own).text)[0]
     size, half = len(shown), len(shown) // 2
     measured, fitted = (render_sphere(material, size=size) for material in (parse_merl(data), model))
@@ -200,14 +182,14 @@ def test_thumbnail_is_the_fit_and_on_the_left_its_measurement_which_it_outlives(
 )
 def test_panorama_that_is_none_is_refused(server: Server, fitted: str, stored: str, body: bytes, said: str) -> None:
     for path in (f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"):
-        answer = server.http.post(f"{path}/figures/sphere.npy", content=body, headers=NPY_BOTH_WAYS)
+        answer = server.http.post(f"{path}/figures/sphere.npy", content=body, headers={"Content-Type": NPY})
         assert said in assert_problem(answer, 422, "invalid-argument")
 
 
 def test_table_is_the_measurement_without_gaps(server: Server, stored: str, plastic: Measurement) -> None:
-    table = array(server.http.get(f"/v1/measurements/{stored}/table.npy"))
-    assert table.shape == (90, 90, 180, 3)
-    assert table.dtype.name == "float16"
+    answer = server.http.get(f"/v1/measurements/{stored}/table.npy")
+    table = np.load(BytesIO(answer.content))
+    assert (answer.headers["content-type"], table.shape, table.dtype) == (NPY, (90, 90, 180, 3), np.float16)
     i, j, k = (np.array(index) for index in ((0, 30, 60), (45, 10, 80), (0, 90, 179)))
     angles = np.radians(i**2 / 90.0), np.radians(j), np.radians(k)
     expected = plastic.interpolated.evaluate(*angles)

@@ -71,12 +71,6 @@ def test_invalid_documents_are_named(server: Server, body: bytes) -> None:
     assert_problem(answer, 422, "invalid-argument")
 
 
-def test_a_name_of_points_is_given_once(server: Server, fitted: str) -> None:
-    body = b'{"theta_half_deg": 1, "theta_diff_deg": 2, "theta_half_deg": 3}'
-    answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=body, headers={"Content-Type": "application/json"})
-    assert "'theta_half_deg' is given more than once" in assert_problem(answer, 422, "invalid-argument")
-
-
 def test_content_types_are_checked(server: Server, fitted: str) -> None:
     files, batches = ("application/octet-stream", "text/csv"), ("application/x-npy", "application/json")
     for path, taken in (("/v1/fits", files), ("/v1/measurements", files), (f"/v1/fits/{fitted}/brdf", batches)):

@@ -13,17 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.requests import Request
-from starlette.types import Message
 
 from dsbrdf.engines import Fault, Processes
 from dsbrdf.engines.engine import MEMORY_LIMIT
-from dsbrdf_service.access import CALLER_NAME
 from dsbrdf_service.api import measurements, pictures, results, values
 from dsbrdf_service.compute import steps
 from dsbrdf_service.http.messages import PIECE_BYTES
 from dsbrdf_service.storage.schema import Caller
-from tests.support.application import FIT, Application, Blocked, application
+from tests.support.application import FIT, Application, Blocked, application, until
 from tests.support.processes import wait_until
 from tests.support.server import QUICK, StartServer, add
 
@@ -94,9 +91,7 @@ async def test_a_long_computation_holds_up_no_other(running: Application, key: s
 
 async def test_unread_answers_wait_in_files_and_hold_up_no_other(running: Application, key: str) -> None:
     unread = [running.ask(f"{FIT_PATH}/brdf", key, "POST", LONG_BATCH, unread=True) for _ in range(20)]
-    async with asyncio.timeout(60):
-        while any(len(one.messages) < 2 for one in unread):
-            await asyncio.sleep(0.01)
+    await until(lambda: all(len(one.messages) >= 2 for one in unread))
     assert {len(one.messages[1]["body"]) for one in unread} == {PIECE_BYTES}
     assert int(unread[0].headers["content-length"]) > 4 * PIECE_BYTES
     assert (await running.ask(FIT_PATH, key).end()).status == 200
@@ -136,9 +131,7 @@ async def test_keys_take_turns_with_long_batches(running: Application, key: str,
     of_alice = [running.ask(f"{FIT_PATH}/brdf", alice, "POST", LONG_BATCH) for _ in range(6)]
     await blocked.until_called()
     of_bob = running.ask(f"{FIT_PATH}/brdf", bob, "POST", LONG_BATCH[:-2] + b",1]}")
-    async with asyncio.timeout(60.0):
-        while len(running.app.state.context.computations._unfinished) < 7:
-            await asyncio.sleep(0.005)
+    await until(lambda: len(running.app.state.context.computations._unfinished) >= 7)
     blocked.may_return.set()
     await asyncio.gather(*(one.end() for one in (*of_alice, of_bob)))
     assert [one.status for one in of_alice] == [200] * 6
@@ -185,18 +178,6 @@ async def test_without_inodes_what_writes_is_507_and_what_reads_works(
     assert await status("/health/ready") == 503
     assert await status(f"{FIT_PATH}/export?format=json") == 200
     assert await status("/v1/fits") == 200
-
-
-class Client:
-    """A client that leaves when it is told to."""
-
-    def __init__(self) -> None:
-        self.leaves = asyncio.Event()
-        self.request = Request({"type": "http", "method": "GET", CALLER_NAME: "key one"}, self._receive)
-
-    async def _receive(self) -> Message:
-        await self.leaves.wait()
-        return {"type": "http.disconnect"}
 
 
 @pytest.mark.parametrize(

@@ -136,16 +136,6 @@ def test_lost_database_is_not_written(store: Store, tmp_path: Path, suffix: str,
         pytest.fail("the transaction began")
 
 
-def test_upload_that_cannot_be_placed_leaves_no_row(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(store.blobs, "place", fail)
-    with pytest.raises(OSError, match="No space"):
-        store.add_measurement(LOCAL, receive(store))
-    assert store.measurements("", 9, None) == []
-
-
 def test_cancelled_fits_and_results_count_as_stored_bytes(store: Store) -> None:
     sha256 = add(store, b"12345", Caller("a"))
 
