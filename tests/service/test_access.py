@@ -4,6 +4,7 @@ import hashlib
 import re
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from typing import Any
 
 import httpx
@@ -125,7 +126,8 @@ def test_what_a_key_has_begun_is_refused_when_it_is_revoked(own_server: StartSer
     assert submit(header) == fit  # and it waits
     new, before = with_value(data, 0.5), server.files()
     head = head_of_upload(len(new), "/v1/fits", **header)
-    with ThreadPoolExecutor(3) as pool, server.connection(head + new[:100_000]) as upload:
+    with ThreadPoolExecutor(3) as pool, server.connection(head + new[:100_000]) as upload, ExitStack() as stack:
+        stack.callback(server.http.delete, f"/v1/fits/{fit}", headers=other)  # A failure must not follow it for ever.
         polled, followed, lasting = pool.submit(poll), pool.submit(follow, header), pool.submit(follow, other)
         in_progress = re.compile(r"^dsbrdf_requests_in_progress 5.0$", re.MULTILINE)
         wait_until(lambda: bool(in_progress.search(server.http.get("/metrics", headers=other).text)))

@@ -277,11 +277,21 @@ async def test_who_follows_a_fit_is_told_that_it_begins(place: Race) -> None:
         assert (await anext(followed)).status == "running"
 
 
-async def test_requests_that_have_waited_make_room(place: Race) -> None:
-    key = await place.submit()
-    for _ in range(Settings().limit_concurrency):
+async def test_an_owner_may_wait_with_a_quarter_of_the_requests_and_is_answered_at_once_beyond(place: Race) -> None:
+    key, quarter = await place.submit(), Settings().limit_concurrency // 4
+    for _ in range(quarter):  # These make room again.
         await place.queue.wait(key, 0.0)
-    assert place.queue.has_room(key.owner)
+    waiting = []
+    for _ in range(quarter):
+        assert place.queue.has_room(key.owner)
+        waiting.append(asyncio.create_task(place.queue.wait(key, MAX_WAIT_S)))
+        await asyncio.sleep(0)
+    assert not place.queue.has_room(key.owner)
+    assert place.queue.has_room("another")
+    async with asyncio.timeout(MAX_WAIT_S / 2):
+        assert not (await place.queue.wait(key, MAX_WAIT_S)).ended
+    place.engine.go_on()
+    assert {row.status for row in await asyncio.gather(*waiting)} == {"succeeded"}
 
 
 async def test_waiting_is_timed_and_never_negative_when_the_clock_is_set_back(place: Race) -> None:

@@ -26,20 +26,20 @@ def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, data: b
     file = server.http.get(f"/v1/measurements/{fit['measurement']}/content")
     assert file.headers["content-disposition"] == "attachment; filename*=UTF-8''N%C3%A4ckel%201.binary"
 
-    # The same again is renamed, not fitted; without a name it keeps the one that it has.
+    # The same again is renamed, not fitted.
     named = {"Content-Disposition": 'attachment; filename="/data/mine/nickel.binary"'}
     again = server.http.post("/v1/fits", params=QUICK, content=other, headers=named)
     assert (again.status_code, again.json()["id"], again.json()["name"]) == (200, fit["id"], "nickel")
-    assert server.http.post("/v1/fits", params=QUICK, content=other).json()["name"] == "nickel"
     assert names_of(server, "measurements", name="nickel") == ["nickel"]
     for query, name in (("format=json&component=layers", "nickel-layers.json"), ("format=merl", "nickel.binary")):
         export = server.http.head(f"/v1/fits/{fit['id']}/export?{query}")
         assert export.headers["content-disposition"] == f'attachment; filename="{name}"'
 
-    # A fit of a stored measurement has its name, or one of its own.
+    # A fit of a stored measurement has its name, or one of its own, which it keeps if it is sent without a name.
     document = {"measurement": fit["measurement"], "options": {**QUICK, "em_iterations": 4}}
     assert server.http.post("/v1/fits", json=document).json()["name"] == "nickel"
     assert server.http.post("/v1/fits", json=document, params={"name": "b"}).json()["name"] == "b"
+    assert server.http.post("/v1/fits", params=QUICK, content=other).json()["name"] == "b"
     page = server.http.get("/v1/fits", params={"name": "nickel", "limit": 1})
     assert page.links == {}
     assert [item["name"] for item in server.http.get("/v1/fits", params={"name": "b"}).json()["items"]] == ["b"]

@@ -157,6 +157,9 @@ def test_revoked_key_stores_nothing_and_its_waiting_fits_are_cancelled(tmp_path:
             store.start_fit(fits[owner][0])
         incoming = receive(store, b"sent meanwhile")
         revoke_key(store.database, key)
+        keys = Keys(Settings())
+        keys.open(store.database)
+        assert [keys.allows(Caller(owner)) for owner in (key, other, "0" * 12, "")] == [False, True, False, True]
         assert [store.fit(fit).status for fit in fits[key]] == ["running", "cancelled", "cancelled"]
         assert [store.fit(fit).status for fit in fits[other]] == ["running", "accepted", "accepted"]
         with pytest.raises(InvalidKeyError):
