@@ -7,6 +7,7 @@ import pytest
 
 from dsbrdf import MeasurementFormatError, TableOptions, read_measurement, read_samples
 from dsbrdf.arrays import Array
+from dsbrdf.data import half_difference
 from dsbrdf.samples import layouts
 from dsbrdf.samples.reading import parse_samples, read_table
 
@@ -51,6 +52,13 @@ def test_files_are_read_or_refused_with_what_helps(path: Path) -> None:
     assert len(samples.values) >= 54
     assert np.ptp(samples.values) > 0.2
     np.testing.assert_allclose(samples.values, truth(samples.omega_in, samples.omega_out), rtol=1e-4, atol=1e-5)
+
+
+def test_two_angles_of_alta_lie_at_phi_diff_90_degrees() -> None:
+    angles = np.stack(np.broadcast_arrays(0.2, np.linspace(0.1, 1.2, 60), np.pi / 2))
+    rows = "".join(f"{theta_half} {theta_diff} 1\n" for theta_half, theta_diff, _ in angles.T)
+    samples = parse_samples(f"#DIM 2 1\n#PARAM_IN RUSIN_TH_TD\n{rows}".encode())
+    np.testing.assert_allclose(half_difference(samples.omega_in, samples.omega_out), angles, rtol=1e-6)
 
 
 REFUSED_TEXTS = {

@@ -59,8 +59,9 @@ def test_a_mirror_direction_with_the_same_phi_is_turned() -> None:
     assert "theta_out = -theta_in to be the mirror direction" in samples.notes[0]
 
 
-def test_an_option_may_name_a_unit() -> None:
-    content = table("lamp,turn,camera,aside,red,green,blue", np.hstack([np.radians(ANGLES), RGB]))
+@pytest.mark.parametrize("names", ["lamp,turn,camera,aside", "lamp [deg],turn,camera_deg,aside (°)"])
+def test_an_option_may_name_a_unit_which_counts_more_than_the_tables(names: str) -> None:
+    content = table(f"{names},red,green,blue", np.hstack([np.radians(ANGLES), RGB]))
     columns = "theta_in_rad=lamp,phi_in_rad=2,theta_out_rad=camera,phi_out_rad=4"
     check_same(parse_samples(content, options=TableOptions(columns=columns)), ANGLES, RGB)
 
@@ -124,6 +125,8 @@ def test_an_elevation_is_from_the_horizon() -> None:
     samples = parse_samples(table(("light grazing angle", "phi_in", "elevation", "azimuth", "value"), columns))
     check_same(samples, ANGLES, GREY)
     assert any("theta_out is 90 degrees minus it" in note for note in samples.notes)
+    both = table(("elevation", *DIRECTION, "value"), np.hstack([0.5 * ANGLES[:, :1], ANGLES, GREY[:, :1]]))
+    check_same(parse_samples(both), ANGLES, GREY)
 
 
 @pytest.mark.parametrize(("missing", "which"), [(0.0, "smallest"), (9999.0, "largest")])
@@ -133,6 +136,19 @@ def test_a_value_that_stands_for_what_is_missing_is_left_out_or_named(missing: f
     (note,) = parse_samples(content).notes
     assert note.startswith(f"27 samples have the same {which} value, {missing:g}, far from all others")
     check_same(parse_samples(content, options=TableOptions(missing=(-1, missing))), ANGLES[~spoiled], rgb[~spoiled])
+
+
+@pytest.mark.parametrize(("code", "count"), [(-9999.0, 1), (-9999.0, 3), (-1.0, 3), (-1.0, 1)])
+def test_a_code_below_zero_counts_as_missing_but_one_small_number_may_be_an_error(code: float, count: int) -> None:
+    coded = np.arange(COUNT) < count
+    content = table(columns=np.hstack([ANGLES, np.where(coded[:, None] * [0, 1, 0], code, RGB)]))
+    if (code, count) == (-1.0, 1):
+        with pytest.raises(MeasurementFormatError, match=r"1 value is negative, down to -1, .* set missing to -1"):
+            parse_samples(content)
+        return
+    samples = parse_samples(content)
+    check_same(samples, ANGLES[~coded], RGB[~coded])
+    assert samples.notes[0].startswith(f"The value {code:g}, in {count} row")
 
 
 VISIBLE = np.arange(400.0, 701.0, 20.0)
