@@ -108,6 +108,8 @@ def test_no_measurement_is_replaced_or_half_read(tmp_path: Path) -> None:
     assert last.read_bytes() == content
     for _ in range(2):
         run("convert", first, made)
-    assert "made.csv may be a measurement" in run("convert", made, made, code=2).stderr
+    content = made.read_bytes()
+    assert "made.csv may be a measurement" in run("convert", first, made, made, code=2).stderr
+    assert made.read_bytes() == content
     os.mkfifo(tmp_path / "pipe")
     assert "A pipe or a device can be read only once" in run("fit", tmp_path / "pipe", code=2).stderr

@@ -61,6 +61,26 @@ def test_a_large_tail_exponent_is_beckmanns_distribution() -> None:
     np.testing.assert_allclose(found, microfacets(*at, 0.3, slopes)[near], rtol=1e-2)
 
 
+def test_points_have_the_cosines_and_the_fresnel_terms_of_their_directions() -> None:
+    at = angles()
+    points, (omega_in, omega_out) = Points.at(*at), directions(*at)
+    cosines = np.stack([omega_in[:, 2], omega_out[:, 2]])
+    to_in, to_out, fresnel = ((glass(theta) - 0.04) / 0.96 for theta in (*np.arccos(cosines), at[1]))
+    passed, rise = np.log((1.0 - to_in) * (1.0 - to_out)), 1.0 - np.cos(at[1])
+    opposite = np.sum(omega_in * omega_out, axis=1) - np.prod(cosines, axis=0)  # Oren and Nayar's s and t
+    across = np.where(opposite > 0.0, cosines.max(axis=0), 1.0)
+    ground = (
+        *(passed, (1.0 - rise) ** 2 * (to_in + to_out), fresnel, np.log(2.0 / cosines.sum(axis=0))),
+        *(np.sin(at[0]) ** 2, opposite / across),
+    )
+    np.testing.assert_allclose(points.cosines, cosines, rtol=1e-12)
+    np.testing.assert_allclose(points.squared_sines, np.sin(np.arccos(cosines)) ** 2, rtol=1e-9)
+    np.testing.assert_allclose(points.passed, passed + 2.0 * np.log(0.96), rtol=1e-9)
+    np.testing.assert_allclose(points.rise, [rise, rise**2], rtol=1e-9)
+    np.testing.assert_allclose(points.ground, ground, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(points.fibres, np.log([np.maximum(rise, 1e-3), np.maximum(np.sin(at[0]), 0.03)]))
+
+
 @pytest.mark.parametrize("tail_exponent", [1.5, 2.0, 6.0])
 def test_facets_project_to_the_area(tail_exponent: float) -> None:
     # The facets' value at equal directions, over masking and Fresnel: the integral of D cos is 1.

@@ -74,3 +74,10 @@ def test_light_that_layers_miss_near_the_mirror_direction_belongs_to_the_highlig
         _, lobe, diffuse = LAYERS.split(factor * surface + ground, points)
         np.testing.assert_allclose(lobe, factor * surface, rtol=1e-3)
         np.testing.assert_allclose(diffuse, ground, rtol=1e-3)
+
+
+def test_a_surplus_belongs_to_the_highlight_further_out_than_a_lack() -> None:
+    points = Points.at(np.radians([15.0, 20.0, 25.0]), np.radians([10.0, 30.0, 20.0]), np.radians([90.0, 60.0, 40.0]))
+    values = LAYERS.model.layer_values(points).sum(axis=0)
+    exact, more, less = (LAYERS.split(factor * values, points)[2].sum(axis=0) for factor in (1.0, 1.1, 0.9))
+    assert np.all(more - exact < 0.5 * (exact - less))
