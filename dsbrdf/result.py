@@ -234,7 +234,7 @@ def convergence_finding(knots: KnotReport, *, in_slices: bool) -> Finding:
     what = f"{count} {'slices' if several else 'slice'}" if in_slices else "The fit"
     return Finding(
         "not-converged",
-        f"{what} stopped at the bound of {bound} iterations before {'they' if several else 'it'} converged: "
+        f"{what} stopped after {bound} iterations, before {'they' if several else 'it'} converged: "
         "the model may be less accurate than it could be.",
         {"iterations": float(bound)},
     )
@@ -261,8 +261,8 @@ def accuracy_findings(metrics: Metrics, *, is_clipped: bool = False) -> Iterator
         look = "A lit sphere hardly shows it" if (metrics.psnr or 0.0) >= VERY_CLOSE_DB else "A lit sphere shows it"
         yield Finding(
             "missed-highlight",
-            f"The brightest values of the fit are off by {error:.1%} (relative_rms), where a model of this kind could "
-            f"reach {possible}: the lobes do not follow the highlight. {look}; compare pictures of both.",
+            f"The brightest values of the fit have an error of {error:.1%} (relative_rms), where a model of this kind "
+            f"could reach {possible}: the lobes do not follow the highlight. {look}; compare pictures of both.",
             {"relative_rms": error, "symmetric_floor": floor},
         )
     if albedo_error > _MAX_ALBEDO_ERROR and not is_clipped:
@@ -309,7 +309,7 @@ def sample_findings(samples: ScatteredSamples, metrics: Metrics, structure: str,
         yield Finding(
             "one-plane",
             "All samples lie in one plane of incidence. Outside of this plane the brightness of highlights is a guess "
-            "from other materials and can be wrong several times over: measure directions there as well.",
+            "from other materials, and can be wrong by a factor of several: measure directions there as well.",
         )
     if here > _MAX_SAMPLE_MISFIT:
         yield Finding(

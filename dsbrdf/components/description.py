@@ -71,7 +71,7 @@ class Description:
         if self.surfaces and names:
             missed = f"{', '.join(misses[:-1])} and {misses[-1]}" if len(misses) > 1 else misses[0]
             component = label.replace("_", " ")
-            yield f"No {' or '.join(names)} describes the {component}: the nearest surfaces miss {missed}."
+            yield f"The {component} has no {' or '.join(names)}: its surfaces miss {missed}."
 
     def _grazing_remarks(self, label: str) -> Iterator[str]:
         open_ones = [str(number) for number, one in enumerate(self.surfaces, 1) if one.f0 and one.f70 is None]

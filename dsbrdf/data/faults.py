@@ -188,7 +188,7 @@ def _floor_finding(folded: FoldedProfiles) -> Iterator[Finding]:
             "constant-floor",
             f"Away from the highlight the values are {value:.2g}/sr at all theta_half and theta_diff, within "
             f"{max(spread, 0.01):.0%}. Few materials are so even: stray light or a dark current may be in every "
-            "sample. Measure a black sample, and subtract it.",
+            "sample. Measure a black sample, and subtract its values.",
             {"value": value, "spread": spread},
         )
 
@@ -207,7 +207,7 @@ def _sweep_findings(folded: FoldedProfiles) -> Iterator[Finding]:
         angle = float(np.degrees(THETA_DIFF[1:-1][filled][row]))
         yield Finding(
             "uneven-sweeps",
-            f"At theta_diff = {angle:.0f} degrees all values are {np.expm1(jump):.0%} off those of its neighbours: the "
+            f"At theta_diff = {angle:.0f} degrees all values differ by {np.expm1(jump):.0%} from their neighbours: the "
             "lamp may have drifted between two sweeps, or channels were exchanged. Scale the sweeps to each other.",
             {"jump": float(np.expm1(jump)), "theta_diff_deg": angle},
         )
@@ -216,8 +216,8 @@ def _sweep_findings(folded: FoldedProfiles) -> Iterator[Finding]:
     if (share := float(pairs.mean())) > _MAX_REPEATED:
         yield Finding(
             "repeated-samples",
-            f"At {share:.0%} of the angles the values equal those at the next smaller theta_half exactly: samples seem "
-            "to be repeated, and the measurement has fewer angles than it says.",
+            f"At {share:.0%} of the angles the values are exactly those at the next smaller theta_half: samples seem "
+            "to be repeated, and the measurement has fewer angles than its file.",
             {"fraction": share},
         )
 
@@ -262,7 +262,7 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
         if step > _MIN_LEVEL_STEP * median:
             yield Finding(
                 "coarse-values",
-                f"The values have only {levels.size} levels, as of {np.log2(levels.size):.0f} bits: dark values are "
+                f"The values have only {levels.size} levels, about {np.log2(levels.size):.0f} bits: dark values are "
                 f"rounded to steps of {step:.2g}/sr, and the median is {median:.2g}/sr. Merge several exposures.",
                 {"levels": float(levels.size), "step": step, "median": median},
             )

@@ -30,7 +30,7 @@ IMAGE_FORMATS = ("png", "svg", "pdf")
 
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
 LINE_STYLES = ("-", "--", "-.", ":")
-LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "sienna", "#4263eb", "gray", "black", "gold")
+LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "sienna", "#4263eb", "gray", "gold", "plum")
 PAIR_WIDTH_IN = 5.5
 """Width of two panels side by side [inches]."""
 ROW_HEIGHT_IN = 3.4

@@ -266,7 +266,7 @@ def components_figure(components: Iterable[Component], title: str) -> Figure:
         low, high = np.transpose(part.ranges.albedo)
         places = 1.0 + 3.0 * number + np.arange(3)  # The albedo ranges of the three channels are drawn side by side.
         albedos.vlines(places, low, high, colors=CHANNEL_COLOURS, linewidth=2.5, alpha=0.5)
-        heights.plot([], [], style, color="0.3", linewidth=1.2, label=part.label.replace("_", " "))
+        heights.plot([], [], style, color="0.5", linewidth=1.2, label=part.label.replace("_", " "))
     heights.set(
         yscale="log", title=r"height at $\theta_\mathrm{half}$ = 0 [1/sr]", xlabel=r"$\theta_\mathrm{diff}$ [degrees]"
     )

@@ -27,26 +27,25 @@ class TableOptions:
 
     columns: tuple[str, ...] | str = option(
         (),
-        'What a column means whose name does not say it: with "theta_in=AOI", the column AOI has the angles theta_in. '
-        'A number is the position of a column, from 1: "value=3". Several are separated by commas; in Python they may '
-        "be a dict.",
+        'Meanings of columns whose names are not understood: "theta_in=AOI,value=3" reads theta_in from the column AOI '
+        "and the values from the third column. In Python, a dict is allowed too.",
     )
     constants: tuple[str, ...] | str = option(
         (),
-        'Angles [degrees] that all rows have and no column: "theta_in=30,phi_in=0". In Python they may be a dict.',
+        'Angles [degrees] that are equal in all rows and have no column: "theta_in=30,phi_in=0". In Python, a dict is '
+        "allowed too.",
     )
     missing: tuple[float, ...] | float = option(
         (), "Numbers that stand for a missing value, such as 0 or -999: their rows are left out."
     )
     scale: Annotated[float, _SCALES] = option(
         1.0,
-        "What the values are multiplied by to be those of a BRDF in 1/sr: 0.01 / pi for reflectance factors in "
+        "Factor that turns the values into a BRDF in 1/sr: 0.003183, which is 0.01 / pi, for reflectance factors in "
         "per cent.",
     )
     cosine: Literal["in", "out"] | None = option(
         None,
-        '"in" or "out" if the values are the BRDF times the cosine of theta_in or of theta_out: they are divided by '
-        "it.",
+        '"in" or "out" if the values are the BRDF times the cosine of theta_in or theta_out, which divides them.',
     )
     phi: Literal["mirror"] | None = option(
         None,

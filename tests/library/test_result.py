@@ -59,7 +59,7 @@ def test_noisy_measurement() -> None:
     )
 
 
-OFF_HIGHLIGHT = "The brightest values of the fit are off by"
+OFF_HIGHLIGHT = "The brightest values of the fit have an error of"
 ASYMMETRIC_SAMPLES = "At phi_diff, -phi_diff and 180 degrees - phi_diff the samples differ by"
 
 

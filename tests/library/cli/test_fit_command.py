@@ -71,7 +71,7 @@ def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Pa
     captured = run(*command, "--json")
     answer = json.loads(captured.stdout)
     sentences = answer["warnings"]
-    assert "stopped at the bound of 1 iterations" in sentences[0]
+    assert "stopped after 1 iterations" in sentences[0]
     assert (sentences, captured.stderr) == ([found["sentence"] for found in answer["findings"]], "")
     assert answer["findings"][0]["code"] == "not-converged"
     (tmp_path / "printed.json").write_text(captured.stdout)

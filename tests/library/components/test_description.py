@@ -170,8 +170,8 @@ def test_sentences_name_the_misfit() -> None:
     assert found.half_width is None
     (sentence,) = found.remarks("specular_lobe")
     assert sentence == (
-        "No alpha or F0 describes the specular lobe: the nearest surfaces miss its peak by a factor of 1.50, its half "
-        "width by a factor of 1.40, its colour by 20% of the brightest channel and its albedo by 20%."
+        "The specular lobe has no alpha or F0: its surfaces miss its peak by a factor of 1.50, its half width by a "
+        "factor of 1.40, its colour by 20% of the brightest channel and its albedo by 20%."
     )
 
 

@@ -123,7 +123,7 @@ def test_warning_only_where_iterations_ran_out(plastic_profiles: Profiles, monke
         result = fit(plastic_profiles, ONE)
     assert np.all(result.report.knots.converged)
     monkeypatch.setattr(global_method, "MAX_ITERATIONS", 1)
-    with pytest.warns(ConvergenceWarning, match="^The fit stopped at the bound of 1 iterations"):
+    with pytest.warns(ConvergenceWarning, match="^The fit stopped after 1 iterations"):
         result = fit(plastic_profiles, ONE)
     assert not np.any(result.report.knots.converged)
     assert np.all(np.array(result.report.knots.iterations) == 1)

@@ -154,7 +154,7 @@ def test_slices_that_stop_at_the_bound_are_reported_and_warned_about(plastic_pro
     assert str(said[0].message) == report.warnings[0]
     iterations = np.array(report.knots.iterations)[~np.array(report.knots.converged)]
     assert set(iterations.tolist()) == {2}
-    assert report.warnings[0].startswith(f"{iterations.size} slices stopped at the bound of 2 iterations before")
+    assert report.warnings[0].startswith(f"{iterations.size} slices stopped after 2 iterations, before")
 
 
 def test_few_data_are_fitted_where_they_are_and_too_few_are_an_error_with_a_remedy(plastic: Measurement) -> None:

@@ -99,8 +99,8 @@ function plot(panel, kind, drawing) {
   }
   picture.append(
     svg("path", { class: "axis", d: `M${left} ${top}V${bottom}H${right}` }),
-    svg("text", { x: (left + right) / 2, y: HEIGHT - 6, "text-anchor": "middle" }, `θ ${kind.along}`),
-    svg("text", { x: 12, y: (top + bottom) / 2, "text-anchor": "middle", transform: `rotate(-90 12 ${(top + bottom) / 2})` }, "BRDF in 1/sr"),
+    svg("text", { x: (left + right) / 2, y: HEIGHT - 6, "text-anchor": "middle" }, `θ_${kind.along}`),
+    svg("text", { x: 12, y: (top + bottom) / 2, "text-anchor": "middle", transform: `rotate(-90 12 ${(top + bottom) / 2})` }, "BRDF [1/sr]"),
     ...(start < 0 ? [svg("path", { class: "light", d: `M${px(-place)} ${top}V${bottom}` })] : []),
     group,
   );

@@ -5,19 +5,19 @@ import { showPlots } from "./plots.js";
 import { Sphere, startSpheres } from "./sphere.js";
 
 const percent = (/** @type {number} */ share) => `${Number((100 * share).toPrecision(3))} %`;
-// Name, title, format and meaning of each metric, the most important first.
-/** @type {[string, string, (value: number) => string, string][]} */
+// Name, format and meaning of each metric, the most important first.
+/** @type {[string, (value: number) => string, string][]} */
 const METRICS = [
-  ["psnr", "picture", (value) => `${value.toFixed(1)} dB`, "Peak signal-to-noise ratio between spheres of the fit and of the measurement, under three lights."],
-  ["relative_rms", "values", percent, "Root mean square error of the values, relative to their root mean square."],
-  ["relative_rms_left_out", "held-out values", percent, "Relative root mean square error at samples that the fit did not use."],
-  ["relative_rms_expected", "all directions", percent, "Estimated upper bound of the error over all directions; the error of one table in ten is larger."],
-  ["albedo_error", "albedo", percent, "Mean relative error of the total reflected light."],
-  ["symmetric_floor", "reciprocal floor", percent, "Smallest error of any model that obeys reciprocity."],
-  ["floor", "bivariate floor", percent, "Smallest error of any model that ignores φ_diff."],
-  ["excess", "values / floor", (value) => value.toFixed(3), "Error of the values divided by the bivariate floor; below 1, the fit is better than any model that ignores φ_diff."],
-  ["male", "logarithm", (value) => value.toFixed(4), "Mean absolute logarithmic error, in which dark values count as much as bright values."],
-  ["ssim", "structure", (value) => value.toFixed(4), "Structural similarity of these two spheres; 1 means equal."],
+  ["psnr", (value) => `${value.toFixed(1)} dB`, "Peak signal-to-noise ratio between spheres of the fit and of the measurement, under three lights."],
+  ["relative_rms", percent, "Root mean square error of the values, relative to their root mean square."],
+  ["relative_rms_left_out", percent, "relative_rms at samples that the fit did not use."],
+  ["relative_rms_expected", percent, "Estimated upper bound of relative_rms over all directions; one table in ten exceeds it."],
+  ["albedo_error", percent, "Mean relative error of the total reflected light."],
+  ["symmetric_floor", percent, "Smallest relative_rms of any reciprocal isotropic model."],
+  ["floor", percent, "Smallest relative_rms of any model that ignores phi_diff."],
+  ["excess", (value) => value.toFixed(3), "relative_rms divided by floor; below 1, the fit is better than any model that ignores phi_diff."],
+  ["male", (value) => value.toFixed(4), "Mean absolute logarithmic error, in which dark values count as much as bright values."],
+  ["ssim", (value) => value.toFixed(4), "Structural similarity of these two spheres; 1 means equal."],
 ];
 
 /** Makes a paragraph of each warning. @param {string[]} sentences */
@@ -51,7 +51,7 @@ export async function showSpheres(main, figures, subjects, source) {
 export function showSide(box, fit) {
   box.append(template("side", { verdict: stateOf(fit) }));
   const known = METRICS.filter(([name]) => typeof fit.metrics?.[name] === "number");
-  const metrics = known.map(([name, title, write, meaning]) => row(title, write(Number(fit.metrics?.[name])), meaning));
+  const metrics = known.map(([name, write, meaning]) => row(name, write(Number(fit.metrics?.[name])), meaning));
   find(box, ".metrics").append(...(known.length ? metrics : [row("This fit has no metrics.", "", "")]));
   const limits = [...new Set([...fit.warnings, ...fit.components.flatMap(({ remarks }) => remarks)])].map((sentence) => make("li", {}, sentence));
   find(box, ".limits").hidden = !limits.length;
