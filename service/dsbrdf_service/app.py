@@ -71,7 +71,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         limits = FitLimits(
             _COMPUTATION_TIMEOUT_S, settings.fit_memory_mb, _COMPUTATION_NICENESS, _COMPUTATION_PROCESSOR_LIMIT_S
         )
-        computations = Computations(limits)
+        computations = Computations(limits, store.writing)
         queue = FitQueue(store, engine, settings, metrics.fit_meters)
         parts = settings, store, queue, models, keys, metrics, readiness, computations, Bodies()
         app.state.context = Context(*parts)

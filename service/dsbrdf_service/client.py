@@ -130,9 +130,8 @@ class Client:
         ConnectionError
             If no service answers at the address.
         """
-        return self.result(
-            self.wait(self.submit(measurement, options, table=table, name=name), progress=progress)["id"]
-        )
+        submitted = self.submit(measurement, options, table=table, name=name)
+        return self.result(self.wait(submitted, progress)["id"])
 
     def submit(
         self,
@@ -143,9 +142,8 @@ class Client:
         name: str | None = None,
     ) -> Document:
         """Request a fit without waiting for it; return the fit's document. Parameters and errors are as for `fit`."""
-        options = options or FitOptions()
-        document = {"measurement": self.upload(measurement, table, name=name), "options": to_wire(options)}
-        headers = {"Prefer": "respond-async"}
+        sha256, headers = self.upload(measurement, table, name=name), {"Prefer": "respond-async"}
+        document = {"measurement": sha256, "options": to_wire(options or FitOptions())}
         found: Document = self._call("POST", "/v1/fits", {"name": name}, json=document, headers=headers).json()
         return found
 
@@ -214,29 +212,25 @@ class Client:
         """
         given = {name: value for name, value in (params or {}).items() if value is not None}
         left = self._timeout
-        while (answer := self._answer(method, url, params=given, **request)).status_code >= 400:
-            pause = answer.headers.get("retry-after", "")
-            if answer.status_code not in (429, 503) or not pause.isdecimal() or int(pause) > left:
-                raise _error(answer)
-            left -= int(pause)
-            time.sleep(int(pause))
-        return answer
-
-    def _answer(self, method: str, url: str, **request: Any) -> httpx.Response:
         try:
-            return self._http.request(method, url, **request)
+            while (answer := self._http.request(method, url, params=given, **request)).status_code in (429, 503):
+                pause = answer.headers.get("retry-after", "")
+                if not pause.isdecimal() or int(pause) > left:
+                    break
+                left -= int(pause)
+                time.sleep(int(pause))
         except httpx.ConnectError as error:
             address = str(self._http.base_url).rstrip("/")
             advice = "is a service running there? dsbrdf serve starts one"
             raise ConnectionError(f"nothing answers at {address}: {advice} ({error})") from error
-
-
-def _error(answer: httpx.Response) -> Exception:
-    problem: dict[str, Any] = {"status": answer.status_code, "title": f"{answer.status_code} {answer.reason_phrase}"}
-    with suppress(json.JSONDecodeError):  # A proxy may answer without JSON.
-        problem |= answer.json()
-    kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
-    return ServiceError(problem) if kind is None else kind(problem["detail"])
+        if answer.status_code < 400:
+            return answer
+        title = f"{answer.status_code} {answer.reason_phrase}"
+        problem: dict[str, Any] = {"status": answer.status_code, "title": title}
+        with suppress(json.JSONDecodeError):  # A proxy may answer without JSON.
+            problem |= answer.json()
+        kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
+        raise ServiceError(problem) if kind is None else kind(problem["detail"])
 
 
 class ClientEngine:

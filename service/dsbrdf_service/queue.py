@@ -162,9 +162,21 @@ class FitQueue:
         The iteration ends early when the fit is deleted, or a future in `ends` is done.
         """
         self._followers[key.owner] += 1
+        ends = self._stopping, *ends
         try:
-            async for row in self._rows(key, (self._stopping, *ends), each_step=each_step):
+            while True:
+                running = self._running.get(key)
+                change = None if running is None else running.changed if each_step else running.task
+                row = await run_in_threadpool(self._store.fit, key)
                 yield row
+                if row.ended or any(map(asyncio.Future.done, ends)):
+                    return
+                if change is None:  # The fit has no task in this process, so only its row shows a change.
+                    await asyncio.sleep(_MIN_POLL_INTERVAL)
+                else:
+                    await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
+        except FitNotFoundError:
+            return
         finally:
             self._followers[key.owner] -= 1
             self._followers += Counter()  # Adding an empty counter drops owners whose count is zero.
@@ -172,24 +184,6 @@ class FitQueue:
     def has_room(self, owner: str) -> bool:
         """Return whether another request of an owner may wait; a part of an owner's requests must stay for others."""
         return self._followers[owner] < max(1, self._settings.limit_concurrency // 4)
-
-    async def _rows(
-        self, key: FitKey, ends: "tuple[asyncio.Future[None], ...]", *, each_step: bool
-    ) -> AsyncIterator[FitRow]:
-        while True:
-            running = self._running.get(key)
-            change = None if running is None else running.changed if each_step else running.task
-            try:
-                row = await run_in_threadpool(self._store.fit, key)
-            except FitNotFoundError:
-                return
-            yield row
-            if row.ended or any(map(asyncio.Future.done, ends)):
-                return
-            if change is None:  # The fit has no task in this process, so only its row shows a change.
-                await asyncio.sleep(_MIN_POLL_INTERVAL)
-            else:
-                await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
 
     async def cancel(self, key: FitKey) -> FitRow | None:
         """Stop an unfinished fit and return its row; None if it has ended already or does not exist."""

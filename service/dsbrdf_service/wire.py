@@ -7,7 +7,6 @@ the client lacks.
 import json
 import re
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -18,31 +17,22 @@ from dsbrdf.fitting.options import FitOptions
 from dsbrdf.samples.table_options import AS_WRITTEN, TableOptions
 
 MAX_NAME_LENGTH = 100
-_NAMES = [field.name for field in fields(FitOptions)]
 
 
 def check_name(text: str) -> str:
     """Return a name; raise InvalidArgumentError if it cannot be the name of a file on any system."""
-    if (
-        not 0 < len(text) <= MAX_NAME_LENGTH
-        or not text.isprintable()
-        or text.strip() != text
-        or re.search(r"[/\\]", text)
-    ):
-        raise InvalidArgumentError(
-            f"{text[:60]!r} is not a valid name: a name has 1 to {MAX_NAME_LENGTH} printable characters, no slash "
-            "and no space at its ends."
-        )
-    return text
+    is_usual = 0 < len(text) <= MAX_NAME_LENGTH and text.isprintable() and text.strip() == text
+    if is_usual and not re.search(r"[/\\]", text):
+        return text
+    raise InvalidArgumentError(
+        f"{text[:60]!r} is not a valid name: a name has 1 to {MAX_NAME_LENGTH} printable characters, no slash and no "
+        "space at its ends."
+    )
 
 
 def to_wire(options: FitOptions | TableOptions) -> dict[str, Any]:
     """Return options in JSON types; equal options give equal dicts."""
-    wire = {}
-    for field in fields(options):
-        value = getattr(options, field.name)
-        wire[field.name] = list(value) if isinstance(value, tuple) else value
-    return wire
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(options).items()}
 
 
 def from_wire(values: Mapping[str, Any]) -> FitOptions:
@@ -52,8 +42,8 @@ def from_wire(values: Mapping[str, Any]) -> FitOptions:
     """
     options: dict[str, Any] = {}
     for name, value in values.items():
-        if name not in _NAMES:
-            raise InvalidArgumentError(f"Unknown option {name[:60]!r}; known options are {', '.join(_NAMES)}.")
+        if name not in DEFAULTS:
+            raise InvalidArgumentError(f"Unknown option {name[:60]!r}; known options are {', '.join(DEFAULTS)}.")
         is_whole = isinstance(value, float) and value.is_integer()  # JSON does not distinguish 3.0 from 3.
         options[name] = int(value) if is_whole else value
     return FitOptions(**options)
@@ -64,23 +54,17 @@ def from_query(items: Iterable[tuple[str, str]]) -> FitOptions:
 
     Raises InvalidArgumentError if a name is unknown, or a value is of a wrong type or out of range.
     """
-    chosen = _chosen(items, DEFAULTS)
-    return from_wire(chosen) if chosen else _DEFAULT_OPTIONS
+    return from_wire(_chosen(items, DEFAULTS))
 
 
 def table_from_query(items: Iterable[tuple[str, str]]) -> TableOptions:
     """Return the options of a table among the parameters of a query, in the notation of `from_query`."""
-    chosen = _chosen(items, TABLE_DEFAULTS)
-    return TableOptions(**chosen) if chosen else AS_WRITTEN
+    return TableOptions(**_chosen(items, TABLE_DEFAULTS))
 
 
 def _chosen(items: Iterable[tuple[str, str]], names: Container[str]) -> dict[str, Any]:
     """Return the parsed values of the parameters of a query that have one of the `names`."""
-    chosen = {}
-    for name, text in items:
-        if name in names:
-            chosen[name] = _from_text(text)
-    return chosen
+    return {name: _from_text(text) for name, text in items if name in names}
 
 
 def canonical(options: FitOptions) -> dict[str, Any]:
@@ -104,6 +88,5 @@ def _from_text(text: str) -> Any:
 
 
 _USUAL_KNOTS = {name: np.rint(np.degrees(knots[0])).astype(int).tolist() for name, knots in KNOTS.items()}
-_DEFAULT_OPTIONS = FitOptions()
-DEFAULTS = to_wire(_DEFAULT_OPTIONS)
+DEFAULTS = to_wire(FitOptions())
 TABLE_DEFAULTS = to_wire(AS_WRITTEN)

@@ -20,6 +20,7 @@ from dsbrdf.cli.commands import Whole, new_application, run_words
 
 from .. import DEFAULT_DATA_DIR
 from ..errors import DataFolderError
+from ..storage import maintenance
 from ..storage.database import Database, is_data_folder
 from ..storage.keys import add_key, all_keys, revoke_key
 
@@ -158,10 +159,8 @@ def _purge(
 ) -> int:
     if older_than is None and not files_without_rows:
         return refuse("name what to remove: --older-than AGE, such as 30d, --files-without-rows, or both")
-    from ..storage.maintenance import purge_folder  # This module imports NumPy, and `--help` must not wait for NumPy.
-
     before = None if older_than is None else time.time() - older_than.total_seconds()
-    purged = purge_folder(_data_folder(data_dir), before, files_without_rows=files_without_rows)
+    purged = maintenance.purge_folder(_data_folder(data_dir), before, files_without_rows=files_without_rows)
     if json:
         print_json(purged)
     else:
@@ -178,8 +177,6 @@ def doctor(words: Sequence[str]) -> int:
 
 
 def _examine(*, data_dir: DataDir = None, json: Json = False) -> int:
-    from ..storage import maintenance  # This module imports NumPy, and `--help` must not wait for NumPy.
-
     checks = {
         "database": maintenance.check_database,
         "measurements": maintenance.check_measurements,

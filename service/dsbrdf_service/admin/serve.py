@@ -9,7 +9,7 @@ import resource
 import signal
 import socket
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Annotated, Any, cast
@@ -38,9 +38,7 @@ from .commands import refuse
 _CONNECTIONS_PER_REQUEST = 8
 _BACKLOG = 128  # asyncio tries so many accepts at once, and reports each that fails.
 _CLEANUP_TIMEOUT_S = 5.0  # The process ends if its queue, processes and database are not closed within this time.
-_INTERPRETER_EXIT_TIMEOUT_S = (
-    60.0  # When the server has stopped, the process ends within this time, even if a thread hangs.
-)
+_INTERPRETER_EXIT_TIMEOUT_S = 60.0  # The process ends this long after the server, even if a thread hangs.
 
 logger = logging.getLogger(__name__)
 _PURPOSE = "Run the HTTP service. Further settings are environment variables that begin with DSBRDF_."
@@ -65,7 +63,12 @@ def serve(
     try:
         settings = Settings(**given)
     except ValidationError as error:
-        return refuse(_settings_message(error, given))
+        faults = []
+        for fault in error.errors():  # Each fault names the flag or the environment variable of its setting.
+            name = str(fault["loc"][0])
+            written = f"--{name.replace('_', '-')}" if name in given else f"DSBRDF_{name.upper()}"
+            faults.append({**fault, "loc": (written,)})
+        return refuse(validation_sentence(faults))
     try:
         if not (settings.loopback or settings.insecure or has_active_key(settings.data_dir)):
             return refuse(
@@ -87,7 +90,10 @@ def serve(
     store.keep_temporary_files()
     configure(settings)
     return_freed_memory()
-    _raise_descriptor_limit()
+    # The usual limit of open files is below the number of connections.
+    _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(OSError, ValueError):  # Some systems report more open files than they allow.
+        resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
     return _run(settings, store)
 
 
@@ -130,6 +136,8 @@ def _run(settings: Settings, store: Store) -> int:
 class _Server(uvicorn.Server):
     """Run uvicorn's server; at shutdown, first answer the requests that wait for fits."""
 
+    _next_report_at = 0.0
+
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
         """Begin the shutdown at the first signal; further signals do not interrupt it."""
@@ -144,7 +152,7 @@ class _Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start the server, and print its address if stdout is a terminal."""
-        asyncio.get_running_loop().set_exception_handler(_Reports())
+        asyncio.get_running_loop().set_exception_handler(self._report)
         await super().startup(sockets)
         if self.started and sys.stdout.isatty():
             host, port = self.servers[0].sockets[0].getsockname()[:2]
@@ -163,37 +171,14 @@ class _Server(uvicorn.Server):
         context.queue.release_waiters()
         await super().shutdown(sockets)
 
-
-class _Reports:
-    """Log the errors of the event loop, at most one each second if too many files are open for a new connection."""
-
-    def __init__(self) -> None:
-        self._next_at = 0.0
-
-    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    def _report(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Log an error of the event loop, at most one each second if too many files are open for a new connection."""
         error = context.get("exception")
         if not isinstance(error, OSError) or error.errno not in (errno.EMFILE, errno.ENFILE):
             loop.default_exception_handler(context)
-        elif loop.time() >= self._next_at:
-            self._next_at = loop.time() + 1.0
+        elif loop.time() >= self._next_report_at:
+            self._next_report_at = loop.time() + 1.0
             logger.error("no connection can be accepted: %s", error.strerror)
-
-
-def _settings_message(error: ValidationError, given: Mapping[str, Any]) -> str:
-    """Return a sentence that names the flag or the environment variable of each wrong setting."""
-    faults = []
-    for fault in error.errors():
-        name = str(fault["loc"][0])
-        written = f"--{name.replace('_', '-')}" if name in given else f"DSBRDF_{name.upper()}"
-        faults.append({**fault, "loc": (written,)})
-    return validation_sentence(faults)
-
-
-def _raise_descriptor_limit() -> None:
-    """Raise the limit of open files to the maximum, because the usual limit is below the number of connections."""
-    _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with suppress(OSError, ValueError):  # Some systems report more open files than they allow.
-        resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
 
 
 def _check_address(host: str, port: int) -> None:

@@ -13,7 +13,7 @@ from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.samples.table_options import TableOptions
 
 from ..access import CALLER, Keys
-from ..compute.computations import Computations, Duration, LoadedFit, ModelCache
+from ..compute.computations import Computations, LoadedFit, ModelCache
 from ..compute.steps import StoredMeasurement
 from ..errors import ProblemError
 from ..http.messages import Bodies
@@ -42,24 +42,13 @@ class Context:
     computations: Computations
     bodies: Bodies
 
-    async def in_process(
-        self,
-        request: Request,
-        step: Callable[..., Any],
-        *arguments: Any,
-        max_bytes: int = 0,
-        duration: Duration = "medium",
-    ) -> Any:
-        """Compute a step in a separate process; return its result or, with `max_bytes`, the file that it writes.
+    async def in_process(self, request: Request, step: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        """Call `Computations.run_in_process`, and raise its errors.
 
-        Raises the errors of `Computations`, and MeasurementNotFoundError if a measurement among the arguments is
-        deleted during the computation.
+        Raises MeasurementNotFoundError if a measurement among the arguments is deleted during the computation.
         """
         try:
-            if not max_bytes:
-                return await self.computations.run_in_process(request, step, *arguments, duration=duration)
-            named: dict[str, Any] = {"writing": self.store.writing, "max_bytes": max_bytes, "duration": duration}
-            return await self.computations.make_file(request, step, *arguments, **named)
+            return await self.computations.run_in_process(request, step, *arguments, **named)
         except ProblemError:
             for stored in arguments:
                 if isinstance(stored, StoredMeasurement):
@@ -74,13 +63,12 @@ class Context:
         Raises the errors of `Store.measurement_file`, and ProblemError if the measurement is not of this kind.
         """
         row, path = await in_thread(self.store.measurement_file, owner, sha256)
-        if on_grid is True and not row.on_grid:
-            detail = "The measurement is a table of samples, without pictures or values in between; fit it first."
-            raise ProblemError("not-found", detail)
-        if on_grid is False and row.on_grid:
+        if on_grid in (None, row.on_grid):
+            return StoredMeasurement(path, sha256, name)
+        detail = "The measurement is a table of samples, without pictures or values in between; fit it first."
+        if row.on_grid:
             detail = "The measurement is a grid, not a table of samples; read its content instead."
-            raise ProblemError("not-found", detail)
-        return StoredMeasurement(path, sha256, name)
+        raise ProblemError("not-found", detail)
 
 
 async def context_of(request: Request) -> Context:

@@ -21,15 +21,7 @@ from dsbrdf.result import verdict
 from ..compute.computations import departure
 from ..errors import InvalidKeyError, ProblemError
 from ..http import openapi
-from ..http.messages import (
-    BINARY,
-    JSON,
-    given_name,
-    media_type_of,
-    preferred_wait,
-    prefix_of,
-    tagged_reply,
-)
+from ..http.messages import BINARY, JSON, given_name, media_type_of, preferred_wait, prefix_of, tagged_reply
 from ..storage.atlas import ATLAS, atlas_row
 from ..storage.database import in_write_thread
 from ..storage.schema import Caller, FitKey, FitRow, Status
@@ -235,9 +227,8 @@ async def list_materials(context: TheContext, caller: TheCaller) -> Response:
 async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit: TheFit, wait: _Wait = 0.0) -> Response:
     """Return a fit; with `wait`, the answer comes when the fit has ended or the time is over."""
     row = await _wait(request, context, caller, fit, min(wait, context.settings.max_wait))
-    document = await _document(context, row)
     headers = {} if row.ended else {"Retry-After": "1"}
-    return tagged_reply(request, document, headers=headers)
+    return tagged_reply(request, await _document(context, row), headers=headers)
 
 
 @router.patch(
@@ -267,10 +258,10 @@ async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> Re
     if only != "cancel" and await in_write_thread(context.store.remove_fit, fit):
         return RemovedFit(id=fit.id, status="deleted")
     row = await run_in_threadpool(context.store.fit, fit)
-    if row.ended:
-        ended = f"The fit has ended as {row.status}, there is nothing to cancel; only=delete deletes it."
-        raise ProblemError("fit-ended", ended)
-    raise ProblemError("fit-not-finished", f"The fit is {row.status}; only=cancel cancels it.")
+    if not row.ended:
+        raise ProblemError("fit-not-finished", f"The fit is {row.status}; only=cancel cancels it.")
+    detail = f"The fit has ended as {row.status}, there is nothing to cancel; only=delete deletes it."
+    raise ProblemError("fit-ended", detail)
 
 
 async def _check_room(context: TheContext, caller: TheCaller) -> None:

@@ -17,15 +17,7 @@ from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, Response
 
-from dsbrdf.data.merl_validation import (
-    FILE_SIZE,
-    HEADER,
-    HEADER_SIZE,
-    ROW_NODES,
-    check_header,
-    check_length,
-    check_values,
-)
+from dsbrdf.data import merl_validation as merl
 from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from dsbrdf.output.documents import ANGLE_NAMES
 from dsbrdf.samples.reading import START_BYTES, measurement_kind
@@ -80,7 +72,7 @@ OPTION_PARAMETERS, TABLE_PARAMETERS = (
     for schema in (OPTIONS_SCHEMA, TABLE_SCHEMA)
 )
 """Query parameters for the options of a fit, and of a table."""
-CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=FILE_SIZE) for media_type in UPLOADED}
+CONTENT: dict[str, Any] = {media_type: openapi.file(media_type, maxLength=merl.FILE_SIZE) for media_type in UPLOADED}
 
 _PIECE_BYTES = 1 << 17  # Every unfinished upload keeps one piece of this size in memory.
 _MAX_SHORT_TEXT_BYTES = 1 << 16  # A longer text takes over a second to read, so its reading is a long computation.
@@ -122,25 +114,28 @@ async def _receive_merl(request: Request, start: bytes, pieces: AsyncIterator[by
     Values are checked when all have arrived, so that an unfinished upload needs no memory for this check.
     """
     declared = request.headers.get("content-length", "")
-    length = int(declared) if declared.isdecimal() else FILE_SIZE
+    length = int(declared) if declared.isdecimal() else merl.FILE_SIZE
     try:
-        check_header(start)
-        check_length(length)
+        merl.check_header(start)
+        merl.check_length(length)
     except MeasurementFormatError as error:
-        if length > FILE_SIZE:
+        if length > merl.FILE_SIZE:
             raise ProblemError("measurement-too-large", str(error)) from None
         raise
-    await _write(start, pieces, incoming, FILE_SIZE, "A MERL file")
-    check_length(incoming.size)
+    await _write(start, pieces, incoming, merl.FILE_SIZE, "A MERL file")
+    merl.check_length(incoming.size)
     incoming.valid_nodes = await in_thread(_count_valid_nodes, incoming.path)
 
 
 def _count_valid_nodes(path: Path) -> int:
     """Check the values of a MERL file; return the number of its nodes with a value."""
     with path.open("rb") as file:
-        file.seek(HEADER_SIZE)
-        rows = (np.fromfile(file, "<f8", ROW_NODES) for _ in range(HEADER_SIZE, FILE_SIZE, 8 * ROW_NODES))
-        return int(check_values(rows).sum())
+        file.seek(merl.HEADER_SIZE)
+        rows = (
+            np.fromfile(file, "<f8", merl.ROW_NODES)
+            for _ in range(merl.HEADER_SIZE, merl.FILE_SIZE, 8 * merl.ROW_NODES)
+        )
+        return int(merl.check_values(rows).sum())
 
 
 async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming, most: int, kind: str) -> None:
@@ -148,9 +143,8 @@ async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming,
     piece = start
     while piece:
         if incoming.size + len(piece) > most:
-            raise ProblemError(
-                "measurement-too-large", f"{kind} has at most {most} bytes here, and this one is longer."
-            )
+            detail = f"{kind} has at most {most} bytes here, and this one is longer."
+            raise ProblemError("measurement-too-large", detail)
         await in_thread(incoming.write, piece)
         del piece  # This piece is not kept in memory while the next one arrives.
         piece = await anext(pieces, b"")
@@ -176,7 +170,7 @@ async def _pieces(request: Request) -> AsyncIterator[bytes]:
     piece, begun = b"", False
     async for part in pieces_of(request):
         piece += part
-        if not begun and (len(piece) >= START_BYTES or piece.startswith(HEADER)):
+        if not begun and (len(piece) >= START_BYTES or piece.startswith(merl.HEADER)):
             yield piece[:START_BYTES]
             piece, begun = piece[START_BYTES:], True
         if begun and len(piece) >= _PIECE_BYTES:
@@ -212,10 +206,7 @@ class TableDocument(BaseModel):
 @router.post(
     "/tables",
     responses=openapi.problems("too-large", "measurement-format", *openapi.BODY_PROBLEMS),
-    openapi_extra={
-        "parameters": TABLE_PARAMETERS,
-        **openapi.body("A table of scattered samples.", CONTENT),
-    },
+    openapi_extra={"parameters": TABLE_PARAMETERS, **openapi.body("A table of scattered samples.", CONTENT)},
 )
 async def describe_table(request: Request, context: TheContext, options: TheTableOptions) -> TableDocument:
     """Return columns, units, ranges, warnings and the first samples of the table in the body.
@@ -252,6 +243,7 @@ class MeasurementList(Document):
     items: list[MeasurementDocument]
 
 
+_UPLOADS = "A MERL file, an RGL .bsdf file, or a table of scattered samples."
 _VARY = {"Vary": "Accept"}
 _MAX_LISTED_FITS = 200
 _ACCEPT = openapi.header_parameter("Accept", f"`{BINARY}` asks for the file instead of the document.")
@@ -271,10 +263,7 @@ _FILE: openapi.Responses = {
         201: openapi.answer("The measurement is stored; `Location` is its address.", MeasurementDocument, "Location"),
         **openapi.problems(*openapi.UPLOAD_PROBLEMS),
     },
-    openapi_extra={
-        "parameters": [*PARAMETERS, *TABLE_PARAMETERS],
-        **openapi.body("A MERL file, an RGL .bsdf file, or a table of scattered samples.", CONTENT),
-    },
+    openapi_extra={"parameters": [*PARAMETERS, *TABLE_PARAMETERS], **openapi.body(_UPLOADS, CONTENT)},
 )
 async def upload_measurement(
     request: Request, context: TheContext, caller: TheCaller, options: TheTableOptions

@@ -70,9 +70,8 @@ class DirectionsRequest(Input):
 _DIRECTIONS = tuple(DirectionsRequest.model_fields)
 _MAX_NPY_HEADER_BYTES = 1024
 _POINT_SHAPES = ((2,), (3,), (6,), (2, 3))  # Each row of an array of points has one of these shapes.
-_POINTS = (
-    "(n, 2) or (n, 3), theta_half, theta_diff and phi_diff in degrees, or (n, 6) or (n, 2, 3), omega_in and omega_out"
-)
+_ANGLES = "(n, 2) or (n, 3), theta_half, theta_diff and phi_diff in degrees"
+_POINTS = f"{_ANGLES}, or (n, 6) or (n, 2, 3), omega_in and omega_out"
 _PANORAMA = "(rows, 2 rows, 3), linear RGB of 360 by 180 degrees"
 _BELOW_HORIZON = (np.pi / 2, np.pi / 2, 0.0)  # Every model is 0 at these half and difference angles [rad].
 
@@ -132,17 +131,14 @@ def from_npy(data: bytes) -> Points:
     array = read_npy(data, lambda shape: shape[1:] in _POINT_SHAPES, _POINTS).astype(np.float64)
     if array.shape[1:] not in ((2,), (3,)):
         return _of_directions(omega_in=array.reshape(-1, 2, 3)[:, 0], omega_out=array.reshape(-1, 2, 3)[:, 1])
-    thetas, phi_diff = array[:, :2], array[:, 2:]
-    outside = thetas[~((thetas >= 0.0) & (thetas <= 90.0))]
+    theta_half, theta_diff, *phi_diff = array.T
+    outside = array[:, :2][~((array[:, :2] >= 0.0) & (array[:, :2] <= 90.0))]
     if outside.size:
-        raise InvalidArgumentError(
-            f"theta_half and theta_diff must be from 0 to 90 degrees, not {float(outside[0])!r}."
-        )
+        detail = f"theta_half and theta_diff must be from 0 to 90 degrees, not {float(outside[0])!r}."
+        raise InvalidArgumentError(detail)
     if not np.isfinite(phi_diff).all():
         raise InvalidArgumentError("phi_diff must be a finite number of degrees.")
-    return _of_angles(
-        theta_half=thetas[:, 0], theta_diff=thetas[:, 1], phi_diff=phi_diff[:, 0] if phi_diff.shape[1] else [90.0]
-    )
+    return _of_angles(theta_half=theta_half, theta_diff=theta_diff, phi_diff=phi_diff[0] if phi_diff else [90.0])
 
 
 def panorama_from_npy(data: bytes) -> NDArray[Any]:
@@ -203,10 +199,8 @@ def _broadcast(columns: Mapping[str, Any]) -> Sequence[Any]:
         return list(columns.values())
     several = counts - {1}
     if len(several) > 1:
-        parts = [f"{len(column)} values of {name}" for name, column in columns.items() if len(column) != 1]
-        raise InvalidArgumentError(
-            f"There are {' and '.join(parts)}; give equally many of each, or one for all points."
-        )
+        parts = " and ".join(f"{len(column)} values of {name}" for name, column in columns.items() if len(column) != 1)
+        raise InvalidArgumentError(f"There are {parts}; give equally many of each, or one for all points.")
     arrays = [np.asarray(column, dtype=float) for column in columns.values()]
     return [np.broadcast_to(array, (*several, *array.shape[1:])) for array in arrays]
 

@@ -82,13 +82,8 @@ def _query_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:
 
 
 _VECTOR = {"type": "string", "pattern": r"^[^,]+,[^,]+,[^,]+$"}
-_QUERY = {
-    "parameters": [
-        _query_parameter(name, schema)
-        for form in FORMS
-        for name, schema in form.model_json_schema()["properties"].items()
-    ]
-}
+_MEMBERS = (member for form in FORMS for member in form.model_json_schema()["properties"].items())
+_QUERY = {"parameters": [_query_parameter(name, schema) for name, schema in _MEMBERS]}
 _BATCH = openapi.body(
     "Points, in degrees or as unit vectors.",
     {
@@ -189,10 +184,8 @@ async def _points(request: Request, context: Context) -> tuple[Points, str]:
         else:
             read = from_npy if media_type == NPY else from_json
             points = await context.computations.run(request, partial(read, body))
-    if points.theta_half.size > _MAX_POINTS:
-        detail = (
-            f"{points.theta_half.size} points are more than the {_MAX_POINTS} of one request; send several requests."
-        )
+    if (count := points.theta_half.size) > _MAX_POINTS:
+        detail = f"{count} points are more than the {_MAX_POINTS} of one request; send several requests."
         raise ProblemError("too-large", detail)
     return points, NPY if prefers(request, NPY, JSON) else JSON
 

@@ -28,7 +28,7 @@ from dsbrdf.output.serialize import fit_from_json
 from ..access import CALLER, CALLER_NAME
 from ..errors import ProblemError
 from ..queue import FairTurns, result_of
-from ..storage.files import OpenFile, Writing
+from ..storage.files import Writing
 from ..storage.schema import FitKey
 from ..storage.store import Store
 from . import steps
@@ -51,8 +51,9 @@ class Computations:
     their niceness applies only to long computations.
     """
 
-    def __init__(self, limits: FitLimits) -> None:
+    def __init__(self, limits: FitLimits, writing: Writing) -> None:
         preload(steps.__name__)
+        self._writing = writing
         self._turns = {duration: FairTurns() for duration in get_args(Duration)}
         self._limits = limits
         at_once = replace(limits, niceness=0)
@@ -68,14 +69,31 @@ class Computations:
         return result
 
     async def run_in_process(
-        self, request: Request, step: Callable[..., Any], *arguments: Any, duration: Duration = "medium"
+        self,
+        request: Request,
+        step: Callable[..., Any],
+        *arguments: Any,
+        max_bytes: int = 0,
+        duration: Duration = "medium",
     ) -> Any:
         """Call ``step(*arguments, on_progress)`` in a separate process and return its result.
 
+        With `max_bytes`, the step gets a path after its arguments and writes a file of at most this length, which is
+        returned open, and deleted when the answer has sent it.
+
         `step` must be importable without the service, and `arguments` must be picklable. Raises the errors of `run`,
-        InvalidArgumentError if the step refuses its arguments, and ProblemError if the step fails.
+        InvalidArgumentError if the step refuses its arguments, OSError if the file cannot be written, and ProblemError
+        if the step fails or the caller has too many files in progress.
         """
-        return await self._wait(request, partial(self._called, duration, step, *arguments), duration)
+
+        async def work() -> Any:
+            if not max_bytes:
+                return await self._called(duration, step, *arguments)
+            async with self._writing.answer(request.scope[CALLER], max_bytes) as (file, path):
+                await self._called(duration, step, *arguments, path)
+            return file
+
+        return await self._wait(request, work, duration)
 
     async def _called(self, duration: Duration, step: Callable[..., Any], *arguments: Any) -> Any:
         found = await result_of(self._processes[duration].call(step, *arguments))
@@ -90,31 +108,6 @@ class Computations:
         if found.origin == "system" or found.type == "TimeLimit":
             raise ProblemError("interrupted", f"The computation was interrupted ({found.type}); try again.")
         raise ProblemError("internal", f"The service failed to compute the answer ({found.type}); its log says why.")
-
-    async def make_file(
-        self,
-        request: Request,
-        step: Callable[..., Any],
-        *arguments: Any,
-        writing: Writing,
-        max_bytes: int,
-        duration: Duration = "medium",
-    ) -> OpenFile:
-        """Call ``step(*arguments, path, on_progress)`` as `run_in_process` does, and return the file that it writes.
-
-        The file is deleted when the answer has sent it.
-
-        Raises the errors of `run_in_process`, OSError if the file cannot be written, and ProblemError if the caller has
-        too many files in progress.
-        """
-
-        async def work() -> OpenFile:
-            async with writing.answer(request.scope[CALLER], max_bytes) as (file, path):
-                await self._called(duration, step, *arguments, path)
-            return file
-
-        made: OpenFile = await self._wait(request, work, duration)
-        return made
 
     async def close(self) -> None:
         """Cancel all computations, and wait for their processes to end."""

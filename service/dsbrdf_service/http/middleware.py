@@ -121,56 +121,55 @@ def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
         raise ProblemError("head-too-long", _HEAD_TOO_LONG, _CLOSE_HEADERS)
     twice = len(headers) < len(sent) and any(sum(name == once for name, _ in sent) > 1 for once in _SINGLE_HEADERS)
     if twice or (b"host" not in headers and scope["http_version"] == "1.1"):
-        raise ProblemError(
-            "bad-request",
-            "The request must have exactly one header Host, and at most one header Origin.",
-            _CLOSE_HEADERS,
-        )
+        detail = "The request must have exactly one header Host, and at most one header Origin."
+        raise ProblemError("bad-request", detail, _CLOSE_HEADERS)
 
 
-async def _within(timeout: float, call: Callable[[], Awaitable[T]]) -> T:
-    """Await `call` for `timeout` seconds, then look once more, because this process itself may have been stopped."""
-    try:
-        async with asyncio.timeout(timeout):
-            return await call()
-    except TimeoutError:
-        async with asyncio.timeout(_LAST_LOOK_S):
-            return await call()
+class _Pace:
+    """Wait for a client to send or to read; `n_bytes` is the number of bytes that it has sent or read so far.
 
-
-class BodyTimeout:
-    """Wrap an ASGI `receive`, and refuse a body that arrives too slowly.
-
-    Only the time spent waiting for the client counts, not the time that the service takes.
-
-    A body is refused after `idle_timeout` seconds without a byte, or when its mean rate after that time is below
-    `min_rate` bytes per second; 0 allows any rate. `n_bytes` is the number of bytes received so far.
+    The client is too slow after `idle_timeout` seconds without a byte, or when its mean rate after that time is below
+    `min_rate` bytes per second; 0 allows any rate. Only the time spent waiting for the client counts, not the time that
+    the service takes.
     """
 
-    def __init__(self, receive: Receive, idle_timeout: float, min_rate: float) -> None:
-        self.n_bytes = 0
-        self._receive = receive
-        self._idle_timeout = idle_timeout
-        self._min_rate = min_rate
-        self._waited = 0.0
-        self._ended = False
+    def __init__(self, idle_timeout: float, min_rate: float) -> None:
+        self.idle_timeout, self.min_rate = idle_timeout, min_rate
+        self.n_bytes, self._waited = 0, 0.0
+
+    async def wait(self, call: Callable[[], Awaitable[T]]) -> T:
+        """Return the result of `call`; raise TimeoutError if the client is too slow."""
+        begin, timeout = perf_counter(), self.idle_timeout
+        if self.min_rate:
+            timeout = min(timeout, timeout + self.n_bytes / self.min_rate - self._waited)
+        try:
+            async with asyncio.timeout(timeout):
+                result = await call()
+        except TimeoutError:  # This process itself may have been stopped, so it looks once more.
+            async with asyncio.timeout(_LAST_LOOK_S):
+                result = await call()
+        self._waited += min(perf_counter() - begin, timeout)
+        return result
+
+
+class _Body:
+    """Wrap an ASGI `receive`, and refuse a body that arrives too slowly."""
+
+    def __init__(self, receive: Receive, pace: _Pace) -> None:
+        self._receive, self.pace, self._ended = receive, pace, False
 
     async def __call__(self) -> Message:
         """Return the next message of the body; raise ProblemError if the message takes too long."""
         if self._ended:  # The next message is the end of the connection, for which there is no time limit.
             return await self._receive()
-        begin, timeout = perf_counter(), self._idle_timeout
-        if self._min_rate:
-            timeout = min(timeout, self._idle_timeout + self.n_bytes / self._min_rate - self._waited)
+        pace, self._ended = self.pace, True
         try:
-            message = await _within(timeout, self._receive)
+            message = await pace.wait(self._receive)
         except TimeoutError:
-            self._ended = True
-            rate = f", or came at less than {self._min_rate:g} bytes a second" if self._min_rate else ""
-            detail = f"The body stopped for {self._idle_timeout:g} s{rate}; {self.n_bytes} bytes had arrived."
+            rate = f", or came at less than {pace.min_rate:g} bytes a second" if pace.min_rate else ""
+            detail = f"The body stopped for {pace.idle_timeout:g} s{rate}; {pace.n_bytes} bytes had arrived."
             raise ProblemError("request-timeout", detail, _CLOSE_HEADERS) from None
-        self._waited += min(perf_counter() - begin, timeout)
-        self.n_bytes += len(message.get("body", b""))
+        pace.n_bytes += len(message.get("body", b""))
         self._ended = not message.get("more_body", False)
         return message
 
@@ -181,7 +180,7 @@ class RequestLogMiddleware:
     def __init__(self, app: ASGIApp, access: Access, settings: Settings, metrics: Metrics) -> None:
         self._app = app
         self._access = access
-        self._body_limits = settings.idle_timeout, settings.least_upload_rate
+        self._limits = settings.idle_timeout, settings.least_upload_rate
         self._metrics = metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -190,8 +189,8 @@ class RequestLogMiddleware:
             await self._app(scope, receive, send)
             return
         headers = dict(scope["headers"])
-        body = BodyTimeout(receive, *self._body_limits)
-        exchange = _Exchange(scope, headers.get(b"x-request-id", b""), send, *self._body_limits)
+        body = _Body(receive, _Pace(*self._limits))
+        exchange = _Exchange(scope, headers.get(b"x-request-id", b""), send, _Pace(*self._limits))
         bind("request_id", exchange.request_id)
         if exchange.method == "HEAD":
             scope = {**scope, "method": "GET", IS_HEAD: True}
@@ -210,7 +209,7 @@ class RequestLogMiddleware:
                 raise  # A part of the answer has been sent, so the server logs the exception and closes the connection.
         finally:
             self._access.release(caller)
-            self._log(scope, exchange, body.n_bytes)
+            self._log(scope, exchange, body.pace.n_bytes)
 
     def _log(self, scope: Scope, exchange: "_Exchange", n_received: int) -> None:
         seconds = perf_counter() - exchange.begin
@@ -239,20 +238,13 @@ class RequestLogMiddleware:
 class _Exchange:
     """One request and the state of its response."""
 
-    __slots__ = (
-        *("_abort", "_idle_timeout", "_min_rate", "_n_sent", "_send", "_waited"),
-        *("begin", "complete", "given_up", "method", "request_id", "status"),
-    )
-
-    def __init__(self, scope: Scope, given_id: bytes, send: Send, idle_timeout: float, min_rate: float) -> None:
+    def __init__(self, scope: Scope, given_id: bytes, send: Send, pace: _Pace) -> None:
         self.begin = perf_counter()
         self.method = scope["method"]
         self._abort = scope.get(ABORT, lambda: None)
-        self._idle_timeout, self._min_rate = idle_timeout, min_rate
-        self._n_sent, self._waited = 0, 0.0
         self.status: int | None = None
         self.complete = self.given_up = False
-        self._send = send
+        self._send, self._pace = send, pace
         self.request_id = given_id.decode() if _ACCEPTABLE_ID.fullmatch(given_id) else secrets.token_hex(8)
 
     async def refuse(self, scope: Scope, error: Exception) -> None:
@@ -282,22 +274,17 @@ class _Exchange:
 
     async def _send_in_pieces(self, message: Message) -> None:
         """Send a part of a long answer; close the connection if the client reads more slowly than uploads may be."""
-        body, begin = message.get("body", b""), perf_counter()
+        body = message.get("body", b"")
         for start in range(0, max(len(body), 1), PIECE_BYTES):
             piece = body[start : start + PIECE_BYTES]
             is_last = start + PIECE_BYTES >= len(body) and not message.get("more_body", False)
-            timeout = self._idle_timeout
-            if self._min_rate:
-                timeout = min(timeout, timeout + self._n_sent / self._min_rate - self._waited)
             try:
-                await _within(timeout, partial(self._send, {**message, "body": piece, "more_body": not is_last}))
+                await self._pace.wait(partial(self._send, {**message, "body": piece, "more_body": not is_last}))
             except TimeoutError:
                 self.given_up = True
                 logger.info("gave up a client that does not read its answer")
                 self._abort()
                 await asyncio.sleep(0)  # In this pause, the server closes the aborted connection.
                 raise ClientDisconnect from None
-            self._n_sent += len(piece)
-            self._waited += min(perf_counter() - begin, timeout)
-            begin = perf_counter()
+            self._pace.n_bytes += len(piece)
         self.complete = not message.get("more_body", False)

@@ -7,6 +7,7 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
@@ -116,11 +117,12 @@ def file(media_type: str, **schema: Any) -> dict[str, Any]:
 def document_of(app: FastAPI, referenced: Sequence[type[BaseModel]]) -> dict[str, Any]:
     """Return the OpenAPI document of `app`, with the schemas of `referenced`, which FastAPI does not find."""
     # Routes are sorted by tag, so that fits come first in the document and in generated pages.
-    routes = sorted((route for route in app.routes if getattr(route, "tags", None)), key=_place)
+    described = [route for route in app.routes if isinstance(route, APIRoute) and route.tags]
+    routes = sorted(described, key=lambda route: _TAGS.index(str(route.tags[0])))
     document = get_openapi(title=app.title, version=app.version, description=app.description, routes=routes)
     models: tuple[type[BaseModel], ...] = (Problem, *referenced)
-    _, described = models_json_schema([(model, "validation") for model in models], ref_template=_REFERENCE)
-    document["components"]["schemas"].update(described["$defs"])
+    _, schemas = models_json_schema([(model, "validation") for model in models], ref_template=_REFERENCE)
+    document["components"]["schemas"].update(schemas["$defs"])
     document["components"]["securitySchemes"] = {"key": _KEY}
     document["security"] = [{}, {"key": []}]
     document["servers"] = [{"url": "."}]  # This is relative to the document, which a proxy may show below a prefix.
@@ -128,21 +130,12 @@ def document_of(app: FastAPI, referenced: Sequence[type[BaseModel]]) -> dict[str
     for methods in document["paths"].values():
         for operation in methods.values():
             for part in (operation.get("requestBody", {}), *operation["responses"].values()):
-                _complete(part.get("content", {}))
+                content = part.get("content", {})
+                content.get("text/event-stream", {}).pop("itemSchema", None)  # OpenAPI 3.1 has no such member.
+                model = content.get(JSON, {}).get("schema", {}).get("$ref", "").rpartition("/")[2]
+                if model in _EXAMPLES:
+                    content[JSON]["example"] = _EXAMPLES[model]
     return document
-
-
-def _place(route: Any) -> int:
-    return _TAGS.index(route.tags[0])
-
-
-def _complete(content: dict[str, Any]) -> None:
-    """Add the example to a body or an answer, and remove a member that OpenAPI 3.1 does not know."""
-    content.get("text/event-stream", {}).pop("itemSchema", None)  # FastAPI adds this member, unknown to OpenAPI 3.1.
-    described = content.get(JSON, {})
-    model = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
-    if model in _EXAMPLES:
-        described["example"] = _EXAMPLES[model]
 
 
 def option_parameter(name: str, schema: dict[str, Any]) -> dict[str, Any]:

@@ -46,6 +46,7 @@ class Kind(NamedTuple):
 
 _FULL = "The disk of the service is too full for this request; delete measurements, or try again later."
 _BROKEN = "The service failed at this request; its log says why."
+_UNUSABLE = "The service cannot use its data folder now; its log says why. Try again when /health/ready answers 200."
 KINDS: dict[str, Kind] = {
     "bad-request": Kind(400, "The request cannot be understood"),
     "unauthorized": Kind(401, "A valid API key is needed"),
@@ -134,10 +135,7 @@ def problem_of(request: Request, error: Exception) -> ProblemError:
         if getattr(error, "errno", 0) in _FULL_DISK or getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL:
             return ProblemError("disk-full", _FULL)
         logger.error("%s %s: the data folder cannot be used (%s)", request.method, path, error)
-        detail = (
-            "The service cannot use its data folder now; its log says why. Try again when /health/ready answers 200."
-        )
-        return ProblemError("not-ready", detail)
+        return ProblemError("not-ready", _UNUSABLE)
     logger.error("%s %s failed", request.method, path, exc_info=error)
     return ProblemError("internal", _BROKEN)
 

@@ -154,6 +154,13 @@ class Blobs:
             self._sound[sha256] = _stamp(status)
         return None if right else "its sha256 is another one"
 
+    def fault(self, sha256: str) -> str | None:
+        """Return what is wrong with a measurement's file, also if it cannot be read; otherwise None."""
+        try:
+            return self.damage(sha256)
+        except OSError as error:
+            return error.strerror or str(error)
+
     def all(self) -> Iterator[str]:
         """Yield the sha256 of every measurement's file."""
         for path in self._blobs.glob(f"??/*{_SUFFIX}"):
@@ -227,7 +234,7 @@ class Writing:
         held = Hold(caller.owner, n_bytes)
         self._holds.add(held)
         if others:
-            stored = await in_thread(self._stored, caller)
+            ((stored,),) = await in_thread(self._database.rows, _STORED, caller.owner, caller.owner)
             if stored + sum(others) + n_bytes > caller.stored_bytes:
                 self._holds.discard(held)
                 said = f" and {len(others)} uploads and answers in progress take {sum(others) / 1e6:.1f} MB"
@@ -270,10 +277,6 @@ class Writing:
         async with self.answer(caller, len(content)) as (file, path):
             await in_thread(path.write_bytes, content)
         return file
-
-    def _stored(self, caller: Caller) -> int:
-        ((stored,),) = self._database.rows(_STORED, caller.owner, caller.owner)
-        return int(stored)
 
 
 def check_key(db: sqlite3.Connection, caller: Caller) -> None:

@@ -119,12 +119,12 @@ def check_database(folder: Path) -> tuple[bool, str]:
 def check_measurements(folder: Path) -> tuple[bool, str]:
     """Read the file of every measurement; return whether each has the sha256 in its row, and a sentence about them."""
     blobs = Blobs(folder)
-    faults = {sha256: fault for sha256 in _stored(folder) if (fault := _damage(blobs, sha256))}
+    found = {sha256: blobs.fault(sha256) for sha256 in _stored(folder)}
     stored = _stored(folder)  # A file that was deleted with its row meanwhile is no fault.
-    damaged = [sha256 for sha256 in faults if sha256 in stored]
-    if damaged:
-        number = f"{len(damaged)} of {len(stored)} files are damaged or missing"
-        return False, f"{number}, first {damaged[0]} ({faults[damaged[0]]}): upload that measurement again"
+    faults = [(sha256, fault) for sha256, fault in found.items() if fault and sha256 in stored]
+    if faults:
+        number = f"{len(faults)} of {len(stored)} files are damaged or missing"
+        return False, f"{number}, first {faults[0][0]} ({faults[0][1]}): upload that measurement again"
     return True, f"{len(stored)} files are what their rows say"
 
 
@@ -139,13 +139,6 @@ def check_files(folder: Path) -> tuple[bool, str]:
             "of the same measurement makes one, and dsbrdf purge --files-without-rows removes those that nobody needs"
         )
     return True, f"{len(files)} files have rows"
-
-
-def _damage(blobs: Blobs, sha256: str) -> str | None:
-    try:
-        return blobs.damage(sha256)
-    except OSError as error:
-        return error.strerror or str(error)
 
 
 def _stored(folder: Path) -> set[str]:

@@ -45,6 +45,7 @@ _SELECT_FIT = f"SELECT {columns(FitRow)} FROM fits"  # noqa: S608 (constants onl
 _SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
 _WHERE_MEASUREMENT = "WHERE owner = ? AND sha256 = ?"
+_SELECT_THE_FIT = f"{_SELECT_FIT} {_WHERE_FIT}"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
 # A repeated fit gets a new row, so that it comes first in lists.
 _ADD_FIT = (
@@ -134,10 +135,7 @@ class Store:
             damage = self.blobs.damage(sha256)
         except OSError:
             self.blobs.check()  # A file is missing only where other files can be written and read.
-            try:
-                damage = self.blobs.damage(sha256)
-            except OSError as error:
-                damage = error.strerror or str(error)
+            damage = self.blobs.fault(sha256)
         if damage is not None:
             raise MeasurementDamagedError(damage)
         return self.blobs.path(sha256)
@@ -157,7 +155,7 @@ class Store:
 
     def measurements(self, owner: str, limit: int, before: int | None, name: str | None = None) -> list[MeasurementRow]:
         """Return up to `limit` measurements, newest first, with `seq` below `before` and optionally one name."""
-        page = self._page(_SELECT_MEASUREMENT, owner, limit, before, {"name": name})
+        page = self._page(_SELECT_MEASUREMENT, owner, limit, before, name=name)
         return list(map(MeasurementRow.from_values, page))
 
     def remove_measurement(self, owner: str, sha256: str) -> bool:
@@ -192,14 +190,13 @@ class Store:
         are waiting, a quota is reached or the caller's key has been revoked.
         """
         key = FitKey(caller.owner, fit_identity(sha256, options))
-        select = f"{_SELECT_FIT} {_WHERE_FIT}"
-        found = next(map(FitRow.from_values, self.database.rows(select, *key)), None)
+        found = next(map(FitRow.from_values, self.database.rows(_SELECT_THE_FIT, *key)), None)
         # An equal fit that has the name already is returned without a transaction, which would wait for other writers.
         if found is not None and not found.repeatable and name in (None, found.name):
             return found, False
         with self.database.transaction() as db:
             check_key(db, caller)
-            known = next(map(FitRow.from_values, db.execute(select, key).fetchall()), None)
+            known = next(map(FitRow.from_values, db.execute(_SELECT_THE_FIT, key).fetchall()), None)
             if known is not None and not known.repeatable:
                 (row,) = db.execute(_NAME_FIT, (name or known.name, *key)).fetchall()
                 return FitRow.from_values(row), False
@@ -221,7 +218,7 @@ class Store:
 
     def fit(self, key: FitKey) -> FitRow:
         """Return a fit's row; raise FitNotFoundError if there is no such fit."""
-        for row in self.database.rows(f"{_SELECT_FIT} {_WHERE_FIT}", *key):
+        for row in self.database.rows(_SELECT_THE_FIT, *key):
             return FitRow.from_values(row)
         if key.id in ATLAS:
             return atlas_row(key)
@@ -244,8 +241,8 @@ class Store:
         measurement: str | None = None,
     ) -> list[FitRow]:
         """Return up to `limit` fits with `seq` below `before`, newest first, of a name, status or measurement."""
-        wanted = {"name": name, "status": status, "measurement": measurement}
-        return [FitRow.from_values(row) for row in self._page(_SELECT_FIT, owner, limit, before, wanted)]
+        page = self._page(_SELECT_FIT, owner, limit, before, name=name, status=status, measurement=measurement)
+        return list(map(FitRow.from_values, page))
 
     def fits_of(self, owner: str, sha256: str, limit: int) -> list[str]:
         """Return the ids of a measurement's fits, newest first."""
@@ -270,15 +267,14 @@ class Store:
     def _result(self, key: FitKey) -> tuple[bytes, bytes | None]:
         query = f"SELECT status, CAST(result AS BLOB), thumbnail, metrics, checksum FROM fits {_WHERE_FIT}"  # noqa: S608
         rows = self.database.rows(query, *key)
-        if not rows and key.id in ATLAS:
-            return atlas_result(key.id), None
         if not rows:
+            if key.id in ATLAS:
+                return atlas_result(key.id), None
             raise FitNotFoundError(key.id)
         status, document, thumbnail, metrics, written = rows[0]
         if status in UNFINISHED:
-            raise ProblemError(
-                "fit-not-finished", f"The fit is {status} and has no model yet; wait until it has succeeded."
-            )
+            detail = f"The fit is {status} and has no model yet; wait until it has succeeded."
+            raise ProblemError("fit-not-finished", detail)
         if document is None:
             raise ProblemError("fit-without-result", f"The fit {status} and has no model; its document says why.")
         if checksum(metrics, document) != written:
@@ -375,9 +371,7 @@ class Store:
         with self.database.transaction() as db:
             return next(map(FitRow.from_values, db.execute(query, (*values, *key)).fetchall()), None)
 
-    def _page(
-        self, select: str, owner: str, limit: int, before: int | None, wanted: Mapping[str, str | None]
-    ) -> list[tuple[Any, ...]]:
+    def _page(self, select: str, owner: str, limit: int, before: int | None, **wanted: str | None) -> list[Any]:
         conditions = {"owner = ?": owner, "seq < ?": before, **{f"{name} = ?": wanted[name] for name in wanted}}
         given = {condition: value for condition, value in conditions.items() if value is not None}
         query = f"{select} WHERE {' AND '.join(given)} ORDER BY seq DESC LIMIT ?"
