@@ -1,4 +1,4 @@
-"""Convert components to JSON documents, CSV and LaTeX, summarise a table of samples, and read JSON by annotations.
+"""Convert components to JSON documents, CSV and LaTeX, and summarise a table of samples.
 
 The command line, stored fits and the HTTP service have the same documents; their angles are in degrees. A table of
 components has a row for each surface, and for each component without surfaces.
@@ -7,22 +7,16 @@ components has a row for each surface, and for each component without surfaces.
 import csv
 import io
 import re
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, fields, is_dataclass
-from functools import cache
-from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.component import Component
 from dsbrdf.components.decomposition import Fitted, decompose
-from dsbrdf.components.description import Description
-from dsbrdf.components.shares import ComponentRanges
 from dsbrdf.data.geometry import CHANNELS
-from dsbrdf.errors import ModelFormatError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.reading import ReadTable
@@ -57,23 +51,6 @@ def component_document(component: Component) -> dict[str, Any]:
         },
         "ranges": asdict(component.ranges),
     }
-
-
-def ranges_in(document: Mapping[str, Any]) -> ComponentRanges:
-    """Read the 90 % ranges from a component's document.
-
-    Raises ModelFormatError if the ranges are damaged, KeyError if the document has no ranges, and TypeError if the
-    document is no mapping.
-    """
-    ranges: ComponentRanges = typed(ComponentRanges, document["ranges"], "ranges")
-    return ranges
-
-
-def description_in(document: Mapping[str, Any]) -> Description:
-    """Read layers, surfaces and misfit from a component's document; raise the same errors as `ranges_in`."""
-    parts = {name: document[name] for name in ("surfaces", "misfit")} | {"layers": {"layers": document["layers"]}}
-    description: Description = typed(Description, parts, "description")
-    return description
 
 
 _RANGES = ("", "_low", "_high")
@@ -221,59 +198,3 @@ def _angles(samples: ScatteredSamples) -> Array:
     theta_in, theta_out = (np.arccos(np.clip(side[:, 2], -1.0, 1.0)) for side in (first, second))
     difference = np.degrees(phi_out - phi_in).round(9) % 360.0
     return np.column_stack([np.degrees(theta_in), np.degrees(theta_out), difference])
-
-
-def typed(kind: Any, value: Any, place: str) -> Any:
-    """Convert a JSON value to the type of an annotation: a mapping to a dataclass, a list to a tuple."""
-    origin, arguments = get_origin(kind), get_args(kind)
-    if isinstance(kind, type) and is_dataclass(kind):
-        hints = _hints(kind)
-        check_keys(place, value, tuple(hints))
-        return kind(**{name: typed(hint, value[name], f"{place}.{name}") for name, hint in hints.items()})
-    if origin in (Union, UnionType):
-        return typed(next((choice for choice in arguments if _fits(choice, value)), arguments[0]), value, place)
-    if not _fits(kind, value):
-        raise ModelFormatError(f"The stored {place} is of the wrong kind, {type(value).__name__}.")
-    if origin is tuple:
-        kinds = arguments[:1] * len(value) if arguments[-1] is ... else arguments
-        if len(kinds) != len(value):
-            raise ModelFormatError(f"The stored {place} has {len(value)} values, not {len(kinds)}.")
-        return tuple(typed(item, part, place) for item, part in zip(kinds, value, strict=True))
-    if origin is dict:
-        return {name: typed(arguments[1], part, f"{place}.{name}") for name, part in value.items()}
-    return value
-
-
-def _fits(kind: Any, value: Any) -> bool:
-    """Return whether a JSON value can be converted to a type; the elements of a list or mapping are not checked."""
-    origin = get_origin(kind)
-    if is_dataclass(kind) and isinstance(kind, type):
-        return isinstance(value, Mapping) and set(value) == set(_hints(kind))
-    if origin is Literal:
-        return isinstance(value, str) and value in get_args(kind)
-    if origin is tuple:
-        return isinstance(value, list)
-    if origin is dict:
-        return isinstance(value, dict)
-    if kind is float:  # JSON may write 1 for 1.0, and a number with too large an exponent is read as infinity.
-        return type(value) in (int, float) and abs(value) <= sys.float_info.max
-    return type(value) is kind
-
-
-@cache
-def _hints(kind: type) -> dict[str, Any]:
-    """Return the types of the fields of a dataclass."""
-    hints = get_type_hints(kind)
-    return {declared.name: hints[declared.name] for declared in fields(kind)}
-
-
-def check_keys(what: str, content: Any, wanted: tuple[str, ...]) -> None:
-    """Raise ModelFormatError unless a JSON value is a mapping with exactly the wanted keys."""
-    if not isinstance(content, Mapping):
-        raise ModelFormatError(f"The stored {what} must be a mapping of names to values.")
-    missing = [key for key in wanted if key not in content]
-    if missing:
-        raise ModelFormatError(f"The stored {what} lacks the key {missing[0]!r}.")
-    unknown = [key for key in content if key not in wanted]
-    if unknown:
-        raise ModelFormatError(f"The stored {what} has the unknown key {unknown[0]!r}.")

@@ -9,21 +9,25 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, is_dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.component import Decomposition
+from dsbrdf.components.description import Description
 from dsbrdf.components.layers import LayeredModel
-from dsbrdf.components.shares import LABELS, Range, WeightedLayers
+from dsbrdf.components.shares import LABELS, ComponentRanges, Range, WeightedLayers
 from dsbrdf.data.files import write_atomically
 from dsbrdf.errors import InvalidArgumentError, ModelFormatError
 from dsbrdf.model.dsbrdf import DSBRDF, TEXTS
-from dsbrdf.output.documents import check_keys, component_document, description_in, ranges_in, typed
+from dsbrdf.output.documents import component_document
 from dsbrdf.result import FitReport, FitResult
 
 FORMAT = "dsbrdf"
@@ -139,7 +143,7 @@ def from_json(text: str) -> tuple[DSBRDF, FitReport | None]:
 
     Raises ModelFormatError if the text is damaged, not of the format ``dsbrdf``, or of another version.
     """
-    return _model_and_report(_document(text))
+    return _parsed(text)[1:]
 
 
 def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
@@ -147,23 +151,26 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
 
     Raises ModelFormatError if the text is damaged, or if its components are missing or inconsistent.
     """
-    document = _document(text)
-    model, report = _model_and_report(document)
+    document, model, report = _parsed(text)
     try:
-        labels = tuple(component["label"] for component in document["components"])
-        ranges = tuple(ranges_in(component) for component in document["components"])
-        descriptions = tuple(description_in(component) for component in document["components"])
+        parts = document["components"]
+        labels = tuple(part["label"] for part in parts)
+        ranges = tuple(_typed(ComponentRanges, part["ranges"], "ranges") for part in parts)
+        described = [{name: part[name] for name in ("surfaces", "misfit", "layers")} for part in parts]
     except (KeyError, TypeError):
         raise ModelFormatError("The stored components are damaged, or there are none.") from None
+    descriptions = tuple(
+        _typed(Description, one | {"layers": {"layers": one["layers"]}}, "description") for one in described
+    )
     if labels != tuple(label for label in LABELS if label in labels):
         raise ModelFormatError("The stored components are damaged: their order is wrong.")
-    structures = typed(tuple[WeightedLayers, ...], document.get("structures"), "structures")
+    structures = _typed(tuple[WeightedLayers, ...], document.get("structures"), "structures")
     if any(len(one.is_diffuse) != len(one.model.layers) for one in structures):
         raise ModelFormatError(
             "The stored structures are damaged: they do not say for each layer whether it is diffuse."
         )
-    diffuse_range: Range = typed(Range, document.get("diffuse_range"), "diffuse_range")
-    alternatives = typed(tuple[str, ...], document.get("alternatives"), "alternatives")
+    diffuse_range: Range = _typed(Range, document.get("diffuse_range"), "diffuse_range")
+    alternatives = _typed(tuple[str, ...], document.get("alternatives"), "alternatives")
     return Decomposition(model, structures, labels, ranges, descriptions, diffuse_range, alternatives), report
 
 
@@ -194,8 +201,8 @@ def _dump(content: object) -> str:
         raise InvalidArgumentError(f"The report must contain only plain, finite values: {error}.") from None
 
 
-def _document(text: str) -> dict[str, Any]:
-    """Parse the document of a model from a JSON text, and check its format and version."""
+def _parsed(text: str) -> tuple[dict[str, Any], DSBRDF, FitReport | None]:
+    """Return the document in a JSON text, whose format and version are checked, and its model and report."""
     try:
         document = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
@@ -211,15 +218,11 @@ def _document(text: str) -> dict[str, Any]:
         raise ModelFormatError(f"The stored model has no valid version; it must be {VERSION}.")
     if version != VERSION:
         raise ModelFormatError(f"The stored model has version {version}; this release reads version {VERSION}.")
-    return document
-
-
-def _model_and_report(document: Mapping[str, Any]) -> tuple[DSBRDF, FitReport | None]:
     for key in ("model", "report"):
         if key not in document:
             raise ModelFormatError(f"The stored model lacks the key {key!r}.")
     report = document["report"]
-    return model_from_dict(document["model"]), None if report is None else report_from_dict(report)
+    return document, model_from_dict(document["model"]), None if report is None else report_from_dict(report)
 
 
 def _refuse_constant(constant: str) -> None:
@@ -238,7 +241,7 @@ def model_from_dict(content: Mapping[str, Any]) -> DSBRDF:
     Raises ModelFormatError if a key is missing or unknown, or a value has the wrong shape, is not finite or out of
     range.
     """
-    check_keys("model", content, (*ARRAYS, *TEXTS))
+    _check_keys("model", content, (*ARRAYS, *TEXTS))
     parameters: dict[str, Any] = {name: _numbers(name, content[name]) for name in ARRAYS}
     for name in TEXTS:
         if not isinstance(content[name], str):
@@ -256,7 +259,7 @@ def report_from_dict(content: Mapping[str, Any]) -> FitReport:
     Raises ModelFormatError if a key is missing or unknown, a value is of the wrong kind, or the options are not valid.
     """
     try:
-        report: FitReport = typed(FitReport, content, "report")
+        report: FitReport = _typed(FitReport, content, "report")
     except InvalidArgumentError as error:
         raise ModelFormatError(f"The options in the stored report are not valid: {error}") from None
     return report
@@ -270,3 +273,59 @@ def _numbers(name: str, value: Any) -> Array:
     if array.dtype.kind not in "fi":
         raise ModelFormatError(f"The stored model's {name} is not an array of real numbers.")
     return array.astype(np.float64)
+
+
+def _typed(kind: Any, value: Any, place: str) -> Any:
+    """Convert a JSON value to the type of an annotation: a mapping to a dataclass, a list to a tuple."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = _hints(kind)
+        _check_keys(place, value, tuple(hints))
+        return kind(**{name: _typed(hint, value[name], f"{place}.{name}") for name, hint in hints.items()})
+    if origin in (Union, UnionType):
+        return _typed(next((choice for choice in arguments if _fits(choice, value)), arguments[0]), value, place)
+    if not _fits(kind, value):
+        raise ModelFormatError(f"The stored {place} is of the wrong kind, {type(value).__name__}.")
+    if origin is tuple:
+        kinds = arguments[:1] * len(value) if arguments[-1] is ... else arguments
+        if len(kinds) != len(value):
+            raise ModelFormatError(f"The stored {place} has {len(value)} values, not {len(kinds)}.")
+        return tuple(_typed(item, part, place) for item, part in zip(kinds, value, strict=True))
+    if origin is dict:
+        return {name: _typed(arguments[1], part, f"{place}.{name}") for name, part in value.items()}
+    return value
+
+
+def _fits(kind: Any, value: Any) -> bool:
+    """Return whether a JSON value can be converted to a type; the elements of a list or mapping are not checked."""
+    origin = get_origin(kind)
+    if is_dataclass(kind) and isinstance(kind, type):
+        return isinstance(value, Mapping) and set(value) == set(_hints(kind))
+    if origin is Literal:
+        return isinstance(value, str) and value in get_args(kind)
+    if origin is tuple:
+        return isinstance(value, list)
+    if origin is dict:
+        return isinstance(value, dict)
+    if kind is float:  # JSON may write 1 for 1.0, and a number with too large an exponent is read as infinity.
+        return type(value) in (int, float) and abs(value) <= sys.float_info.max
+    return type(value) is kind
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    """Return the types of the fields of a dataclass."""
+    hints = get_type_hints(kind)
+    return {declared.name: hints[declared.name] for declared in fields(kind)}
+
+
+def _check_keys(what: str, content: Any, wanted: tuple[str, ...]) -> None:
+    """Raise ModelFormatError unless a JSON value is a mapping with exactly the wanted keys."""
+    if not isinstance(content, Mapping):
+        raise ModelFormatError(f"The stored {what} must be a mapping of names to values.")
+    missing = [key for key in wanted if key not in content]
+    if missing:
+        raise ModelFormatError(f"The stored {what} lacks the key {missing[0]!r}.")
+    unknown = [key for key in content if key not in wanted]
+    if unknown:
+        raise ModelFormatError(f"The stored {what} has the unknown key {unknown[0]!r}.")
