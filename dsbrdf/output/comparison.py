@@ -40,7 +40,12 @@ def compare(measurement: Measurement, others: Mapping[str, Compared]) -> dict[st
     InvalidArgumentError
         If something is not one of these, a function returns another shape, or the measurement has zeros only.
     """
-    return {name: _metrics(as_model(other, measurement), measurement) for name, other in others.items()}
+    metrics = {}
+    for name, other in others.items():
+        model = as_model(other, measurement)
+        sums = sample_errors(model, measurement, DEFAULT_HORIZON_CUTOFF)
+        metrics[name] = sample_metrics(model, measurement, sums, np.asarray(model.albedo(ALBEDO_ANGLES)))
+    return metrics
 
 
 def as_model(compared: Compared, measurement: Measurement) -> RenderableModel:
@@ -60,8 +65,3 @@ def as_model(compared: Compared, measurement: Measurement) -> RenderableModel:
         f'a model, a fit, a measurement, a function or "ggx" can be compared, not an object of type '
         f"{type(compared).__name__}"
     )
-
-
-def _metrics(model: RenderableModel, measurement: Measurement) -> Metrics:
-    sums = sample_errors(model, measurement, DEFAULT_HORIZON_CUTOFF)
-    return sample_metrics(model, measurement, sums, np.asarray(model.albedo(ALBEDO_ANGLES)))

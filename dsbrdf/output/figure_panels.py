@@ -31,8 +31,7 @@ IMAGE_FORMATS = ("png", "svg", "pdf")
 CHANNEL_COLOURS = ("#c92a2a", "#2b8a3e", "#1c5fb8")
 LINE_STYLES = ("-", "--", "-.", ":")
 LOBE_COLOURS = ("#e8590c", "#7048e8", "#0c8599", "#c2255c", "#5c940d", "sienna", "#4263eb", "gray", "gold", "plum")
-PAIR_WIDTH_IN = 5.5
-"""Width of two panels side by side [inches]."""
+_WIDTH_IN = 11.0
 ROW_HEIGHT_IN = 3.4
 """Height of a row of panels [inches]."""
 _TITLE_HEIGHT_IN = 0.4
@@ -53,22 +52,22 @@ def encode_figure(figure: Figure, image_format: str = "png", *, dpi: float = 150
     return buffer.getvalue()
 
 
-def empty_figure(title: str, pairs: int, *, height: float, fixed: bool = False) -> Figure:
-    """Return a figure with a title and room for pairs of panels; Matplotlib sets the margins unless `fixed`."""
+def empty_figure(title: str, height: float, *, fixed: bool = False) -> Figure:
+    """Return a figure with a title and room for two pairs of panels; Matplotlib sets the margins unless `fixed`."""
     require("plot", "matplotlib", purpose="figures")
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     layout = None if fixed else ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06)
-    figure = Figure(figsize=(PAIR_WIDTH_IN * pairs, height), layout=layout)
+    figure = Figure(figsize=(_WIDTH_IN, height), layout=layout)
     figure._repr_png_ = lambda: encode_figure(figure, dpi=80.0)  # type: ignore[attr-defined]  # Notebooks call this to show a figure.
     figure.suptitle(title, parse_math=False)  # A dollar sign in a material's name does not begin a formula.
     return figure
 
 
-def figure_of_rows(title: str, pairs: int, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
+def figure_of_rows(title: str, heights: Sequence[float]) -> tuple[Figure, Iterable[SubFigure]]:
     """Return a figure with a title, and its rows of the given heights [inches], for panels with fixed margins."""
-    figure = empty_figure("", pairs, height=_TITLE_HEIGHT_IN + sum(heights), fixed=True)
+    figure = empty_figure("", _TITLE_HEIGHT_IN + sum(heights), fixed=True)
     parts = figure.subfigures(1 + len(heights), 1, squeeze=False, height_ratios=[_TITLE_HEIGHT_IN, *heights])
     head, *rows = parts[:, 0]
     # A dollar sign in a material's name does not begin a formula.
@@ -116,6 +115,8 @@ def log_ticks(low: float, high: float) -> Array:
 
 CURVE_THETA_HALF = np.concatenate([np.linspace(0.0, 1.0, 500)[:-1] ** 2 * np.pi / 2, [np.pi / 2]])
 """Angles theta_half [rad] at which curves are computed, dense at the peak."""
+SLICE_ROWS = (0, 45)
+"""Indices of the theta_diff whose slices are drawn, which are 0 and 45 degrees."""
 PHI_DIFF_FRACTIONS = (np.arange(24) + 0.5) / 24
 """Angles phi_diff of a mean, as fractions of the way from 90 degrees to the smallest phi_diff within the cutoff."""
 _TOP_MARGIN_IN = 0.6
@@ -127,20 +128,19 @@ _MIN_PEAK_RATIO = 1.3  # A curve has no peak if the ratio of its highest to its 
 _MAX_PEAK_THETA_HALF = np.radians(60.0)  # The end of a peak, where its curve is lowest, is searched up to this angle.
 
 
-def panel_pairs(figure: FigureBase, slices: int) -> list[tuple[Axes, Axes]]:
-    """Return two panels side by side for each slice: one for all angles, and one for the peak."""
-    axes = figure.subplots(1, 2 * slices, squeeze=False, width_ratios=[1.7, 1.0] * slices)[0]
+def panel_pairs(figure: FigureBase) -> list[tuple[Axes, Axes]]:
+    """Return two panels side by side for each of `SLICE_ROWS`: one for all angles, and one for the peak."""
+    axes = figure.subplots(1, 4, width_ratios=[1.7, 1.0] * 2)
     return list(zip(axes[::2], axes[1::2], strict=True))
 
 
-def finish_row(figure: FigureBase, named: Sequence[Axes], *, slices: int, columns: int) -> None:
+def finish_row(figure: FigureBase, named: Sequence[Axes], columns: int) -> None:
     """Draw a legend at the bottom of a row, and set the margins of the row's panels."""
     draw_legend(figure, named, columns, "lower center")
     below = _BOTTOM_MARGIN_IN + _LEGEND_LINE_HEIGHT_IN * -(-len(figure.legends[0].get_texts()) // columns)
-    width = PAIR_WIDTH_IN * slices
     figure.subplots_adjust(
-        left=_LEFT_MARGIN_IN / width,
-        right=1.0 - _RIGHT_MARGIN_IN / width,
+        left=_LEFT_MARGIN_IN / _WIDTH_IN,
+        right=1.0 - _RIGHT_MARGIN_IN / _WIDTH_IN,
         bottom=below / ROW_HEIGHT_IN,
         top=1.0 - _TOP_MARGIN_IN / ROW_HEIGHT_IN,
         wspace=0.36,
@@ -178,27 +178,21 @@ def set_limits(pair: tuple[Axes, Axes], row: int, fitted: Array, measured: Array
     all_angles, peak = pair
     all_angles.set(yscale="log", xlim=(-90, 90), ylim=(0.4 * bottom, 2.0 * top), ylabel="BRDF [1/sr]")
     all_angles.set_title(rf"$\theta_\mathrm{{diff}}$ = {np.degrees(THETA_DIFF[row]):.0f}°", fontsize=9)
-    half_width = _peak_half_width(fitted.reshape(CURVE_THETA_HALF.size, -1).sum(axis=1))
-    extent = 90.0 if half_width is None else min(4.0 * float(np.degrees(half_width)), 90.0)
+    # The half width is where the curve is halfway between its highest and its lowest value. A nearly constant curve has
+    # no peak, and a rise near the horizon is none.
+    curve = fitted.reshape(CURVE_THETA_HALF.size, -1).sum(axis=1)
+    lowest = int(np.argmin(curve[CURVE_THETA_HALF <= _MAX_PEAK_THETA_HALF]))
+    high, low = float(curve[: lowest + 1].max()), float(curve[lowest])
+    has_peak = high >= _MIN_PEAK_RATIO * low and high > 0.0
+    half_width = CURVE_THETA_HALF[np.flatnonzero(curve[: lowest + 1] >= 0.5 * (high + low))[-1]] if has_peak else 0.0
+    extent = min(4.0 * float(np.degrees(half_width)), 90.0) if has_peak else 90.0
     peak.set(xlim=(-extent, extent), ylim=(0.0, 1.08 * top))
-    peak.set_title("the same, linear axis" if half_width is None else "the peak, linear axis", fontsize=9)
+    peak.set_title("the peak, linear axis" if has_peak else "the same, linear axis", fontsize=9)
     for ax in pair:
         ax.set_xlabel(r"$\theta_\mathrm{half}$ [degrees]")
         set_ticks(ax)
     if extent == 90.0:
         peak.set_xticks(range(-90, 91, 45))  # The panel of the peak is too narrow for more ticks.
-
-
-def _peak_half_width(values: Array) -> float | None:
-    """Return the angle where a curve over `CURVE_THETA_HALF` is halfway between its highest and lowest value [rad].
-
-    Return None for a nearly constant curve; a rise near the horizon is not a peak.
-    """
-    lowest = int(np.argmin(values[CURVE_THETA_HALF <= _MAX_PEAK_THETA_HALF]))
-    high, low = float(values[: lowest + 1].max()), float(values[lowest])
-    if high < _MIN_PEAK_RATIO * low or high <= 0.0:
-        return None
-    return float(CURVE_THETA_HALF[np.flatnonzero(values[: lowest + 1] >= 0.5 * (high + low))[-1]])
 
 
 def draw_curve(
@@ -216,15 +210,7 @@ def draw_points(ax: Axes, theta_half: Array, values: Array, colour: str, marker:
     for node, angle in enumerate(theta_half):
         if not kept or angle - theta_half[kept[-1]] >= spacing:
             kept.append(node)
-    ax.plot(
-        *_mirrored(theta_half[kept], values[kept]),
-        marker,
-        color=colour,
-        markerfacecolor="none",
-        markersize=3.4,
-        markeredgewidth=0.6,
-        label=label,
-    )
+    ax.plot(*_mirrored(theta_half[kept], values[kept]), marker, color=colour, mfc="none", ms=3.4, mew=0.6, label=label)
 
 
 def _mirrored(theta_half: Array, values: Array) -> tuple[Array, Array]:

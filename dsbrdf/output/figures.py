@@ -26,6 +26,7 @@ from dsbrdf.output.figure_panels import (
     LINE_STYLES,
     LOBE_COLOURS,
     ROW_HEIGHT_IN,
+    SLICE_ROWS,
     draw_curve,
     draw_legend,
     draw_points,
@@ -45,7 +46,6 @@ from dsbrdf.rendering.sphere import displayed, exposure, render_sphere, sphere_n
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase
 
     from dsbrdf.components.component import Component
@@ -56,8 +56,6 @@ if TYPE_CHECKING:
 
     _Part = tuple[ReflectanceModel, str, str, str]  # model, colour, line style and label of a curve
 
-SLICE_ROWS = (0, 45)
-"""Indices of the theta_diff whose slices are drawn, which are 0 and 45 degrees."""
 COMPONENT_COLOURS = dict(zip(LABELS, LOBE_COLOURS, strict=False))
 _SPHERES_HEIGHT_IN = 2.5
 _SPHERE_SIZE_PX = 256
@@ -67,16 +65,8 @@ _RESIDUAL_TICKS_DEG = (0, 5, 20, 45, 90)  # ticks on the axis of theta_half in t
 
 def profiles_figure(profiles: Profiles, model: Reflectance, *, curves: str = "fit") -> Figure:
     """Draw only row (a) of `overview_figure`, the profiles; `curves` names the model in the legend."""
-    figure, (row,) = figure_of_rows(profiles.name, len(SLICE_ROWS), [ROW_HEIGHT_IN])
+    figure, (row,) = figure_of_rows(profiles.name, [ROW_HEIGHT_IN])
     _profiles_row(row, profiles, model, curves)
-    return figure
-
-
-def lobes_figure(profiles: Profiles, model: DSBRDF, *, model_lobes: bool = False) -> Figure:
-    """Draw only row (b) of `overview_figure`, the components or lobes, in the red channel."""
-    title = f"{profiles.name}: {_parts_name(model_lobes)}, red channel"
-    figure, (row,) = figure_of_rows(title, len(SLICE_ROWS), [ROW_HEIGHT_IN])
-    _parts_row(row, profiles, model, model_lobes)
     return figure
 
 
@@ -90,9 +80,10 @@ def overview_figure(
     in the red channel. Raises MissingExtraError if Matplotlib is not installed.
     """
     heights = [ROW_HEIGHT_IN, ROW_HEIGHT_IN] if spheres is None else [ROW_HEIGHT_IN, ROW_HEIGHT_IN, _SPHERES_HEIGHT_IN]
-    figure, (above, below, *rest) = figure_of_rows(profiles.name, len(SLICE_ROWS), heights)
+    figure, (above, below, *rest) = figure_of_rows(profiles.name, heights)
     above.suptitle("(a) measured (squares) and fit (lines), means over $\\phi_\\mathrm{diff}$", fontsize=10)
-    below.suptitle(f"(b) {_parts_name(model_lobes)}, red channel", fontsize=10)
+    parts = "lobes of the model" if model_lobes else "components of the fit (dashed: their own layers)"
+    below.suptitle(f"(b) {parts}, red channel", fontsize=10)
     _profiles_row(above, profiles, model)
     _parts_row(below, profiles, model, model_lobes)
     if spheres is not None:
@@ -112,10 +103,10 @@ def materials_figure(materials: Mapping[str, Reflectance]) -> Figure:
         raise InvalidArgumentError(
             f"a figure compares 1 to {len(LOBE_COLOURS)} materials, not {len(materials)}; dsbrdf map shows more"
         )
-    figure, (above, below) = figure_of_rows("", len(SLICE_ROWS), [ROW_HEIGHT_IN, _SPHERES_HEIGHT_IN])
+    figure, (above, below) = figure_of_rows("", [ROW_HEIGHT_IN, _SPHERES_HEIGHT_IN])
     above.suptitle("(a) means of the channels and over $\\phi_\\mathrm{diff}$", fontsize=10)
     below.suptitle("(b) lit spheres under three lights, with the exposure of the first", fontsize=10)
-    pairs = panel_pairs(above, len(SLICE_ROWS))
+    pairs = panel_pairs(above)
     within = CURVE_THETA_HALF <= DEFAULT_HORIZON_CUTOFF
     for row, pair in zip(SLICE_ROWS, pairs, strict=True):
         curves = [slice_means(one, row, DEFAULT_HORIZON_CUTOFF).mean(axis=1) for one in materials.values()]
@@ -123,7 +114,7 @@ def materials_figure(materials: Mapping[str, Reflectance]) -> Figure:
         for ax in pair:
             for name, colour, style, curve in zip(materials, LOBE_COLOURS, cycle(LINE_STYLES), curves, strict=False):
                 draw_curve(ax, curve, colour, style=style, label=name)
-    finish_row(above, [pairs[0][0]], slices=len(SLICE_ROWS), columns=4)
+    finish_row(above, [pairs[0][0]], columns=4)
     spheres = [render_sphere(one, size=_SPHERE_SIZE_PX) for one in materials.values()]
     factor = exposure(spheres[0], sphere_normals(_SPHERE_SIZE_PX)[1])
     _spheres_row(below, {name: displayed(one, factor) for name, one in zip(materials, spheres, strict=True)})
@@ -136,21 +127,16 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
     The axes are theta_half and theta_diff. All nodes of the grid are drawn equally wide, which enlarges the peak,
     because more nodes are there. Nodes without data are grey.
     """
-    figure = empty_figure(profiles.name, 2, height=ROW_HEIGHT_IN)
+    figure = empty_figure(profiles.name, ROW_HEIGHT_IN)
     fitted = np.stack([slice_means(model, row, profiles.horizon_cutoff, THETA_HALF) for row in range(THETA_DIFF.size)])
     measured = np.moveaxis(profiles.mean, 0, -1)
     used = (np.moveaxis(profiles.weight, 0, -1) > 0) & (measured > 0)
     percent = np.where(used, 100.0 * (fitted / np.where(used, measured, 1.0) - 1.0), np.nan)
     axes = figure.subplots(1, len(CHANNELS), sharey=True)
     for ax, channel, values in zip(axes, CHANNELS, np.moveaxis(percent, -1, 0), strict=True):
-        image = ax.imshow(
-            values,
-            cmap="RdBu_r",
-            clim=(-_MAX_COLOURED_RESIDUAL_PERCENT, _MAX_COLOURED_RESIDUAL_PERCENT),
-            origin="lower",
-            aspect="auto",
-            interpolation="nearest",
-        )
+        limits = -_MAX_COLOURED_RESIDUAL_PERCENT, _MAX_COLOURED_RESIDUAL_PERCENT
+        pixels = {"origin": "lower", "aspect": "auto", "interpolation": "nearest"}
+        image = ax.imshow(values, cmap="RdBu_r", clim=limits, **pixels)
         ax.set(facecolor="0.85", yticks=range(0, 91, 15), xlabel=r"$\theta_\mathrm{half}$ [degrees]")
         ax.set_xticks(np.interp(np.radians(_RESIDUAL_TICKS_DEG), THETA_HALF, range(90)), map(str, _RESIDUAL_TICKS_DEG))
         ax.set_title(channel, fontsize=9)
@@ -163,7 +149,7 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
 
 def _profiles_row(figure: FigureBase, profiles: Profiles, model: Reflectance, curves: str = "fit") -> None:
     """Draw the profiles of all channels, in two panels for each slice, with a legend."""
-    pairs = panel_pairs(figure, len(SLICE_ROWS))
+    pairs = panel_pairs(figure)
     for row, pair in zip(SLICE_ROWS, pairs, strict=True):
         fitted = slice_means(model, row, profiles.horizon_cutoff)
         data = [measured_means(profiles, row, channel) for channel in range(3)]
@@ -172,17 +158,13 @@ def _profiles_row(figure: FigureBase, profiles: Profiles, model: Reflectance, cu
             for channel, colour, points, curve in zip(CHANNELS, CHANNEL_COLOURS, data, fitted.T, strict=True):
                 draw_points(ax, *points, colour, "s", f"{channel}, measured")
                 draw_curve(ax, curve, colour, label=f"{channel}, {curves}")
-    finish_row(figure, [pairs[0][0]], slices=len(SLICE_ROWS), columns=min(6, 3 * len(SLICE_ROWS)))
-
-
-def _parts_name(model_lobes: bool) -> str:
-    return "lobes of the model" if model_lobes else "components of the fit (dashed: their own layers)"
+    finish_row(figure, [pairs[0][0]], columns=6)
 
 
 def _parts_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, model_lobes: bool) -> None:
     """Draw components or lobes in the red channel, two panels for each slice, with a legend of the visible curves."""
     parts = _lobe_parts(model) if model_lobes else _component_parts(model)
-    pairs = panel_pairs(figure, len(SLICE_ROWS))
+    pairs = panel_pairs(figure)
     for row, pair in zip(SLICE_ROWS, pairs, strict=True):
         points = measured_means(profiles, row, 0)
         fitted = slice_means(model, row, profiles.horizon_cutoff)[:, 0]
@@ -196,7 +178,7 @@ def _parts_row(figure: FigureBase, profiles: Profiles, model: DSBRDF, model_lobe
             draw_points(ax, *points, str(ax.xaxis.label.get_color()), "o", "measured")
             for (_, colour, style, label), curve in compress(zip(parts, curves, strict=True), seen):
                 draw_curve(ax, curve, colour, style=style, label=label)
-    finish_row(figure, [pair[0] for pair in pairs], slices=len(SLICE_ROWS), columns=2 * len(SLICE_ROWS))
+    finish_row(figure, [pair[0] for pair in pairs], columns=4)
 
 
 def _component_parts(model: DSBRDF) -> list[_Part]:
@@ -254,7 +236,7 @@ def parameters_figure(model: DSBRDF, *, title: str = "", model_lobes: bool = Fal
 
 def components_figure(components: Iterable[Component], title: str) -> Figure:
     """Draw the RGB values of components at theta_half = 0 over theta_diff, and their directional albedo."""
-    figure = empty_figure(title, 2, height=ROW_HEIGHT_IN)
+    figure = empty_figure(title, ROW_HEIGHT_IN)
     heights, albedos = figure.subplots(1, 2)
     degrees, seen = np.degrees(_CURVE_THETA_DIFF), np.linspace(0.0, 80.0, 17)
     for number, part in enumerate(components):
@@ -267,15 +249,11 @@ def components_figure(components: Iterable[Component], title: str) -> Figure:
         places = 1.0 + 3.0 * number + np.arange(3)  # The albedo ranges of the three channels are drawn side by side.
         albedos.vlines(places, low, high, colors=CHANNEL_COLOURS, linewidth=2.5, alpha=0.5)
         heights.plot([], [], style, color="0.5", linewidth=1.2, label=part.label.replace("_", " "))
-    heights.set(
-        yscale="log", title=r"height at $\theta_\mathrm{half}$ = 0 [1/sr]", xlabel=r"$\theta_\mathrm{diff}$ [degrees]"
-    )
-    albedos.set(
-        title="directional albedo; at the left its 90 % ranges at 0°", xlabel=r"$\theta_\mathrm{out}$ [degrees]"
-    )
+    heights.set(yscale="log", title=r"height at $\theta_\mathrm{half}$ = 0 [1/sr]")
+    albedos.set(title="directional albedo; at the left its 90 % ranges at 0°")
     albedos.set_ylim(bottom=0.0)
-    for ax in (heights, albedos):
-        ax.set(xlim=(0, 90))
+    for ax, angle in ((heights, "diff"), (albedos, "out")):
+        ax.set(xlim=(0, 90), xlabel=rf"$\theta_\mathrm{{{angle}}}$ [degrees]")
         ax.title.set_fontsize(9)
         set_ticks(ax)
     draw_legend(figure, [heights], 4, "outside lower center")
@@ -283,7 +261,7 @@ def components_figure(components: Iterable[Component], title: str) -> Figure:
 
 
 def _lobes_figure(model: DSBRDF, title: str) -> Figure:
-    figure = empty_figure(title, 2, height=1.7 * ROW_HEIGHT_IN)
+    figure = empty_figure(title, 1.7 * ROW_HEIGHT_IN)
     heights, widths, kappas, elongations = figure.subplots(2, 2).flat
     degrees = np.degrees(_CURVE_THETA_DIFF)
     amplitude = model.parameters_at(_CURVE_THETA_DIFF)["amplitude"].mean(axis=-2)
@@ -298,17 +276,12 @@ def _lobes_figure(model: DSBRDF, title: str) -> Figure:
     widths.set(yscale="log", title="half width [degrees]")
     kappas.set(title="kappa")
     elongations.set(title="elongation, 0 for a round lobe")
-    _include(kappas, 0.0, 2.5)
-    _include(elongations, -0.25, 1.25)
+    for ax, low, high in ((kappas, 0.0, 2.5), (elongations, -0.25, 1.25)):  # Small variations shall look small.
+        bottom, top = ax.get_ylim()
+        ax.set_ylim(min(low, bottom), max(high, top))
     for ax in (heights, widths, kappas, elongations):
         ax.set(xlim=(0, 90), xlabel=r"$\theta_\mathrm{diff}$ [degrees]")
         ax.title.set_fontsize(9)
         set_ticks(ax)
     draw_legend(figure, [widths], 4, "outside lower center")
     return figure
-
-
-def _include(ax: Axes, low: float, high: float) -> None:
-    """Widen a vertical axis to include `low` and `high`, so that small variations look small."""
-    bottom, top = ax.get_ylim()
-    ax.set_ylim(min(low, bottom), max(high, top))

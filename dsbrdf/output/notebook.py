@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
 from dataclasses import asdict
 from html import escape
 
@@ -42,13 +41,11 @@ def _rows(source: Measurement | DSBRDF | Component | LayeredModel) -> dict[str, 
         return {"measurement": source.name, "nodes with a value": valid, "sha256": source.sha256[:12]}
     rows = {"layered model": f"{len(source.layers)} layers, {source.n_numbers} numbers"}
     for number, layer in enumerate(source.layers, 1):
-        parameters = (f"{name} {_rounded(value)}" for name, value in asdict(layer).items())
-        rows[f"{number}: {type(layer).__name__.removesuffix('Layer').lower()}"] = ", ".join(parameters)
+        kind = type(layer).__name__.removesuffix("Layer").lower()
+        numbers = {name: ", ".join(f"{one:.3g}" for one in np.atleast_1d(value)) for name, value in vars(layer).items()}
+        parameters = (f"{name} ({text})" if "," in text else f"{name} {text}" for name, text in numbers.items())
+        rows[f"{number}: {kind}"] = ", ".join(parameters)
     return rows
-
-
-def _rounded(value: float | Sequence[float]) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else f"({', '.join(f'{one:.3g}' for one in value)})"
 
 
 def _component_phrase(component: Component) -> str:

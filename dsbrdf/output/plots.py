@@ -117,7 +117,7 @@ def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
     mean of the fit over phi_diff, and the band is the range of the fit over phi_diff. In a plane of incidence, the line
     is the fit for light at the mean theta_in of the samples.
     """
-    figure, (slices, planes, below) = figure_of_rows(samples.name, 2, [ROW_HEIGHT_IN] * 3)
+    figure, (slices, planes, below) = figure_of_rows(samples.name, [ROW_HEIGHT_IN] * 3)
     near = f"samples (squares) within {MAX_DRAWN_DISTANCE_DEG:g}°"
     over_phi = r"fit, mean (lines) and range (shaded) over $\phi_\mathrm{diff}$"
     slices.suptitle(rf"(a) {near} of $\theta_\mathrm{{diff}}$; {over_phi}", fontsize=10)
@@ -133,7 +133,7 @@ def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
 
 def samples_residual_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
     """Draw row (c) of `samples_figure` alone: relative differences over theta_half and theta_diff."""
-    figure, (row,) = figure_of_rows(samples.name, 2, [ROW_HEIGHT_IN])
+    figure, (row,) = figure_of_rows(samples.name, [ROW_HEIGHT_IN])
     shown = _thinned(samples)
     _residual_row(row, shown, model, _angles(shown))
     return figure
@@ -159,7 +159,6 @@ def _densest(values: Array) -> list[float]:
 
 def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles: Array) -> None:
     theta_half, theta_diff = angles
-    places = _densest(theta_diff)
 
     def draw(ax: Axes, place: float) -> None:
         values = model.evaluate(np.radians(_CURVE_ANGLES_DEG)[:, np.newaxis], np.radians(place), _CURVE_PHI_DIFF)
@@ -171,7 +170,7 @@ def _slice_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF, angles
         ax.set(xlim=(0.0, 90.0), xlabel=r"$\theta_\mathrm{half}$ [degrees]")
         ax.set_title(rf"$\theta_\mathrm{{diff}}$ = {place:.0f}°: {_count(near)}", fontsize=9)
 
-    _draw_row(row, places, draw, "")
+    _draw_row(row, _densest(theta_diff), draw, "")
 
 
 def _plane_row(row: FigureBase, samples: ScatteredSamples, model: DSBRDF) -> None:

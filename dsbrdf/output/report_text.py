@@ -27,7 +27,7 @@ from dsbrdf.result import FitReport, FitResult, verdict
 _TEXT_WIDTH = 60  # maximum length of the lines of a report [characters]
 
 
-def metrics_lines(metrics: Metrics, width: int = 60) -> list[str]:
+def metrics_lines(metrics: Metrics, width: int = _TEXT_WIDTH) -> list[str]:
     """Return the metrics that are not None, in equal columns on lines of at most `width` characters."""
     known = {name: value for name, value in asdict(metrics).items() if value is not None}
     wide = max(map(len, known), default=0)
@@ -65,19 +65,16 @@ def _surface_lines(number: int, surface: Mapping[str, Any]) -> list[str]:
     """Return the parameters of one surface with their 90 % ranges; parameters that are None are left out."""
     rows = []
     if surface["alpha"] is not None:
-        rows += [("alpha", _with_range(surface["alpha"], surface["alpha_range"]))]
-        rows += [("tail", f"{surface['tail_exponent']:.3g}")]
+        rows += [("alpha", surface["alpha"], surface["alpha_range"]), ("tail", surface["tail_exponent"], None)]
     for name in ("f0", "f70"):
         if surface[name] is not None:
-            spreads = zip(CHANNELS, surface[name], surface[f"{name}_range"], strict=True)
-            rows += [(f"{name.upper()} {channel}", _with_range(value, spread)) for channel, value, spread in spreads]
-    heads = [f"surface {number}"] + [""] * (len(rows) - 1)
-    return [f"  {head:<12}{name:<10}{text}" for head, (name, text) in zip(heads, rows, strict=False)]
-
-
-def _with_range(value: float, spread: Sequence[float]) -> str:
-    """Return a value with its 90 % range as text."""
-    return f"{value:<9.3g}({spread[0]:.3g} to {spread[1]:.3g})"
+            heads = [f"{name.upper()} {channel}" for channel in CHANNELS]
+            rows += [*zip(heads, surface[name], surface[f"{name}_range"], strict=True)]
+    texts = [
+        f"{name:<10}{value:.3g}" if spread is None else f"{name:<10}{value:<9.3g}({spread[0]:.3g} to {spread[1]:.3g})"
+        for name, value, spread in rows
+    ]
+    return [f"  {'' if place else f'surface {number}':<12}{text}" for place, text in enumerate(texts)]
 
 
 def lobes_in_channel(model: DSBRDF, theta_diff: ArrayLike, channel: int) -> dict[str, Array]:
@@ -150,16 +147,12 @@ def model_text(model: DSBRDF | FitResult, *, remarks: bool = True) -> list[str]:
 
 def result_text(file: Path, result: FitResult) -> list[str]:
     """Return the report of one fit: verdict, warnings, metrics, components and errors."""
-    warnings = [f"warning: {sentence}" for sentence in result.report.warnings]
-    lines = [headline(file, result), *warnings, "", *metrics_lines(result.report.metrics), ""]
+    report = result.report
+    lines = [headline(file, result), *(f"warning: {sentence}" for sentence in report.warnings), ""]
+    lines += [*metrics_lines(report.metrics), ""]
     lines += model_text(result, remarks=False)  # The warnings of the report include the remarks.
-    for table in (
-        samples_tables(result.report),
-        search_table(result.report),
-        selection_table(result.report),
-        bands_table(result.report),
-    ):
-        lines += ["", *table] if table else []
+    for table in (samples_tables, search_table, selection_table, bands_table):
+        lines += ["", *found] if (found := table(report)) else []
     return [*lines, ""]
 
 

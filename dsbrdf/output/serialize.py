@@ -166,9 +166,7 @@ def fit_from_json(text: str) -> tuple[Decomposition, FitReport | None]:
         raise ModelFormatError("The stored components are damaged: their order is wrong.")
     structures = _typed(tuple[WeightedLayers, ...], document.get("structures"), "structures")
     if any(len(one.is_diffuse) != len(one.model.layers) for one in structures):
-        raise ModelFormatError(
-            "The stored structures are damaged: they do not say for each layer whether it is diffuse."
-        )
+        raise ModelFormatError("The stored structures are damaged: they do not say which layers are diffuse.")
     diffuse_range: Range = _typed(Range, document.get("diffuse_range"), "diffuse_range")
     alternatives = _typed(tuple[str, ...], document.get("alternatives"), "alternatives")
     return Decomposition(model, structures, labels, ranges, descriptions, diffuse_range, alternatives), report
@@ -259,10 +257,9 @@ def report_from_dict(content: Mapping[str, Any]) -> FitReport:
     Raises ModelFormatError if a key is missing or unknown, a value is of the wrong kind, or the options are not valid.
     """
     try:
-        report: FitReport = _typed(FitReport, content, "report")
+        return _typed(FitReport, content, "report")
     except InvalidArgumentError as error:
         raise ModelFormatError(f"The options in the stored report are not valid: {error}") from None
-    return report
 
 
 def _numbers(name: str, value: Any) -> Array:

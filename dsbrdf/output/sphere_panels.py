@@ -177,9 +177,7 @@ def space_figure(found: MaterialSpace, models: Mapping[str, Source]) -> Figure:
     """Draw a map of materials as spheres under three lights, each with its own exposure."""
     from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 
-    figure = empty_figure(
-        "materials by likeness of their lit spheres, glossy ones to the right", 2, height=_FIGURE_HEIGHT_IN
-    )
+    figure = empty_figure("materials by likeness of their lit spheres, glossy ones to the right", _FIGURE_HEIGHT_IN)
     ax = figure.subplots()
     edge = 0.06 * np.ptp(found.places, axis=0).max()
     ax.plot(*np.concatenate([found.places - edge, found.places + edge]).T, alpha=0.0)  # These points set the limits.

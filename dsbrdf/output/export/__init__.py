@@ -40,10 +40,10 @@ PARTS = (*LABELS, LAYERS)
 class Extras(NamedTuple):
     """Optional inputs that only some formats use."""
 
-    report: FitReport | None = None
-    name: str | None = None
-    sampling: bool = False
-    title: str = NAME
+    report: FitReport | None
+    name: str
+    sampling: bool
+    title: str
 
 
 @dataclass(frozen=True)
@@ -59,14 +59,6 @@ class ExportFormat:
     time: Literal["short", "medium", "long"] = "short"  # duration of the encoding: about 50 ms, 1 s or several seconds
 
 
-def _json(model: DSBRDF | LayeredModel, extras: Extras) -> str:
-    return layers_to_json(model) if isinstance(model, LayeredModel) else to_json(model, extras.report)
-
-
-def _glsl(source: DSBRDF | LayeredModel | Component, extras: Extras) -> str:
-    return glsl_function(source, NAME if extras.name is None else extras.name, sampling=extras.sampling)
-
-
 def _components(model: DSBRDF | LayeredModel, extras: Extras) -> bytes:
     if isinstance(model, LayeredModel):
         raise InvalidArgumentError("a table of components needs the whole model: leave the component out")
@@ -76,9 +68,14 @@ def _components(model: DSBRDF | LayeredModel, extras: Extras) -> bytes:
 
 _BINARY_TYPE = "application/octet-stream"
 _TEXT_TYPE = "text/plain; charset=utf-8"
+_CSV_TYPE = "text/csv; charset=utf-8"
 FORMATS = {
     "json": ExportFormat(
-        "all numbers without loss (a model with its report)", "json", "application/json", _json, holds_parameters=True
+        "all numbers without loss (a model with its report)",
+        "json",
+        "application/json",
+        lambda m, extras: layers_to_json(m) if isinstance(m, LayeredModel) else to_json(m, extras.report),
+        holds_parameters=True,
     ),
     "merl": ExportFormat(
         "a table of values in the MERL format (35 MB)",
@@ -88,7 +85,12 @@ FORMATS = {
         needs_values_only=True,
         time="medium",
     ),
-    "glsl": ExportFormat("a function for shaders", "glsl", _TEXT_TYPE, _glsl),
+    "glsl": ExportFormat(
+        "a function for shaders",
+        "glsl",
+        _TEXT_TYPE,
+        lambda source, extras: glsl_function(source, extras.name, sampling=extras.sampling),
+    ),
     "python": ExportFormat(
         "a differentiable function for NumPy, PyTorch and JAX",
         "py",
@@ -104,14 +106,14 @@ FORMATS = {
     "csv": ExportFormat(
         "a table of the parameters",
         "csv",
-        "text/csv; charset=utf-8",
+        _CSV_TYPE,
         lambda model, _: layers_csv(model) if isinstance(model, LayeredModel) else parameters_csv(model),
         holds_parameters=True,
     ),
     "components": ExportFormat(
         "a table of the components (light, alpha, tail exponent, F0, F70, albedo and their ranges)",
         "csv",
-        "text/csv; charset=utf-8",
+        _CSV_TYPE,
         _components,
         holds_parameters=True,
     ),
@@ -180,7 +182,7 @@ def export_model(
             f"the format {file_format} cannot contain a {type(source).__name__}, which has no parameters: "
             f"use {one_of(able)}"
         )
-    content = FORMATS[file_format].encode(source, Extras(report, name, sampling, title))
+    content = FORMATS[file_format].encode(source, Extras(report, NAME if name is None else name, sampling, title))
     return content.encode() if isinstance(content, str) else content
 
 

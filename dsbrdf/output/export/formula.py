@@ -223,13 +223,7 @@ def _layer_parameters(layers: tuple[Layer, ...], lead: str) -> dict[str, _Number
     }
 
 
-def _file(
-    part: str,
-    evaluate: str,
-    parameters: dict[str, _Numbers],
-    constants: _Numbers,
-    functions: _Functions,
-) -> str:
+def _file(part: str, evaluate: str, parameters: dict[str, _Numbers], constants: _Numbers, functions: _Functions) -> str:
     """Return the whole file; the template's section `evaluate` becomes the last function of the file."""
     used: _Functions = (_arrays, _angles, *functions)
     body = "\n".join([*map(inspect.getsource, used), _TEMPLATES[evaluate]])

@@ -10,7 +10,6 @@ than 60 degrees, and of the other pixels.
 
 import re
 from collections.abc import Callable
-from dataclasses import fields
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from scipy.optimize import least_squares
 
 from dsbrdf.arrays import Array, Evaluate
 from dsbrdf.components.decomposition import decompose
-from dsbrdf.components.layers import Color, LayeredModel, SpecularLayer
+from dsbrdf.components.layers import LayeredModel, SpecularLayer
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.export.openpbr import OpenPBR
@@ -85,17 +84,15 @@ def materialx_document(model: DSBRDF | LayeredModel, title: str) -> str:
         f"The OpenPBR surface nearest to a Directional Statistics BRDF model, written by dsbrdf {__version__}. "
         f"PSNR of a lit sphere against the model: {error}. By region of both: {regions}."
     )
-    inputs = [_input(field.name, getattr(found.surface, field.name)) for field in fields(OpenPBR)]
+    inputs = []
+    for field, value in vars(found.surface).items():
+        numbers, kind = (value, "color3") if isinstance(value, tuple) else ((value,), "float")
+        # Numbers have no exponents, because some readers of MaterialX refuse them; invisibly small numbers become 0.
+        text = ", ".join(np.format_float_positional(round(one, 9), 7, fractional=False, trim="-") for one in numbers)
+        inputs.append(f'    <input name="{field}" type="{kind}" value="{text}" />')
     name = re.sub("[^A-Za-z0-9]+", "_", title).strip("_")
     name = name if name[:1].isalpha() else f"material_{name}".rstrip("_")
     return filled(template("openpbr.mtlx"), {"DOC": doc, "INPUTS": "\n".join(inputs), "NAME": name})
-
-
-def _input(name: str, value: float | Color) -> str:
-    numbers, kind = (value, "color3") if isinstance(value, tuple) else ((value,), "float")
-    # Numbers have no exponents, because some readers of MaterialX refuse them; invisibly small numbers become 0.
-    text = ", ".join(np.format_float_positional(round(number, 9), 7, fractional=False, trim="-") for number in numbers)
-    return f'    <input name="{name}" type="{kind}" value="{text}" />'
 
 
 def fit_openpbr(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
@@ -207,10 +204,7 @@ def _likeness(evaluate: Evaluate, surface: OpenPBR) -> tuple[dict[str, float], d
         bright = ~grazing & (light > np.quantile(light, _HIGHLIGHT_QUANTILE))
         regions.append([bright, ~grazing & ~bright, grazing])
     error, places = np.concatenate(errors), np.concatenate(regions, axis=1)
-    names = ("highlight", "rest", "grazing")
-    floor = 1e-12  # minimum squared error, because the PSNR of equal pictures would be infinite
-    return by_lighting, {
-        name: float(-10.0 * np.log10(max(float(np.mean(error[place])), floor)))
-        for name, place in zip(names, places, strict=True)
-        if place.any()
-    }
+    named = zip(("highlight", "rest", "grazing"), places, strict=True)
+    # The PSNR of equal pictures would be infinite without a minimum of the squared error.
+    squared = {name: max(float(np.mean(error[place])), 1e-12) for name, place in named if place.any()}
+    return by_lighting, {name: float(-10.0 * np.log10(one)) for name, one in squared.items()}

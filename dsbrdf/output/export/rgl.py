@@ -42,7 +42,11 @@ def rgl_bsdf(
     file. A spectral file is for Mitsuba's spectral variants and pbrt-v4, and an RGB file for Mitsuba's RGB variants.
     """
     evaluate = source.interpolated.evaluate if isinstance(source, Measurement) else source.evaluate
-    ndf = _ndf(evaluate)
+    # The geometric mean of the luminance at each theta_half, as two rows that are equal for all azimuths.
+    theta_half = 0.5 * np.pi * np.linspace(0.0, 1.0, _N_NDF_NODES) ** 2
+    theta_diff = np.radians([5.0, 20.0, 40.0, 60.0])
+    values = evaluate(*np.broadcast_arrays(theta_half[:, None], theta_diff, np.array(np.pi / 2))) @ LUMINANCE
+    ndf = np.tile(np.exp(np.mean(np.log(values + 1e-4), axis=1)), (2, 1))
     slices = [_slice(evaluate, ndf, float(theta)) for theta in _THETA_I]
     vndf, luminance, rgb = (np.stack(parts)[None].astype(np.float32) for parts in zip(*slices, strict=True))
     fields = {
@@ -59,15 +63,6 @@ def rgl_bsdf(
         return encode_tensors(fields | {"rgb": rgb})
     spectra = (rgb.swapaxes(2, 4) @ SPECTRA).swapaxes(2, 4).astype(np.float32)
     return encode_tensors(fields | {"wavelengths": WAVELENGTHS.astype(np.float32), "spectra": spectra})
-
-
-def _ndf(evaluate: Evaluate) -> Array:
-    """Return the geometric mean of the luminance at each theta_half, as two rows that are equal for all azimuths."""
-    theta_half = 0.5 * np.pi * np.linspace(0.0, 1.0, _N_NDF_NODES) ** 2
-    theta_diff = np.radians([5.0, 20.0, 40.0, 60.0])
-    values = evaluate(*np.broadcast_arrays(theta_half[:, None], theta_diff, np.array(np.pi / 2))) @ LUMINANCE
-    typical = np.exp(np.mean(np.log(values + 1e-4), axis=1))
-    return np.stack([typical, typical])
 
 
 def _slice(evaluate: Evaluate, ndf: Array, theta_i: float) -> tuple[Array, Array, Array]:
