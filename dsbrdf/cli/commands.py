@@ -87,7 +87,9 @@ def new_application(name: str, purpose: str) -> App:
         help=purpose,
         version=f"dsbrdf {__version__}",
         group_parameters=options,
-        default_parameter=Parameter(negative=(), show_default=_shown),
+        default_parameter=Parameter(
+            negative=(), show_default=lambda default: None if default in (None, False, ()) else str(default)
+        ),
         help_formatter=DefaultFormatter(panel_spec=PanelSpec(box=_NO_LINES, border_style="bold", padding=(0, 0, 0, 4))),
         result_action="return_value",
         exit_on_error=False,
@@ -137,11 +139,6 @@ def run_words(app: App, words: Sequence[str]) -> int:
     return code or 0
 
 
-def _shown(default: Any) -> str | None:
-    """Return a default value as text for the help, or None for an empty default."""
-    return None if default in (None, False, ()) else str(default)
-
-
 def _reason(error: CycloptsError) -> str:
     if isinstance(error, UnknownOptionError):
         name = error.token.keyword or error.token.value
@@ -170,7 +167,7 @@ def _allowed(kind: Any) -> str:
     if get_origin(kind) is tuple:  # The first type stands for all, because every tuple here has members of one type.
         return _allowed(get_args(kind)[0])
     words = {int: "a whole number", float: "a number", bool: "yes or no", timedelta: "a time such as 30d"}
-    return {**words, NoneType: "none"}.get(kind, "a text")
+    return "none" if kind is NoneType else words.get(kind, "a text")
 
 
 def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
@@ -181,6 +178,4 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
     shell
         Load the script with: eval "$(dsbrdf completion bash)"; in fish with: dsbrdf completion fish | source
     """
-    app = application()
-    script = app.generate_completion(shell=shell)  # nosec B604
-    print(script)
+    print(application().generate_completion(shell=shell))  # nosec B604

@@ -33,13 +33,7 @@ from dsbrdf.output.comparison import compare as compare_with
 from dsbrdf.output.figure_panels import encode_figure
 from dsbrdf.output.plots import samples_figure
 from dsbrdf.output.report_text import lobes_phrase
-from dsbrdf.output.sphere_panels import (
-    Panels,
-    compare_spheres,
-    component_panels,
-    encode_png,
-    one_below_another,
-)
+from dsbrdf.output.sphere_panels import Panels, compare_spheres, component_panels, encode_png, one_below_another
 from dsbrdf.samples.scattered_fit import relative_rms
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import TableOptions
@@ -75,11 +69,10 @@ def compare(
     found += [_beside(word, found[0][0]) for word in beside]
     paths += tuple(Path("2 GGX" if word == "ggx" else word) for word in beside)
     sources, columns = zip(*found, strict=True)
-    tables = [source for source in sources if isinstance(source, ScatteredSamples)]
-    if tables:
-        likeness, sentences, picture, shown = _samples_and_model(paths, sources, with_picture=output is not None)
-    else:
-        likeness, sentences, picture, shown = _spheres(paths, sources, look, with_picture=output is not None)
+    has_table = any(isinstance(source, ScatteredSamples) for source in sources)
+    likeness, sentences, picture, shown = (_samples_and_model if has_table else _spheres)(
+        paths, sources, look, with_picture=output is not None
+    )
     if output is not None and picture is not None:
         write_atomically(output, [picture])
     if json:
@@ -93,7 +86,8 @@ def compare(
     for name in rows:
         if name == next((metric for metric in METRICS if metric in rows), None):
             print("each fit compared with its own measurement:")
-        print(f"{name:<{width}}" + "".join(f"{_cell(column.get(name)):>22}" for column in columns))
+        values = ("" if (value := column.get(name)) is None else value for column in columns)
+        print(f"{name:<{width}}" + "".join(f"{one:>22}" if isinstance(one, str) else f"{one:>22.4g}" for one in values))
     print(*sentences, sep="\n")
     if output is not None:
         print(f"{output}: {shown}")
@@ -103,7 +97,7 @@ _Comparison = tuple[list[dict[str, float | None]], list[str], bytes | None, str]
 """Likeness of each source to the first source, sentences about it, a picture, and a description of the picture."""
 
 
-def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], *, with_picture: bool) -> _Comparison:
+def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], _: Look, *, with_picture: bool) -> _Comparison:
     samples = next(source for source in sources if isinstance(source, ScatteredSamples))
     others = [path for path, source in zip(paths, sources, strict=True) if source is not samples]
     if len(others) > 1:
@@ -122,16 +116,9 @@ def _spheres(paths: Sequence[Path], sources: Sequence[Any], look: Look, *, with_
     likeness: list[dict[str, float | None]] = []
     sentences: list[str] = []
     rows: list[Panels] = [{}, {}] if len(paths) > 2 else [{}]
+    drawn: dict[str, Any] = {"lighting": light, "size": look.size, "with_components": is_fit and with_picture}
     for name, source in zip(names[1:], sources[1:], strict=True):
-        found = compare_spheres(
-            sources[0],
-            source,
-            names=(names[0], name),
-            with_components=is_fit and with_picture,
-            lighting=light,
-            size=look.size,
-            factor=factor,
-        )
+        found = compare_spheres(sources[0], source, names=(names[0], name), factor=factor, **drawn)
         factor = found.exposure
         likeness.append({"psnr": found.psnr if np.isfinite(found.psnr) else None, "ssim": found.ssim})
         spheres = "their lit spheres" if len(paths) == 2 else f"the lit spheres of {names[0]} and {name}"
@@ -194,7 +181,3 @@ def _function_in(path: Path) -> Any:
     if not callable(function):
         raise InvalidArgumentError(f"{path}: there is no function evaluate(omega_in, omega_out)")
     return function
-
-
-def _cell(value: str | float | None) -> str:
-    return "" if value is None else value if isinstance(value, str) else f"{value:.4g}"

@@ -181,20 +181,15 @@ def fit(
         write_atomically(csv, [summary_csv(done)])
     if done[0].result is not None:
         plan.write(paths, table.options(), done[0].result.model)
-    figures = list(_plot(done, table.options())) if plot else []
-    if not json:
-        print(*figures, sep="\n", end="\n" if figures else "")
+    for path in _plot(done, table.options()) if plot else ():
+        if not json:
+            print(f"figure: {path}")
     if json:
         documents = [_document(item) for item in done]
         single = len(files) == 1 and not files[0].is_dir()
         print_json(documents[0] if single else {"items": documents})
     elif len(done) > 1 and any(item.result is not None for item in done):
         print("", *summary_table(done), sep="\n")
-    return _exit_code(done)
-
-
-def _exit_code(done: Sequence[FileFit]) -> int:
-    """Return 1 if a fit failed for a reason other than its measurement, 2 if only measurements were faulty, else 0."""
     if any(item.lost for item in done):
         return 1
     return BAD_INPUT if any(item.error is not None for item in done) else 0
@@ -217,7 +212,10 @@ def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work
     with bar, closing(items):
         for item in items:
             done.append(item)
-            for message in _messages(item, printed=quiet or len(files) == 1):
+            messages = () if item.error is None else (item.error,)
+            if item.result is not None and not (quiet or len(files) == 1 or item.resumed):  # Reports have the warnings.
+                messages = item.result.report.warnings
+            for message in messages:
                 _print_above(bar, f"dsbrdf: {item.file}: {message}", error=True)
             for line in [] if quiet else _text(item, whole=len(files) == 1):
                 _print_above(bar, line)
@@ -227,8 +225,8 @@ def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work
     return sorted(done, key=lambda item: places[item.file])
 
 
-def _plot(items: list[FileFit], table: TableOptions) -> Iterator[str]:
-    """Write a figure of each fit beside the file of its model, and yield a message on each figure."""
+def _plot(items: list[FileFit], table: TableOptions) -> Iterator[Path]:
+    """Write a figure of each fit beside the file of its model, and yield the path of each figure."""
     from dsbrdf.output.figure_panels import encode_figure  # It needs Matplotlib, an extra.
     from dsbrdf.output.plots import plot
 
@@ -237,14 +235,7 @@ def _plot(items: list[FileFit], table: TableOptions) -> Iterator[str]:
             figure = plot(item.result, read_measurement(item.file, table))
             path = item.output.with_suffix(".png")
             write_atomically(path, [encode_figure(figure)])
-            yield f"figure: {path}"
-
-
-def _messages(item: FileFit, *, printed: bool) -> tuple[str, ...]:
-    """Return the messages on a fit for stderr: its error, or its warnings unless the report with them is `printed`."""
-    if item.result is None:
-        return () if item.error is None else (item.error,)
-    return () if printed or item.resumed else item.result.report.warnings
+            yield path
 
 
 def _text(item: FileFit, *, whole: bool) -> list[str]:

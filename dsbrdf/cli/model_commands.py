@@ -225,10 +225,7 @@ _MAX_RECIPROCITY_ERROR = 0.1
 
 
 def convert(
-    *paths: RequiredFiles,
-    spectral: bool = False,
-    json: Json = False,
-    table: AboutTable = NO_TABLE_FLAGS,
+    *paths: RequiredFiles, spectral: bool = False, json: Json = False, table: AboutTable = NO_TABLE_FLAGS
 ) -> None:
     """Write a measurement as another kind of file.
 
@@ -267,8 +264,7 @@ def _converted(
 ) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
     """Return the content of the converted file, warnings for the user, and measures of error by name."""
     found: Measurement | RglMaterial | DSBRDF
-    sentences: tuple[str, ...] = ()
-    about: dict[str, Any] = {}
+    sentences, about = tuple[str, ...](), dict[str, Any]()
     source, kind = sources[0], kind_of_file(sources[0])
     if kind == "samples":
         samples = read_samples(sources, options)

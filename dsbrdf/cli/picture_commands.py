@@ -33,10 +33,7 @@ from dsbrdf.output.figure_panels import IMAGE_FORMATS, encode_figure
 from dsbrdf.output.figures import parameters_figure
 from dsbrdf.output.plots import plot as plot_source
 from dsbrdf.output.plots import plot_fit
-from dsbrdf.output.sphere_panels import (
-    encode_png,
-    space_figure,
-)
+from dsbrdf.output.sphere_panels import encode_png, space_figure
 from dsbrdf.rendering.environment import EnvironmentMap, read_environment
 from dsbrdf.rendering.space import space
 from dsbrdf.rendering.sphere import LIGHTINGS, displayed, exposure, render_sphere, sphere_normals
@@ -65,9 +62,8 @@ class Look:
 
     def __post_init__(self) -> None:
         if self.lighting not in LIGHTINGS and Path(self.lighting).suffix.lower() != ".exr":
-            raise InvalidArgumentError(
-                f"--lighting: must be {', '.join(LIGHTINGS)} or an .exr file, not {self.lighting!r}"
-            )
+            known = ", ".join(LIGHTINGS)
+            raise InvalidArgumentError(f"--lighting: must be {known} or an .exr file, not {self.lighting!r}")
         if self.exposure != "auto" and not 0.0 < self.exposure < float("inf"):
             raise InvalidArgumentError(f"the exposure must be a positive number, not {self.exposure:g}")
 
@@ -196,8 +192,7 @@ def map_materials(*files: RequiredFiles, output: OutputFile, json: Json = False)
 def _figure_format(output: Path) -> str:
     """Return the image format by the suffix of a file."""
     image_format = output.suffix.lower().removeprefix(".")
-    if image_format not in IMAGE_FORMATS:
-        raise InvalidArgumentError(
-            f"{output}: the figure's file must end in {one_of([f'.{name}' for name in IMAGE_FORMATS])}"
-        )
-    return image_format
+    if image_format in IMAGE_FORMATS:
+        return image_format
+    known = one_of([f".{name}" for name in IMAGE_FORMATS])
+    raise InvalidArgumentError(f"{output}: the figure's file must end in {known}")

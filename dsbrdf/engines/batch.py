@@ -131,7 +131,7 @@ def _file_fit(file: Path, output: Path, outcome: Outcome) -> FileFit:
         lost = outcome.origin != "input"
         advice = "; run the command again, with fewer --jobs if memory was short" if lost else ""
         return FileFit(file, error=outcome.message.rstrip(".") + advice if lost else outcome.message, lost=lost)
-    if output.parent == file.parent and output.exists() and not _is_fit(output):
+    if output.parent == file.parent and output.exists() and _stored_fit(output) is None:
         return FileFit(file, error=f"{output} is there already and is no fit; save the fit elsewhere with -o DIR")
     write_atomically(output, [outcome.text.encode()])
     return FileFit(file, output, result_from_json(outcome.text))
@@ -151,24 +151,19 @@ def _outputs(files: Sequence[Path], folder: Path | None) -> list[Path]:
     return list(taken)
 
 
-def _is_fit(file: Path) -> bool:
+def _stored_fit(file: Path) -> FitResult | None:
+    """Return the fit in a file; None if there is no such file, or it is no fit."""
     try:
-        result_from_json(file.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, ModelFormatError):
-        return False
-    return True
+        return result_from_json(file.read_text(encoding="utf-8"))
+    except (FileNotFoundError, UnicodeDecodeError, ModelFormatError):
+        return None
 
 
 def _earlier_fit(file: Path, output: Path, options: FitOptions, samples: ScatteredSamples | None) -> FileFit | None:
     """Return the fit in the file ``output`` if a new fit would give an equal result, otherwise None."""
-    try:
-        if output.stat().st_mtime < file.stat().st_mtime:
-            return None
-        result = result_from_json(output.read_text(encoding="utf-8"))
-    except (FileNotFoundError, UnicodeDecodeError, ModelFormatError):
+    result = _stored_fit(output)
+    if result is None or output.stat().st_mtime < file.stat().st_mtime:
         return None
-    if result.report.options != options or result.report.versions.algorithm != ALGORITHM_VERSION:
-        return None
-    if result.report.samples != (None if samples is None else samples.sha256):
-        return None
-    return FileFit(file, output, result, resumed=True)
+    made = result.report.options, result.report.versions.algorithm, result.report.samples
+    wanted = options, ALGORITHM_VERSION, None if samples is None else samples.sha256
+    return FileFit(file, output, result, resumed=True) if made == wanted else None
