@@ -102,7 +102,7 @@ def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], _: Look, *
     others = [path for path, source in zip(paths, sources, strict=True) if source is not samples]
     if len(others) > 1:
         raise InvalidArgumentError("a table of samples can be compared with one model only: name one model")
-    model, _ = read_model(others[0])
+    model = read_model(others[0])[0]
     error = relative_rms(model.evaluate_directions(samples.omega_in, samples.omega_out), samples.values, samples.weight)
     sentence = f"at the {len(samples.values)} samples: relative_rms {error:.4g}"
     picture = encode_figure(samples_figure(samples, model)) if with_picture else None

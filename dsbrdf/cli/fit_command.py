@@ -212,7 +212,7 @@ def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work
     with bar, closing(items):
         for item in items:
             done.append(item)
-            messages = () if item.error is None else (item.error,)
+            messages: tuple[str, ...] = () if item.error is None else (item.error,)
             if item.result is not None and not (quiet or len(files) == 1 or item.resumed):  # Reports have the warnings.
                 messages = item.result.report.warnings
             for message in messages:

@@ -74,11 +74,8 @@ class Description:
             yield f"The {component} has no {' or '.join(names)}: its surfaces miss {missed}."
 
     def _grazing_remarks(self, label: str) -> Iterator[str]:
-        open_ones = [str(number) for number, one in enumerate(self.surfaces, 1) if one.f0 and one.f70 is None]
-        if open_ones:
-            which = (
-                f"surface{'s' if len(open_ones) > 1 else ''} {' and '.join(open_ones)} of the {label.replace('_', ' ')}"
-            )
+        if found := [str(number) for number, one in enumerate(self.surfaces, 1) if one.f0 and one.f70 is None]:
+            which = f"surface{'s' * (len(found) > 1)} {' and '.join(found)} of the {label.replace('_', ' ')}"
             yield f"F70 of {which} is left out: it is uncertain by more than a factor of {MAX_RANGE_FACTOR:g}."
 
 
@@ -92,11 +89,9 @@ def describe(
     data = component_data(own.grid, has_peak=not is_diffuse)
     if data is None:
         return Description(LayeredModel(()), (), Misfit(None, 0.0, None, 0.0))
-    structures = (
-        _DIFFUSE_STRUCTURES
-        if is_diffuse
-        else _highlights(peak_half_width(own.grid), has_retro=has_retro, has_ground=has_ground)
-    )
+    structures: tuple[LayerStructure, ...] = _DIFFUSE_STRUCTURES
+    if not is_diffuse:
+        structures = _highlights(peak_half_width(own.grid), has_retro=has_retro, has_ground=has_ground)
     best = fit_structures(data, structures, quick=True)[0]
     albedo = albedo_of(best.model)
     misfit = Misfit.of(own, albedo, best.model, is_diffuse=is_diffuse)
@@ -139,17 +134,16 @@ def _highlights(half_width: float, *, has_retro: bool, has_ground: bool) -> tupl
     width = float(np.degrees(half_width))
     widest = float(np.degrees(_MAX_START_HALF_WIDTH))
     pairs = ((0.7 * width, min(3.0 * width, widest)), (width, min(6.0 * width, widest)))
+    cost = _SECOND_SURFACE_COST
     found = [
         LayerStructure("surface", (_SURFACE_PRIOR,), 0.0, ((width,),)),
-        LayerStructure("two surfaces", (_SURFACE_PRIOR, _SURFACE_PRIOR), _SECOND_SURFACE_COST, pairs),
+        LayerStructure("two surfaces", (_SURFACE_PRIOR, _SURFACE_PRIOR), cost, pairs),
     ]
     if has_ground:
         layers = _SURFACE_PRIOR, _SURFACE_PRIOR, _GROUND_PRIOR
-        found.append(LayerStructure("two surfaces and ground", layers, 2.0 * _SECOND_SURFACE_COST, pairs[:1]))
+        found.append(LayerStructure("two surfaces and ground", layers, 2.0 * cost, pairs[:1]))
     if has_retro:
         retro = OWN_PRIORS[RetroLayer]
         found.append(LayerStructure("retro-reflection", (retro,)))
-        found.append(
-            LayerStructure("retro-reflection and surface", (retro, _SURFACE_PRIOR), _SECOND_SURFACE_COST, ((width,),))
-        )
+        found.append(LayerStructure("retro-reflection and surface", (retro, _SURFACE_PRIOR), cost, ((width,),)))
     return tuple(found)

@@ -207,12 +207,16 @@ def _described_data(values: Array, seen: Array, peak_weight: float, band_weight:
 
 def peak_half_width(values: Array) -> float:
     """Return theta_half at which values (3, N), averaged over small theta_diff, fall to half of their peak [rad]."""
-    row = _on_grid(values)[:, _THETA_DIFF < _FULL_WEIGHT_THETA_DIFF].mean(axis=(0, 1, 3))
-    below = np.flatnonzero(row < 0.5 * row[0])
+    return half_of_peak(_on_grid(values)[:, _THETA_DIFF < _FULL_WEIGHT_THETA_DIFF].mean(axis=(0, 1, 3)), _THETA_HALF)
+
+
+def half_of_peak(values: Array, angles: Array) -> float:
+    """Return the angle at which values (n,) at increasing angles fall to half of the first value, or the last angle."""
+    below = np.flatnonzero(values < 0.5 * values[0])
     if not below.size:
-        return float(_THETA_HALF[-1])
-    last = int(below[0])
-    return float(np.interp(-0.5 * row[0], -row[last - 1 : last + 1], _THETA_HALF[last - 1 : last + 1]))
+        return float(angles[-1])
+    around = slice(below[0] - 1, below[0] + 1)
+    return float(np.interp(-0.5 * values[0], -values[around], angles[around]))
 
 
 def _on_grid(values: Array) -> Array:

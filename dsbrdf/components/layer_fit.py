@@ -230,9 +230,7 @@ _QUICK_TRIAL_STRIDE = 2  # Trials of a complete material use every second pair o
 _MAX_FIRST_STEPS = 10
 _MAX_STEPS = 60
 _MAX_REFINING_STEPS = 20
-_MAX_TRIAL_COST_LEAD = (
-    40.0  # After the trials, a structure is dropped if its cost exceeds the lowest cost by more than this.
-)
+_MAX_TRIAL_COST_LEAD = 40.0  # After the trials, a structure whose cost is higher than the best by more is dropped.
 _MAX_COST_LEAD = 30.0  # After the first steps, a structure whose cost is higher than the best by more is dropped.
 _MIN_CHANNEL_START = 0.05  # The colour of a layer starts with at least this fraction of its brightest channel.
 

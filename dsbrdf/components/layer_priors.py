@@ -73,9 +73,7 @@ def _prior(
         is_diffuse,
         np.concatenate([np.full(3, color[0]), means]),
         block_diag(colors, whiten),
-        np.concatenate(
-            [[_STUDENT_T_FREEDOM, _GAUSSIAN_FREEDOM, _GAUSSIAN_FREEDOM], np.full(means.size, _STUDENT_T_FREEDOM)]
-        ),
+        np.array([_STUDENT_T_FREEDOM, *[_GAUSSIAN_FREEDOM] * 2, *[_STUDENT_T_FREEDOM] * means.size]),
         lower,
         upper,
     )
@@ -92,9 +90,7 @@ _SPECULAR_BOUNDS = (
     (-0.5, 1.5), (-0.5, 2.0),
 )  # fmt: skip
 
-_TURN_DEVIATION = (
-    0.7  # From the mirror direction to the horizon, the ratio of two channels may change by a factor of 3.
-)
+_TURN_DEVIATION = 0.7  # From the mirror direction to the horizon, the ratio of two channels may change threefold.
 _MAX_TURN = 4.0
 
 

@@ -298,9 +298,8 @@ class RetroLayer:
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
         """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
-        turned = points._replace(
-            squared_tangent=points.squared_retro, log_squared_secant=np.log1p(points.squared_retro)
-        )
+        squared = points.squared_retro
+        turned = points._replace(squared_tangent=squared, log_squared_secant=np.log1p(squared))
         surface = _Surface(turned, float(np.exp(unknowns[3])), 2.0)
         values = np.exp(unknowns[:3])[:, np.newaxis] * np.exp(surface.log_shape(0.0))
         return Linearized(values, values, lambda: surface.derivatives(0.0)[0][np.newaxis])
@@ -325,9 +324,8 @@ class LayeredModel(RenderableModel):
 
     def layer_values(self, points: Points) -> Array:
         """Return the values (layers, 3, N) of each layer [1/sr]."""
-        return np.array([one.linearize(points, one.unknowns).values for one in self.layers]).reshape(
-            -1, 3, points.fresnel.size
-        )
+        values = [one.linearize(points, one.unknowns).values for one in self.layers]
+        return np.array(values).reshape(-1, 3, points.fresnel.size)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""

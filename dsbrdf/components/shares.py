@@ -76,7 +76,9 @@ class WeightedLayers:
             return np.stack([np.zeros_like(values), values - ground, ground])
         specular = narrow + wide
         missed = values.sum(axis=0) - (specular + diffuse).sum(axis=0)
-        outside = _outside(points, np.where(missed > 0.0, HALO, EXCESS_HALO))
+        halo = np.where(missed > 0.0, HALO, EXCESS_HALO)
+        # A smooth step over the halo of a highlight: 0 at the mirror direction, 1 far outside of the halo.
+        outside = 1.0 - 1.0 / (1.0 + (points.squared_tangent / halo) ** 2)
         ground = _divided(values, diffuse, specular, _DIFFERENCE_POWER, _DIFFERENCE_POWER, outside)
         rest = values - ground
         if not (place == 0).any():
@@ -124,11 +126,6 @@ def _with_missed(values: Array, own: Array, other: Array, power: int, weight: Ar
     """Add to layers with the values `own` what all layers miss, times a power of their fraction of all layers."""
     fraction = own / (own + other)
     return np.asarray(own * (1.0 - weight * fraction**power) + values * weight * fraction ** (power + 1))
-
-
-def _outside(points: Points, halo: Array | float) -> Array:
-    """Return a smooth step over the halo of a highlight: 0 at the mirror direction, 1 far outside of the halo."""
-    return np.asarray(1.0 - 1.0 / (1.0 + (points.squared_tangent / halo) ** 2))
 
 
 def _label(layer: Layer, is_diffuse: bool) -> str:
@@ -209,9 +206,7 @@ class DrawnLayers(NamedTuple):
         generator = np.random.default_rng(7)
         found = [one for one in found if not _misses_highlight(one, values)] or found
         usual = _probable([one for one in found if not one.structure.only_in_ranges])
-        fitted = [
-            WeightedLayers(one.structure.name, weight, one.model, one.structure.is_diffuse) for one, weight in usual
-        ]
+        fitted = [WeightedLayers(one.structure.name, p, one.model, one.structure.is_diffuse) for one, p in usual]
         drawn = []
         for one, weight in _probable(found):
             own = (one.model, *one.draw(generator, _MIN_DRAWS + int(_N_SHARED_DRAWS * weight), _spread(one)))
@@ -226,9 +221,8 @@ class DrawnLayers(NamedTuple):
     @property
     def alternatives(self) -> tuple[str, ...]:
         """Names of structures that are drawn without taking part in the split."""
-        return tuple(
-            dict.fromkeys(one.name for one in self.layers if one.name not in {own.name for own in self.fitted})
-        )
+        fitted = {one.name for one in self.fitted}
+        return tuple(dict.fromkeys(one.name for one in self.layers if one.name not in fitted))
 
     def ranges(self, labels: Sequence[str]) -> ComponentRanges:
         """Return the ranges of the component to which layers with some labels belong."""
@@ -271,11 +265,10 @@ class DrawnLayers(NamedTuple):
         there = [number for number, some in enumerate(surfaces) if some]
         if not there:
             return SurfaceSpread(0.0, np.zeros(3), np.zeros(3))
-        f0 = np.array([np.sum([layer.f0 for layer in surfaces[number]], axis=0) for number in there])
-        f70 = np.array(
-            [np.sum([layer.reflectance_at(GRAZING_ANGLE) for layer in surfaces[number]], axis=0) for number in there]
-        )
-        alpha = np.array([max(surfaces[number], key=lambda layer: sum(layer.f0)).alpha for number in there])
+        drawn = [surfaces[number] for number in there]
+        f0 = np.array([np.sum([layer.f0 for layer in layers], axis=0) for layers in drawn])
+        f70 = np.array([np.sum([layer.reflectance_at(GRAZING_ANGLE) for layer in layers], axis=0) for layers in drawn])
+        alpha = np.array([max(layers, key=lambda layer: sum(layer.f0)).alpha for layers in drawn])
         logs, weight = np.log(np.column_stack([alpha, f0, f70])), self.weight[there]
         variance = np.average((logs - np.average(logs, axis=0, weights=weight)) ** 2, axis=0, weights=weight)
         spread = np.sqrt(variance)

@@ -142,24 +142,17 @@ class LayerStructure:
 
     def model(self, unknowns: Array) -> LayeredModel:
         """Make the layers of the structure from values of the unknowns (U,)."""
-        return LayeredModel(
-            tuple(
-                layer.kind.from_unknowns(unknowns[part]) for layer, part in zip(self.layers, self.slices, strict=True)
-            )
-        )
+        parts = zip(self.layers, self.slices, strict=True)
+        return LayeredModel(tuple(layer.kind.from_unknowns(unknowns[part]) for layer, part in parts))
 
     def no_narrower(self, half_width: float) -> "LayerStructure":
         """Return the structure with a lower bound of the half widths of its specular layers, as GGX [rad]."""
-        least = np.log(np.tan(half_width) / np.sqrt(np.sqrt(2.0) - 1.0))
-        layers = tuple(
-            replace(
-                layer, lower=np.where(np.arange(layer.lower.size) == 6, np.maximum(layer.lower, least), layer.lower)
-            )
-            if issubclass(layer.kind, SpecularLayer)
-            else layer
-            for layer in self.layers
-        )
-        return replace(self, layers=layers)
+        least, layers = np.log(np.tan(half_width) / np.sqrt(np.sqrt(2.0) - 1.0)), list(self.layers)
+        for place, layer in enumerate(layers):
+            if issubclass(layer.kind, SpecularLayer):
+                is_alpha = np.arange(layer.lower.size) == 6
+                layers[place] = replace(layer, lower=np.where(is_alpha, np.maximum(layer.lower, least), layer.lower))
+        return replace(self, layers=tuple(layers))
 
     @property
     def is_diffuse(self) -> tuple[bool, ...]:

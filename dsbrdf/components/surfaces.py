@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaln, stdtr
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.layer_data import MODEL_ERROR
+from dsbrdf.components.layer_data import MODEL_ERROR, half_of_peak
 from dsbrdf.components.layer_fit import FittedStructure
 from dsbrdf.components.layers import GRAZING_ANGLE, Color, LayeredModel, RetroLayer, SpecularLayer, tail_norm
 from dsbrdf.components.points import Points, light_rules
@@ -89,7 +89,8 @@ class Misfit:
             return cls(None, _color_difference(theirs[0], ours[0]), None, of_albedo)
         profiles = model.layer_values(_PROFILE_POINTS).sum(axis=0), own.profile
         peaks = [values[:, : _PEAK_THETA_DIFF.size].mean(axis=1) for values in profiles]
-        widths = [_half_width(values[:, _PEAK_THETA_DIFF.size :].sum(axis=0)) for values in profiles]
+        wide = [values[:, _PEAK_THETA_DIFF.size :].sum(axis=0) for values in profiles]
+        widths = [half_of_peak(values, _WIDTH_THETA_HALF) for values in wide]
         return cls(_factor(*(peak.sum() for peak in peaks)), _color_difference(*peaks), _factor(*widths), of_albedo)
 
     @property
@@ -131,15 +132,6 @@ def _factor(first: float, second: float) -> float:
 
 def _color_difference(first: Array, second: Array) -> float:
     return float(np.abs(first / max(first.max(), 1e-300) - second / max(second.max(), 1e-300)).max())
-
-
-def _half_width(values: Array) -> float:
-    """Return theta_half at which values at `_WIDTH_THETA_HALF` fall to half of the first value [rad]."""
-    below = np.flatnonzero(values < 0.5 * values[0])
-    if not below.size:
-        return float(_WIDTH_THETA_HALF[-1])
-    last = int(below[0])
-    return float(np.interp(-0.5 * values[0], -values[last - 1 : last + 1], _WIDTH_THETA_HALF[last - 1 : last + 1]))
 
 
 _MIN_SLOPE_FREEDOM = 1.5  # With 1 degree of freedom or fewer, the mean slope would be infinite.

@@ -223,16 +223,6 @@ class DSBRDF(RenderableModel):
         names = ("amplitude", "kappa", "gamma", "center", "elongation", "delta")
         return {name: part.reshape(theta_diff.shape + part.shape[1:]) for name, part in zip(names, parts, strict=True)}
 
-    @property
-    def pieces(self) -> tuple[Array, Array]:
-        """Return the parameters of the lobes as piecewise cubic polynomials in theta_diff, for exports.
-
-        The breaks (P + 1,) are the ends of P pieces [rad]; theta_diff is clipped to the first and the last break. The
-        terms (4, R, P) are the coefficients of ``(theta_diff - break)**3`` to ``**0`` for R parameters, in the order of
-        `dsbrdf.model.evaluation.Evaluator`. The attribute `delta` is not included.
-        """
-        return self._evaluator.pieces
-
     def select(self, lobes: tuple[int, ...], *, with_delta: bool) -> DSBRDF:
         """Return a model with only the lobes of some indices, and with or without `delta`."""
         names = ("amplitude", "kappa", "gamma", "center", "elongation")

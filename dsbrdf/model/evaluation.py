@@ -39,8 +39,8 @@ class Evaluator:
         if breaks.size == 1:
             breaks = breaks[0] + np.array([0.0, 1.0])
         rows = np.concatenate([pieces_of(*group, breaks, spline=spline) for group in groups], axis=2)
-        self.pieces = breaks, np.ascontiguousarray(rows.transpose(0, 2, 1))  # `DSBRDF.pieces` describes both arrays.
-        self._breaks, self._terms = self.pieces
+        # The terms (4, R, P) are the coefficients of ``(theta_diff - break)**3`` to ``**0`` for R parameters.
+        self._breaks, self._terms = breaks, np.ascontiguousarray(rows.transpose(0, 2, 1))
         self._n_lobes = n_lobes = is_ring.size
         self._n_shapes, self._family, self._spline, self._is_ring = n_shapes, family, spline, is_ring
         starts = [lobe for lobe in range(n_lobes) if lobe == 0 or is_ring[lobe] != is_ring[lobe - 1]]

@@ -16,11 +16,11 @@ from scipy.spatial.distance import cdist
 
 from dsbrdf.arrays import Array
 from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.rendering.environment import LUMINANCE
 from dsbrdf.rendering.sphere import LIGHTINGS, Source, render_sphere, sphere_normals
 
 MEAN_LUMINANCE = 0.2
 """Every sphere is scaled to this mean luminance, about the mean of a white sphere under three lights."""
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _SPHERE_SIZE_PX = 48
 _MIN_NEIGHBORS = 7  # The graph of Isomap has at least this number of edges at each material.
 _MIN_EDGE_LENGTH = 1e-6  # Shorter edges of the graph are lengthened, because SciPy ignores edges below 1e-8.
