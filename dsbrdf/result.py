@@ -176,7 +176,6 @@ class FitResult:
 
 
 def _plain(value: Any) -> Any:
-    """Return dicts and tuples converted to the types of JSON."""
     if isinstance(value, dict):
         return {name: _plain(item) for name, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -190,7 +190,6 @@ def map_materials(*files: RequiredFiles, output: OutputFile, json: Json = False)
 
 
 def _figure_format(output: Path) -> str:
-    """Return the image format by the suffix of a file."""
     image_format = output.suffix.lower().removeprefix(".")
     if image_format in IMAGE_FORMATS:
         return image_format

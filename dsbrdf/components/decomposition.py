@@ -109,7 +109,6 @@ def _decompose(model: DSBRDF) -> Decomposition:
 def _described(
     model: DSBRDF, drawn: DrawnLayers, labels: tuple[str, ...], on_grid: Array, reflected: Sequence[Array]
 ) -> Decomposition:
-    """Divide a model among components with labels, and describe each component."""
     diffuse_range, structures = drawn.light_range(LABELS[2:]), tuple(drawn.fitted)
     split = Decomposition(model, structures, labels, (), (), diffuse_range, drawn.alternatives)
     ranges = tuple(drawn.ranges(split.received(label)) for label in labels)

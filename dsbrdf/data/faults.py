@@ -153,9 +153,9 @@ def _plateau_finding(folded: FoldedProfiles) -> Iterator[Finding]:
     names = list[str]()
     for channel, mean, weight in zip(CHANNELS, folded.mean, folded.weight, strict=True):
         values = mean[weight > 0.0]
-        largest = (
-            float(np.partition(values, -_OUTLYING_BINS)[-_OUTLYING_BINS]) if values.size >= MIN_CLIPPED_BINS else 0.0
-        )
+        if values.size < MIN_CLIPPED_BINS:
+            continue
+        largest = float(np.partition(values, -_OUTLYING_BINS)[-_OUTLYING_BINS])
         above, below = (int(np.count_nonzero(values >= fraction * largest)) for fraction in (0.93, 0.86))
         is_highlight = above >= MIN_CLIPPED_BINS and largest > MIN_HIGHLIGHT_RATIO * np.median(values)
         if is_highlight and above > _MIN_PLATEAU_RATIO * (below - above + 3):

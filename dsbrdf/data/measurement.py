@@ -95,12 +95,9 @@ def _corners(
     column_share = turn - column
     for corner in range(8):
         a, b, c = corner >> 2, corner >> 1 & 1, corner & 1
-        weight = (
-            (row_share if a else 1.0 - row_share)
-            * (diff_share if b else 1.0 - diff_share)
-            * (column_share if c else 1.0 - column_share)
-        )
-        yield weight, (row + a, diff + b, (column + c) % GRID_SHAPE[2])
+        shares = ((a, row_share), (b, diff_share), (c, column_share))
+        in_row, in_diff, in_column = (share if is_upper else 1.0 - share for is_upper, share in shares)
+        yield in_row * in_diff * in_column, (row + a, diff + b, (column + c) % GRID_SHAPE[2])
 
 
 def _cells(position: Array, count: int) -> tuple[Indices, Array]:
@@ -247,9 +244,10 @@ def stored_numbers(values: ArrayLike, valid: ArrayLike | None) -> Array:
     try:
         brdf = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        kind = type(values).__name__
-        problem = f"The values must be real numbers of the shape {SHAPE}; an object of type {kind} has no such numbers."
-        raise MeasurementFormatError(problem) from None
+        right = f"The values must be real numbers of the shape {SHAPE}"
+        raise MeasurementFormatError(
+            f"{right}; an object of type {type(values).__name__} has no such numbers."
+        ) from None
     if brdf.shape != SHAPE:
         raise MeasurementFormatError(f"The values have the shape {brdf.shape}; a measurement has {SHAPE}.")
     stored = brdf / SCALE[:, np.newaxis, np.newaxis, np.newaxis]

@@ -250,9 +250,8 @@ class RglMaterial:
         near the mirror direction of the first.
         """
         generator = np.random.default_rng(0)
-        first, second = random_directions(
-            generator, generator.uniform(_MIN_RECIPROCITY_COSINE, 1.0, (2, _RECIPROCITY_PAIRS))
-        )
+        cosines = generator.uniform(_MIN_RECIPROCITY_COSINE, 1.0, (2, _RECIPROCITY_PAIRS))
+        first, second = random_directions(generator, cosines)
         near = first[::4] * [-1.0, -1.0, 1.0] + generator.normal(0.0, 0.05, first[::4].shape)
         second[::4] = near / np.linalg.norm(near, axis=1)[:, np.newaxis]
         one, other = (self.evaluate_directions(*pair).mean(axis=1) for pair in ((first, second), (second, first)))

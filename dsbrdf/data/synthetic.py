@@ -103,7 +103,6 @@ def _ggx(cos_half: Array, cos_in: Array, cos_out: Array, alpha: float) -> Array:
 
 
 def _noisy(values: Array, noise: float, seed: int) -> Array:
-    """Return the values times log-normal noise with mean 1 and the given standard deviation."""
     if not 0.0 <= noise <= 1.0:
         raise InvalidArgumentError(f"noise must be in [0, 1], not {noise:g}.")
     if noise == 0.0:

@@ -71,7 +71,6 @@ def preload(module: str) -> None:
 
 
 def _context() -> Any:
-    """Return the context of `multiprocessing` that starts worker processes."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     forking = multiprocessing.get_context("forkserver")

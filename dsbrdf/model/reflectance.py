@@ -318,8 +318,7 @@ class FurnaceReport:
         return self.largest_albedo <= 1.0
 
     def __str__(self) -> str:
-        row = int(self.albedo.max(axis=1).argmax())
-        angle = float(np.degrees(self.theta_out[row]))
+        angle = np.degrees(self.theta_out[self.albedo.max(axis=1).argmax()])
         verdict = "no direction returns" if self.conserves_energy else "some directions return"
         return (
             f"White furnace: {verdict} more than is received; the largest albedo is {self.largest_albedo:.3f}, at "

@@ -148,7 +148,6 @@ def residual_figure(profiles: Profiles, model: DSBRDF) -> Figure:
 
 
 def _profiles_row(figure: FigureBase, profiles: Profiles, model: Reflectance, curves: str = "fit") -> None:
-    """Draw the profiles of all channels, in two panels for each slice, with a legend."""
     pairs = panel_pairs(figure)
     for row, pair in zip(SLICE_ROWS, pairs, strict=True):
         fitted = slice_means(model, row, profiles.horizon_cutoff)
@@ -213,7 +212,6 @@ def _lobe_parts(model: DSBRDF) -> list[_Part]:
 
 
 def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
-    """Draw pictures of spheres in one row, each with a title and a transparent background."""
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     figure.subplots_adjust(left=0.02, right=0.98, bottom=0.02, top=0.82, wspace=0.1)
     for ax, (title, picture) in zip(axes, panels.items(), strict=True):

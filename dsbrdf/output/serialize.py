@@ -311,7 +311,6 @@ def _fits(kind: Any, value: Any) -> bool:
 
 @cache
 def _hints(kind: type) -> dict[str, Any]:
-    """Return the types of the fields of a dataclass."""
     hints = get_type_hints(kind)
     return {declared.name: hints[declared.name] for declared in fields(kind)}
 

@@ -71,18 +71,17 @@ def space(models: Mapping[str, Source]) -> MaterialSpace:
     """
     if not models:
         raise InvalidArgumentError("a space needs at least one material")
-    seen = np.array([_lightness(name, model) for name, model in models.items()])
+    _, mask = sphere_normals(_SPHERE_SIZE_PX)
+    lightness = []
+    for name, model in models.items():
+        spheres = (render_sphere(model, lighting=lighting, size=_SPHERE_SIZE_PX) for lighting in LIGHTINGS)
+        rows = [sphere[mask] @ LUMINANCE for sphere in spheres]
+        if not all(row.mean() > 0.0 for row in rows):
+            raise InvalidArgumentError(f"{name}: the material reflects no light; leave it out")
+        lightness.append(np.concatenate([np.cbrt(MEAN_LUMINANCE * row / row.mean()) for row in rows]))
+    seen = np.array(lightness)
     distance = cdist(seen, seen) / np.sqrt(seen.shape[1])
     return MaterialSpace(tuple(models), distance, _places(distance, gloss=seen.max(axis=1)))
-
-
-def _lightness(name: str, source: Source) -> Array:
-    """Return the lightness of a material's spheres under all lightings, in one array (pixels,)."""
-    _, mask = sphere_normals(_SPHERE_SIZE_PX)
-    rows = [render_sphere(source, lighting=lighting, size=_SPHERE_SIZE_PX)[mask] @ LUMINANCE for lighting in LIGHTINGS]
-    if not all(row.mean() > 0.0 for row in rows):
-        raise InvalidArgumentError(f"{name}: the material reflects no light; leave it out")
-    return np.concatenate([np.cbrt(MEAN_LUMINANCE * row / row.mean()) for row in rows])
 
 
 def _places(distance: Array, gloss: Array) -> Array:

@@ -22,14 +22,7 @@ from dsbrdf.data.geometry import spherical
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.synthetic import Reflectance
 from dsbrdf.errors import InvalidArgumentError
-from dsbrdf.rendering.environment import (
-    EnvironmentMap,
-    Light,
-    averaged,
-    environment_rings,
-    map_directions,
-    map_shape,
-)
+from dsbrdf.rendering.environment import EnvironmentMap, Light, averaged, environment_rings, map_directions, map_shape
 
 
 def _light(from_view: float, azimuth: float, irradiance: float) -> Light:
@@ -134,15 +127,8 @@ def ssim(reference: Array, image: Array, mask: Mask) -> float:
 
 
 def _windowed(image: Array) -> Array:
-    """Return the mean over the Gaussian window about each pixel."""
-    return np.asarray(
-        gaussian_filter(
-            image,
-            (_SSIM_SIGMA_PX, _SSIM_SIGMA_PX, 0.0),
-            mode="constant",
-            radius=(_SSIM_RADIUS_PX, _SSIM_RADIUS_PX, 0),
-        )
-    )
+    sigma, radius = (_SSIM_SIGMA_PX, _SSIM_SIGMA_PX, 0.0), (_SSIM_RADIUS_PX, _SSIM_RADIUS_PX, 0)
+    return np.asarray(gaussian_filter(image, sigma, mode="constant", radius=radius))
 
 
 LIGHTINGS = ("three_lights", "environment")

@@ -176,10 +176,8 @@ def _missing(wanted: Sequence[str], table: TextTable, places: dict[str, list[int
     found = f"not understood are its columns {_listed(unknown)}" if unknown else f"it has only {_listed(understood)}"
     rest = f"; understood are {_listed(understood)}" if unknown and understood else ""
     remedy = "a spectrum alone has no directions" if "wavelength" in places else "add what is missing"
-    if known_colors := next(
-        (kind for pattern, kind in _OTHER_VALUES.items() if re.search(pattern, "|".join(unknown))), ""
-    ):
-        remedy = known_colors
+    if others := [kind for pattern, kind in _OTHER_VALUES.items() if re.search(pattern, "|".join(unknown))]:
+        remedy = others[0]
     elif unknown:
         # An example with columns of this table might be wrong, unless only one is left.
         named = _option(lacking[0], unknown[0]) if len(lacking) == len(unknown) == 1 else f"--columns {lacking[0]}=NAME"

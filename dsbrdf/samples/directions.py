@@ -42,9 +42,7 @@ from dsbrdf.samples.values import (
 )
 
 _MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
-_MAX_THETA_RAD = (
-    1.6  # A table without a larger theta and without units is refused, because its angles look like radians.
-)
+_MAX_THETA_RAD = 1.6  # A table without a larger theta and without units is refused: its angles look like radians.
 # If more than this fraction of the rows is at or below the horizon, the columns theta and phi may be exchanged.
 _DOUBTFUL_FRACTION = 0.5
 # A phase angle may lie outside of its possible range by this much, because of rounding.
@@ -112,9 +110,7 @@ def _unnamed(table: TextTable, options: TableOptions) -> MeasurementFormatError:
             "there, such as theta_out / phi_out."
         )
     n_blocks = sum(name.isdecimal() for name in table.names[table.n_cells :])
-    between = (
-        f", and lines of {n_blocks} between them, which are columns {table.n_cells + 1} and on" if n_blocks else ""
-    )
+    between = f", and lines of {n_blocks} between them, which are columns {table.n_cells + 1} and on" * (n_blocks > 0)
     first = ", ".join(table.rows[0])[:60] if table.rows else ""
     remedy = "a sample needs the angles of light and viewer, which a spectrum does not have"
     if table.n_cells > 2 or n_blocks:
@@ -181,10 +177,8 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
     if form is FROM_MIRROR:
         angles["theta_out"] = angles["theta_in"] + angles["theta_from_mirror"]
     if "phase" in angles:
-        angles |= {
-            "phi_out": _azimuth_of_phase(angles) + angles.get("phi_in", 0.0),
-            "theta_out": np.abs(angles["theta_out"]),
-        }
+        angles["phi_out"] = _azimuth_of_phase(angles) + angles.get("phi_in", 0.0)
+        angles["theta_out"] = np.abs(angles["theta_out"])
     zero = np.zeros_like(angles["theta_in"])
     phi_in = angles.get("phi_in", zero if "phi_out" in angles else zero + np.pi)
     return spherical(angles["theta_in"], phi_in), spherical(angles["theta_out"], angles.get("phi_out", zero))

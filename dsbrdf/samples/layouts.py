@@ -274,7 +274,9 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
     standard, positions = _STANDARD.search(data), [name.isdecimal() for name in options.named_columns().values()]
     named = {column.lower() for column in options.named_columns().values() if not column.isdecimal()}
     try:
-        table = parse_text_table(_with_tristimulus(plain_astm(data)), named, by_position=any(positions))
+        if re.search(rb"(?im)^#[ \t]*colorimetry[ \t:=]+CIE-?XYZ\b", data):  # Its head names one column for the three.
+            data = re.sub(rb"(?m)^(#format:.*\s)\S+[ \t]*\r?$", rb"\1cie_x cie_y cie_z", data, count=1)
+        table = parse_text_table(plain_astm(data), named, by_position=any(positions))
         if not standard or table.names[0] != "1" or options.columns:
             return _unfolded(table, options)
     except MeasurementFormatError:
@@ -284,12 +286,6 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
         f"The file is of ASTM E{standard[1].decode()}, without the names of its columns: write a line with them above "
         "the rows, such as theta_in,phi_in,theta_out,phi_out,value."
     )
-
-
-def _with_tristimulus(data: bytes) -> bytes:
-    """Name the three columns of colour in a file whose head says CIE-XYZ, and names one column of values."""
-    is_xyz = re.search(rb"(?im)^#[ \t]*colorimetry[ \t:=]+CIE-?XYZ\b", data)
-    return re.sub(rb"(?m)^(#format:.*\s)\S+[ \t]*\r?$", rb"\1cie_x cie_y cie_z", data, count=1) if is_xyz else data
 
 
 def _unfolded(table: TextTable, options: TableOptions) -> TextTable:

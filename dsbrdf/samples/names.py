@@ -185,7 +185,10 @@ def _meaning(name: str) -> str | None:
         return _EXACT[name]
     if _EXACT.get("_".join(word for word in name.split("_") if word not in _QUALIFIERS)) == "value":
         return "value"
-    written = [part for word in name.split("_") for part in _parts(word)]
+    written = list[str]()
+    for word in name.split("_"):  # A word such as "thetai" or "dphi" has two parts.
+        found = None if word in _ANGLES or word in _SIDES else _GLUED.fullmatch(word)
+        written += found.groups() if found else (word,)
     words = [word for word in written if word not in _FILLERS]
     angles = [_ANGLES[word] for word in words if word in _ANGLES]
     sides = [_SIDES[word] for word in words if word in _SIDES]
@@ -202,12 +205,6 @@ def _meaning(name: str) -> str | None:
     if angles:
         return f"{angles[0]}_{sides[0] if sides else 'out'}"
     return f"theta_{sides[0]}" if len(written) > len(words) and len(words[0]) > 1 else None
-
-
-def _parts(word: str) -> tuple[str, ...]:
-    """Return the two parts of a word such as "thetai" or "dphi", or else the word itself."""
-    found = None if word in _ANGLES or word in _SIDES else _GLUED.fullmatch(word)
-    return found.groups() if found else (word,)
 
 
 def factor_of(cell: str, light: str) -> str:

@@ -145,7 +145,6 @@ def _table_of_blocks(blocks: Sequence[Array]) -> TextTable:
 
 
 def _words(text: str) -> list[list[str]]:
-    """Return the words of each line that is not a comment."""
     return [words for line in text.splitlines() if (words := line.split()) and words[0][0] != "#"]
 
 

@@ -199,7 +199,6 @@ def read_table(data: bytes, name: str = "samples", options: TableOptions = AS_WR
 
 
 def _read(data: bytes, options: TableOptions) -> SampleRows:
-    """Return the rows of a file as they are written."""
     if data.startswith(CANONICAL):
         options.refuse("a file of samples, which says everything itself")
         made = ScatteredSamples.decode(data)
@@ -228,9 +227,8 @@ def _joined(files: Sequence[tuple[str, SampleRows]], name: str, options: TableOp
             "paler: write red, green and blue in each file."
         )
     shared = set[str].intersection(*({*rows.notes} for _, rows in files))
-    notes = [
-        *dict.fromkeys(note if note in shared else f"{file}: {note}" for file, rows in files for note in rows.notes)
-    ]
+    said = (note if note in shared else f"{file}: {note}" for file, rows in files for note in rows.notes)
+    notes = [*dict.fromkeys(said)]
     written = [rows for _, rows in files if not rows.is_clean]
     numbers = [rows.numbers for _, rows in files if rows.is_clean]
     if written:

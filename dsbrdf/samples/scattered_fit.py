@@ -58,18 +58,18 @@ _MAX_MOVE_RATIO = 16.0
 def predicted_profiles(samples: ScatteredSamples, prediction: SamplePrediction, options: FitOptions) -> Profiles:
     """Return the table that is predicted from samples, at the theta_diff and theta_half that a fit uses."""
     cells = np.stack([axis.ravel() for axis in np.meshgrid(USED_ROWS, USED_COLUMNS, np.arange(N_BINS), indexing="ij")])
-    count = _nodes_in_cells(cells)
+    # The weight of each phi_diff from 0 to 90 degrees in each cell, (cells, 91); 0 below the horizon.
+    row, column, bin_of = cells
+    above = above_horizon(THETA_HALF[column, np.newaxis], THETA_DIFF[row, np.newaxis], PHI_DIFF[:QUARTER])
+    count = SAMPLES_IN_BIN.T[bin_of] * above
     cells, count = cells[:, count.any(axis=1)], count[count.any(axis=1)]
     total = count.sum(axis=1)
     squared_cosine = count @ np.cos(PHI_DIFF[:QUARTER]) ** 2 / total
     angles = THETA_HALF[cells[1]], THETA_DIFF[cells[0]], np.arccos(np.sqrt(squared_cosine))
     shape = (THETA_DIFF.size, THETA_HALF.size, N_BINS)
     weight, mean, cos2_phi = np.zeros((3, *shape)), np.zeros((3, *shape)), np.zeros(shape)
-    weight[:, *cells], mean[:, *cells], cos2_phi[*cells] = (
-        total,
-        prediction.evaluate_unmasked(*angles).T,
-        squared_cosine,
-    )
+    weight[:, *cells], cos2_phi[*cells] = total, squared_cosine
+    mean[:, *cells] = prediction.evaluate_unmasked(*angles).T
     over_phi = weight.sum(axis=3)
     level = np.sum(weight * mean, axis=3) / np.where(over_phi > 0.0, over_phi, 1.0)
     within = np.sum(weight * (mean - level[..., np.newaxis]) ** 2, axis=3)
@@ -122,13 +122,6 @@ def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:
 def _nearest(axis: Array, angles: Array) -> Indices:
     """Return, for each of `angles`, the index of the nearest angle of the ascending `axis`."""
     return np.searchsorted(0.5 * (axis[1:] + axis[:-1]), angles)
-
-
-def _nodes_in_cells(cells: Indices) -> Array:
-    """Return the weight of each phi_diff from 0 to 90 degrees in each cell, (cells, 91); 0 below the horizon."""
-    row, column, bin_of = cells
-    above = above_horizon(THETA_HALF[column, np.newaxis], THETA_DIFF[row, np.newaxis], PHI_DIFF[:QUARTER])
-    return np.asarray(SAMPLES_IN_BIN.T[bin_of] * above)
 
 
 # Errors are reported separately for samples in bands of theta_out with these edges.

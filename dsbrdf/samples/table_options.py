@@ -95,21 +95,17 @@ class TableOptions:
         """Raise InvalidArgumentError if an option is set; `what`, such as "a MERL file", is read without options."""
         chosen = [one.name for one in fields(self) if getattr(self, one.name) != one.default]
         if chosen:
-            verb = "is an option" if len(chosen) == 1 else "are options"
-            raise InvalidArgumentError(
-                f"{', '.join(chosen)} {verb} of a table of samples, and this is {what}: leave {' and '.join(chosen)} "
-                "out"
-            )
+            are = f"{', '.join(chosen)} {'is an option' if len(chosen) == 1 else 'are options'} of a table of samples"
+            raise InvalidArgumentError(f"{are}, and this is {what}: leave {' and '.join(chosen)} out")
 
 
 def _pairs(option_name: str, given: Any, example: str) -> tuple[str, ...]:
     if isinstance(given, Mapping) and all(_is_number(text) or isinstance(text, str) for text in given.values()):
         given = [f"{meaning}={text}" for meaning, text in given.items()]
     pairs = given.split(",") if isinstance(given, str) else given
-    right = isinstance(pairs, list | tuple) and all(isinstance(pair, str) and all(_parts(pair)) for pair in pairs)
-    if not right:
-        raise InvalidArgumentError(f"{option_name} must be such as {example}, not {str(given)[:60]!r}")
-    return tuple("=".join(_parts(pair)) for pair in pairs)
+    if isinstance(pairs, list | tuple) and all(isinstance(pair, str) and all(_parts(pair)) for pair in pairs):
+        return tuple("=".join(_parts(pair)) for pair in pairs)
+    raise InvalidArgumentError(f"{option_name} must be such as {example}, not {str(given)[:60]!r}")
 
 
 def _parts(pair: str) -> tuple[str, str]:

@@ -73,7 +73,12 @@ def parse_text_table(data: bytes, named: Collection[str] = (), *, by_position: b
         if not by_position:
             raise
         table = unnamed_table(rows)
-    return _with_constants(table, held)
+    # A constant that lines between the rows give, such as theta_in, becomes a column.
+    blocks = [held[number] for number in table.lines]
+    constants = dict.fromkeys(name for block in {id(block): block for block in blocks}.values() for name in block)
+    columns = {name: np.array([block.get(name, np.nan) for block in blocks]) for name in constants}
+    same = " and ".join(name for name, column in columns.items() if np.ptp(column) == 0.0)
+    return table.with_columns(columns, *([f"The head of the file gives {same}."] if same else []))
 
 
 def rows_of(lines: Sequence[str]) -> NumberedLines:
@@ -126,15 +131,6 @@ def _rows_and_constants(lines: Sequence[str], place: int) -> tuple[NumberedLines
             rows.append((number, text))
             held[number] = now
     return rows, held
-
-
-def _with_constants(table: TextTable, held: dict[int, Constants]) -> TextTable:
-    """Return the table with a column for each constant, such as theta_in, that lines between the rows give."""
-    blocks = [held[number] for number in table.lines]
-    names = dict.fromkeys(name for block in {id(block): block for block in blocks}.values() for name in block)
-    columns = {name: np.array([block.get(name, np.nan) for block in blocks]) for name in names}
-    same = " and ".join(name for name, column in columns.items() if np.ptp(column) == 0.0)
-    return table.with_columns(columns, *([f"The head of the file gives {same}."] if same else []))
 
 
 def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tuple[str, ...]]:

@@ -17,14 +17,7 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.columns import GREY, Column, FoundColumns
-from dsbrdf.samples.names import (
-    RECIPROCAL_UNITS,
-    TRISTIMULUS,
-    VALUE_UNITS,
-    WAVELENGTH_UNITS,
-    factor_of,
-    wavelength_of,
-)
+from dsbrdf.samples.names import RECIPROCAL_UNITS, TRISTIMULUS, VALUE_UNITS, WAVELENGTH_UNITS, factor_of, wavelength_of
 from dsbrdf.samples.table_options import TableOptions
 
 NO_UNIT = ("", "1", "-", "none")
@@ -167,11 +160,9 @@ def rgb_of(found: FoundColumns, written: Array) -> Array:
     """Return the values of a table as RGB (rows, 3)."""
     if found.values == TRISTIMULUS:
         return _in_gamut(written @ _FROM_XYZ.T, written)
-    return (
-        linear_srgb(found.wavelengths, written)
-        if found.wavelengths.size
-        else np.repeat(written, 3 // len(found.values), axis=1)
-    )
+    if found.wavelengths.size:
+        return linear_srgb(found.wavelengths, written)
+    return np.repeat(written, 3 // len(found.values), axis=1)
 
 
 def in_nanometres(column: Column) -> Array:
@@ -218,9 +209,8 @@ def about_gamut(rgb: Array) -> list[str]:
     if not outside.any():
         return []
     names = " and ".join(name for name, of in zip(CHANNELS, outside.T, strict=True) if of.any())
-    return [
-        f"In {outside.any(axis=1).mean():.1%} of the rows the colour is outside of sRGB: {names} below 0 count as 0."
-    ]
+    share = outside.any(axis=1).mean()
+    return [f"In {share:.1%} of the rows the colour is outside of sRGB: {names} below 0 count as 0."]
 
 
 def _about_bands(wavelengths: Array) -> Iterator[str]:

@@ -275,7 +275,6 @@ class FitQueue:
             await asyncio.sleep(_RETRY_DELAY)
 
     def _record(self, key: FitKey, outcome: Outcome) -> None:
-        """Write the outcome of a fit."""
         if isinstance(outcome, FitDocument):
             self._store.complete_fit(key, outcome.text, outcome.metrics, outcome.thumbnail)
             logger.info("the fit has succeeded")

@@ -63,7 +63,6 @@ def table_from_query(items: Iterable[tuple[str, str]]) -> TableOptions:
 
 
 def _chosen(items: Iterable[tuple[str, str]], names: Container[str]) -> dict[str, Any]:
-    """Return the parsed values of the parameters of a query that have one of the `names`."""
     return {name: _from_text(text) for name, text in items if name in names}
 
 

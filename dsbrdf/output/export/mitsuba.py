@@ -171,7 +171,6 @@ def _log1p(x: Number) -> Number:
 
 
 def _expm1(x: Number) -> Number:
-    """Return exp(x) - 1."""
     dr = import_module("drjit")
     y = dr.clip(x, -0.3, 0.3)
     series = y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y * (1.0 / 720.0))))))

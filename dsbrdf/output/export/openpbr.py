@@ -145,7 +145,6 @@ def _normal_reflectance(index: float) -> float:
 
 
 def _fresnel(cosine: Array, index: float) -> Array:
-    """Return Fresnel's reflectance of unpolarised light at a dielectric."""
     g = np.sqrt(np.maximum(index**2 + cosine**2 - 1.0, 0.0))
     parallel = ((g + cosine) * cosine - 1.0) / ((g - cosine) * cosine + 1.0)
     return 0.5 * ((g - cosine) / (g + cosine)) ** 2 * (1.0 + parallel**2)

@@ -308,7 +308,6 @@ async def _wait(request: Request, context: Context, caller: Caller, fit: FitKey,
 
 
 def _summary(context: Context, row: FitRow) -> bytes:
-    """Return the `FitSummary` of a fit's row as JSON."""
     metrics = row.metrics or {}
     more = {"progress": context.queue.progress(row), "likeness": verdict(Metrics(**metrics)) if metrics else None}
     return to_json(members(FitSummary, row) | more)

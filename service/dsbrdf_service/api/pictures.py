@@ -89,7 +89,6 @@ Draw = Annotated[_Drawing, Depends()]
 
 
 async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[np.float32], bytes]:
-    """Return the panorama in the body, and the sha256 of the body."""
     media_type_of(request, NPY)
     async with context.bodies.received(request, _MAX_PANORAMA_BYTES) as body:
         pixels = panorama_from_npy(body).astype(np.float32)

@@ -142,5 +142,4 @@ def check_files(folder: Path) -> tuple[bool, str]:
 
 
 def _stored(folder: Path) -> set[str]:
-    """Return the sha256 of every measurement that has a row."""
     return {sha256 for (sha256,) in read_only(folder, "SELECT DISTINCT sha256 FROM measurements")}
