@@ -138,8 +138,7 @@ def _source(path: Path, table: TableOptions, component: str | None) -> tuple[Any
     if is_measurement(path):
         if component is not None:
             raise InvalidArgumentError(f"{path}: a measurement has no components; fit it first")
-        measured = read_measured(path, table)
-        return measured, {"kind": "measurement", "numbers": None} | dict.fromkeys(METRICS)
+        return read_measured(path, table), {"kind": "measurement", "numbers": None} | dict.fromkeys(METRICS)
     model, report = read_model(path)
     if component is not None:
         return named_part(path, model, component), {"kind": component}

@@ -128,8 +128,7 @@ class Plan:
     def write(self, files: Sequence[Path], options: TableOptions, model: DSBRDF) -> None:
         """Write the plan for the samples in the files, with the columns of the first file."""
         if self.measure_next is not None:
-            samples = read_samples(files, options)
-            pairs = planned_pairs(samples, model, self.next_step, self.max_theta)
+            pairs = planned_pairs(read_samples(files, options), model, self.next_step, self.max_theta)
             write_atomically(self.measure_next, [plan_table(files[0].read_bytes(), options, pairs)])
 
 

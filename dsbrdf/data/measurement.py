@@ -87,8 +87,7 @@ def _corners(
     theta_half: Array, theta_diff: Array, phi_diff: Array
 ) -> Iterator[tuple[Array, tuple[Indices, Indices, Indices]]]:
     """Yield weights and nodes of the eight corners of the grid cell around each point."""
-    rows = np.sqrt(90.0 * np.clip(np.degrees(theta_half), 0.0, 90.0))
-    row, row_share = _cells(rows, GRID_SHAPE[0])
+    row, row_share = _cells(np.sqrt(90.0 * np.clip(np.degrees(theta_half), 0.0, 90.0)), GRID_SHAPE[0])
     diff, diff_share = _cells(np.clip(np.degrees(theta_diff), 0.0, 90.0), GRID_SHAPE[1])
     turn = np.mod(np.degrees(phi_diff), 180.0)
     column = np.minimum(turn.astype(np.intp), GRID_SHAPE[2] - 1)

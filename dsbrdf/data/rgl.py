@@ -268,8 +268,7 @@ class RglMaterial:
         lower = np.minimum(at.astype(np.intp), max(last - 1, 0))
         share = at - lower
         x, y = self.vndf.invert(lower, share, u, v)
-        upper = np.minimum(lower + 1, last)
-        below, above = (bilinear(self.rgb, x, y, at) for at in (lower, upper))
+        below, above = (bilinear(self.rgb, x, y, at) for at in (lower, np.minimum(lower + 1, last)))
         rgb = (1.0 - share)[:, None] * below + share[:, None] * above
         sigma = bilinear(self.sigma, np.sqrt(theta_i * 2.0 / np.pi), np.full_like(u, 0.5))
         factor = bilinear(self.ndf, u, v) / (4.0 * sigma * second[:, 2])

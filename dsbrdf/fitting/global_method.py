@@ -209,8 +209,7 @@ def _structure(
             if len(kept) > 1 and rows[THETA_DIFF >= kept[-1]].sum() < MIN_BINS_BETWEEN_KNOTS:
                 kept.pop()
             knots = np.array([*kept, knots[-1]])
-        inner = knots[(knots > first) & (knots < last)]
-        return np.unique(np.concatenate([[first], inner, [last]]))
+        return np.unique(np.concatenate([[first], knots[(knots > first) & (knots < last)], [last]]))
 
     amplitude, shape, elongation = chosen(groups[0], amplitude_knots), chosen(groups[1]), chosen(groups[2])
     theta_half = _apart(THETA_HALF[columns > 0], THETA_HALF, columns, MIN_BINS_IN_COLUMN * amplitude.size)

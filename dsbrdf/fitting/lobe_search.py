@@ -157,8 +157,7 @@ class _Task:
             gram = mixed[..., chosen]
             amplitudes = solved_amplitudes(gram, candidates.right[..., chosen], amplitudes)
         while len(chosen) > n_lobes:
-            may_drop = wanted.may_drop(tuple(candidates.is_ring[chosen].tolist()))
-            dropped = _least_useful(gram, amplitudes, may_drop)
+            dropped = _least_useful(gram, amplitudes, wanted.may_drop(tuple(candidates.is_ring[chosen].tolist())))
             del chosen[dropped]
             gram = np.delete(np.delete(gram, dropped, axis=2), dropped, axis=3)
             amplitudes = solved_amplitudes(gram, candidates.right[..., chosen])
@@ -194,8 +193,7 @@ class _Task:
         gram, right = normal_equations(self.data, curves)
         dropped = _least_useful(gram, solved_amplitudes(gram, right), self.wanted.may_drop(rings))
         kept = np.delete(np.arange(len(rings)), dropped)
-        is_ring = np.array(rings)[kept]
-        return join_lobes(self.empty, is_ring, (part[..., kept] for part in mixture.lobes()))
+        return join_lobes(self.empty, np.array(rings)[kept], (part[..., kept] for part in mixture.lobes()))
 
     def shrink(self, mixture: Mixture) -> Mixture:
         """Drop the least useful lobe and fit the other lobes again."""

@@ -33,8 +33,7 @@ def spline_basis(knots: Array, theta_diff: Array) -> Array:
     """
     if knots.size == 1:
         return np.ones((theta_diff.size, 1))
-    held = np.clip(theta_diff, knots[0], knots[-1])
-    return _basis(knot_vector(knots), DEGREE, held)
+    return _basis(knot_vector(knots), DEGREE, np.clip(theta_diff, knots[0], knots[-1]))
 
 
 def pieces_of(knots: Array, values: Array, breaks: Array, *, spline: bool) -> Array:

@@ -13,14 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from dsbrdf.arrays import Array
 from dsbrdf.components.component import Component
 from dsbrdf.components.decomposition import Fitted, decompose
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.reading import ReadTable
-from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
 """Angles theta_diff [degrees] for which a document lists the component's values at theta_half = 0."""
@@ -172,10 +170,12 @@ def summary_of_table(found: ReadTable) -> dict[str, Any]:
     ``ranges`` has the minimum and maximum over all samples of each of these columns.
     """
     samples = found.samples
-    angles = _angles(samples)
-    incidence = np.unique(angles[:, 0].round(1))
-    rows = np.column_stack([angles, samples.values])
-    aside = np.abs(np.sin(np.radians(angles[:, 2]))) * np.sin(np.radians(angles[:, 1]))
+    theta_in, theta_out = (np.arccos(np.clip(side[:, 2], -1.0, 1.0)) for side in (samples.omega_in, samples.omega_out))
+    phi_in, phi_out = (np.arctan2(side[:, 1], side[:, 0]) for side in (samples.omega_in, samples.omega_out))
+    phi = np.degrees(phi_out - phi_in).round(9) % 360.0
+    rows = np.column_stack([np.degrees(theta_in), np.degrees(theta_out), phi, samples.values])
+    incidence = np.unique(rows[:, 0].round(1))
+    aside = np.abs(np.sin(np.radians(phi))) * np.sin(theta_out)
     return {
         "n_rows": found.n_rows,
         "n_samples": len(samples.values),
@@ -189,12 +189,3 @@ def summary_of_table(found: ReadTable) -> dict[str, Any]:
         "warnings": [*samples.notes, *sample_doubts(samples).sentences],
         "first": rows[:_N_SHOWN_SAMPLES].tolist(),
     }
-
-
-def _angles(samples: ScatteredSamples) -> Array:
-    """Return the angles of samples [degrees], shape (n, 3), in the order of `ANGLE_NAMES`."""
-    first, second = samples.omega_in, samples.omega_out
-    phi_in, phi_out = (np.arctan2(side[:, 1], side[:, 0]) for side in (first, second))
-    theta_in, theta_out = (np.arccos(np.clip(side[:, 2], -1.0, 1.0)) for side in (first, second))
-    difference = np.degrees(phi_out - phi_in).round(9) % 360.0
-    return np.column_stack([np.degrees(theta_in), np.degrees(theta_out), difference])

@@ -67,8 +67,7 @@ class SampleLayers:
         found = list[tuple[FittedStructure, float]]()
         for stretch in dict.fromkeys(stretch for _, stretch in candidates):
             structures = [structure.no_narrower(narrowest) for structure, given in candidates if given == stretch]
-            fitted = fit_structures(_layer_data(samples, stretch), structures)
-            found += [(one, stretch) for one in fitted]
+            found += [(one, stretch) for one in fit_structures(_layer_data(samples, stretch), structures)]
         weights = structure_weights([one for one, _ in found]) * [_STRETCHES[stretch] for _, stretch in found]
         weights = weights / weights.sum()
         kept = [at for at in np.argsort(-weights, kind="stable") if weights[at] > _NEGLIGIBLE_WEIGHT]

@@ -115,8 +115,7 @@ def _cells(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Indices:
     column = FIT_COLUMNS[_nearest(np.sqrt(THETA_HALF[FIT_COLUMNS]), np.sqrt(theta_half))]
     turned = np.degrees(phi_diff) % 180.0
     folded_phi = np.minimum(turned, 180.0 - turned)
-    bin_of = np.rint(folded_phi).astype(np.intp) // 10
-    return np.stack([row, column, bin_of])
+    return np.stack([row, column, np.rint(folded_phi).astype(np.intp) // 10])
 
 
 def _nearest(axis: Array, angles: Array) -> Indices:

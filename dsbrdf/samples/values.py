@@ -113,8 +113,7 @@ def about_repeated(values: Array) -> list[str]:
 
 def _places(omega_in: Array, omega_out: Array) -> Array:
     """Return points (n, 3) for n pairs of directions, so that neighbours on an instrument's grid are close points."""
-    cosine = np.clip(np.stack([omega_in[:, 2], omega_out[:, 2]]), -1.0, 1.0)
-    theta_in, theta_out = np.arccos(cosine)
+    theta_in, theta_out = np.arccos(np.clip(np.stack([omega_in[:, 2], omega_out[:, 2]]), -1.0, 1.0))
     turn = np.arctan2(omega_out[:, 1], omega_out[:, 0]) - np.arctan2(omega_in[:, 1], omega_in[:, 0])
     return np.stack([theta_in, theta_out * np.cos(turn), theta_out * np.sin(turn)], axis=1)
 

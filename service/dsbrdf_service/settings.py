@@ -1,6 +1,7 @@
 """Define the settings of the service, from the environment (prefix ``DSBRDF_``) or the command line."""
 
 import ipaddress
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -77,9 +78,6 @@ class Settings(BaseSettings):
     @property
     def loopback(self) -> bool:
         """Whether only this machine can reach the address."""
-        if self.host == "localhost":
-            return True
-        try:
+        with suppress(ValueError):
             return ipaddress.ip_address(self.host).is_loopback
-        except ValueError:
-            return False
+        return self.host == "localhost"

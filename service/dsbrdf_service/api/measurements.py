@@ -327,8 +327,7 @@ async def download_measurement(request: Request, context: TheContext, caller: Th
     try:
         suffix = ".binary" if row.on_grid else ".csv"
         headers["Content-Disposition"] = content_disposition(f"{row.name or sha256}{suffix}")
-        file = OpenFile(os.open(path, os.O_RDONLY))
-        return OpenFileResponse(file, headers | {"Content-Type": BINARY})
+        return OpenFileResponse(OpenFile(os.open(path, os.O_RDONLY)), headers | {"Content-Type": BINARY})
     except FileNotFoundError:  # The file was deleted after its row was read.
         raise MeasurementNotFoundError(sha256) from None
 

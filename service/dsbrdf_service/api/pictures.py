@@ -91,8 +91,7 @@ Draw = Annotated[_Drawing, Depends()]
 async def _panorama_in(request: Request, context: TheContext) -> tuple[NDArray[np.float32], bytes]:
     media_type_of(request, NPY)
     async with context.bodies.received(request, _MAX_PANORAMA_BYTES) as body:
-        pixels = panorama_from_npy(body).astype(np.float32)
-        return pixels, hashlib.sha256(body).digest()
+        return panorama_from_npy(body).astype(np.float32), hashlib.sha256(body).digest()
 
 
 _Panorama = Annotated[tuple[NDArray[np.float32], bytes], Depends(_panorama_in)]
