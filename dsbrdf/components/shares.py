@@ -12,6 +12,7 @@ difference counts as doubtful: the whole difference if p is one half, and nothin
 widens the ranges of the component, as an independent error.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -144,6 +145,9 @@ _N_SHARED_DRAWS = 30  # This number of further draws is divided among structures
 # With the next two numbers, ranges contain the truth of more than 90 % of known materials.
 _MIN_SPREAD = 0.2  # Layers with a narrow highlight spread by this fraction of what independent samples give.
 _ALPHA_OF_UNIT_SPREAD = 0.3  # Layers of this roughness spread as independent samples do.
+_MIN_METAL_REFLECTANCE = 0.2  # A highlight that reflects less, as the mean of all channels, is not from a metal.
+_MAX_TAIL_ALBEDO = 0.2  # A ground that reflects a larger fraction of the highlight's reflectance is not a tail.
+_MAX_TAIL_COLOR_RATIO = 1.1  # In the channels of a tail, this fraction is equal up to this factor.
 
 Range: TypeAlias = tuple[float, float]
 RgbRange: TypeAlias = tuple[Range, Range, Range]
@@ -210,10 +214,10 @@ class DrawnLayers(NamedTuple):
         drawn = []
         for one, weight in _probable(found):
             own = (one.model, *one.draw(generator, _MIN_DRAWS + int(_N_SHARED_DRAWS * weight), _spread(one)))
-            sides = one.structure.is_diffuse, one.structure.other_sides or one.structure.is_diffuse
+            sides = (one.structure.name, one.structure.is_diffuse), _other_sides(one)
             drawn += [
-                WeightedLayers(one.structure.name, weight / len(own), layers, sides[number % 2])
-                for number, layers in enumerate(own)
+                WeightedLayers(name, weight / len(own), layers, is_diffuse)
+                for layers, (name, is_diffuse) in zip(own, itertools.cycle(sides))
             ]
         albedos = np.array([one.split(values, NORMAL.points) @ NORMAL.weight for one in drawn])
         return cls(drawn, np.array([one.weight for one in drawn]), albedos, fitted, values)
@@ -282,6 +286,21 @@ def _probable(found: Sequence[FittedStructure]) -> list[tuple[FittedStructure, f
     """Return fitted structures with their weights, without those of small weight."""
     kept = [one for one, weight in zip(found, structure_weights(found), strict=True) if weight >= _MIN_WEIGHT]
     return list(zip(kept, structure_weights(kept).tolist(), strict=True))
+
+
+def _other_sides(found: FittedStructure) -> tuple[str, tuple[bool, ...]]:
+    """Return another name of a structure, and another answer to whether the light of each layer is diffuse.
+
+    The tail of a metal's highlight has the colour of the metal, so a dim ground of this colour may be such a tail.
+    """
+    structure, layers = found.structure, found.model.layers
+    highlight = sum((one.reflectance for one in layers if isinstance(one, SpecularLayer)), np.zeros(3))
+    ground = next((np.array(one.albedo) for one in layers if isinstance(one, DiffuseLayer)), highlight)
+    ratio = ground / np.maximum(highlight, 1e-300)
+    is_metal = highlight.mean() > _MIN_METAL_REFLECTANCE
+    if is_metal and ratio.max() < min(_MAX_TAIL_ALBEDO, _MAX_TAIL_COLOR_RATIO * ratio.min()):
+        return "metal with a long tail", (False,) * len(layers)
+    return structure.name, structure.other_sides or structure.is_diffuse
 
 
 def _spread(found: FittedStructure) -> float:

@@ -1,6 +1,6 @@
 import itertools
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from scipy.integrate import quad
 import dsbrdf
 from dsbrdf import DSBRDF, InvalidArgumentError, Measurement, decompose
 from dsbrdf.components import LABELS
+from dsbrdf.components.layers import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.components.shares import SPIKE_HALF_WIDTH
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, synthetic_measurement
 from dsbrdf.model import FAMILIES
@@ -183,3 +184,17 @@ def test_split_that_is_open_is_said() -> None:
     )
     assert parts.structure in parts.remarks[0]
     assert parts.structure == max(parts.structures, key=lambda one: one.weight).name
+
+
+@pytest.mark.parametrize(("ground", "is_tail"), [((0.15, 0.11, 0.07), True), ((0.1, 0.1, 0.1), False)])
+def test_a_dim_ground_of_the_colour_of_a_metal_may_be_its_tail(ground: tuple[float, ...], is_tail: bool) -> None:
+    gold = SpecularLayer((0.95, 0.70, 0.42), 1.0, 0.2, 2.0, (0.0, 0.0), 0.0, 0.0)
+    red, green, blue = ground
+    material = LayeredModel((gold, DiffuseLayer((red, green, blue), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))))
+    parts = decompose(cast(DSBRDF, material))
+    assert parts.diffuse is not None
+    low, high = parts.diffuse_range
+    assert (low == 0.0) == is_tail
+    assert low <= parts.diffuse.light_share <= high
+    assert parts.alternatives == (("metal with a long tail",) if is_tail else ())
+    assert bool(parts.remarks) == is_tail
