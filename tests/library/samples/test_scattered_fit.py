@@ -190,8 +190,10 @@ def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF)
     assert len({*report.measure_next}) == len(report.measure_next) == 20
     far = [pair for pair in report.measure_next if min(pair.theta_in_deg, pair.theta_out_deg) > 30]
     assert len(far) >= 15
-    flat = spherical(np.linspace(0.1, 1.2, 60), np.zeros(60)), spherical(np.linspace(-1.2, 1.0, 60), np.zeros(60))
-    pairs = planned_pairs(ScatteredSamples.from_arrays(*flat, truth.evaluate_directions(*flat)), truth, 7.5, 60.0)
+    angles_in, angles_out = np.linspace(0.1, 1.2, 60), np.linspace(-1.2, 1.0, 60)
+    first, second = (spherical(theta, np.full(60, 0.5)) for theta in (angles_in, angles_out))
+    flat = ScatteredSamples.from_arrays(first, second, truth.evaluate_directions(first, second))
+    pairs = planned_pairs(flat, truth, 7.5, 60.0)
     assert {pair.phi_deg for pair in pairs} <= {0.0, 180.0}
     angles = np.array([(pair.theta_in_deg, pair.theta_out_deg) for pair in pairs])
     assert angles.max() <= 60.0

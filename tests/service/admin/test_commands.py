@@ -216,6 +216,19 @@ def test_damaged_and_missing_files_are_found(folder: Path) -> None:
     assert "No such file" in examine(folder)["measurements"]
 
 
+def test_file_that_is_deleted_while_it_is_read_is_no_damage(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    damage = Blobs.damage
+
+    def deleted(blobs: Blobs, sha256: str) -> str | None:
+        with closing(sqlite3.connect(folder / FILE_NAME)) as db, db:
+            db.execute("DELETE FROM measurements")
+        blobs.path(sha256).unlink()
+        return damage(blobs, sha256)
+
+    monkeypatch.setattr(Blobs, "damage", deleted)
+    assert examine(folder)["measurements"] == "0 files are what their rows say"
+
+
 def test_what_is_no_database_of_this_release_is_found(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     with closing(sqlite3.connect(folder / FILE_NAME)) as db, db:
         db.execute("PRAGMA user_version = 999")
