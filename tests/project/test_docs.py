@@ -160,9 +160,8 @@ def test_readme_shows_a_sharp_and_small_picture_of_measured_materials() -> None:
 def test_commands_of_the_pages_have_their_options() -> None:
     reference = runpy.run_path(str(DOCS / "_ext/reference.py"))["command_line"]()
     helps = dict(re.findall(r"^## dsbrdf ([\w ]+)\n\n```text\n((?s:.*?))```", reference, re.MULTILINE))
-    lines = [
-        line for text in (README, *PAGES.values()) for line in re.findall(r"^(?: {4})?dsbrdf .*", text, re.MULTILINE)
-    ]
+    text = "\n".join((README, *PAGES.values()))
+    lines = re.findall(r"^(?: {4})?dsbrdf .*", text, re.MULTILINE)
     assert len(lines) > 30
     for line in lines:
         _, command, *words = re.split(r" {3,}", line.strip())[0].split()
@@ -195,10 +194,9 @@ def test_cells_of_notebooks_run(
 
 @pytest.mark.usefixtures("python_quick_start")
 def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lines = [
-        line for text in blocks("sh", http=False) for line in commands(text) if not line.startswith("dsbrdf serve")
-    ]
-    lines = list(dict.fromkeys(lines))  # what more than one page shows is run once
+    every = [line for text in blocks("sh", http=False) for line in commands(text)]
+    # What more than one page shows is run once.
+    lines = [line for line in dict.fromkeys(every) if not line.startswith("dsbrdf serve")]
     used = {line.split()[1] for line in lines}
     assert used == {"materials", "fit", "show", "eval", "decompose", "export", "convert", "render", "plot", "compare"}
     (tmp_path / "paint.binary").hardlink_to(folder / "paint.binary")  # the one file to be fitted

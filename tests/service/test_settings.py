@@ -122,12 +122,10 @@ def test_settings_that_are_mentioned_exist() -> None:
 
 
 def test_every_metric_is_explained(server: Server) -> None:
-    exposed = set(
-        re.findall(r"^# TYPE (dsbrdf_\w+) (?:counter|gauge|histogram)$", server.http.get("/metrics").text, re.M)
-    )
-    assert {name for name in exposed if not name.endswith("_created")} == set(
-        re.findall(r"^\| `(dsbrdf_\w+)", PAGE, re.M)
-    )
+    text = server.http.get("/metrics").text
+    exposed = set(re.findall(r"^# TYPE (dsbrdf_\w+) (?:counter|gauge|histogram)$", text, re.MULTILINE))
+    explained = set(re.findall(r"^\| `(dsbrdf_\w+)", PAGE, re.MULTILINE))
+    assert {name for name in exposed if not name.endswith("_created")} == explained
 
 
 @pytest.mark.slow

@@ -62,9 +62,8 @@ def accepted(parse: Callable[[Any], FitOptions], values: object) -> bool:
 
 def test_whole_number_is_accepted_as_integer() -> None:
     assert from_wire({"n_lobes": 3.0}).n_lobes == 3
-    assert from_query([("n_lobes", "3.0"), ("mask", "1e-1"), ("robust", "TRUE")]) == FitOptions(
-        n_lobes=3, mask=0.1, robust=True
-    )
+    found = from_query([("n_lobes", "3.0"), ("mask", "1e-1"), ("robust", "TRUE")])
+    assert found == FitOptions(n_lobes=3, mask=0.1, robust=True)
 
 
 @pytest.mark.parametrize(

@@ -68,17 +68,14 @@ class Visitor:
         self.requests: list[tuple[str, str, str]] = []
         self.page.on("console", self._on_console)
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.page.on(
-            "request",
-            lambda request: self.requests.append(
-                (request.method, request.url, request.headers.get("content-type", ""))
-            ),
-        )
+        self.page.on("request", self._on_request)
+
+    def _on_request(self, request: Any) -> None:
+        self.requests.append((request.method, request.url, request.headers.get("content-type", "")))
 
     def _on_console(self, message: Any) -> None:
-        expected = (
-            message.text.startswith(_REPORTED) or "GPU stall due to ReadPixels" in message.text
-        )  # The tests cause it.
+        # The tests cause stalls.
+        expected = message.text.startswith(_REPORTED) or "GPU stall due to ReadPixels" in message.text
         if message.type in ("error", "warning") and not expected:
             self.faults.append(message.text)
 
@@ -86,9 +83,8 @@ class Visitor:
         self.page.close()
         assert self.faults == [], self.faults
         assert self.requests
-        asked = [
-            (method, url) for method, url, _ in self.requests if not url.startswith(("data:", f"blob:{self.site}/"))
-        ]
+        inner = ("data:", f"blob:{self.site}/")
+        asked = [(method, url) for method, url, _ in self.requests if not url.startswith(inner)]
         assert [url for _, url in asked if not url.startswith(f"{self.site}/")] == []
         described = _described(self.site)
         for method, url in asked:

@@ -75,9 +75,8 @@ def plastic(
 
 
 def principled(color: Color, roughness: float, metallic: float = 0.0, **others: float) -> Part:
-    return plugin(
-        {"type": "principled", "base_color": rgb(color), "roughness": roughness, "metallic": metallic} | others
-    )
+    kind = {"type": "principled", "base_color": rgb(color), "roughness": roughness, "metallic": metallic}
+    return plugin(kind | others)
 
 
 def principled_diffuse(color: Color, roughness: float, metallic: float = 0.0) -> Part:
@@ -189,9 +188,8 @@ class Material:
         if self.alpha is None:
             return None
         pair = TO_LIGHT_AT_70, TO_LIGHT_AT_70 * [-1.0, -1.0, 1.0]
-        return np.asarray(
-            self.specular_values(*pair)[0] / conductor(self.alpha, distribution=self.distribution)(*pair)[0]
-        )
+        mirror = conductor(self.alpha, distribution=self.distribution)
+        return np.asarray(self.specular_values(*pair)[0] / mirror(*pair)[0])
 
 
 def _sum(parts: tuple[Part, ...], omega_in: Array, omega_out: Array) -> Array:

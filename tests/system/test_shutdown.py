@@ -219,9 +219,8 @@ def test_service_heeds_what_it_inherits(own_server: StartServer) -> None:
 def test_accepted_fits_finish_after_a_kill(own_server: StartServer, data: bytes) -> None:
     server = own_server(workers="1")
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    endless, quick = (
-        server.submit(sha256, prefer="respond-async", **options).json()["id"] for options in (ENDLESS, QUICK)
-    )
+    asked = [server.submit(sha256, prefer="respond-async", **options) for options in (ENDLESS, QUICK)]
+    endless, quick = (answer.json()["id"] for answer in asked)
     server.until_running(endless)
     others = server.workers() | server.helpers()
     leftover = server.data_dir / "tmp" / "upload-of-a-client"

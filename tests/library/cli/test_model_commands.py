@@ -170,9 +170,8 @@ def test_a_refused_export_writes_nothing_and_another_says_what_it_has_written(mo
 
 def test_closed_output_pipe_is_no_error(model_file: Path) -> None:
     many = " ".join(str(angle / 40) for angle in range(3000))  # their lines are longer than what a pipe holds
-    command = (
-        f"'{sys.executable}' -m dsbrdf.cli.main eval '{model_file}' --theta-diff 0 --theta-half {many} | head -n 1"
-    )
+    words = f"-m dsbrdf.cli.main eval '{model_file}' --theta-diff 0 --theta-half {many}"
+    command = f"'{sys.executable}' {words} | head -n 1"
     answer = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
     assert answer.stdout.split()[0] == "theta_half"
     assert answer.stderr == ""
@@ -189,7 +188,7 @@ def drawn(folder: Path, *words: object) -> tuple[NDArray[np.float64], dict[str, 
     return pixels_of(folder / "sphere.png"), about
 
 
-def test_pictures_are_of_the_library(
+def test_pictures_are_the_librarys(
     model_file: Path, plastic_file: Path, two_lobe_fit: FitResult, tmp_path: Path
 ) -> None:
     found = decompose(two_lobe_fit)

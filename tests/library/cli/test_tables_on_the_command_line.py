@@ -87,13 +87,10 @@ def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:
     assert any("probe" in sentence for sentence in found["warnings"])
     assert found["first"][0] == pytest.approx([0.0, 80.0, 180.0, *[20.0 * 0.003183] * 3], rel=1e-4, abs=1e-6)
     text = printed("table", path, *flags)
-    assert all(
-        words in text for words in ("63 rows, 62 samples", "probe        not read", "angles of incidence: 0, 30, 60")
-    )
+    for words in ("63 rows, 62 samples", "probe        not read", "angles of incidence: 0, 30, 60"):
+        assert words in text
     (tmp_path / "tile.binary").write_bytes(HEADER + bytes(99))
-    assert (
-        "is a MERL file, a measurement on a grid, and no table" in run("table", tmp_path / "tile.binary", code=2).stderr
-    )
+    assert "is a MERL file, a measurement on a grid, and no" in run("table", tmp_path / "tile.binary", code=2).stderr
     lines = run("table", path, tmp_path / "tile.binary", *flags, code=2).stdout.splitlines()
     assert "62 samples, theta_in 0, 30, 60, theta_out 0 to 80, up to" in lines[0]
     assert "not read: The file is a MERL file, a measurement on a grid" in lines[1]

@@ -18,7 +18,7 @@ from dsbrdf.components import LABELS
 from dsbrdf.data import directions
 from dsbrdf.model import ReflectanceModel, directional_albedo
 from tests.support.foreign_kinds import GOLD, KINDS, compensation
-from tests.support.foreign_materials import CATALOGUE, Material, Part, conductor, lambert, plastic_material
+from tests.support.foreign_materials import CATALOGUE, Color, Material, Part, conductor, lambert, plastic_material
 
 pytestmark = pytest.mark.slow
 
@@ -126,9 +126,7 @@ def test_roughness_and_reflectance_of_a_layer_come_out_as_they_were_put_in(name:
         ("car_paint_blue", LOBE, (1 / 3, 0.16 / 0.3, 1.0)),
     ],
 )
-def test_metal_and_flakes_colour_their_highlight_and_a_coat_none(
-    name: str, label: str, color: tuple[float, float, float]
-) -> None:
+def test_metal_and_flakes_colour_highlights_and_coats_none(name: str, label: str, color: Color) -> None:
     np.testing.assert_allclose(known(name).parts[label].color, color, atol=0.1 if label == SPIKE else 0.04)
 
 

@@ -40,10 +40,14 @@ MATERIALS: dict[str, tuple[Layer, ...]] = {
 }
 
 
-def fitted(*layers: Layer) -> list[FittedStructure]:
+def data_of(*layers: Layer) -> LayerData:
     data = material_data(grid_values(LayeredModel(layers).evaluate_unmasked))
     assert data is not None
-    return fit_structures(data)
+    return data
+
+
+def fitted(*layers: Layer) -> list[FittedStructure]:
+    return fit_structures(data_of(*layers))
 
 
 @pytest.mark.parametrize("name", [structure.name for structure in STRUCTURES])
@@ -64,9 +68,7 @@ def test_parameters_come_out_as_they_were_put_in() -> None:
 
 def test_a_highlight_that_turns_its_colour_is_no_diffuse_light() -> None:
     turning = TurningLayer(**vars(METAL), turn=((0.6, -0.2, -0.4), (-0.3, 0.5, -0.2)))
-    data = material_data(grid_values(LayeredModel((turning,)).evaluate_unmasked))
-    assert data is not None
-    best = fit_structures(data, (*STRUCTURES, *RARE_STRUCTURES), quick=True)[0]
+    best = fit_structures(data_of(turning), (*STRUCTURES, *RARE_STRUCTURES), quick=True)[0]
     (layer,) = best.model.layers
     assert best.structure.name == "metal of turning colour"
     assert isinstance(layer, TurningLayer)
@@ -90,15 +92,13 @@ def test_layers_for_renderers_are_fitted_to_the_albedo() -> None:
     assert data.squared_error(values) == pytest.approx(0.0, abs=1e-12)
     values[:, first : first + rules[0].weight.size] *= 1.1  # The albedo at normal incidence alone is wrong by 10 %.
     albedo = model.albedo(0.0)
-    expected = (
-        4.0 / 6.0 * np.sum((0.1 * albedo / albedo.max()) ** 2)
-    )  # The weight 4, for three channels of two albedos.
+    # The weight is 4, for three channels of two albedos.
+    expected = 4.0 / 6.0 * np.sum((0.1 * albedo / albedo.max()) ** 2)
     assert data.squared_error(values) == pytest.approx(expected, rel=0.02)
 
 
 def test_the_descent_ends_in_a_minimum_of_the_documented_cost() -> None:
-    data = material_data(grid_values(LayeredModel((PLASTIC, GROUND)).evaluate_unmasked))
-    assert data is not None
+    data = data_of(PLASTIC, GROUND)
     structure = next(one for one in STRUCTURES if one.name == "dielectric over diffuse")
     (found,) = fit_structures(data, [structure])
 
@@ -134,12 +134,6 @@ def test_draws_do_not_hang_on_which_eigenvectors_a_library_finds() -> None:
         models = alike.draw(np.random.default_rng(0), 5)
         alphas.append([layer.alpha for model in models for layer in model.layers if isinstance(layer, SpecularLayer)])
     np.testing.assert_allclose(alphas[0], alphas[1], rtol=1e-9)
-
-
-def test_weights_of_the_data_are_shares_of_the_signal() -> None:
-    data = material_data(grid_values(LayeredModel((PLASTIC, GROUND)).evaluate_unmasked))
-    assert isinstance(data, LayerData)
-    assert np.sum(data.weighted**2) == pytest.approx(1.0)
 
 
 def test_a_model_without_light_has_no_data() -> None:

@@ -9,13 +9,7 @@ from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, She
 from dsbrdf.components.points import Points
 from dsbrdf.data import directions, spherical
 
-KINDS: list[tuple[type[Layer], int]] = [
-    (SpecularLayer, 10),
-    (TurningLayer, 14),
-    (DiffuseLayer, 9),
-    (SheenLayer, 5),
-    (RetroLayer, 4),
-]
+KINDS: dict[type[Layer], int] = {SpecularLayer: 10, TurningLayer: 14, DiffuseLayer: 9, SheenLayer: 5, RetroLayer: 4}
 F0 = (0.9, 0.6, 0.2)
 
 
@@ -90,13 +84,8 @@ def test_facets_project_to_the_area(tail_exponent: float) -> None:
         points = Points.at(np.array([theta]), np.zeros(1), np.zeros(1))
         cosine = np.cos(theta)
         masked = (cosine + np.sqrt(0.04 + 0.96 * cosine**2)) ** 2  # over 4 cos_in cos_out
-        return (
-            float(LayeredModel((layer,)).layer_values(points)[0, 0, 0] * masked)
-            * np.cos(theta)
-            * np.sin(theta)
-            * 2.0
-            * np.pi
-        )
+        value = LayeredModel((layer,)).layer_values(points)[0, 0, 0]
+        return float(value * masked * cosine * np.sin(theta) * 2.0 * np.pi)
 
     assert quad(facets, 0.0, 1.5, limit=200)[0] == pytest.approx(1.0, rel=0.03)
 
@@ -107,7 +96,7 @@ def test_the_half_width_halves_the_slopes() -> None:
     assert (1.0 + tangent**2 / (0.7 * 0.2**2)) ** -1.7 == pytest.approx(0.5, rel=1e-2)
 
 
-@pytest.mark.parametrize(("kind", "count"), KINDS)
+@pytest.mark.parametrize(("kind", "count"), KINDS.items())
 def test_derivatives_are_those_of_finite_differences(kind: type[Layer], count: int) -> None:
     points, x = Points.at(*angles()), np.random.default_rng(1).normal(-0.5, 0.3, count)
     found = kind.linearize(points, x)
@@ -128,11 +117,9 @@ def test_derivatives_are_those_of_finite_differences(kind: type[Layer], count: i
 
 
 def test_a_retro_layer_is_ggx_about_the_direction_of_the_light() -> None:
-    theta, phi = (
-        np.random.default_rng(2).uniform(0.0, 1.0, (2, 40)),
-        np.random.default_rng(4).uniform(0.0, 6.0, (2, 40)),
-    )
-    omega_in, omega_out = spherical(theta[0], phi[0]), spherical(theta[1], phi[1])
+    random = np.random.default_rng(2)
+    (theta_in, theta_out), (phi_in, phi_out) = (random.uniform(0.0, end, (2, 40)) for end in (1.0, 6.0))
+    omega_in, omega_out = spherical(theta_in, phi_in), spherical(theta_out, phi_out)
     white = LayeredModel((SpecularLayer((1.0, 1.0, 1.0), 1.0, 0.2, 2.0, (0.0, 0.0), 0.0, 0.0),))
     retro = LayeredModel((RetroLayer((1.0, 1.0, 1.0), 0.2),))
     turned = omega_out * [-1.0, -1.0, 1.0]
@@ -141,9 +128,8 @@ def test_a_retro_layer_is_ggx_about_the_direction_of_the_light() -> None:
 
 
 def test_a_layered_model_is_reciprocal_and_the_sum_of_its_layers() -> None:
-    layers = tuple(
-        kind.from_unknowns(np.random.default_rng(k).normal(-1.0, 0.3, n)) for k, (kind, n) in enumerate(KINDS)
-    )
+    random = np.random.default_rng(0)
+    layers = tuple(kind.from_unknowns(random.normal(-1.0, 0.3, count)) for kind, count in KINDS.items())
     model, at = LayeredModel(layers), angles()
     values = model.evaluate(*at)
     np.testing.assert_allclose(values, sum(LayeredModel((layer,)).evaluate(*at) for layer in layers), rtol=1e-12)

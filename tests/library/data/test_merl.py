@@ -173,12 +173,9 @@ def test_from_values_names_the_fault() -> None:
             Measurement.from_values(values, valid)
 
 
-MODEL = mixture(2, 1)
-
-
 @cache
 def of_model() -> bytes:
-    return rgl_bsdf(MODEL)
+    return rgl_bsdf(mixture(2, 1))
 
 
 def random_fields() -> dict[str, NDArray[Any]]:
@@ -274,7 +271,10 @@ def test_samples_are_inverted_up_to_the_corners() -> None:
         assert (x[-2:].tolist(), y[-2:].tolist()) == ([0.0, 1.0], [0.0, 1.0])
 
 
-def test_round_trip_and_files_that_are_cut() -> None:
+def test_layout_round_trip_and_files_that_are_cut() -> None:
+    expected = b"tensor_file\0\x01\x00" + struct.pack("<I", 1) + struct.pack("<H", 1) + b"a"
+    expected += struct.pack("<HBQQ", 1, 10, 40, 1) + struct.pack("<f", 2.5)
+    assert encode_tensors({"a": np.array([2.5], np.float32)}) == expected
     fields = random_fields() | {"double": np.arange(24.0).reshape(2, 3, 4)}
     content = encode_tensors(fields)
     found = parse_tensors(content)
@@ -287,9 +287,3 @@ def test_round_trip_and_files_that_are_cut() -> None:
     for damaged in (*(content[:length] for length in (*range(14, 400, 7), len(content) - 1)), *endless):
         with pytest.raises(MeasurementFormatError, match="damaged or cut off"):
             parse_tensors(damaged)
-
-
-def test_layout() -> None:
-    expected = b"tensor_file\0\x01\x00" + struct.pack("<I", 1) + struct.pack("<H", 1) + b"a"
-    expected += struct.pack("<HBQQ", 1, 10, 40, 1) + struct.pack("<f", 2.5)
-    assert encode_tensors({"a": np.array([2.5], np.float32)}) == expected

@@ -35,11 +35,6 @@ def samples_of(measurement: Measurement, channel: int, i: int, j: int, cutoff: f
     return (measurement.stored[channel, i, j] * measurement.scale[channel])[used], heights[0, used]
 
 
-def weigh(weighting: str, cosine: Array, typical: float) -> Array:
-    """1, the squared cosine, or the square of the derivative of log(1 + f cos) at the typical f."""
-    return {"plain": cosine**0, "cosine": cosine**2, "log": (cosine / (1.0 + typical * cosine)) ** 2}[weighting]
-
-
 @pytest.mark.parametrize("cutoff", [DEFAULT_HORIZON_CUTOFF, None, 0.6])
 @pytest.mark.parametrize("weighting", ["plain", "cosine", "log"])
 def test_cells_are_those_of_a_loop_over_samples(speckled: Measurement, cutoff: float | None, weighting: str) -> None:
@@ -47,7 +42,10 @@ def test_cells_are_those_of_a_loop_over_samples(speckled: Measurement, cutoff: f
     filled = 0
     for (i, j), channel in itertools.product(CELLS, (0, 2)):
         values, cosines = samples_of(speckled, channel, i, j, cutoff)
-        weights = weigh(weighting, cosines, float(values.mean()) if values.size else 0.0)
+        typical = float(values.mean()) if values.size else 0.0
+        # 1, the squared cosine, or the square of the derivative of log(1 + f cos) at the typical f.
+        formulas = {"plain": cosines**0, "cosine": cosines**2, "log": (cosines / (1.0 + typical * cosines)) ** 2}
+        weights = formulas[weighting]
         mean = np.average(values, weights=weights) if values.size else 0.0
         cell = channel, j, i
         assert found.weight[cell] == pytest.approx(weights.sum(), rel=1e-12)
@@ -166,7 +164,6 @@ def test_options_out_of_range_are_refused(plastic: Measurement, options: dict[st
 
 
 CUTOFF = float(np.radians(80.0))
-WEIGHTINGS = ("balanced", "plain", "cosine", "log")
 BINS: list[tuple[int, int, int]] = [(0, 40, 3), (30, 20, 0), (60, 30, 8), (70, 25, 4), (75, 12, 2)]
 """Indices (theta_diff, theta_half, bin) for formulas written out: within the cutoff, theta_half >= 1 degree."""
 
@@ -194,7 +191,7 @@ def test_plain_cosine_and_log_are_the_formulas_within_the_cutoff(folded: FoldedP
         np.testing.assert_allclose(log[cell], folded.weight[cell] * np.prod(both) / (1.0 + mean) ** 2, rtol=1e-9)
 
 
-@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("weighting", ["balanced", "plain", "cosine", "log"])
 def test_what_was_not_measured_counts_nothing_and_the_center_little(folded: FoldedProfiles, weighting: str) -> None:
     holes = np.random.default_rng(1).uniform(size=folded.weight.shape) < 0.3
     speckled = replace(folded, weight=np.where(holes, 0.0, folded.weight))

@@ -15,6 +15,7 @@ import dsbrdf
 from dsbrdf import FitOptions
 from dsbrdf.cli import main as cli
 from dsbrdf.engines import FileFit, LocalEngine, batch, dask, fit_files, local
+from tests.support.command_line import Capture
 from tests.support.processes import alive, forked, short_folder, until, wait_until
 from tests.support.tasks import ENDLESS, compute_unless_named_one
 
@@ -56,11 +57,10 @@ def test_each_result_is_written(files: list[Path], tmp_path: Path) -> None:
     missing = tmp_path / "none.binary"
     del files[2:]
     shares: list[float] = []
-    with closing(
-        fit_files([missing, *files], QUICK, LocalEngine(2), tmp_path / "out", progress=shares.append)
-    ) as items:
-        results = sorted(items, key=lambda item: [missing, *files].index(item.file))
-    assert [item.file for item in results] == [missing, *files]
+    asked = [missing, *files]
+    with closing(fit_files(asked, QUICK, LocalEngine(2), tmp_path / "out", progress=shares.append)) as items:
+        results = sorted(items, key=lambda item: asked.index(item.file))
+    assert [item.file for item in results] == asked
     assert results[0] == FileFit(missing, error="No such file or directory")
     assert [path.name for path in sorted((tmp_path / "out").iterdir())] == ["one.json", "two.json"]
     for item in results[1:]:
@@ -148,9 +148,7 @@ def test_ended_command_leaves_no_process_and_no_file(files: list[Path], tmp_path
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_lost_cluster_is_a_sentence(
-    files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lost_cluster_is_named(files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT_S", 0.5)
     monkeypatch.setattr(dask, "_SCHEDULER_TIMEOUT_S", 0.5)
     address = "tcp://127.0.0.1:1"

@@ -136,11 +136,7 @@ def test_result_equals_that_of_the_library_bit_for_bit(stage: Stage, plastic_fil
 @pytest.mark.parametrize(
     ("name", "asked", "fault"),
     [
-        (
-            "other",
-            (QUICK, LIMITS),
-            ["input", "MeasurementFormatError", "which begins with the dimensions (90, 90, 180)"],
-        ),
+        ("other", (QUICK, LIMITS), ["input", "MeasurementFormatError", "which begins with the dimensions (90, 90"]),
         ("plastic", (NO_DATA_LEFT, LIMITS), ["input", "FitError", "leave no slice with enough valid samples"]),
         ("gone", (QUICK, LIMITS), ["system", "MeasurementUnreadable", "not be read: No such file or directory."]),
         ("plastic", (SLOW_FIT, FitLimits(60.0, 200)), ["compute", "MemoryLimit", "more memory than a fit may use."]),
@@ -269,11 +265,7 @@ def test_fit_that_loses_four_workers_fails_and_they_leave_nothing(own_cluster: D
     ("flags", "nanny", "words"),
     [
         ((), True, "may not start child processes: start it with --no-nanny, or with DASK_"),
-        (
-            ("--memory-limit", "200MiB"),
-            False,
-            "has 200 MB for a fit, which needs 768 MB: start it with a higher --memory",
-        ),
+        (("--memory-limit", "200MiB"), False, "has 200 MB for a fit, which needs 768 MB: start it with a higher"),
     ],
 )
 def test_worker_that_cannot_fit_is_not_used(

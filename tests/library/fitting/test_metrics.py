@@ -22,17 +22,8 @@ def some_model() -> DSBRDF:
     amplitude = np.tile([[3.5, 0.2], [4.5, 0.2], [19.0, 0.5]], (3, 1, 1)) * np.array([1.0, 0.9, 0.8])[:, None, None]
     kappa = np.array([[1.5, 0.2], [1.7, 0.2], [3.0, 0.4]])[None]
     gamma = np.array([[150.0, 0.5], [120.0, 0.7], [60.0, 1.0]])[None]
-    knots, elongation = np.radians([0.0, 40.0, 80.0]), np.array([[0.8, 0.3]])
-    return DSBRDF(
-        knots, amplitude, kappa, gamma, elongation=elongation, delta=np.full((3, 3), 0.5), interpolation="linear"
-    )
-
-
-def values_of(model: DSBRDF, nodes: NDArray[np.bool_]) -> Array:
-    """Values at the nodes chosen, zeros at the others, shape (3, 90, 90, 180)."""
-    values = np.zeros((3, *nodes.shape))
-    values[:, nodes] = model.evaluate_unmasked(HALF[nodes], DIFF[nodes], PHI[nodes]).T
-    return values
+    shape = kappa, gamma, np.zeros_like(kappa), np.array([[0.8, 0.3]])
+    return DSBRDF(np.radians([0.0, 40.0, 80.0]), amplitude, *shape, delta=np.full((3, 3), 0.5), interpolation="linear")
 
 
 @cache
@@ -66,7 +57,9 @@ def direct_errors(
     counted = counted_nodes(measurement, cutoff)
     rows = np.zeros(counted.shape, bool)
     rows[:, bands] = counted[:, bands]
-    fit, samples = values_of(model, counted), np.where(counted, measurement.values, 0.0)
+    samples = np.where(counted, measurement.values, 0.0)
+    fit = np.zeros_like(samples)
+    fit[:, counted] = model.evaluate_unmasked(HALF[counted], DIFF[counted], PHI[counted]).T
     partner = [(180 - k) % 180 for k in range(180)]
     mean = samples.sum(axis=3, keepdims=True) / np.maximum(counted.sum(axis=2, keepdims=True), 1)
     folded = (samples + samples[..., partner]) / np.maximum(counted + counted[..., partner].astype(float), 1.0)

@@ -38,9 +38,8 @@ def p_value(model: DSBRDF, angle: float, theta_edges: Array, sectors: int, numbe
     counts, _, _ = np.histogram2d(theta, np.mod(phi, 2.0 * np.pi), (theta_edges, phi_edges))
 
     cells = 16 if angle < 84.0 else 40  # midpoints a bin: at grazing angles the density ends within many of them
-    fine = [
-        np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in (theta_edges, phi_edges)
-    ]
+    edges = theta_edges, phi_edges
+    fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in edges]
     theta, phi = np.meshgrid(*(0.5 * (edges[1:] + edges[:-1]) for edges in fine), indexing="ij")
     half = spherical(theta, phi)
     cosine = half @ omega_out

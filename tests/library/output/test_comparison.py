@@ -110,9 +110,8 @@ def test_repr_is_one_short_line(plastic: Measurement, plastic_profiles: Profiles
 
 
 def test_notebook_shows_a_sphere_and_the_metrics(plastic: Measurement, two_lobe_fit: FitResult) -> None:
-    warned = replace(
-        two_lobe_fit, report=replace(two_lobe_fit.report, findings_of_fit=(Finding("less", "less than <1 %>"),))
-    )
+    report = replace(two_lobe_fit.report, findings_of_fit=(Finding("less", "less than <1 %>"),))
+    warned = replace(two_lobe_fit, report=report)
     card = html_of(warned)
     assert thumbnail(card) == thumbnail(html_of(two_lobe_fit.model))
     assert thumbnail(card).startswith(b"\x89PNG")

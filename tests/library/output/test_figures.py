@@ -64,9 +64,8 @@ def y_of(line: Line2D) -> NDArray[np.float64]:
 
 def lines_of(ax: Axes, label: str) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Angles [rad] and values of every line with this label."""
-    return [
-        (np.radians(np.asarray(line.get_xdata(), float)), y_of(line)) for line in ax.lines if line.get_label() == label
-    ]
+    lines = [line for line in ax.lines if line.get_label() == label]
+    return [(np.radians(np.asarray(line.get_xdata(), float)), y_of(line)) for line in lines]
 
 
 def test_overview_draws_means_and_the_fit_within_its_limits(overview: Figure, plastic_profiles: Profiles) -> None:
@@ -180,9 +179,8 @@ def test_panels_have_the_exposure_of_the_measurement(plastic: Measurement) -> No
 def test_panels_of_components_add_up_to_the_fit_and_a_model_equals_itself() -> None:
     found = compare_spheres(PAINT, PAINT, size=24, factor=0.002)
     assert (found.psnr, found.exposure) == (float("inf"), 0.002)
-    radiance = [
-        np.where(seen > 0.04045, ((seen + 0.055) / 1.055) ** 2.4, seen / 12.92) for seen in found.panels.values()
-    ]
+    panels = found.panels.values()
+    radiance = [np.where(seen > 0.04045, ((seen + 0.055) / 1.055) ** 2.4, seen / 12.92) for seen in panels]
     _, whole, difference, *parts = radiance
     assert not difference.any()
     assert len(parts) >= 2
@@ -222,14 +220,12 @@ def test_samples_near_slices_and_planes_are_drawn_beside_it(samples: ScatteredSa
         place = float(ax.get_title().partition(" = ")[2].partition("°")[0])
         near = np.abs(theta_diff - place) <= MAX_DRAWN_DISTANCE_DEG
         assert near.sum() > 10
-        np.testing.assert_allclose(
-            np.asarray(ax.lines[0].get_xydata()), np.stack([theta_half, samples.values[:, 0]], 1)[near]
-        )
+        expected = np.stack([theta_half, samples.values[:, 0]], axis=1)[near]
+        np.testing.assert_allclose(np.asarray(ax.lines[0].get_xydata()), expected)
     for ax, theta_in in ((first, 20.0), (second, 50.0)):
         near = LIGHT == theta_in
-        np.testing.assert_allclose(
-            np.asarray(ax.lines[0].get_xydata()), np.stack([VIEWER, samples.values[:, 0]], 1)[near]
-        )
+        expected = np.stack([VIEWER, samples.values[:, 0]], axis=1)[near]
+        np.testing.assert_allclose(np.asarray(ax.lines[0].get_xydata()), expected)
         drawn = np.interp(VIEWER[near], *np.transpose(ax.lines[1].get_xydata()))
         np.testing.assert_allclose(drawn, 0.8 * samples.values[near, 0], rtol=0.01)
 
@@ -238,9 +234,8 @@ def test_residual_is_drawn_at_every_sample(samples: ScatteredSamples, two_lobe_f
     axes = axes_of(samples_residual_figure(samples, two_lobe_fit.model))
     for ax, angles in zip(axes, half_difference(samples.omega_in, samples.omega_out)[:2], strict=True):
         for line in ax.lines[1:]:
-            np.testing.assert_allclose(
-                np.transpose(line.get_xydata()), [np.degrees(angles), np.full(len(LIGHT), -20.0)]
-            )
+            expected = [np.degrees(angles), np.full(len(LIGHT), -20.0)]
+            np.testing.assert_allclose(np.transpose(line.get_xydata()), expected)
 
 
 def test_black_samples_and_those_off_their_plane_are_drawn(samples: ScatteredSamples, two_lobe_fit: FitResult) -> None:

@@ -170,9 +170,7 @@ def _set(*path: Any, value: Any = ...) -> Callable[[Document], None]:
         (_set("report", "extra", value=1), "stored report has the unknown key 'extra'"),
     ],
 )
-def test_damaged_json_is_named(
-    model: DSBRDF, report: FitReport, change: Callable[[Document], None], message: str
-) -> None:
+def test_damage_is_named(model: DSBRDF, report: FitReport, change: Callable[[Document], None], message: str) -> None:
     document = json.loads(to_json(model, report))
     change(document)
     with pytest.raises(ModelFormatError, match=message):

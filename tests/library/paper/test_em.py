@@ -66,9 +66,7 @@ def algorithm_1(theta_half: Array, value: Array, n_lobes: int, iterations: int) 
 
 def mixture(kappa: Array, gamma: Array) -> Array:
     """Curves of slices (slices, N) whose lobes have these parameters (slices, lobes)."""
-    return np.array(
-        [sum(plain_lobe(ANGLES, *p) for p in zip(*row, strict=True)) for row in zip(kappa, gamma, strict=True)]
-    )
+    return np.asarray(plain_lobe(ANGLES, kappa[..., None], gamma[..., None]).sum(axis=1))
 
 
 def slice_of(data: Profiles, channel: int, row: int) -> tuple[Array, Array]:

@@ -123,9 +123,8 @@ def test_centre_is_not_used_for_lobes_and_no_delta_is_negative(plastic_profiles:
 
 @pytest.mark.parametrize(("name", "asked"), [("weighting", "cosine"), ("horizon_cutoff_deg", None), ("robust", True)])
 def test_profiles_must_have_been_made_with_the_same_options(plastic_profiles: Profiles, name: str, asked: Any) -> None:
-    with pytest.raises(
-        InvalidArgumentError, match=f"made with {name.removesuffix('_deg')}=.*, but the options have {asked!r}"
-    ):
+    said = f"made with {name.removesuffix('_deg')}=.*, but the options have {asked!r}"
+    with pytest.raises(InvalidArgumentError, match=said):
         fit(plastic_profiles, paper(**{name: asked}))
 
 

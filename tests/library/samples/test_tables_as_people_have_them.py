@@ -12,15 +12,7 @@ from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.names import VECTORS
 from dsbrdf.samples.reading import parse_samples
 from tests.library.samples.test_layouts import truth
-from tests.library.samples.test_reading import (
-    ANGLES,
-    COUNT,
-    DIRECTION,
-    RGB,
-    changed,
-    spherical,
-    table,
-)
+from tests.library.samples.test_reading import ANGLES, COUNT, DIRECTION, RGB, changed, spherical, table
 
 NAMES = ("theta_in", "phi_in", "theta_out", "phi_out", "value")
 GRID = np.array([(a, 180.0, b, p) for a in (15.0, 40.0, 65.0) for b in range(0, 86, 5) for p in range(0, 181, 20)])
@@ -123,9 +115,8 @@ def test_a_retro_reflector_is_told_as_such() -> None:
 
 def test_exchanged_angles_are_told_with_the_option_that_exchanges_them() -> None:
     content = table(("phi_i", "theta_i", "phi_o", "theta_o", "brdf"), np.column_stack([GRID, TRUE]))
-    with pytest.raises(
-        MeasurementFormatError, match="exchanged, name them, as in --columns theta_in=phi_i,theta_out="
-    ) as caught:
+    said = "exchanged, name them, as in --columns theta_in=phi_i,theta_out="
+    with pytest.raises(MeasurementFormatError, match=said) as caught:
         parse_samples(content)
     option = str(caught.value).rpartition(" ")[2].rstrip(".")
     samples = parse_samples(content, options=TableOptions(columns=option))
@@ -222,9 +213,7 @@ def test_files_of_one_material_are_told_of_together(tmp_path: Path) -> None:
     assert "3 rows have a direction at or below the horizon; they are left out." in samples.notes
     assert not any("15" in note or "40" in note for note in samples.notes)
     paths[1].write_bytes(table((*DIRECTION, *CHANNELS), np.column_stack([GRID, TRUE, TRUE, 0.5 * TRUE])))
-    with pytest.raises(
-        MeasurementFormatError, match=r"The file at15\.txt has one column of values, and other files have"
-    ):
+    with pytest.raises(MeasurementFormatError, match=r"The file at15\.txt has one column of values, and other files"):
         read_samples(paths)
 
 

@@ -132,16 +132,15 @@ def test_old_fits_and_measurements_are_removed_beside_a_running_server(own_serve
         seconds = 40 * 86_400
         db.execute("UPDATE measurements SET created = created - ? WHERE sha256 != ?", (seconds, fresh))
         times = "created = created - :s, finished = finished - :s"
-        db.execute(
-            f"UPDATE fits SET {times} WHERE id IN (:old, :busy)", {"s": seconds, "old": old_fit, "busy": busy_fit}
-        )
-    values = f"/v1/fits/{old_fit}/brdf?theta_half_deg=1&theta_diff_deg=1"
-    assert server.http.get(values).status_code == 200  # and so its model is in memory
+        values = {"s": seconds, "old": old_fit, "busy": busy_fit}
+        db.execute(f"UPDATE fits SET {times} WHERE id IN (:old, :busy)", values)
+    address = f"/v1/fits/{old_fit}/brdf?theta_half_deg=1&theta_diff_deg=1"
+    assert server.http.get(address).status_code == 200  # and so its model is in memory
 
     expected = {"fits": 1, "measurements": 2, "files_without_rows": 0, "bytes": 2 * FILE_SIZE}
     assert purged(folder, "--older-than", "30d") == expected
 
-    wait_until(lambda: server.http.get(values).status_code == 404)
+    wait_until(lambda: server.http.get(address).status_code == 404)
     assert server.http.get(f"/v1/fits/{old_fit}").status_code == 404
     for sha256, there in ((old, False), (unused, False), (fresh, True), (busy, True), (kept, True)):
         assert server.http.head(f"/v1/measurements/{sha256}").status_code == (200 if there else 404)
@@ -195,14 +194,12 @@ def examine(folder: Path) -> dict[str, str]:
 
 def test_healthy_folder_of_a_running_server_passes_and_is_not_changed(folder: Path) -> None:
     done = run_main(doctor, "--data-dir", str(folder))
-    assert (done.returncode, done.stdout.splitlines()) == (
-        0,
-        [
-            "ok     database:       intact, 1 fits",
-            "ok     measurements:   1 files are what their rows say",
-            "ok     files:          1 files have rows",
-        ],
-    )
+    assert done.returncode == 0
+    assert done.stdout.splitlines() == [
+        "ok     database:       intact, 1 fits",
+        "ok     measurements:   1 files are what their rows say",
+        "ok     files:          1 files have rows",
+    ]
     with pytest.raises(sqlite3.OperationalError, match="readonly"):
         read_only(folder, "DELETE FROM fits")
 

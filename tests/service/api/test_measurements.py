@@ -257,13 +257,12 @@ def used(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> Iterator[tupl
         yield server, fit["measurement"], fit["id"]
 
 
-HARMS: list[Callable[[Path], object]] = [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-1]), flip]
+Harm = Callable[[Path], object]
+HARMS: list[Harm] = [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-1]), flip]
 
 
 @pytest.mark.parametrize("harm", HARMS)
-def test_every_reader_refuses_a_damaged_file(
-    used: tuple[Server, str, str], data: bytes, harm: Callable[[Path], object]
-) -> None:
+def test_every_reader_refuses_a_damaged_file(used: tuple[Server, str, str], data: bytes, harm: Harm) -> None:
     server, sha256, fit = used
     options = QUICK | {"mask": 0.01 * HARMS.index(harm)}  # No other test has a fit with these.
     stored = f"/v1/measurements/{sha256}"

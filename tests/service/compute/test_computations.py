@@ -101,9 +101,8 @@ async def test_unread_answers_wait_in_files_and_hold_up_no_other(running: Applic
 
 async def test_what_is_asked_for_together_is_not_mixed_up(running: Application, key: str) -> None:
     spheres = [SPHERE, SPHERE.replace("16", "17"), f"{SPHERE}&component=diffuse", f"{SPHERE}&lighting=environment"]
-    shaders = [
-        f"{FIT_PATH}/export?format=glsl{more}" for more in ("", "&component=diffuse", "&name=paint", "&name=cloth")
-    ]
+    shader = f"{FIT_PATH}/export?format=glsl"
+    shaders = [shader, *(f"{shader}&{query}" for query in ("component=diffuse", "name=paint", "name=cloth"))]
     asked = [running.ask(target, key) for target in (*spheres, *shaders)]
     answers = [await one.end() for one in asked]
     assert [one.status for one in answers] == [200] * len(answers)
@@ -170,9 +169,8 @@ async def test_without_inodes_what_writes_is_507_and_what_reads_works(
         monkeypatch.setattr(place, name, full)
         assert await status("/v1/measurements", "POST", data) == 507
         assert running.store.measurement_bytes() == 0
-        assert not [
-            path for path in running.store.folder.rglob("*") if path.suffix == ".binary" or "upload" in path.name
-        ]
+        paths = running.store.folder.rglob("*")
+        assert not [path for path in paths if path.suffix == ".binary" or "upload" in path.name]
     assert await status("/v1/fits", "POST", data) == 507
     assert await status(f"{FIT_PATH}/export?format=merl") == 507
     assert await status("/health/ready") == 503

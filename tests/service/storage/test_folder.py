@@ -86,9 +86,7 @@ def snapshot(folder: Path) -> dict[str, tuple[int, int, object]]:
 
 @pytest.mark.parametrize("kind", MAKE)
 @pytest.mark.parametrize("names", [[FILE_NAME, "a letter"], [FILE_NAME, "blobs"], [f"{FILE_NAME}-wal"], ["tmp", "run"]])
-def test_foreign_folder_is_left_as_it_is(
-    folder: Path, refused: Callable[..., str], kind: str, names: list[str]
-) -> None:
+def test_foreign_folder_is_left_alone(folder: Path, refused: Callable[..., str], kind: str, names: list[str]) -> None:
     folder.mkdir()
     for name in names:
         MAKE[kind](folder / name)
@@ -99,7 +97,7 @@ def test_foreign_folder_is_left_as_it_is(
 
 @pytest.mark.parametrize("kind", ["a file", "a link to a folder", "a link to nothing"])
 @pytest.mark.parametrize("name", ["run", "tmp", "blobs"])
-def test_what_replaces_a_folder_is_named_and_left(
+def test_what_replaces_a_folder_is_named_and_kept(
     folder: Path, refused: Callable[..., str], kind: str, name: str
 ) -> None:
     Database(folder).close()
@@ -321,9 +319,7 @@ def test_deletion_that_cannot_be_committed_keeps_the_file(store: Store, monkeypa
     assert not store.blobs.path(sha256).exists()
 
 
-def test_full_disk_has_the_space_of_a_removed_file_before_the_commit(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_full_disk_has_the_space_of_a_removed_file_at_the_commit(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
     sha256 = add(store)
     with store.database.transaction() as db:

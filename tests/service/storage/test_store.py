@@ -96,9 +96,7 @@ def test_damaged_result_is_not_returned(store: Store) -> None:
     store.complete_fit(key, "document", {"male": 0.5})
     with store.database.transaction() as db:
         db.execute("UPDATE fits SET result = 'docunent'")
-    with pytest.raises(
-        ProblemError, match="result of the fit is damaged; delete the fit and fit the measurement again"
-    ):
+    with pytest.raises(ProblemError, match="result of the fit is damaged; delete the fit and fit the measurement"):
         store.result(key)
 
 

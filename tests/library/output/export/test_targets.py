@@ -152,11 +152,9 @@ def glsl(tmp_path_factory: pytest.TempPathFactory, coarse_sampling: None) -> dic
     calls["two"] = ShaderCall(two, "gl_FragCoord.x < 64.0 ? mixture(a, b) : cloth(a, b)", *PAIRS, precision="")
     for name in SAMPLED:
         source = export_model(source_of(name), "glsl", sampling=True).decode()
-        numbers = np.random.default_rng(4).random(PAIRS[0].shape)
+        numbers, towards = np.random.default_rng(4).random(PAIRS[0].shape), np.broadcast_to(TOWARDS, PAIRS[0].shape)
         calls[f"{name}, pdf"] = ShaderCall(source, "vec3(dsbrdf_pdf(a, b))", *PAIRS)
-        calls[f"{name}, sample"] = ShaderCall(
-            source, "dsbrdf_sample(a, b)", np.broadcast_to(TOWARDS, PAIRS[0].shape), numbers
-        )
+        calls[f"{name}, sample"] = ShaderCall(source, "dsbrdf_sample(a, b)", towards, numbers)
     x, y, z = (f"vec3({', '.join(map(str, axis))})" for axis in FRAME.T.tolist())
     shader = "const float scale = 2.0;\n" + brdf_sections()["shader"]
     calls["turned"] = ShaderCall(shader, f"BRDF(a, b, {z}, {x}, {y})", *(one @ FRAME.T for one in PAIRS))
@@ -255,11 +253,8 @@ def test_mitsuba(variant: str, tmp_path: Path) -> None:
 
 def test_mitsuba_draws_a_row_of_tiles_in_a_furnace_as_bright_as_their_albedo(tmp_path: Path) -> None:
     module, described = mitsuba_with_models("llvm_ad_rgb", tmp_path)
-    names, theta, transform = (
-        [name for name in MODELS if name != "no lobes"],
-        np.radians(50.0),
-        module.ScalarTransform4f,
-    )
+    names = [name for name in MODELS if name != "no lobes"]
+    theta, transform = np.radians(50.0), module.ScalarTransform4f
     origin = [0.0, 9.0 * np.sin(theta), 9.0 * np.cos(theta)]
     scene = {
         "type": "scene",

@@ -232,7 +232,7 @@ def test_fit_asks_with_what_it_is_compared(visit: Visit, site: Site) -> None:
     expect(page.get_by_role("heading", level=1)).to_have_text("glossy and rough")
 
 
-def test_list_takes_several_files_names_a_wrong_one_and_is_sorted(
+def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
     visit: Visit, guarded: Guarded, tmp_path: Path
 ) -> None:
     header = guarded.new_key("several")

