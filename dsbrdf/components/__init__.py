@@ -13,3 +13,19 @@ from dsbrdf.components.layers import (
 )
 from dsbrdf.components.shares import LABELS
 from dsbrdf.components.surfaces import Misfit, Surface
+
+__all__ = [
+    "LABELS",
+    "Component",
+    "Decomposition",
+    "DiffuseLayer",
+    "Layer",
+    "LayeredModel",
+    "Misfit",
+    "RetroLayer",
+    "SheenLayer",
+    "SpecularLayer",
+    "Surface",
+    "TurningLayer",
+    "decompose",
+]

@@ -20,3 +20,30 @@ from dsbrdf.data.merl_validation import FILE_SIZE
 from dsbrdf.data.reduction import Profiles, profiles
 from dsbrdf.data.rgl import parse_rgl, read_rgl
 from dsbrdf.data.synthetic import model_measurement, synthetic_measurement
+
+__all__ = [
+    "CHANNELS",
+    "DEFAULT_HORIZON_CUTOFF",
+    "FILE_SIZE",
+    "GRID_SHAPE",
+    "PHI_DIFF",
+    "THETA_DIFF",
+    "THETA_HALF",
+    "Measurement",
+    "Profiles",
+    "above_horizon",
+    "directions",
+    "encode_merl",
+    "half_difference",
+    "incident_cosines",
+    "model_measurement",
+    "nodes_above_horizon",
+    "parse_merl",
+    "parse_rgl",
+    "profiles",
+    "read_merl",
+    "read_rgl",
+    "spherical",
+    "synthetic_measurement",
+    "write_merl",
+]

@@ -13,3 +13,19 @@ from dsbrdf.rendering.sphere import (
     sphere_normals,
     ssim,
 )
+
+__all__ = [
+    "LIGHTINGS",
+    "THREE_LIGHTS",
+    "EnvironmentMap",
+    "MaterialSpace",
+    "displayed",
+    "exposure",
+    "psnr",
+    "read_environment",
+    "render_sphere",
+    "space",
+    "sphere_likeness",
+    "sphere_normals",
+    "ssim",
+]
