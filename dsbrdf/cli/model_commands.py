@@ -264,7 +264,8 @@ def _converted(
 ) -> tuple[bytes, tuple[str, ...], dict[str, Any]]:
     """Return the content of the converted file, warnings for the user, and measures of error by name."""
     found: Measurement | RglMaterial | DSBRDF
-    sentences, about = tuple[str, ...](), dict[str, Any]()
+    sentences: tuple[str, ...] = ()
+    about: dict[str, Any] = {}
     source, kind = sources[0], kind_of_file(sources[0])
     if kind == "samples":
         samples = read_samples(sources, options)

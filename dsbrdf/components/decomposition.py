@@ -89,26 +89,19 @@ def _decompose(model: DSBRDF) -> Decomposition:
     drawn = DrawnLayers.of(at_rules[0], found)
     reflected = [_reflected(*pair, drawn.fitted) for pair in zip(at_rules, light_rules(), strict=True)]
     light = np.max([one.sum(axis=1) / max(float(one.sum()), 1e-300) for one in reflected], axis=0)
-    labels = []
-    for label, share in zip(LABELS, light.tolist(), strict=True):
-        probability = sum(structure.weight for structure in drawn.fitted if label in structure.labels)
-        least = MIN_COMPONENT_LIGHT if probability > _LIKELY_WEIGHT else MIN_LIGHT_OF_UNLIKELY_COMPONENT
-        labels += [label] if probability > 0.0 and share > least else []
+    shares = dict(zip(LABELS, light.tolist(), strict=True))
+    labels = tuple(label for label in LABELS if _is_there(label, shares[label], drawn.fitted))
     # If no component reflects enough light, the last layer of the best structure gives the label of a single component.
-    split = _described(model, drawn, tuple(labels) or (drawn.fitted[0].labels[-1],), on_grid, reflected)
+    split = _described(model, drawn, labels or (drawn.fitted[0].labels[-1],), on_grid, reflected)
     if _are_one_highlight(split.descriptions[: -1 if LABELS[2] in split.labels else None]):
         split = _described(model, drawn, split.labels[1:], on_grid, reflected)
-    highlights = [label for label in split.labels if label != LABELS[2]]
-    width = split.descriptions[0].surface_half_width
-    if len(highlights) != 1 or width is None:
-        return split
-    # The half width of a single highlight gives its label.
-    return replace(split, labels=(LABELS[0 if width < SPIKE_HALF_WIDTH else 1], *split.labels[1:]))
+    return _labelled_by_width(split)
 
 
 def _described(
     model: DSBRDF, drawn: DrawnLayers, labels: tuple[str, ...], on_grid: Array, reflected: Sequence[Array]
 ) -> Decomposition:
+    """Divide a model among components with labels, and describe each component."""
     diffuse_range, structures = drawn.light_range(LABELS[2:]), tuple(drawn.fitted)
     split = Decomposition(model, structures, labels, (), (), diffuse_range, drawn.alternatives)
     ranges = tuple(drawn.ranges(split.received(label)) for label in labels)
@@ -132,6 +125,22 @@ def _are_one_highlight(highlights: Sequence[Description]) -> bool:
         return False
     spike, lobe = widths
     return lobe < _MIN_WIDTH_RATIO * spike or (spike < SPIKE_HALF_WIDTH) == (lobe < SPIKE_HALF_WIDTH)
+
+
+def _labelled_by_width(split: Decomposition) -> Decomposition:
+    """Return a decomposition in which the label of a single highlight follows the half width of the highlight."""
+    labels = [label for label in split.labels if label != LABELS[2]]
+    width = split.descriptions[0].surface_half_width
+    if len(labels) != 1 or width is None:
+        return split
+    return replace(split, labels=(LABELS[0 if width < SPIKE_HALF_WIDTH else 1], *split.labels[1:]))
+
+
+def _is_there(label: str, share: float, structures: Sequence[WeightedLayers]) -> bool:
+    """Tell whether a component reflects enough light to be kept; an unlikely component must reflect more light."""
+    probability = sum(structure.weight for structure in structures if label in structure.labels)
+    least = MIN_COMPONENT_LIGHT if probability > _LIKELY_WEIGHT else MIN_LIGHT_OF_UNLIKELY_COMPONENT
+    return probability > 0.0 and share > least
 
 
 def _reflected(values: Array, rule: LightRule, structures: Sequence[WeightedLayers]) -> Array:

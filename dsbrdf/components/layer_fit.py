@@ -292,14 +292,21 @@ def _trials(data: LayerData, structures: Sequence[LayerStructure], *, quick: boo
                 trials[structure.name] = Descent(data, structure, structure.turned(parent.unknowns), is_first=False)
                 trials[structure.name].run(_TURN_TRIAL_STEPS)
         elif started := structure if parent is None else structure.started_from(parent.model):
-            tried = [Descent(data, started, _start(data, started, widths)) for widths in started.starts]
-            for steps in _QUICK_TRIAL_STEPS if quick else _TRIAL_STEPS:
-                for trial in tried:
-                    trial.run(steps)
-                # Only the better half of the starts enters the next stage.
-                tried = sorted(tried, key=lambda trial: trial.prospect)[: -(-len(tried) // 2)]
-            trials[structure.name] = tried[0]
+            trials[structure.name] = _best_trial(data, started, _QUICK_TRIAL_STEPS if quick else _TRIAL_STEPS)
     return sorted(trials.values(), key=lambda trial: trial.prospect)
+
+
+def _best_trial(data: LayerData, structure: LayerStructure, stages: Sequence[int]) -> Descent:
+    """Return the best of the fits from all starts of a structure.
+
+    `stages` are numbers of steps; only the better half of the starts enters the next stage.
+    """
+    trials = [Descent(data, structure, _start(data, structure, widths)) for widths in structure.starts]
+    for steps in stages:
+        for trial in trials:
+            trial.run(steps)
+        trials = sorted(trials, key=lambda trial: trial.prospect)[: -(-len(trials) // 2)]
+    return trials[0]
 
 
 def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]) -> Array:
