@@ -20,6 +20,7 @@ from dsbrdf_service.compute.computations import ModelCache
 from dsbrdf_service.errors import FitNotFoundError
 from dsbrdf_service.queue import result_of
 from dsbrdf_service.settings import Settings
+from dsbrdf_service.storage.atlas import ATLAS
 from dsbrdf_service.storage.schema import Caller, FitKey
 from tests.support.application import MAX_WAIT_S, Race, until
 from tests.support.models import random_model
@@ -199,6 +200,8 @@ async def test_model_is_that_of_the_fit_as_it_is_now(place: Race) -> None:
     await place.end(await place.submit())
     again = await models.get(key)
     assert await models.get(key) is again is not first
+    of_package = FitKey("", next(iter(ATLAS)))
+    assert await models.get(of_package) is await models.get(of_package)
 
 
 async def test_only_the_models_that_were_used_last_are_kept(place: Race) -> None:
@@ -314,7 +317,7 @@ class Process(Future[None]):
 
 async def test_place_of_a_cancelled_fit_is_kept_until_its_process_has_ended() -> None:
     process = Process()
-    asyncio.get_running_loop().call_later(0.1, process.set_result, None)
+    asyncio.get_running_loop().call_later(0.1, process.set_exception, OSError("killed"))
     with CancelScope() as scope:
         asyncio.get_running_loop().call_soon(scope.cancel)
         await result_of(process)

@@ -29,6 +29,7 @@ def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, data: b
     named = {"Content-Disposition": 'attachment; filename="/data/mine/nickel.binary"'}
     again = server.http.post("/v1/fits", params=QUICK, content=other, headers=named)
     assert (again.status_code, again.json()["id"], again.json()["name"]) == (200, fit["id"], "nickel")
+    assert server.http.post("/v1/measurements", content=other).json()["name"] == "nickel"
     assert names_of(server, "measurements", name="nickel") == ["nickel"]
     for query, name in (("format=json&component=layers", "nickel-layers.json"), ("format=merl", "nickel.binary")):
         export = server.http.head(f"/v1/fits/{fit['id']}/export?{query}")

@@ -118,8 +118,12 @@ def test_folder_of_the_service_loses_nothing_that_others_have_put_there(folder: 
     misplaced.touch()
     before = {path: what for path, what in snapshot(folder.parent).items() if not stat.S_ISDIR(what[0])}
     before.pop(f"data/{FILE_NAME}")
+    unfinished = [folder / place / "upload-1" for place in ("tmp", "blobs")]
+    for path in unfinished:
+        path.touch()
     Store(folder).close()
     assert snapshot(folder.parent).items() >= before.items()
+    assert not any(path.exists() for path in unfinished)
 
 
 @pytest.mark.parametrize("name", [FILE_NAME, f"{FILE_NAME}-journal"])
@@ -193,8 +197,9 @@ def test_upload_mends_what_is_in_the_place_of_its_file(store: Store, harm: bytes
     path = store.blobs.path(sha256)
     path.unlink()
     os.mkfifo(path) if harm is None else path.write_bytes(harm)
-    with pytest.raises(MeasurementDamagedError):
-        store.measurement_file("", sha256)
+    for _ in range(2):  # What was read once is no reason to believe it.
+        with pytest.raises(MeasurementDamagedError):
+            store.measurement_file("", sha256)
     assert not store.add_measurement(LOCAL, receive(store, b"first"))[1]
     assert store.measurement_file("", sha256)[1].read_bytes() == b"first"
 

@@ -76,6 +76,7 @@ def test_owners_share_only_the_file_of_a_measurement(store: Store) -> None:
     # Links to further pages hold these numbers, and do not tell what others have.
     assert [row.seq for row in fits] == [row.seq for row in store.measurements("b", 9, None)] * 2 == [1, 1]
     of_a, of_b = (row.key for row in fits)
+    assert [store.fits_of(owner.owner, sha256, 9) for owner in owners] == [[of_a.id], [of_b.id]]
     store.start_fit(of_b)
     store.complete_fit(of_b, "of b", {})
     assert store.fit(of_a).status == "accepted"
@@ -279,6 +280,15 @@ def test_full_disk_keeps_a_file_that_another_key_has(store: Store, monkeypatch: 
     assert store.sound_file(sha256).read_bytes() == b"content"
     assert store.remove_measurement("other", sha256)
     assert not store.blobs.path(sha256).exists()
+
+
+def test_measurement_that_is_deleted_while_its_file_is_read_is_not_found(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sha256 = add(store)
+    monkeypatch.setattr(store.blobs, "damage", lambda _: str(store.remove_measurement("", sha256)))
+    with pytest.raises(MeasurementNotFoundError):
+        store.measurement_file("", sha256)
 
 
 def test_file_whose_bytes_were_uploaded_again_meanwhile_stays(store: Store) -> None:

@@ -1,6 +1,7 @@
 """Quotas: what is being written counts, and a key says who is let in, how often, and with how much."""
 
 import asyncio
+import resource
 import sqlite3
 import threading
 from contextlib import AsyncExitStack, closing
@@ -16,6 +17,7 @@ from dsbrdf_service.errors import InvalidKeyError, ProblemError
 from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage import files
 from dsbrdf_service.storage.database import RESERVE, Database
+from dsbrdf_service.storage.files import Incoming
 from dsbrdf_service.storage.keys import add_key, revoke_key
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
@@ -62,9 +64,24 @@ def test_answers_that_nobody_reads_count_as_uploads_do(store: Store, tmp_path: P
             async with store.writing.answer(caller, 1000) as (_, path):
                 path.write_bytes(bytes(1 // 0))
         await store.writing.answer_with(caller, b"4" * 1000)
+        async with store.writing.answer(caller, 1000) as (short, path):
+            path.write_bytes(b"5" * 500)
+        await store.writing.answer_with(caller, b"6" * 500)  # An answer counts with the bytes that it has.
+        assert short.size == 500
 
     asyncio.run(answers())
     assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_file_of_which_only_a_part_can_be_written_is_an_error(store: Store) -> None:
+    incoming, usual = Incoming(store.blobs.temporary), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, usual[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            incoming.write(bytes(1500))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+        incoming.discard()
 
 
 def test_unfinished_fit_of_another_algorithm_fails_and_says_so(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,8 +90,10 @@ def test_unfinished_fit_of_another_algorithm_fails_and_says_so(store: Store, mon
         older.setattr(dsbrdf, "ALGORITHM_VERSION", "older")
         old, _ = store.add_fit(LOCAL, sha256, {}, 9)
         store.start_fit(old.key)
-    new, _ = store.add_fit(LOCAL, sha256, {}, 9)
-    assert store.resume() == [new.key]
+    other = Caller("other")
+    add(store, b"content", other)
+    oldest_first = [store.add_fit(caller, sha256, {}, 9)[0].key for caller in (other, LOCAL)]
+    assert store.resume() == oldest_first
     error = store.fit(old.key).error
     assert error is not None
     assert (error["type"], error["origin"]) == ("OtherRelease", "system")
