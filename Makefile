@@ -42,7 +42,7 @@ $(DOCS_READY): $(READY) docs/requirements.lock
 	@$(UV) pip install $(CHECKED) -r docs/requirements.lock
 	@touch $@
 
-demo: $(READY)  ## start the service, POST a measurement, print lobes and values, save a figure
+demo: $(READY)  ## start the service, POST a measurement, print components and values, save a figure
 	@$(BIN)/python -m examples.demo
 
 serve: $(READY)  ## run the service on http://127.0.0.1:8000

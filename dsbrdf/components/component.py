@@ -28,7 +28,7 @@ MIN_COMPONENT_LIGHT = 2e-3
 MIN_LIGHT_OF_UNLIKELY_COMPONENT = 0.05
 """An unlikely component is left out if it reflects a smaller fraction of all reflected light at every angle."""
 _MIN_REMARKED_LIGHT = 0.02
-"""A remark tells of sheen or retro-reflection that has a larger fraction of all reflected light."""
+"""A remark names sheen or retro-reflection that has a larger fraction of all reflected light."""
 _MAX_CERTAIN_WIDTH = 0.1
 """If the range of the diffuse fraction is wider, that is about 5 % of the light to both sides, a remark says so."""
 _MAX_CERTAIN_ABSENT_LIGHT = 0.05

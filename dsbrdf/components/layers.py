@@ -239,7 +239,7 @@ class DiffuseLayer:
 
 @dataclass(frozen=True)
 class SheenLayer:
-    """Scatter light of fibres at grazing angles, with colour c and powers a and b in the module's equation of sheen."""
+    """Reflect light of fibres at grazing angles; colour c and powers a and b belong to the module's sheen equation."""
 
     color: Color
     powers: tuple[float, float]

@@ -99,7 +99,7 @@ class MixtureProblem:
         """Return the cost, and the intermediate arrays from which `linearize` computes the cost's derivatives."""
         parameters = self.structure.row_parameters(self.bases, unknowns)
         smoothed = zip(self._pulls, self.structure.split(unknowns), strict=True)
-        # Half the gradient of the smoothing's part of the cost.
+        # Half the gradient of the smoothing term of the cost.
         pull, parts = np.concatenate([(matrix @ part).ravel() for matrix, part in smoothed]), []
         pull += self._prior * unknowns
         cost = float(unknowns @ pull)

@@ -144,7 +144,7 @@ def utf_16_of(data: bytes) -> str | None:
 def check_size(n_rows: int, n_columns: int) -> None:
     """Raise MeasurementFormatError if a table has so many cells that reading them would take too long."""
     if n_columns > MAX_COLUMNS:
-        raise MeasurementFormatError(f"The table has {n_columns} columns; it may have {MAX_COLUMNS}.")
+        raise MeasurementFormatError(f"The table has {n_columns} columns; it may have at most {MAX_COLUMNS}.")
     if n_rows * n_columns > MAX_CELLS:
         raise MeasurementFormatError(
             f"The table has {n_rows} rows of {n_columns} cells, and it may have {MAX_CELLS} cells; leave out rows, or "

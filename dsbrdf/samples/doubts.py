@@ -55,17 +55,17 @@ _MIN_WEIGHT = 0.1
 _KERNEL_SCALE = 2.0
 # Prior variance of the mean logarithm of all values, as a multiple of the variance of the Gaussian process.
 _LEVEL_VARIANCE = 10.0
-# Variance of the noise of each sample, and of a drift of the instrument, as a fraction of that of the Gaussian process.
+# Variances of each sample's noise and of the instrument's drift, as fractions of the Gaussian process's variance.
 # The drift is common to samples at nearly equal theta_in.
 _NOISE_VARIANCE = 0.01
 # This is added to the most likely variance of the Gaussian process, so that nearly constant values give no extremes.
 _MIN_VARIANCE = 0.03
 _SAME_INCIDENCE = np.radians(2.0)
-# Prior standard deviations of the exponents of a diffuse layer, as fractions of that of the Gaussian process.
+# Prior standard deviations of a diffuse layer's exponents, as fractions of the Gaussian process's deviation.
 _GROUND_DEVIATIONS = np.array([0.5, 0.4, 0.4, 0.3, 0.25, 0.4])
 # A cosine is reported if dividing by it raises twice the log likelihood by more; correct values give up to 10.
 _MIN_COSINE_LEAD = 25.0
-# A turned plane is reported if turning it raises twice the log likelihood by more; correct values give up to 35.
+# A turned plane is reported if turning it raises twice the log likelihood by more; for correct tables it is up to 35.
 _MIN_TURNED_LEAD = 50.0
 # A sample near the mirror direction is reported as a spike if it exceeds its neighbours by more than this factor.
 _SPIKE_FACTOR = 8.0
@@ -121,7 +121,7 @@ def _clipping(samples: ScatteredSamples) -> Iterator[Finding]:
         n_top, n_near = (np.unique(places[:, chosen], axis=1).shape[1] for chosen in (top, near))
         # Peaks of equal height at several angles of incidence lie at one theta_half, and are not clipped.
         is_wide, levels = np.ptp(places[0, top]) > 1.0, np.unique(values)
-        # A largest value far above all others is a code, of which `about_repeated` tells.
+        # A largest value far above all others is a code, which `about_repeated` reports.
         is_reached = levels.size >= _MIN_LEVELS and levels[-1] < FAR_OFF_FACTOR * levels[-2]
         is_highlight = is_wide and is_reached and near.mean() < 0.5
         if is_highlight and n_top >= max(_MIN_CLIPPED_PLACES, MIN_CLIPPED_FRACTION * n_near):

@@ -95,7 +95,7 @@ def about_repeated(values: Array) -> list[str]:
     values = values[np.isfinite(values).all(axis=1)]
     if not values.size or not values.any(axis=1).all():  # Rows of zeros are left out: `unmeasured_zeros` examines them.
         values = values[values.any(axis=1)]
-    # A channel with one value throughout is not missing in some rows: `channel_findings` tells of it.
+    # A channel with one value throughout is not missing in some rows: `channel_findings` reports it.
     values = values[:, np.any(values != values[:1], axis=0)]
     found = np.unique(values)
     if found.size < _MIN_DIFFERENT_VALUES:
@@ -203,7 +203,7 @@ def about_values(found: FoundColumns, wavelengths: Array, options: TableOptions)
 
 
 def about_gamut(rgb: Array) -> list[str]:
-    """Return a sentence on samples (n, 3), converted to linear sRGB, of which only some channels are 0."""
+    """Return a sentence about samples (n, 3) in linear sRGB if some have channels that are 0 beside others."""
     outside = (rgb == 0.0) & (rgb.max(axis=1, keepdims=True) > 0.0)
     if not outside.any():
         return []

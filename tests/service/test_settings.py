@@ -31,7 +31,7 @@ def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
     assert start_in_vain(tmp_path, "--data-dir", str(file)) == (2, f"dsbrdf: {no_folder}\n")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        in_use = f"port {port} of 127.0.0.1 cannot be listened on: Address already in use."
+        in_use = f"cannot listen on port {port} of 127.0.0.1: Address already in use."
         assert start_in_vain(tmp_path, "--data-dir", folder, "--port", str(port)) == (1, f"dsbrdf: {in_use}\n")
 
 

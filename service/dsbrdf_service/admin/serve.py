@@ -85,7 +85,7 @@ def serve(
         _check_address(settings.host, settings.port)
     except OSError as error:
         store.close()
-        print_error(f"port {settings.port} of {settings.host} cannot be listened on: {error.strerror or error}.")
+        print_error(f"cannot listen on port {settings.port} of {settings.host}: {error.strerror or error}.")
         return 1
     store.keep_temporary_files()
     configure(settings)

@@ -97,7 +97,7 @@ def media_type_of(request: Request, *supported: str) -> str:
 
 
 class Bodies:
-    """Receive request bodies into memory, of which each caller may use a limited amount."""
+    """Receive request bodies into memory, and limit the amount that each caller may use."""
 
     def __init__(self) -> None:
         self._held: Counter[str] = Counter()  # Bytes of bodies in memory, by caller.

@@ -181,7 +181,7 @@ WRONG = [
     ("\n".join(WORDS[:40]).encode(), "There are 39 samples; a fit needs at least 50."),
     (table() + b"1;" * 70_000, "Line 242 of the table has 140000 characters; it may have 131072."),
     (table() + b"1," * 65_000, "Line 242 of the table has 65001 cells, and the line of names has 7"),
-    (b"theta_in," * 4097 + b"\n1", "The table has 4097 columns; it may have 4096."),
+    (b"theta_in," * 4097 + b"\n1", "The table has 4097 columns; it may have at most 4096."),
     (WORDS[0].encode() + b"\n,,,,,,\n" * 7150, "has 7150 rows of 7 cells, and it may have 50000 cells"),
     (WORDS[0].encode() + b"\na,b,c,d,e,f,g" * 7000, "Line 22 of the table has 'a' in the column 'theta_in"),
     ((b"a," * 60_000 + b"\n") * 3 + table(), "has no line that names its columns"),
