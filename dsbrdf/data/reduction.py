@@ -158,20 +158,8 @@ def profiles(
     mean, weight, within = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     folded = FoldedProfiles(np.zeros((*shape, N_BINS)), np.zeros((*shape, N_BINS)), np.zeros((*shape[1:], N_BINS)))
     for i, theta_half in enumerate(THETA_HALF):
-        used, samples, valid = (
-            used_samples(measurement, i, horizon_cutoff),
-            measurement.values_at(i),
-            measurement.valid[i],
-        )
-        weights, count = (
-            _trusted_in_bins(samples, valid) if robust else valid.astype(float),
-            valid.astype(float) @ IN_BIN,
-        )
-        folded.weight[:, :, i] = total = weights @ IN_BIN
-        folded.mean[:, :, i] = (weights * samples) @ IN_BIN / np.where(total > 0.0, total, 1.0)
-        count = valid.astype(float) @ IN_BIN
-        folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ IN_BIN / np.where(count > 0.0, count, 1.0)
-        used = used_samples(measurement, i, horizon_cutoff)
+        used, samples = used_samples(measurement, i, horizon_cutoff), measurement.values_at(i)
+        _fold(folded, i, samples, measurement.valid[i], robust=robust)
         weights = used.astype(float)
         if robust:
             weights = weights * _outlier_weights(samples, used)
@@ -188,6 +176,16 @@ def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None)
     """Return the mask (90 theta_diff, 180 phi_diff) of the used samples at the theta_half with index ``i``."""
     cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
     return measurement.valid[i] & nodes_above_horizon(cutoff)[i]
+
+
+def _fold(folded: FoldedProfiles, i: int, samples: Array, valid: Mask, *, robust: bool) -> None:
+    """Write the means of the samples (3, 90, 180) at the theta_half with index ``i`` into the folded profiles."""
+    weights = _trusted_in_bins(samples, valid) if robust else valid.astype(float)
+    total = weights @ IN_BIN
+    folded.weight[:, :, i] = total
+    folded.mean[:, :, i] = (weights * samples) @ IN_BIN / np.where(total > 0.0, total, 1.0)
+    count = valid.astype(float) @ IN_BIN
+    folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ IN_BIN / np.where(count > 0.0, count, 1.0)
 
 
 def _trusted_in_bins(samples: Array, valid: Mask) -> Array:

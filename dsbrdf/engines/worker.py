@@ -46,10 +46,7 @@ def run_in_worker(pipe: socket.socket, limits: FitLimits, step: Callable[..., An
         _prepare(limits)
         logging.basicConfig(handlers=[_LogToParent(send)], level=logging.INFO, force=True)
         send("outcome", run_step(step, *arguments, _rising(partial(send, "progress"))))
-    except (
-        MemoryError,
-        RuntimeError,
-    ) as error:  # There is too little memory to begin the step, or to send its outcome.
+    except (MemoryError, RuntimeError) as error:  # Memory is too short to begin the step, or to send its outcome.
         limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
         # A RuntimeError means too little memory only if a memory limit is set.
         if isinstance(error, MemoryError) or limited:

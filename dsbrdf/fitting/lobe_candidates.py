@@ -127,11 +127,7 @@ class Candidates:
 
         The amplitudes of the mixture are smooth in theta_diff and near `amplitudes` (rows, 3, lobes).
         """
-        typical = np.sqrt(np.mean(amplitudes**2, axis=(0, 1)))
-        typical = np.maximum(typical, MIN_START_HEIGHT * typical.max() + TINY)
-        log_amplitudes = np.log(np.maximum(amplitudes, MIN_START_HEIGHT * typical)).reshape(len(amplitudes), -1)
-        smooth = smooth_control_values(empty.bases(data.theta_diff)[0], log_amplitudes)
-        amplitude = smooth.reshape(-1, *amplitudes.shape[1:])
+        amplitude = _log_amplitudes(data, empty, amplitudes)
         logs = np.full(len(chosen), np.log(START_KAPPA)), np.log(reach_of_width(self.width[chosen], empty.family))
         shape = np.stack([*logs, np.where(self.is_ring[chosen], self.center[chosen], 0.0)])
         n_shapes, n_elongations = (rows for rows, _ in empty.blocks[1:])
@@ -230,3 +226,12 @@ class _Amplitudes:
     cost: float
     amplitude: Array  # amplitudes of the lobes, (rows, 3, lobes)
     residual: Array  # products of the lobes with the mixture minus the data, (rows, 3, lobes)
+
+
+def _log_amplitudes(data: FitData, structure: Structure, amplitudes: Array) -> Array:
+    """Return control values of smooth log amplitudes that are near `amplitudes` (rows, 3, lobes)."""
+    typical = np.sqrt(np.mean(amplitudes**2, axis=(0, 1)))
+    typical = np.maximum(typical, MIN_START_HEIGHT * typical.max() + TINY)
+    logs = np.log(np.maximum(amplitudes, MIN_START_HEIGHT * typical))
+    values = smooth_control_values(structure.bases(data.theta_diff)[0], logs.reshape(len(logs), -1))
+    return values.reshape(-1, *amplitudes.shape[1:])

@@ -40,12 +40,7 @@ def compare(measurement: Measurement, others: Mapping[str, Compared]) -> dict[st
     InvalidArgumentError
         If something is not one of these, a function returns another shape, or the measurement has zeros only.
     """
-    metrics = {}
-    for name, other in others.items():
-        model = as_model(other, measurement)
-        sums = sample_errors(model, measurement, DEFAULT_HORIZON_CUTOFF)
-        metrics[name] = sample_metrics(model, measurement, sums, np.asarray(model.albedo(ALBEDO_ANGLES)))
-    return metrics
+    return {name: _metrics(as_model(other, measurement), measurement) for name, other in others.items()}
 
 
 def as_model(compared: Compared, measurement: Measurement) -> RenderableModel:
@@ -65,3 +60,8 @@ def as_model(compared: Compared, measurement: Measurement) -> RenderableModel:
         f'a model, a fit, a measurement, a function or "ggx" can be compared, not an object of type '
         f"{type(compared).__name__}"
     )
+
+
+def _metrics(model: RenderableModel, measurement: Measurement) -> Metrics:
+    sums = sample_errors(model, measurement, DEFAULT_HORIZON_CUTOFF)
+    return sample_metrics(model, measurement, sums, np.asarray(model.albedo(ALBEDO_ANGLES)))
