@@ -142,9 +142,23 @@ def test_a_name_too_many_after_a_label_is_told() -> None:
         parse_samples(content)
 
 
-def test_radiance_factors_are_told_with_both_options() -> None:
-    samples = parse_samples(table((*NAMES[:4], "I/F"), np.column_stack([GRID, TRUE])))
-    assert "the BRDF: if they are, set scale to 0.3183, and cosine to in" in samples.notes[0]
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (
+            (*DIRECTION, "I/F"),
+            "are pi times the cosine of theta_in times the BRDF: if they are, set scale to 0.3183, and",
+        ),
+        ((*DIRECTION, "BRF"), "are pi times the BRDF: if they are, set scale to 0.3183, or to 0.003183 for per cent"),
+        (("SZA", "SAA", "VZA", "VAA", "band"), "are pi times the BRDF: if they are, set scale to 0.3183"),
+        (("SZA", "SAA", "VZA", "VAA", "BRDF"), ""),
+    ],
+)
+def test_reflectance_and_radiance_factors_are_told_with_the_options(names: tuple[str, ...], words: str) -> None:
+    samples = parse_samples(
+        table(names, np.column_stack([GRID, TRUE])), options=TableOptions(columns=f"value={names[4]}")
+    )
+    assert words in samples.notes[0] if words else not any("factors" in note for note in samples.notes)
 
 
 def test_colours_in_cie_xyz_are_read() -> None:

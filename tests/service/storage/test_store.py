@@ -63,10 +63,11 @@ def test_finished_fit_cannot_change(store: Store) -> None:
 @pytest.mark.parametrize(("origin", "repeats"), [("input", False), ("compute", True), ("system", True)])
 def test_failed_fit_runs_again_unless_its_input_is_at_fault(store: Store, origin: str, repeats: bool) -> None:
     arguments = (add(store), OPTIONS, 10)
-    key = store.add_fit(LOCAL, *arguments)[0].key
+    key = store.add_fit(LOCAL, *arguments, "mine")[0].key
     store.start_fit(key)
     store.fail_fit(key, {"origin": origin, "type": "T", "message": "M"})
-    assert store.add_fit(LOCAL, *arguments)[1] is repeats
+    row, is_new = store.add_fit(LOCAL, *arguments)
+    assert (row.name, is_new) == ("mine", repeats)
 
 
 def test_owners_share_only_the_file_of_a_measurement(store: Store) -> None:
