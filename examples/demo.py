@@ -97,7 +97,7 @@ def address_when_ready(process: subprocess.Popen[bytes], log: Path) -> str | Non
 def _fit_twice(client: httpx.Client) -> dict[str, Any]:
     """Submit the measurement twice; the second time the service finds the fit and computes nothing."""
     content = MEASUREMENT.read_bytes()
-    print(f"POST /v1/fits with {len(content):,} bytes of {MEASUREMENT.name}, a paint that was measured, twice:")
+    print(f"POST /v1/fits with {len(content):,} bytes of {MEASUREMENT.name}, a measured paint, twice:")
     for _ in range(2):
         begin = time.perf_counter()
         response = client.post("/v1/fits", content=content, headers={"Content-Type": "application/octet-stream"})
@@ -135,7 +135,7 @@ def _show_metrics(report: dsbrdf.FitReport | None, n_lobes: int) -> None:
     if report is None:
         raise RuntimeError("the service exported the fit without its report")
     worse = [str(step.n_lobes) for step in report.search if not step.kept]
-    print(f"\nThe fit began with {report.search[0].n_lobes} lobes and needs {n_lobes}", end="")
+    print(f"\nThe fit began with {report.search[0].n_lobes} lobes and kept {n_lobes}", end="")
     print(f"; with {' or '.join(worse)} lobes, it was worse on held-out rows." if worse else ".")
     print(*metrics_lines(report.metrics, 100), sep="\n")
 

@@ -168,7 +168,7 @@ class FitOptions:
     robust: bool = option(
         False, "Give outliers less weight, among the samples over phi_diff and in the residuals over theta_half."
     )
-    em_iterations: Annotated[int, Bounds(1, 10_000)] = option(100, "Largest number of iterations of Algorithm 1.")
+    em_iterations: Annotated[int, Bounds(1, 10_000)] = option(100, "Maximum number of iterations of Algorithm 1.")
 
     def __post_init__(self) -> None:
         for name, (kind, bounds, words) in _declared().items():

@@ -49,10 +49,10 @@ tables of samples.
 `POST /v1/fits` with a file as the body answers with the fitted model; the fit then gives BRDF values and its
 decomposition into specular spike, specular lobe and diffuse part. Angles are in degrees, directions are unit
 vectors about the normal (0, 0, 1), values are in 1/sr, in the order red, green, blue. Errors are RFC 9457
-problem documents; `Retry-After` says when asking again may help.
+problem documents; `Retry-After` says when a retry may succeed.
 
-Every answer names its request in `X-Request-ID`, as the service's log does. Answers with an `ETag` can be asked for
-again with `If-None-Match`; `Link` with `rel="next"` leads to the next page of a list.
+`X-Request-ID` is the id of a request in the answer and in the service's log. Answers with an `ETag` can be validated
+with `If-None-Match`; `Link` with `rel="next"` leads to the next page of a list.
 """
 
 

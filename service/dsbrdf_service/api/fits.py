@@ -160,9 +160,9 @@ _SUBMISSION_BODY = openapi.body(
     status_code=201,
     response_model=FitDocument,
     responses={
-        200: openapi.answer("The same was asked before; its fit has ended.", FitDocument, "Location"),
+        200: openapi.answer("An equal request was made before; its fit has ended.", FitDocument, "Location"),
         201: openapi.answer("The fit has ended; `Location` is its address.", FitDocument, "Location"),
-        202: openapi.answer("The fit has not ended; ask again at `Location`.", FitDocument, "Location", "Retry-After"),
+        202: openapi.answer("The fit has not ended; request `Location` later.", FitDocument, "Location", "Retry-After"),
         **openapi.problems("not-found", "queue-quota", "queue-full", *openapi.UPLOAD_PROBLEMS),
     },
     openapi_extra={"parameters": [*PARAMETERS, *OPTION_PARAMETERS, *TABLE_PARAMETERS, _PREFER], **_SUBMISSION_BODY},
@@ -173,7 +173,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, t
     The answer comes when the fit has ended: 201, or 200 if an equal request was made before. A fit that failed is
     answered in the same way: its `status` is `failed` and its `error` says why. If the fit takes longer than
     `Prefer: wait=N` seconds (default 30), or with `Prefer: respond-async`, the answer is 202, and `Location` is the
-    address at which to ask again.
+    address of the fit.
     """
     name, chosen = given_name(request), from_query(request.query_params.multi_items())
     if media_type_of(request, BINARY, JSON, *TABLES) != JSON:

@@ -61,8 +61,8 @@ PARAMETERS = [
     {
         "name": "name",
         "in": "query",
-        "description": "Name of the measurement and of the fit; exports are called after it; "
-        f"{', '.join(_SUFFIXES)} at its end is no part of the name.",
+        "description": "Name of the measurement and of the fit; exports have it too; "
+        f"the suffix {', '.join(_SUFFIXES[:-1])} or {_SUFFIXES[-1]} at its end is removed.",
         "schema": {"type": "string", "minLength": 1, "maxLength": MAX_NAME_LENGTH},
     },
     openapi.header_parameter("Content-Disposition", "The file's name, where no `name` is given."),

@@ -201,7 +201,7 @@ class RequestLogMiddleware:
             await self._app(scope, body, exchange.send)
         except asyncio.CancelledError:
             # The server is stopping and its waiting time is over, so it cancels the task of this request.
-            detail = "The service is shutting down and cannot finish this request; ask again later."
+            detail = "The service is shutting down and cannot finish this request; repeat it later."
             await exchange.refuse(scope, ProblemError("shutting-down", detail))
         except Exception as error:
             await exchange.refuse(scope, error)

@@ -36,7 +36,7 @@ _HEADERS = {
     "Location": "Address of the resource.",
     "Link": 'Address of the next page, with `rel="next"`; missing on the last one.',
     "ETag": "Changes with the answer; `If-None-Match` asks whether it has changed.",
-    "Retry-After": "Time after which asking again may help [s].",
+    "Retry-After": "Time after which a retry may succeed [s].",
 }
 
 EXAMPLE_FIT = "5f2c1d0a9b8e7f6a5c4d3e2f1a0b9c8d"
