@@ -30,9 +30,9 @@ LABELS = ("specular_spike", "specular_lobe", "diffuse")
 """Labels of the components, from narrow to wide."""
 SPIKE_HALF_WIDTH = float(np.radians(3.0))
 """A highlight with a smaller half width is a spike, otherwise a lobe [rad of theta_half]."""
-HALO = float(np.tan(np.radians(30.0))) ** 2
+HALO_TAN2 = float(np.tan(np.radians(30.0))) ** 2
 """At smaller tan(theta_half)**2, values above the sum of all layers are mostly assigned to the highlight."""
-EXCESS_HALO = HALO / 4.0
+EXCESS_HALO_TAN2 = HALO_TAN2 / 4.0
 """At smaller tan(theta_half)**2, values below the sum of all layers are mostly subtracted from the highlight."""
 _DIFFERENCE_POWER = 3
 """Power p in the part f**p of the missed light that layers with the fraction f of all light of the layers receive."""
@@ -73,11 +73,11 @@ class WeightedLayers:
         narrow, wide, diffuse = (layers[place == label].sum(axis=0) for label in range(3))
         if not (place < 2).any():
             # Even if all layers are diffuse, values far above the layers near the mirror direction are a highlight.
-            ground = np.minimum(values, diffuse * (2.0 + (points.squared_tangent / HALO) ** 2))
+            ground = np.minimum(values, diffuse * (2.0 + (points.squared_tangent / HALO_TAN2) ** 2))
             return np.stack([np.zeros_like(values), values - ground, ground])
         specular = narrow + wide
         missed = values.sum(axis=0) - (specular + diffuse).sum(axis=0)
-        halo = np.where(missed > 0.0, HALO, EXCESS_HALO)
+        halo = np.where(missed > 0.0, HALO_TAN2, EXCESS_HALO_TAN2)
         # A smooth step over the halo of a highlight: 0 at the mirror direction, 1 far outside of the halo.
         outside = 1.0 - 1.0 / (1.0 + (points.squared_tangent / halo) ** 2)
         ground = _divided(values, diffuse, specular, _DIFFERENCE_POWER, _DIFFERENCE_POWER, outside)

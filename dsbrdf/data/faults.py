@@ -18,7 +18,7 @@ from dsbrdf.findings import Finding
 MIN_CLIPPED_BINS = 40
 MIN_CLIPPED_FRACTION = 0.5
 """A highlight is clipped if this fraction of its bins above 90 % of the maximum equals the maximum; good ones: 0.15."""
-MAX_CLIPPED_SHARE = 0.7
+MAX_CLIPPED_FRACTION = 0.7
 """If a larger fraction of all bins equals the maximum, the material is an ideal diffuser, or black, in this channel."""
 MIN_HIGHLIGHT_RATIO = 2.0
 """A maximum below this multiple of the median is no highlight."""
@@ -73,7 +73,7 @@ def clip_levels(folded: FoldedProfiles) -> Array:
         level = mean.max() * (1.0 - 1e-9)
         count, near = np.count_nonzero(mean >= level), np.count_nonzero(mean >= 0.9 * level)
         is_clipped = count >= max(MIN_CLIPPED_BINS, MIN_CLIPPED_FRACTION * near)
-        if is_clipped and count < MAX_CLIPPED_SHARE * np.count_nonzero(weight):
+        if is_clipped and count < MAX_CLIPPED_FRACTION * np.count_nonzero(weight):
             levels[channel] = level
     return levels
 

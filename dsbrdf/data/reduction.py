@@ -73,7 +73,7 @@ FIRST_PHI = np.radians(10.0 * np.arange(N_BINS))
 """Smallest folded phi_diff of each bin [rad], at which one of the directions is lowest."""
 _MEMBERS = tuple(np.flatnonzero(_BIN_OF == index) for index in range(N_BINS))
 _BESIDE = tuple(np.flatnonzero(np.abs(_BIN_OF - index) == 1) for index in range(N_BINS))
-OUTLIER = 6.0
+OUTLIER_FACTOR = 6.0
 """Weights of samples further than this from the median fall, to 0 at twice this distance [standard deviations]."""
 NORMAL_QUARTILE = 1.1503
 """Third quartile of the absolute deviation of a normal variable [standard deviations]."""
@@ -231,7 +231,7 @@ def _outlier_weights(samples: Array, used: Mask) -> Array:
     scale = np.take_along_axis(deviations, 3 * np.maximum(count - 1, 0) // 4, axis=-1) / NORMAL_QUARTILE
     # The scale is at least 1 % of the median, because it would be 0 if all samples were equal.
     scale = np.maximum(np.where(count > 0, scale, 0.0), 1e-2 * np.abs(median) + 1e-12)
-    relative = np.where(used, np.abs(samples - median) / (OUTLIER * scale), 0.0)
+    relative = np.where(used, np.abs(samples - median) / (OUTLIER_FACTOR * scale), 0.0)
     return np.clip(2.0 - relative, 0.0, 1.0)
 
 

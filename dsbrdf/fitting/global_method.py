@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.faults import clip_levels, horizon_disagreement
 from dsbrdf.data.geometry import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF, above_horizon
-from dsbrdf.data.reduction import DARK_VALUE_FRACTION, OUTLIER, SAMPLES_IN_BIN, TINY, Profiles, bin_weights
+from dsbrdf.data.reduction import DARK_VALUE_FRACTION, OUTLIER_FACTOR, SAMPLES_IN_BIN, TINY, Profiles, bin_weights
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.least_squares import COST_TOLERANCE, Solution, minimize
@@ -287,7 +287,7 @@ def _trust(values: Array, data: FitData) -> Array:
     usual = np.zeros(level.shape)
     for channel, row in np.argwhere(filled.any(axis=(2, 3))):
         usual[channel, row] = np.quantile(alone[channel, row][filled[channel, row]], 0.75)
-    return np.clip(2.0 - alone / (OUTLIER * usual + MIN_OUTLIER_RESIDUAL), 0.0, 1.0)
+    return np.clip(2.0 - alone / (OUTLIER_FACTOR * usual + MIN_OUTLIER_RESIDUAL), 0.0, 1.0)
 
 
 def _exact(data: FitData, mixture: Mixture) -> FitData:

@@ -22,7 +22,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array
 from dsbrdf.data.geometry import half_difference, incident_cosines
-from dsbrdf.data.reduction import NORMAL_QUARTILE, OUTLIER
+from dsbrdf.data.reduction import NORMAL_QUARTILE, OUTLIER_FACTOR
 from dsbrdf.model.albedo import directional_albedo
 from dsbrdf.samples.sample_layers import CANDIDATES, SampleLayers
 from dsbrdf.samples.scattered_samples import ScatteredSamples
@@ -176,7 +176,7 @@ def without_outliers(samples: ScatteredSamples) -> ScatteredSamples:
         dark = prediction.layers.dark
         off = np.max(np.abs(np.log((samples.values + dark) / (expected + dark))), axis=1)
         usual = float(np.quantile(off, 0.75)) / NORMAL_QUARTILE
-        kept = samples.take(off <= OUTLIER * usual + _MIN_OUTLIER_LOG)
+        kept = samples.take(off <= OUTLIER_FACTOR * usual + _MIN_OUTLIER_LOG)
     return kept
 
 

@@ -42,7 +42,7 @@ _LISTED = re.compile(
     r"[ \t]*(?:[#%!]+[ \t]*(?:column|col\.?|field)?|column|col\.?|field)[ \t]*([0-9]+)[ \t]*[-:=.)][ \t]*(\S.*)", re.I
 )
 # The line with the most names names the columns; with a name for each cell of the row below, it has this many more.
-_FITS_BONUS = 2
+_MATCHING_NAMES_BONUS = 2
 # If the line below the column names has at least this number of names, the line is a translation and has no units.
 _MIN_NAMES = 2
 # A table is transposed only if at least this number of lines begin with a column name.
@@ -160,7 +160,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
             has_numbers = any(name and not wavelength_of(name) and as_number(name, " ") is not None for name in names)
             if has_numbers and (known == 1 or not fits):
                 continue  # The line is no line of column names, but a constant, a transposed column or a title.
-            score = known + _FITS_BONUS * fits
+            score = known + _MATCHING_NAMES_BONUS * fits
             if known > 0 and (score, fits) > best[:2]:
                 best = score, fits, at, names
     _, _, place, names = best if best[0] > 1 else (0, 0, -1, ())

@@ -33,8 +33,8 @@ Source = str | os.PathLike[str] | bytes | Measurement | ScatteredSamples
 Document = dict[str, Any]
 """JSON document of a fit, as ``GET /v1/fits/{id}`` returns it."""
 
-_POLL_S = 20.0  # One request waits for a fit at most for this time.
-_PROGRESS_POLL_S = 0.5  # With a progress callback, one request waits at most for this time.
+_LONG_POLL_S = 20.0  # One request waits for a fit at most for this time.
+_PROGRESS_INTERVAL_S = 0.5  # With a progress callback, one request waits at most for this time.
 _LIBRARY_ERRORS: dict[str, type[Exception]] = {
     "urn:dsbrdf:problem:measurement-format": MeasurementFormatError,
     "urn:dsbrdf:problem:measurement-too-large": MeasurementFormatError,
@@ -81,7 +81,7 @@ class Client:
         self._http = httpx.Client(
             base_url=base_url,
             headers={"Authorization": f"Bearer {key}"} if key else {},
-            timeout=httpx.Timeout(timeout, read=timeout + _POLL_S),
+            timeout=httpx.Timeout(timeout, read=timeout + _LONG_POLL_S),
             # The service closes idle connections after 5 s; a connection that may be closing is not used again.
             limits=httpx.Limits(keepalive_expiry=2.0),
         )
@@ -157,7 +157,7 @@ class Client:
         while fit["status"] in ("accepted", "running"):
             if progress is not None:
                 progress(fit["progress"])
-            fit = self.get(fit["id"], wait=_POLL_S if progress is None else _PROGRESS_POLL_S)
+            fit = self.get(fit["id"], wait=_LONG_POLL_S if progress is None else _PROGRESS_INTERVAL_S)
         if fit["status"] != "succeeded":
             error = fit["error"] or {"origin": "system", "message": "The fit was cancelled."}
             if error["origin"] == "input":

@@ -69,9 +69,9 @@ logger = logging.getLogger(__name__)
 
 Values = TypeVarTuple("Values")
 
-_RETRY_DELAY = 5.0  # [s] Pause before a failed write, or the failed start of a process, is repeated.
-_MIN_POLL_INTERVAL = 0.05  # [s] Pause between two readings of the row of a fit that has no task in this process.
-_LOST_DELAY = 0.5  # [s] Wait before a lost fit is repeated, because a shutdown may end its process before the service.
+_RETRY_DELAY_S = 5.0  # Pause before a failed write, or the failed start of a process, is repeated.
+_MIN_POLL_INTERVAL_S = 0.05  # Pause between two readings of the row of a fit that has no task in this process.
+_LOST_FIT_DELAY_S = 0.5  # Pause before a lost fit is repeated; a shutdown may end its process before the service.
 
 
 @dataclass
@@ -172,7 +172,7 @@ class FitQueue:
                 if row.ended or any(map(asyncio.Future.done, ends)):
                     return
                 if change is None:  # The fit has no task in this process, so only its row shows a change.
-                    await asyncio.sleep(_MIN_POLL_INTERVAL)
+                    await asyncio.sleep(_MIN_POLL_INTERVAL_S)
                 else:
                     await asyncio.wait((change, *ends), return_when=asyncio.FIRST_COMPLETED)
         except FitNotFoundError:
@@ -237,7 +237,7 @@ class FitQueue:
         with self._meters.fitting.time():
             outcome = await self._compute(row)
         if isinstance(outcome, Fault) and outcome.origin == "system":
-            await asyncio.sleep(_LOST_DELAY)
+            await asyncio.sleep(_LOST_FIT_DELAY_S)
             if self._stopping.done():  # The service is stopping; its next start runs the fit.
                 return True
             if row.attempts < self._settings.fit_attempts:
@@ -271,8 +271,8 @@ class FitQueue:
                 return Fault("system", "EngineFailed", message)
             if outcome.type != NOT_STARTED:
                 return outcome
-            logger.warning("%s Trying again in %g s.", outcome.message, _RETRY_DELAY)
-            await asyncio.sleep(_RETRY_DELAY)
+            logger.warning("%s Trying again in %g s.", outcome.message, _RETRY_DELAY_S)
+            await asyncio.sleep(_RETRY_DELAY_S)
 
     def _record(self, key: FitKey, outcome: Outcome) -> None:
         if isinstance(outcome, FitDocument):
@@ -297,5 +297,5 @@ async def _write(write: Callable[[*Values], T], *values: *Values) -> T:
         except (OSError, sqlite3.DatabaseError) as error:
             if not is_passing(error):
                 raise
-            logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _RETRY_DELAY)
-            await asyncio.sleep(_RETRY_DELAY)
+            logger.warning("the data folder cannot be written to (%s); trying again in %g s", error, _RETRY_DELAY_S)
+            await asyncio.sleep(_RETRY_DELAY_S)

@@ -107,7 +107,7 @@ async def test_wait_goes_on_if_a_fit_is_cancelled_and_sent_again(place: Race, mo
 
 @pytest.mark.parametrize("error", [sqlite3.OperationalError("disk I/O error"), OSError(5, "Input/output error")])
 async def test_result_waits_for_the_disk(place: Race, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
-    monkeypatch.setattr(queue_module, "_RETRY_DELAY", 0.01)
+    monkeypatch.setattr(queue_module, "_RETRY_DELAY_S", 0.01)
     complete = place.store.complete_fit
     failures = iter([error, error])
 
@@ -143,7 +143,7 @@ async def test_row_that_cannot_be_read_fails_and_lets_others_run(place: Race, ha
 
 
 async def test_fit_waits_for_a_folder_that_is_away(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(queue_module, "_RETRY_DELAY", 0.01)
+    monkeypatch.setattr(queue_module, "_RETRY_DELAY_S", 0.01)
     blobs, away = place.store.folder / "blobs", place.store.folder / "away"
     blobs.rename(away)
     key = await place.submit()
@@ -165,7 +165,7 @@ async def test_engine_exception_is_a_system_fault(place: Race) -> None:
 
 
 async def test_fit_is_retried_when_processes_cannot_be_started(place: Race, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(queue_module, "_RETRY_DELAY", 0.01)
+    monkeypatch.setattr(queue_module, "_RETRY_DELAY_S", 0.01)
     not_started = Fault("system", NOT_STARTED, "The fit's process could not be started: no more processes.")
     too_many = OSError(errno.EMFILE, "Too many open files")
     place.engine.outcomes += [not_started, too_many, not_started]

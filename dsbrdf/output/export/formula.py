@@ -18,7 +18,7 @@ import numpy
 from dsbrdf.components.component import Component
 from dsbrdf.components.layers import Layer, LayeredModel
 from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
-from dsbrdf.components.shares import EXCESS_HALO, HALO, LABELS, MIN_LIGHT
+from dsbrdf.components.shares import EXCESS_HALO_TAN2, HALO_TAN2, LABELS, MIN_LIGHT
 from dsbrdf.data.geometry import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.lobes import FAMILIES, GRAZING_COSINE
@@ -142,9 +142,9 @@ def _divided(xp: Any, whole: Any, tan2: Any, layers: list[Any], has_highlight: b
     """Divide the model's values among spike, lobe and diffuse part, by the logarithms of the layers of each part."""
     tan2, (narrow, wide, diffuse) = xp.clip(tan2, None, MAX_TAN2)[..., None], map(xp.exp, layers)
     if not has_highlight:  # Values far above the diffuse layers near the mirror direction are a highlight.
-        return [0.0 * whole, whole - (ground := xp.minimum(whole, diffuse * (2.0 + (tan2 / HALO) ** 2))), ground]
+        return [0.0 * whole, whole - (ground := xp.minimum(whole, diffuse * (2.0 + (tan2 / HALO_TAN2) ** 2))), ground]
     rest, parts, missed = whole, [], (whole - narrow - wide - diffuse).sum(-1)[..., None]
-    outside = 1.0 - 1.0 / (1.0 + xp.where(missed > 0.0, tan2 / HALO, tan2 / EXCESS_HALO) ** 2)
+    outside = 1.0 - 1.0 / (1.0 + xp.where(missed > 0.0, tan2 / HALO_TAN2, tan2 / EXCESS_HALO_TAN2) ** 2)
     for own, other, gain, power, tint in ((diffuse, narrow + wide, outside, 3, 3), (wide, narrow, 1.0, 2, 0)):
         light, of_own, of_other = (one.sum(-1)[..., None] + MIN_LIGHT for one in (rest, own, other))
         part = xp.minimum(light, of_own + gain * (f := of_own / (of_own + of_other)) ** power * (light * f - of_own))
@@ -166,7 +166,7 @@ _TEMPLATES = sections("python_file.txt")
 _LOBE_FUNCTIONS: dict[str, Callable[..., Any]] = {"hemi_epd": _hemi_epd, "student": _student}
 _LAYER_FUNCTIONS: _Functions = (_rise, _facets, _layers)
 _CONSTANTS = (
-    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO", "EXCESS_HALO"),
+    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO_TAN2", "EXCESS_HALO_TAN2"),
     *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE", "MIN_LIGHT"),
 )
 

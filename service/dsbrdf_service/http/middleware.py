@@ -29,7 +29,7 @@ _MAX_LINE_BYTES = 8192  # Longer headers and addresses are refused.
 _MAX_HEADERS = 100
 _MAX_HEAD_BYTES = 1 << 16
 _MAX_PIPELINED_REQUESTS = 64  # A client that sends more requests without reading answers is disconnected.
-_LAST_LOOK_S = 0.05  # After a time limit, data that arrived while the process was stopped is still read.
+_LAST_READ_TIMEOUT_S = 0.05  # After a time limit, data that arrived while the process was stopped is still read.
 # A request may have each of these headers only once, because it would be unclear which one counts.
 _SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")
 _CLOSE_HEADERS = {"Connection": "close"}
@@ -146,7 +146,7 @@ class _Pace:
             async with asyncio.timeout(timeout):
                 result = await call()
         except TimeoutError:  # This process itself may have been stopped, so it looks once more.
-            async with asyncio.timeout(_LAST_LOOK_S):
+            async with asyncio.timeout(_LAST_READ_TIMEOUT_S):
                 result = await call()
         self._waited += min(perf_counter() - begin, timeout)
         return result

@@ -54,7 +54,7 @@ _TABLES = f"""
 """
 ROW_DAMAGED = "RowDamaged"
 """The `type` of the error of a fit whose row cannot be read."""
-_MAX_TIME = 253_402_300_800.0  # [s since 1970] The year 10000, which no date can have.
+_MAX_UNIX_TIME_S = 253_402_300_800.0  # The year 10000, which no date can have.
 _FAULT = {"origin", "type", "message"}
 _DOCUMENTS = {"options": True, "metrics": False, "error": False}  # Columns of JSON, and whether each needs a value.
 VERSION = zlib.crc32(_TABLES.encode()) >> 1  # This number changes with the tables; SQLite keeps 31 bits.
@@ -135,7 +135,7 @@ def _are_texts(values: Iterable[Any]) -> bool:
 
 def _checked_time(value: Any) -> float | None:
     """Return a time; a damaged one becomes 1970, so that a list with it can be shown."""
-    return value if value is None or (isinstance(value, float) and 0 <= value < _MAX_TIME) else 0.0
+    return value if value is None or (isinstance(value, float) and 0 <= value < _MAX_UNIX_TIME_S) else 0.0
 
 
 @dataclass(frozen=True)
