@@ -75,19 +75,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session")
 def plastic() -> Measurement:
-    """A glossy coloured plastic with 2 % noise."""
     return glossy_plastic()
 
 
 @pytest.fixture(scope="session")
 def metal() -> Measurement:
-    """A polished coloured metal without a diffuse part and without noise."""
     return synthetic_measurement(roughness=0.05, diffuse=(0.0, 0.0, 0.0), specular=(0.95, 0.64, 0.54), name="metal")
 
 
 @pytest.fixture(scope="session")
 def matte() -> Measurement:
-    """A rough, nearly diffuse material without noise."""
     return synthetic_measurement(roughness=0.7, diffuse=(0.6, 0.5, 0.4), specular=(0.02, 0.02, 0.02), name="matte")
 
 
@@ -122,7 +119,6 @@ def cluster() -> Iterator[DaskCluster]:
 
 @pytest.fixture
 def own_cluster() -> Iterator[DaskCluster]:
-    """A cluster to be broken; nothing of it runs yet."""
     with short_folder() as folder, closing(DaskCluster(Path(folder))) as running:
         yield running
 
@@ -155,7 +151,6 @@ def own_server(tmp_path: Path) -> Iterator[StartServer]:
 
 @pytest.fixture(scope="session")
 def data(plastic_file: Path) -> bytes:
-    """The bytes of an acceptable measurement."""
     return plastic_file.read_bytes()
 
 

@@ -30,7 +30,6 @@ def fitted_once(path: Path, measurement: Measurement, **options: Any) -> FitResu
 
 @pytest.fixture(scope="session")
 def shared_folder(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
-    """A folder of all workers of a run."""
     own = tmp_path_factory.getbasetemp()
     return own if worker_id == "master" else own.parent
 

@@ -46,7 +46,6 @@ SPHINX = {"{code-cell}", "{toctree}", "{include}", "{eval-rst}"}
 
 
 def blocks_of(text: str) -> list[tuple[str, str]]:
-    """Language and content of the blocks of a page."""
     return [(match[1], match[2]) for match in re.finditer(r"^```(\S*).*\n((?s:.*?))^```$", text, re.MULTILINE)]
 
 
@@ -59,7 +58,6 @@ def blocks(language: str, *, http: bool) -> list[str]:
 
 
 def commands(text: str) -> list[str]:
-    """The commands of a shell block, continued lines joined."""
     return [line for line in text.replace("\\\n", " ").splitlines() if line.strip()]
 
 
@@ -71,7 +69,6 @@ def words_of(line: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the measurement that the first example of README and pages reads."""
     made = tmp_path_factory.mktemp("readme")
     copytree(ROOT / "examples", made / "examples", ignore=ignore_patterns("*.py"))
     return made
@@ -88,7 +85,6 @@ def read_once(folder: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def python_quick_start(folder: Path, read_once: None) -> dict[str, Any]:
-    """Names that the Python blocks leave behind, run in order in one folder."""
     names, printed = dict[str, Any](), StringIO()
     with redirect_stdout(printed), pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore", dsbrdf.ConvergenceWarning)

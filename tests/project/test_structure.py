@@ -32,7 +32,6 @@ LIGHT_COMMANDS = {"dsbrdf.cli.main", "dsbrdf.cli.arguments"}  # without the extr
 
 @cache
 def tree_of(path: Path) -> ast.Module:
-    """Return the syntax tree of a file, parsed once for all tests."""
     return ast.parse(path.read_text())
 
 
@@ -149,7 +148,6 @@ def imports_of(module: str, path: Path, modules: Collection[str]) -> set[str]:
 
 
 def wings_of(package: str) -> list[str]:
-    """Return the subpackages and modules in the order of the package's docstring."""
     docstring = " ".join((importlib.import_module(package).__doc__ or "").split())
     listed = re.search(r"Subpackages and modules, each importing only those to its left: ([\w, ]+)\.", docstring)
     assert listed, f"the docstring of {package} must list its subpackages"

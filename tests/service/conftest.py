@@ -19,12 +19,10 @@ def anyio_backend() -> str:
 
 @pytest.fixture(scope="session")
 def model(server: Server, fitted: str) -> DSBRDF:
-    """The model of the fit, without loss."""
     return from_json(server.http.get(f"/v1/fits/{fitted}/export?format=json").text)[0]
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Store]:
-    """A store whose folder is `tmp_path`."""
     with closing(Store(tmp_path)) as opened:
         yield opened

@@ -190,7 +190,6 @@ POINTS = {"theta_half_deg": [1.0], "theta_diff_deg": [2.0]}
 
 
 def probes(fit: str, sha256: str, tags: Mapping[str, str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Yield every way to ask for something by its name: method, path and arguments."""
     paths = ["", "/events", "/components", "/brdf?theta_half_deg=1&theta_diff_deg=2", "/brdf", "/brdf?theta_half_deg=x"]
     paths += ["?wait=0.1", "?wait=x", "/brdf?omega_in=0,0,1&omega_out=0,0,1", "/figures/residual.svg"]
     for label in ("diffuse", "no_label"):

@@ -105,7 +105,6 @@ class Application:
         self.app, self.store = app, store
 
     def new_key(self) -> str:
-        """Return a key that has the fit `FIT`."""
         owner, key = add_key(self.store.database, "a key")
         written = checksum(None, stored_text().encode())
         values = (owner, FIT, "0" * 64, json.dumps(to_wire(OPTIONS)), time.time(), stored_text(), written)
@@ -175,8 +174,6 @@ async def application(folder: Path, monkeypatch: pytest.MonkeyPatch, **settings:
 
 
 class Fit(Future[Outcome]):
-    """A fit that can be cancelled while it runs, as those of engines."""
-
     def cancel(self) -> bool:
         if not self.done():
             self.set_exception(CancelledError())

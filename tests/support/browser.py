@@ -95,7 +95,6 @@ class Visitor:
 
 
 def _described(site: str) -> list[tuple[re.Pattern[str], set[str]]]:
-    """The paths that the OpenAPI document has, and their methods; HEAD goes with GET."""
     paths: dict[str, dict[str, Any]] = httpx.get(f"{site}/openapi.json").json()["paths"]
     return [
         (re.compile(re.sub(r"\{\w+\}", r"[^/]+", path)), {name.upper() for name in methods} | {"HEAD"})

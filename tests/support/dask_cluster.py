@@ -39,7 +39,6 @@ class DaskCluster:
         self.workers.remove(worker)
 
     def fitting(self) -> list[int]:
-        """Process ids of the fits on the workers."""
         return [pid for worker in self.workers for pid in forked(worker.pid)]
 
     def close(self) -> None:

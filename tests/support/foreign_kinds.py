@@ -48,7 +48,6 @@ def faded(part: Part, factor: Color) -> Part:
 
 
 def retro(alpha: float, color: Color) -> Part:
-    """GGX about the direction back to the light."""
     mirror = conductor(alpha, color=color)
     return lambda i, o: mirror(i, o * [-1.0, -1.0, 1.0])
 

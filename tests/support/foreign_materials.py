@@ -61,14 +61,12 @@ def conductor(alpha: float, material: str = "none", distribution: str = "ggx", c
 
 
 def dielectric_coat(alpha: float, ior: float = 1.5, distribution: str = "ggx") -> Part:
-    """The surface of a rough dielectric over black."""
     return plastic(alpha, BLACK, ior, distribution)[0]
 
 
 def plastic(
     alpha: float, color: Color, ior: float = 1.5, distribution: str = "ggx", nonlinear: bool = False
 ) -> tuple[Part, Part]:
-    """Surface and ground of Mitsuba's rough plastic."""
     kind = {"type": "roughplastic", "alpha": alpha, "int_ior": ior, "distribution": distribution}
     kind |= {"nonlinear": nonlinear, "diffuse_reflectance": rgb(color)}
     return plugin(kind, 0), plugin(kind, 1)
@@ -210,12 +208,10 @@ def coated_metal(coat_alpha: float, alpha: float, name: str, ior: float = 1.5) -
 
 
 def highlight(alpha: float, strength: Color, ground: Part, kind: str = "ggx") -> Material:
-    """A rough mirror of any strength over a diffuse ground."""
     return Material((conductor(alpha, "none", kind, strength),), (ground,), alpha, kind)
 
 
 def car_paint(coat_alpha: float, alpha: float, flakes: Color, ground: Color, ior: float = 1.5) -> Material:
-    """A clear coat over flakes and a ground."""
     below = under_coat(conductor(alpha, color=flakes), ior)
     return Material((dielectric_coat(coat_alpha, ior), below), (under_coat(lambert(ground), ior),))
 

@@ -83,7 +83,6 @@ def mixture(n_lobes: int, seed: int) -> DSBRDF:
 
 
 def scattered_samples(model: DSBRDF, count: int, seed: int = 1) -> ScatteredSamples:
-    """Return samples of a model without noise at `scattered_directions`."""
     directions = scattered_directions(model, count, seed)
     return ScatteredSamples.from_arrays(*directions, model.evaluate_directions(*directions), name="known")
 

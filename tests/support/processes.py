@@ -21,7 +21,6 @@ def short_folder() -> "TemporaryDirectory[str]":
 
 
 def children(parent: int) -> list[int]:
-    """Process ids whose parent is `parent`."""
     found: list[int] = []
     for path in Path(f"/proc/{parent}/task").glob("*/children"):
         try:
@@ -57,7 +56,6 @@ def free_port() -> int:
 
 
 def wait_until(condition: Callable[[], bool], seconds: float = 300.0) -> float:
-    """Return how long it took until the condition held."""
     start = time.monotonic()
     while not condition():
         assert time.monotonic() - start < seconds, "it did not happen in time"
@@ -66,7 +64,6 @@ def wait_until(condition: Callable[[], bool], seconds: float = 300.0) -> float:
 
 
 def until(ask: Callable[[], T], good: Callable[[T], object]) -> T:
-    """Return the first good answer of a function."""
     answers: list[T] = []
 
     def asked() -> bool:

@@ -85,7 +85,6 @@ def generated_function(*documents: Any) -> str:
 
 
 def _as_function(source: str, surfaces: Sequence[Mapping[str, Any]]) -> str:
-    """Turn a shader's inputs into variables, and its ``main`` into a function."""
     source = re.sub(r"#version.*|precision .*;|uniform \w*shader\w* .*", "", source)
     source = "const bool u_refractionTwoSided = false;\n" + source  # used without an environment, but not declared
     source = re.sub(r"^(uniform|in|out) (?=\w)", "", source, flags=re.MULTILINE).replace("void main()", "void shade()")

@@ -68,7 +68,6 @@ class Server:
             server.close()
 
     def start(self) -> "Server":
-        """Start the process and return when it is ready."""
         self.connect(self.launch())
         wait_until(lambda: self.http.get("/health/ready").is_success, 60.0)
         return self
@@ -130,7 +129,6 @@ class Server:
         return [path for part in ("blobs", "tmp") for path in (self.data_dir / part).rglob("*") if path.is_file()]
 
     def helpers(self) -> set[int]:
-        """Process ids of what runs beside the server as long as it does."""
         return set(children(self.process.pid))
 
     def processes(self) -> set[int]:
@@ -218,12 +216,10 @@ def new_key(server: Server, name: str, **limits: Any) -> tuple[str, dict[str, st
 
 
 def keys_command(*words: str) -> "CompletedProcess[str]":
-    """Run ``dsbrdf keys`` without a process of its own."""
     return run_main(keys, *words)
 
 
 def npy(array: ArrayLike) -> bytes:
-    """Return an array as the content of a .npy file."""
     buffer = io.BytesIO()
     np.save(buffer, np.asarray(array))
     return buffer.getvalue()
@@ -241,7 +237,6 @@ def receive(store: Store, content: bytes = b"content") -> Incoming:
 
 
 def add(store: Store, content: bytes = b"content", caller: Caller = LOCAL) -> str:
-    """Store bytes as a measurement and return their sha256."""
     incoming = receive(store, content)
     row, new = store.add_measurement(caller, incoming)
     incoming.discard()

@@ -9,7 +9,6 @@ SOAK = os.environ.get("DSBRDF_SOAK") == "1"
 
 
 def repeats(usual: int, soak: int) -> int:
-    """Return the number of repeats of this run."""
     return soak if SOAK else usual
 
 

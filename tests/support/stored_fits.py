@@ -21,7 +21,6 @@ THETA_DIFF = np.radians([0.0, 30.0, 60.0])
 
 
 def write(folder: Path) -> None:
-    """Write all files into a new folder."""
     folder.mkdir(parents=True)
     measurement = glossy_plastic()
     result = dsbrdf.fit(measurement, n_lobes=2)

@@ -15,12 +15,10 @@ ENDLESS = FitOptions(n_lobes=10, ring_lobes=9, knots_deg=tuple(range(90)), robus
 
 
 def die(number: signal.Signals, _: OnProgress) -> None:
-    """End as a process that gets a signal."""
     os.kill(os.getpid(), number)
 
 
 def exit_with(code: int, _: OnProgress) -> None:
-    """End at once, without an outcome."""
     os._exit(code)
 
 
@@ -37,7 +35,6 @@ def stop_itself(on_progress: OnProgress) -> None:
 
 
 def address_space(_: OnProgress) -> int:
-    """Return the limit of the address space [bytes]."""
     return resource.getrlimit(resource.RLIMIT_AS)[0]
 
 
@@ -58,5 +55,4 @@ def compute_unless_named_one(task: FitTask, on_progress: OnProgress) -> Outcome:
 
 
 def nice_value(_: OnProgress) -> int:
-    """Return how much the process gives way to others."""
     return os.nice(0)

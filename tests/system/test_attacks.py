@@ -136,7 +136,6 @@ HEADS_OF_UPLOADS = [
 
 
 def requests(fit: str, measurement: str) -> Iterator[bytes]:
-    """Every hostile request, with ids that exist in the places of the mark."""
     for method, target in TARGETS:
         known = measurement if "measurements" in target else fit
         for hostile in IDS:

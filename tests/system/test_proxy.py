@@ -57,7 +57,6 @@ class Proxy:
             return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
     def send(self, data: bytes) -> bytes:
-        """Send bytes as they are and return what comes back."""
         answer = b""
         with (
             socket.create_connection(("127.0.0.1", self.port), timeout=60) as connection,

@@ -183,7 +183,6 @@ def pixels_of(path: Path) -> NDArray[np.float64]:
 
 
 def drawn(folder: Path, *words: object) -> tuple[NDArray[np.float64], dict[str, Any]]:
-    """The pixels that ``dsbrdf render`` writes, and what it prints of them."""
     about = document("render", *words, "-o", folder / "sphere.png", "--size", "32", "--json")
     return pixels_of(folder / "sphere.png"), about
 

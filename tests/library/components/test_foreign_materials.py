@@ -43,8 +43,6 @@ IN_RANGE = ("plastic_green_03", "plastic_orange_25_beckmann", "nickel_25", "prin
 
 @dataclass(frozen=True, eq=False)
 class Light(ReflectanceModel):
-    """Parts of a material as a model."""
-
     parts: tuple[Part, ...]
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:

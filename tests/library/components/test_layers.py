@@ -14,7 +14,6 @@ F0 = (0.9, 0.6, 0.2)
 
 
 def angles(count: int = 60) -> tuple[Array, Array, Array]:
-    """Angles of pairs of directions that are well above the horizon."""
     random = np.random.default_rng(3)
     return random.uniform(0.0, 0.7, count), random.uniform(0.0, 0.7, count), random.uniform(0.0, np.pi, count)
 

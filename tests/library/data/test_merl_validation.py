@@ -156,7 +156,6 @@ near_an_end = st.one_of(st.integers(0, 64), st.integers(FILE_SIZE - 64, FILE_SIZ
 
 @st.composite
 def damages(draw: st.DrawFn) -> list[tuple[int, bytes]]:
-    """Places in a file and what to write there: bytes, or numbers with a meaning."""
     special = (np.nan, np.inf, -np.inf, -1.0, -0.0, 0.0, 5e-324, 1.7e308, 1.5e11, -1.7e308)
     number = st.sampled_from(special).map(lambda value: struct.pack("<d", value))
     run = st.tuples(number, st.sampled_from([1, 3, 70_000, 1_458_000])).map(lambda part: part[0] * part[1])

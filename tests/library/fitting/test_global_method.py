@@ -173,7 +173,6 @@ def relative_rms(model: DSBRDF, measurement: Measurement) -> float:
 
 
 def edited(measurement: Measurement, change: Any) -> Measurement:
-    """The measurement after ``change(values, valid)``, which works in place."""
     values, valid = measurement.values.copy(), measurement.valid.copy()
     change(values, valid)
     values[:, ~valid] = -1.0
@@ -181,7 +180,6 @@ def edited(measurement: Measurement, change: Any) -> Measurement:
 
 
 def only(data: Profiles, kept: Array) -> Profiles:
-    """The profiles with the samples of the nodes (theta_diff, theta_half) where kept is 1."""
     return replace(data, folded=replace(data.folded, weight=data.folded.weight * kept[..., None]))
 
 

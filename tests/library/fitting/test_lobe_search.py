@@ -62,7 +62,6 @@ def searched(
 
 
 def share_left(mixture: Mixture, data: FitData) -> float:
-    """Squared error as a share of the signal, both weighted."""
     residual = MixtureProblem(data, mixture.structure).values(mixture.unknowns) - data.mean
     return float(np.sum(data.weight * residual**2)) / data.signal
 

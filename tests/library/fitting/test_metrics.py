@@ -18,7 +18,6 @@ GREEN_IS_BLACK = np.array([1.0, 0.0, 1.0])[:, None, None]
 
 
 def some_model() -> DSBRDF:
-    """Two coloured lobes, elongated, over three knots."""
     amplitude = np.tile([[3.5, 0.2], [4.5, 0.2], [19.0, 0.5]], (3, 1, 1)) * np.array([1.0, 0.9, 0.8])[:, None, None]
     kappa = np.array([[1.5, 0.2], [1.7, 0.2], [3.0, 0.4]])[None]
     gamma = np.array([[150.0, 0.5], [120.0, 0.7], [60.0, 1.0]])[None]
@@ -28,7 +27,6 @@ def some_model() -> DSBRDF:
 
 @cache
 def cosines() -> tuple[Array, Array]:
-    """Cosines of omega_in and omega_out to the normal at every node."""
     level, swing = np.cos(HALF) * np.cos(DIFF), np.sin(HALF) * np.sin(DIFF) * np.cos(PHI)
     return level - swing, level + swing
 
@@ -98,7 +96,6 @@ def test_every_channel_and_band_against_sums_over_the_samples(speckled: Measurem
 
 @pytest.fixture(scope="module")
 def lobes() -> DSBRDF:
-    """The model without its delta term."""
     return some_model().select((0, 1), with_delta=False)
 
 

@@ -144,7 +144,6 @@ def random_model(
 
 
 def curve(model: DSBRDF, knots: Array, values: Array, theta_diff: Array) -> Array:
-    """A parameter (n, ..., K) at angles (n,) from its control values (..., D, K)."""
     values = np.moveaxis(values, -2, 0)
     if knots.size == 1:
         return values.repeat(theta_diff.size, axis=0)
@@ -154,7 +153,6 @@ def curve(model: DSBRDF, knots: Array, values: Array, theta_diff: Array) -> Arra
 
 
 def expected_values(model: DSBRDF, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
-    """Values (n, 3) of the parameters there, by the formula of the module `dsbrdf.model.lobes`."""
     at = model.parameters_at(theta_diff)
     cosine = (np.cos(theta_diff) ** 4 * (1.0 - GRAZING_COSINE**4) + GRAZING_COSINE**4) ** 0.25
     along = cosine[:, None] ** at["elongation"]

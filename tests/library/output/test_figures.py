@@ -63,7 +63,6 @@ def y_of(line: Line2D) -> NDArray[np.float64]:
 
 
 def lines_of(ax: Axes, label: str) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Angles [rad] and values of every line with this label."""
     lines = [line for line in ax.lines if line.get_label() == label]
     return [(np.radians(np.asarray(line.get_xdata(), float)), y_of(line)) for line in lines]
 

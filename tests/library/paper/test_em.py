@@ -65,12 +65,10 @@ def algorithm_1(theta_half: Array, value: Array, n_lobes: int, iterations: int) 
 
 
 def mixture(kappa: Array, gamma: Array) -> Array:
-    """Curves of slices (slices, N) whose lobes have these parameters (slices, lobes)."""
     return np.asarray(plain_lobe(ANGLES, kappa[..., None], gamma[..., None]).sum(axis=1))
 
 
 def slice_of(data: Profiles, channel: int, row: int) -> tuple[Array, Array]:
-    """Mean and weight, each of shape (N,), within the perimeter mask."""
     kept = THETA_HALF <= np.pi / 2 - THETA_DIFF[row] + 1e-9
     return data.mean[channel, row, OUTSIDE], np.where(kept, data.weight[channel, row], 0.0)[OUTSIDE]
 

@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from scipy.special import stdtrit
 from dsbrdf import FitOptions, Profiles, fit
 from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_HALF
-from dsbrdf.fitting import OUTSIDE_CENTER, SelectionStep
+from dsbrdf.fitting import OUTSIDE_CENTER
 from dsbrdf.paper import WilliamsRow, em, williams_critical_value, williams_test
 from dsbrdf.paper.paper_method import UNIFORM_FRACTION, choose_n_lobes, expected_negative_log_probability
 from tests.support.models import plain_lobe
@@ -19,7 +20,6 @@ LOBES = np.array([[4.0, 1500.0], [1.5, 40.0], [0.3, 1.0]])
 
 
 def slices_of(n_lobes: int, noise: float = 0.02, count: int = 12) -> Array:
-    """Slices (count, N) of so many well separated lobes with noise."""
     random = np.random.default_rng(n_lobes)
     factor = random.uniform(0.8, 1.2, (count, n_lobes, 2))
     kappa, gamma = np.moveaxis(LOBES[:n_lobes] * factor, -1, 0)[..., None]
@@ -27,16 +27,12 @@ def slices_of(n_lobes: int, noise: float = 0.02, count: int = 12) -> Array:
     return np.asarray(curves * (1.0 + noise * random.standard_normal(curves.shape)))
 
 
-def choose(mean: Array) -> tuple[int, tuple[SelectionStep, ...]]:
-    weight = np.full(mean.shape, 180.0)
-    return choose_n_lobes(
-        ANGLES, mean, weight, np.zeros_like(mean), lambda k: em.fit_slices(ANGLES, mean, weight, k, iterations=60)
-    )
-
-
 @pytest.mark.parametrize("n_lobes", [1, 2])
 def test_separated_lobes_are_counted(n_lobes: int) -> None:
-    chosen, table = choose(slices_of(n_lobes))
+    mean = slices_of(n_lobes)
+    weight, none = np.full(mean.shape, 180.0), np.zeros_like(mean)
+    fit_with = partial(em.fit_slices, ANGLES, mean, weight, iterations=60)
+    chosen, table = choose_n_lobes(ANGLES, mean, weight, none, fit_with)
     assert chosen == n_lobes
     assert [row.n_lobes for row in table] == [1, 2, 3, 4, 5]
     assert [row.significant for row in table] == [k < n_lobes for k in range(1, 6)]

@@ -44,10 +44,6 @@ def table(
     return "\n".join([*before.splitlines(), head, *rows, ""]).encode()
 
 
-def with_comma(number: float) -> str:
-    return f"{number:.9g}".replace(".", ",")
-
-
 def renamed(*names: str) -> bytes:
     return table((*names, *CHANNELS))
 
@@ -161,14 +157,12 @@ def test_noise_below_zero_counts_as_zero() -> None:
 
 
 def changed(place: int, cell: str) -> bytes:
-    """The table with another cell in its sixth line."""
     cells = WORDS[5].split(",")
     cells[place] = cell
     return "\n".join([*WORDS[:5], ",".join(cells), *WORDS[6:]]).encode()
 
 
 def zemax(incidence: bytes, azimuth: bytes, radial: bytes, values: bytes) -> bytes:
-    """A tabular BSDF of Zemax."""
     angles = zip((b"AngleOfIncidence", b"ScatterAzimuth", b"ScatterRadial"), (incidence, azimuth, radial), strict=True)
     lists = b"".join(b"%b %d\n%b\n" % (name, len(told.split()), told) for name, told in angles)
     return b"SampleRotation 1\n0\n" + lists + b"DataBegin\n" + values + b"\n"
@@ -216,7 +210,10 @@ WRONG = [
         table((*DIRECTION, "BRDF [%]"), np.hstack([ANGLES, RGB[:, :1]])),
         "'BRDF [%]' is in '%'; the values of a BRDF are in 1/sr: if they are those times a factor, give",
     ),
-    (table(number=with_comma), "Line 2 of the table has 14 cells, separated by commas, and the line of names has 7"),
+    (
+        table(number=lambda x: f"{x:.9g}".replace(".", ",")),
+        "Line 2 of the table has 14 cells, separated by commas, and the line of names has 7",
+    ),
     ("\n".join([*WORDS[:4], "1,2,3"]).encode(), "Line 5 of the table has 3 cells, and the line of names has 7."),
     (changed(4, "dark"), "Line 6 of the table has 'dark' in the column 'red'; write a number, or nan where"),
     (changed(0, "1_0"), "Line 6 of the table has '1_0' in the column 'theta_in'"),

@@ -120,7 +120,10 @@ def test_a_filled_in_plan_is_read_with_the_table_that_it_continues(path: Path, t
     pairs = PAIRS if in_plane else [*PAIRS, ASIDE]
     text = plan_table(path.read_bytes(), TableOptions(), pairs).decode()
     names, *rows = csv.reader(text.splitlines(), delimiter=separator)
-    expected = [_truth_of(pair) for pair in sorted(pairs, key=lambda pair: (pair.theta_in_deg, pair.theta_out_deg))]
+    theta_in, theta_out, phi = np.radians(
+        sorted((pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in pairs)
+    ).T
+    expected = truth(spherical(theta_in, 0.0 * phi), spherical(theta_out, phi))[:, 0]
     n_repeats = len(rows) // len(pairs)
     for at, row in enumerate(rows):
         value = f"{expected[at // n_repeats]:.8g}".replace(".", "," if "," in "".join(row[:4]) else ".")
@@ -130,9 +133,3 @@ def test_a_filled_in_plan_is_read_with_the_table_that_it_continues(path: Path, t
     both = read_samples([path, plan])
     assert len(both.values) == len(alone.values) + len(pairs)
     np.testing.assert_allclose(both.values, truth(both.omega_in, both.omega_out), rtol=1e-4, atol=1e-5)
-
-
-def _truth_of(pair: SuggestedPair) -> float:
-    omega_in = spherical(np.radians([pair.theta_in_deg]), np.zeros(1))
-    omega_out = spherical(np.radians([pair.theta_out_deg]), np.radians([pair.phi_deg]))
-    return float(truth(omega_in, omega_out)[0, 0])

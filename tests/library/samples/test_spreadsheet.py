@@ -48,7 +48,6 @@ def test_lines_in_errors_are_rows_of_the_sheet() -> None:
 
 
 def changed(content: bytes, part: str, now: bytes | None) -> bytes:
-    """The archive with another content of a part, or without it."""
     file = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as new:
         for name in old.namelist():

@@ -164,7 +164,6 @@ OBSERVER = np.array(
 
 
 def smooth(wavelengths: Array) -> Array:
-    """Spectra of five colors, none far from grey, shape (5, wavelengths)."""
     at = (wavelengths - 550.0) / 150.0
     return np.stack(
         [0.5 + 0.3 * at, 0.5 - 0.3 * at, 0.3 + 0.3 * at**2, 0.7 - 0.3 * at**2, 0.4 + 0.2 * np.sin(3.0 * at)]

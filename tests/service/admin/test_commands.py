@@ -178,7 +178,6 @@ def test_concurrent_uploads_of_purged_files_stay_consistent(own_server: StartSer
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
-    """A data folder with a measurement and a fit of it, which a server has open."""
     with closing(Store(tmp_path)) as store:
         store.add_fit(LOCAL, add(store), {}, 10)
         yield tmp_path

@@ -22,7 +22,6 @@ NPY_BOTH_WAYS = {"Content-Type": NPY, "Accept": NPY}
 
 @pytest.fixture(scope="session")
 def url(server: Server, stored: str) -> str:
-    """The address of the values of a fit that depend on phi_diff."""
     answer = server.submit(stored, method="global", n_lobes=1, ring_lobes=0)
     assert answer.json()["status"] == "succeeded", answer.text
     return f"/v1/fits/{answer.json()['id']}/brdf"

@@ -37,7 +37,6 @@ def rest(connection: socket.socket) -> bytes:
 
 
 def problem(answer: bytes) -> tuple[int, str]:
-    """Status and kind of a problem document that came over a plain connection."""
     head, _, body = answer.partition(b"\r\n\r\n")
     assert b"application/problem+json" in head
     assert b"connection: close" in head.lower()

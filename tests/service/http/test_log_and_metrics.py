@@ -161,7 +161,6 @@ def test_output_of_fit_processes_is_in_the_log() -> None:
 
 
 def metrics(server: Server) -> dict[tuple[str, ...], float]:
-    """Samples by name and values of the labels."""
     answer = server.http.get("/metrics")
     assert answer.status_code == 200
     assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")

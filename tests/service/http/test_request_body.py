@@ -23,7 +23,6 @@ pytestmark = pytest.mark.slow
 
 
 def contents(server: Server) -> tuple[list[Path], list[object]]:
-    """Files and rows that a server has."""
     return sorted(server.files()), [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
 
 

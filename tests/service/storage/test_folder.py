@@ -147,7 +147,6 @@ def test_new_folder_and_the_database_in_any_are_for_their_user_alone(tmp_path: P
 
 
 def stored(folder: Path) -> set[bytes]:
-    """The contents of all files of measurements, wherever they are."""
     return {path.read_bytes() for path in folder.rglob("*") if path.is_file() and not path.name.startswith("dsbrdf.")}
 
 

@@ -178,7 +178,6 @@ def test_a_caller_stores_and_queues_no_more_than_is_allowed(store: Store) -> Non
 
 
 def change(folder: Path, *statements: str) -> None:
-    """Change the database as no service does."""
     with closing(sqlite3.connect(folder / FILE_NAME, isolation_level=None)) as db:
         db.execute("PRAGMA ignore_check_constraints = ON")
         for statement in statements:

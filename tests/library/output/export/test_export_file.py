@@ -46,8 +46,6 @@ MODEL = mixture(3, 0)
 
 
 def document_of(found: FoundSurface) -> str:
-    """The document of a model for which a surface has been found."""
-
     def known(evaluate: Evaluate, layers: LayeredModel) -> FoundSurface:
         assert (evaluate, layers) == (MODEL.evaluate, decompose(MODEL).layers)
         return found
@@ -212,14 +210,12 @@ MATERIALX = b"""<materialx><open_pbr_surface name="a_surface">
 
 
 def written(folder: Path, file: str, file_format: str, content: bytes, name: str = "dsbrdf") -> Path:
-    """Write a file and its example, and return the example."""
     (folder / file).write_bytes(content)
     path, text = example(folder / file, file_format, content, name)
     path.write_bytes(text)
     return path
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason='"chromium" is not installed')
 def test_the_page_shades_with_the_function(tmp_path: Path) -> None:
     """The shader of the page, with its inputs as variables and the normal along the z axis."""
@@ -241,7 +237,6 @@ def test_the_page_shades_with_the_function(tmp_path: Path) -> None:
     assert np.abs(np.minimum(found["layers"], 1.0) - expected).mean() < 0.1
 
 
-@pytest.mark.slow
 def test_mitsuba_draws_the_scene(tmp_path: Path) -> None:
     mitsuba: ModuleType = mitsuba_variant("scalar_rgb")
     scene = mitsuba.load_file(str(written(tmp_path, 'a "&" b.bsdf', "bsdf", export_model(MODEL, "bsdf"))))

@@ -55,7 +55,6 @@ def lobe_value(lobe: str, row: dict[str, float], theta_half: float, theta_diff: 
 
 
 def assert_is(found: Array, source: dsbrdf.DSBRDF | LayeredModel) -> None:
-    """Values agree to 1e-6 of the largest at their theta_diff."""
     expected = source.evaluate_unmasked(*GRID)
     peak = np.array([expected[GRID[1] == diff].max(axis=0) for diff in GRID[1]])
     assert np.abs((found - expected) / peak).max() < 1e-6
@@ -84,7 +83,6 @@ def glass(cosine: Array) -> Array:
 
 
 def layer_values(layer: dict[str, Any]) -> Array:
-    """Values (3, n) of one layer at the angles of `GRID`."""
     half, diff, phi = GRID
     level, swing = np.cos(half) * np.cos(diff), np.sin(half) * np.sin(diff) * np.cos(phi)
     c_i, c_o = np.maximum(level - swing, 0.02), np.maximum(level + swing, 0.02)

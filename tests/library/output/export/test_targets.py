@@ -210,7 +210,6 @@ def test_glsl_samples(name: str, glsl: dict[str, Array]) -> None:
 
 
 def mitsuba_with_models(variant: str, folder: Path) -> tuple[ModuleType, dict[str, dict[str, str]]]:
-    """Return Mitsuba with the BSDF registered, and how to load the BSDF of each model."""
     module = mitsuba_variant(variant)
     register()
     for name in MODELS:

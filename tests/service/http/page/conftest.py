@@ -46,7 +46,6 @@ class Site:
         return self.header["Authorization"].removeprefix("Bearer ")
 
     def read(self, path: str) -> httpx.Response:
-        """What the user gets at a path."""
         return self.http.get(path, headers=self.header)
 
     def model(self, fit: str) -> DSBRDF:

@@ -48,7 +48,6 @@ def repaint(page: Page, act: Callable[[], object]) -> np.ndarray:
 
 
 def choose(page: Page, name: str, option: str) -> np.ndarray:
-    """What the canvas shows after a choice in the form of controls."""
     return repaint(page, lambda: page.locator(f"#controls [name={name}]").select_option(option))
 
 
