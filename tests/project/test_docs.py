@@ -67,6 +67,10 @@ def words_of(line: str) -> list[str]:
     return [name for word in words for name in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
 
 
+def compare_small(*shown: Any, **options: Any) -> Any:
+    return compare_spheres(*shown, **options | {"size": 64})
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("readme")
@@ -199,9 +203,7 @@ def test_the_command_line_quick_start(folder: Path, tmp_path: Path, monkeypatch:
     # The fit of a MaterialX surface has tests of its own.
     surface = materialx.FoundSurface(OpenPBR((0.5, 0.5, 0.5)), {"three_lights": 30.0}, {"highlight": 25.0})
     monkeypatch.setattr(materialx, "fit_openpbr", lambda *_: surface)
-    monkeypatch.setattr(
-        compare_command, "compare_spheres", lambda *shown, **options: compare_spheres(*shown, **options | {"size": 64})
-    )
+    monkeypatch.setattr(compare_command, "compare_spheres", compare_small)
     monkeypatch.chdir(tmp_path)
     shown = [run_main(cli.main, *words_of(line)) for line in lines]
     assert [answer.returncode for answer in shown] == [0] * len(lines)
@@ -213,13 +215,8 @@ def test_the_http_quick_start_with_curl(service: str, folder: Path) -> None:
     (text,) = blocks("sh", http=True)
     script = text.replace(ADDRESS, service)
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    answer = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", script],
-        cwd=folder,
-        env=os.environ | {"PATH": path},
-        capture_output=True,
-        text=True,
-    )
+    command, environment = ["bash", "-euo", "pipefail", "-c", script], os.environ | {"PATH": path}
+    answer = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     assert answer.returncode == 0, f"{script}\n{answer.stdout}\n{answer.stderr}"
     assert '"values"' in answer.stdout
     assert '"diffuse"' in answer.stdout
@@ -284,9 +281,7 @@ _COMPONENT = re.compile(r"^(\w+) +\d+% +\d+%-\d+%(?: +([\d.]+)°)?" + r" +([\d.]
 def test_demo_prints_all_results_and_stops_the_service(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(
-        demo, "compare_spheres", lambda *shown, **options: compare_spheres(*shown, **options | {"size": 64})
-    )
+    monkeypatch.setattr(demo, "compare_spheres", compare_small)
     demo.main(tmp_path / "out")
     out = capsys.readouterr().out
     words = ["201 Created", "200 OK", "90 % range", "width", "tail", "relative_rms", "excess", "male"]

@@ -157,12 +157,10 @@ def test_every_setting_exists_and_fits_stay_within_the_memory_of_the_container(p
     names = set(re.findall(r"\bDSBRDF_[A-Z_]+", path.read_text() + DOCKERFILE))
     assert names <= {f"DSBRDF_{name.upper()}" for name in Settings.model_fields}
     for name, service in services(path).items():
-        given = {
-            name.removeprefix("DSBRDF_").lower(): re.sub(r"\$\{\w+:-(.*)\}", r"\1", str(value))
-            for name, value in service.get("environment", {}).items()
-            if name.startswith("DSBRDF_")
-        }
-        settings = Settings(**given)  # type: ignore[arg-type]  # as text, like the environment's
+        own = {name: value for name, value in service.get("environment", {}).items() if name.startswith("DSBRDF_")}
+        texts = [re.sub(r"\$\{\w+:-(.*)\}", r"\1", str(value)) for value in own.values()]
+        given = zip((name.removeprefix("DSBRDF_").lower() for name in own), texts, strict=True)
+        settings = Settings(**dict(given))  # as text, like the environment's
         if name == "service":
             assert service["mem_limit"] == "4g"
             assert ((settings.workers or 0) + 1) * settings.fit_memory_mb <= 4096

@@ -226,10 +226,8 @@ def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) 
     fitted = server.http.post("/v1/fits", params=QUICK, content=data, headers=alice)
     assert fitted.status_code == 201
     fit, sha256 = fitted.json()["id"], fitted.json()["measurement"]
-    tags = {
-        path: server.http.get(f"/v1/{path}", headers=alice).headers["etag"]
-        for path in (f"fits/{fit}", f"fits/{fit}/components", f"measurements/{sha256}")
-    }
+    paths = (f"fits/{fit}", f"fits/{fit}/components", f"measurements/{sha256}")
+    tags = {path: server.http.get(f"/v1/{path}", headers=alice).headers["etag"] for path in paths}
     for (method, path, arguments), (_, other, _) in zip(
         probes(fit, sha256, tags), probes(MISSING_FIT, MISSING_MEASUREMENT, tags), strict=True
     ):

@@ -205,10 +205,8 @@ async def test_model_is_that_of_the_fit_as_it_is_now(place: Race) -> None:
 
 
 async def test_only_the_models_that_were_used_last_are_kept(place: Race) -> None:
-    models, keys = (
-        ModelCache(place.store, 2),
-        [await place.submit(options=dsbrdf.FitOptions(mask=m)) for m in (0, 1, 2)],
-    )
+    models = ModelCache(place.store, 2)
+    keys = [await place.submit(options=dsbrdf.FitOptions(mask=m)) for m in (0, 1, 2)]
     for key in keys:
         await place.end(key)
     first, second = [await models.get(key) for key in keys[:2]]

@@ -108,12 +108,9 @@ class Application:
         owner, key = add_key(self.store.database, "a key")
         written = checksum(None, stored_text().encode())
         values = (owner, FIT, "0" * 64, json.dumps(to_wire(OPTIONS)), time.time(), stored_text(), written)
+        columns = "seq, algorithm, library, status, owner, id, measurement, options, created, result, checksum"
         with self.store.database.transaction() as db:
-            db.execute(
-                "INSERT INTO fits (seq, owner, id, measurement, options, algorithm, library, status, created, result,"
-                " checksum) VALUES (1, ?, ?, ?, ?, '1', '1', 'succeeded', ?, ?, ?)",
-                values,
-            )
+            db.execute(f"INSERT INTO fits ({columns}) VALUES (1, '1', '1', 'succeeded', ?, ?, ?, ?, ?, ?, ?)", values)
         return key
 
     def ask(
@@ -122,7 +119,7 @@ class Application:
         key: str,
         method: str = "GET",
         body: bytes = b"",
-        media_type: str = "application/json",
+        kind: str = "application/json",
         *,
         unread: bool = False,
     ) -> Exchange:
@@ -131,7 +128,7 @@ class Application:
         headers = [(b"host", b"localhost"), (b"authorization", f"Bearer {key}".encode())]
         if body:
             headers.append((b"content-length", str(len(body)).encode()))
-            headers.append((b"content-type", media_type.encode()))
+            headers.append((b"content-type", kind.encode()))
         scope: dict[str, Any] = {"type": "http", "http_version": "1.0", "method": method, "path": path}
         scope |= {"headers": headers, "query_string": query.encode(), "client": ("127.0.0.1", 1)}
         messages: list[Message] = []

@@ -42,14 +42,8 @@ def papers_model(n_lobes: int = 3, knots: ArrayLike = SLICES, seed: int = 0) -> 
     random = np.random.default_rng(seed)
     shape = (3, np.size(knots), n_lobes)
     kappa = random.uniform(0.1, 6.0, shape)
-    return DSBRDF(
-        np.asarray(knots, float),
-        amplitude=np.expm1(kappa),
-        kappa=kappa,
-        gamma=np.exp(random.uniform(-1.0, 9.0, shape)),
-        delta=random.uniform(0.0, 2.0, shape[:2]),
-        interpolation="linear",
-    )
+    gamma, delta = np.exp(random.uniform(-1.0, 9.0, shape)), random.uniform(0.0, 2.0, shape[:2])
+    return DSBRDF(np.asarray(knots, float), np.expm1(kappa), kappa, gamma, delta=delta, interpolation="linear")
 
 
 COARSE_ANGLES = sampling.ANGLES[::10]
@@ -124,10 +118,8 @@ def deviations(model: DSBRDF, truth: DSBRDF) -> dict[str, float]:
         found = one.parameters_at(CHECKED_ANGLES)
         width = half_width(found["kappa"], found["gamma"], model.lobe)
         order = np.argsort(width[0, 0])
-        parts.append(
-            {name: found[name][..., order] for name in ("amplitude", "kappa", "gamma")}
-            | {"half width": width[..., order], "elongation": found["elongation"][1:, order]}
-        )
+        own = {name: found[name][..., order] for name in ("amplitude", "kappa", "gamma")}
+        parts.append(own | {"half width": width[..., order], "elongation": found["elongation"][1:, order]})
     return {name: float(np.max(np.abs(parts[0][name] / parts[1][name] - 1.0))) for name in parts[0]}
 
 
@@ -197,17 +189,9 @@ def single_lobe(
 ) -> DSBRDF:
     """Return a lobe that does not change with theta_diff; as high as the paper's if not told otherwise."""
     one = np.ones((1, 1, 1))
-    return DSBRDF(
-        np.zeros(1),
-        np.full((3, 1, 1), np.expm1(kappa) if amplitude is None else amplitude),
-        kappa * one,
-        gamma * one,
-        center * one,
-        np.full((1, 1), elongation),
-        delta=np.full((3, 1), delta),
-        interpolation="linear",
-        lobe=family,
-    )
+    height = np.full((3, 1, 1), np.expm1(kappa) if amplitude is None else amplitude)
+    shape = kappa * one, gamma * one, center * one, np.full((1, 1), elongation)
+    return DSBRDF(np.zeros(1), height, *shape, delta=np.full((3, 1), delta), interpolation="linear", lobe=family)
 
 
 def plain_lobe(theta_half: Array, kappa: float | Array, gamma: float | Array) -> Array:

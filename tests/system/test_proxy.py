@@ -113,11 +113,8 @@ def test_too_long_body_is_refused_by_nginx(proxy: Proxy) -> None:
 
 
 def test_bad_heads_are_refused_by_nginx(proxy: Proxy) -> None:
-    for answer in (
-        proxy.http.get("/v1/fits", headers={"X-Long": "x" * 10_000}),
-        proxy.http.get("/v1/fits?cursor=" + "x" * 10_000),
-    ):
-        assert_problem(answer, "head-too-long")
+    for query, headers in (("", {"X-Long": "x" * 10_000}), ("?cursor=" + "x" * 10_000, {})):
+        assert_problem(proxy.http.get(f"/v1/fits{query}", headers=headers), "head-too-long")
     assert b"urn:dsbrdf:problem:bad-request" in proxy.send(b"GET / HTTP/1.1\r\nHost: a b\r\nbad header\r\n\r\n")
 
 

@@ -29,10 +29,8 @@ SOON = 10.0  # seconds; what is asked for, on a machine that does much else
 def start_fits(server: Server, data: bytes, number: int) -> list[str]:
     """Begin endless fits that all differ; return their ids when the first one is being computed."""
     sha256 = server.http.post("/v1/measurements", content=data).json()["sha256"]
-    fits = [
-        server.submit(sha256, prefer="respond-async", **{**ENDLESS, "mask": index / 100}).json()["id"]
-        for index in range(number)
-    ]
+    asked = [{**ENDLESS, "mask": index / 100} for index in range(number)]
+    fits = [server.submit(sha256, prefer="respond-async", **options).json()["id"] for options in asked]
     server.until_running(fits[0])
     return fits
 

@@ -73,11 +73,8 @@ class Split:
             found = 0.0 if parts.diffuse is None else parts.diffuse.evaluate_unmasked(*angles)
             return np.asarray(np.abs(found - diffuse.evaluate_unmasked(*angles)))
 
-        amounts = (
-            directional_albedo(one, ANGLES).sum(axis=1)
-            for one in (wrong, diffuse.evaluate_unmasked, whole.evaluate_unmasked)
-        )
-        moved, true, every = amounts
+        functions = wrong, diffuse.evaluate_unmasked, whole.evaluate_unmasked
+        moved, true, every = (directional_albedo(one, ANGLES).sum(axis=1) for one in functions)
         (low, high), share = parts.diffuse_range, true[0] / every[0]
         return cls(parts, float(np.mean(moved / every)), bool(low - 1e-3 <= share <= high + 1e-3))
 

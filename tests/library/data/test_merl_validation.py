@@ -81,11 +81,8 @@ def test_a_few_bytes_tell_another_format() -> None:
 
 
 def test_values_that_are_not_finite_are_located_and_counted(data: bytes) -> None:
-    for value, channel, color, node in (
-        (np.nan, 0, "red", (0, 0, 0)),
-        (np.inf, 1, "green", BELOW),
-        (-np.inf, 2, "blue", (89, 89, 179)),
-    ):
+    places = ("red", (0, 0, 0)), ("green", BELOW), ("blue", (89, 89, 179))
+    for channel, (value, (color, node)) in enumerate(zip((np.nan, np.inf, -np.inf), places, strict=True)):
         assert refusal(with_values(data, {(channel, node): value})) == (
             f"1 value, in the {color} channel at (theta_half, theta_diff, phi_diff) node "
             f"{node}, is NaN or infinite; every value must be finite."

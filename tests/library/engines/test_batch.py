@@ -5,9 +5,10 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from multiprocessing import active_children
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,10 +20,8 @@ from tests.support.command_line import Capture
 from tests.support.processes import alive, forked, short_folder, until, wait_until
 from tests.support.tasks import ENDLESS, compute_unless_named_one
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc"),
-]
+needs_proc = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
+pytestmark = [pytest.mark.slow, needs_proc]
 
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=40)
 PATIENCE = 120.0
@@ -119,17 +118,11 @@ def test_ended_command_leaves_no_process_and_no_file(files: list[Path], tmp_path
     words = ["fit", *map(str, files), "-o", str(tmp_path / "out"), "--jobs=2", "--n-lobes=10", "--ring-lobes=9"]
     words += ["--robust", "--lobe=student", f"--knots-deg={','.join(map(str, ENDLESS.knots_deg))}"]
     program = [sys.executable, "-m", "dsbrdf.cli.main", *words]
-    with (
-        short_folder() as temporary,
-        subprocess.Popen(
-            program,
-            env={**os.environ, "TMPDIR": temporary},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        ) as command,
-    ):
+    piped: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with ExitStack() as stack:
+        temporary = stack.enter_context(short_folder())
+        environment = {**os.environ, "TMPDIR": temporary}
+        command = stack.enter_context(subprocess.Popen(program, env=environment, start_new_session=True, **piped))
         try:
             workers = until(lambda: forked(command.pid), lambda found: len(found) == 2)
             if number == signal.SIGINT:

@@ -30,10 +30,8 @@ from tests.support.processes import alive, forked, until, wait_until
 from tests.support.soak import SOAK
 from tests.support.tasks import ENDLESS
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc"),
-]
+needs_proc = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
+pytestmark = [pytest.mark.slow, needs_proc]
 
 QUICK = FitOptions(method="paper", n_lobes=1, em_iterations=3)
 MIDDLE = FitOptions(method="paper", n_lobes=4, em_iterations=40)

@@ -55,10 +55,8 @@ def residuals(problem: MixtureProblem, unknowns: Array, prior: tuple[float, floa
     """Residuals whose squares add up to the cost: weighted ones, and those of the pull towards the prior."""
     parts = problem.structure.split(unknowns)
     smooth = [np.sqrt(share) * np.diff(part, 2, axis=0).ravel() for part, share in zip(parts, SMOOTHING, strict=True)]
-    usual = [
-        np.sqrt(share) * part.ravel()
-        for share, part in zip(prior, (parts[1][:, : problem.structure.n_lobes], parts[2]), strict=True)
-    ]
+    pulled = parts[1][:, : problem.structure.n_lobes], parts[2]
+    usual = [np.sqrt(share) * part.ravel() for share, part in zip(prior, pulled, strict=True)]
     pull = np.concatenate(smooth + usual)
     fit = np.sqrt(problem.data.weight) * (problem.values(unknowns) - problem.data.mean)
     return np.concatenate([fit.ravel(), np.sqrt(problem.data.signal) * pull])

@@ -147,12 +147,8 @@ def test_search_says_what_it_tried() -> None:
     model = lobes_of((40.0, 1.5, 0.0), (2.0, 12.0, 0.0), (0.3, 50.0, 0.0))
     mixture, steps = searched(model, on_stage=lambda: calls.append(1))
     assert len(calls) == len(steps)
-    assert [(step.n_lobes, step.kept) for step in steps] == [
-        (MAX_SEARCHED_LOBES, True),
-        (1, False),
-        (2, False),
-        (3, True),
-    ]
+    tried = [(step.n_lobes, step.kept) for step in steps]
+    assert tried == [(MAX_SEARCHED_LOBES, True), (1, False), (2, False), (3, True)]
     assert steps[3].error < 0.1 * steps[2].error < 0.1 * steps[1].error < 0.1
     assert steps[3].error == pytest.approx(share_left(mixture, data_of(model, HELD_OUT_ROWS, noise=0.02)), rel=1e-9)
 

@@ -210,12 +210,9 @@ def check(text: str) -> None:
 
 
 numbers = st.one_of(st.integers(), st.floats(), st.sampled_from([0, 1, 1e-320, 1e308, 10**400, 1.5707]))
+plain, keys = st.none() | st.booleans() | numbers | st.text(max_size=8), st.sampled_from(["model", "kappa", "x", ""])
 json_values = st.recursive(
-    st.one_of(st.none(), st.booleans(), numbers, st.text(max_size=8)),
-    lambda inner: st.one_of(
-        st.lists(inner, max_size=4), st.dictionaries(st.sampled_from(["model", "kappa", "x", ""]), inner, max_size=3)
-    ),
-    max_leaves=12,
+    plain, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(keys, inner, max_size=3), max_leaves=12
 )
 
 

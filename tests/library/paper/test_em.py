@@ -1,5 +1,7 @@
 """Algorithm 1 of Nishino 2009 on a batch against its plain SciPy version on the raw samples, and each step alone."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq, least_squares, minimize_scalar
@@ -55,11 +57,9 @@ def algorithm_1(theta_half: Array, value: Array, n_lobes: int, iterations: int) 
     for _ in range(iterations):
         lobes = np.array([plain_lobe(theta_half, *np.exp(p)) for p in parameters])
         targets = lobes / lobes.sum(axis=0) * value
-        fits = [
-            least_squares(residual, start, method="lm", args=(target,), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-            for start, target in zip(parameters, targets, strict=True)
-        ]
-        parameters = np.array([fit.x for fit in fits])
+        fit = partial(least_squares, residual, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        pairs = zip(parameters, targets, strict=True)
+        parameters = np.array([fit(start, args=(target,)).x for start, target in pairs])
     found = np.exp(parameters)
     return np.asarray(found[np.argsort(-found[:, 0])])
 

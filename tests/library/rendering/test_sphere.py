@@ -224,10 +224,8 @@ def test_ssim_is_that_of_windows_one_by_one() -> None:
     reference, image, mask = images()
     offsets = np.arange(-5, 6)
     window = np.exp(-(offsets[:, None] ** 2 + offsets**2) / (2.0 * 1.5**2))
-    a, b = (
-        sliding_window_view(np.pad(picture, ((5, 5), (5, 5), (0, 0))), (11, 11), axis=(0, 1))[mask].reshape(-1, 121)
-        for picture in (reference, image)
-    )
+    padded = (np.pad(picture, ((5, 5), (5, 5), (0, 0))) for picture in (reference, image))
+    a, b = (sliding_window_view(one, (11, 11), axis=(0, 1))[mask].reshape(-1, 121) for one in padded)
     likeness = []
     for in_a, in_b in zip(a, b, strict=True):
         mean_a, mean_b = (np.average(part, weights=window.ravel()) for part in (in_a, in_b))

@@ -148,10 +148,8 @@ def test_the_fit_follows_the_level_up_to_the_limits_notes_are_warnings_and_grey_
     known, shares = scattered_samples(TRUTH, 60), list[float]()
     grey = ScatteredSamples.from_arrays(known.omega_in, known.omega_out, known.values[:, [1, 1, 1]])
     levels = np.array([1.001e-8, 0.999e8]) / grey.values.max()
-    dark, bright = (
-        dsbrdf.fit(scaled(grey, level, notes=("Grey.",)), n_lobes=1, ring_lobes=0, progress=shares.append)
-        for level in levels.tolist()
-    )
+    samples = [scaled(grey, level, notes=("Grey.",)) for level in levels.tolist()]
+    dark, bright = (dsbrdf.fit(one, n_lobes=1, ring_lobes=0, progress=shares.append) for one in samples)
     np.testing.assert_allclose(bright.model.evaluate(0.1, 0.4), 1e16 * dark.model.evaluate(0.1, 0.4), rtol=0.1)
     assert dark.report.warnings[0] == "Grey."
     np.testing.assert_array_equal(dark.model.amplitude, dark.model.amplitude[[1, 1, 1]])

@@ -39,10 +39,8 @@ def test_a_file_of_samples_is_a_table_in_degrees_with_notes() -> None:
     aside = np.tile([0.0, -0.5, np.sqrt(0.75)], (60, 1))
     samples = ScatteredSamples.from_arrays(up, aside, np.full((60, 3), [1.0, 2.5, 0.1]), notes=("A note.", "Two."))
     lines = samples.encode().decode().splitlines()
-    assert lines[:4] == [
-        *("# dsbrdf samples 1", "# A note.", "# Two."),
-        "theta_in,phi_in,theta_out,phi_out,red,green,blue,weight",
-    ]
+    names = "theta_in,phi_in,theta_out,phi_out,red,green,blue,weight"
+    assert lines[:4] == ["# dsbrdf samples 1", "# A note.", "# Two.", names]
     assert lines[4:] == ["0,0,30,270,1,2.5,0.1,1"] * 60
     assert ScatteredSamples.decode(samples.encode()).notes == samples.notes
 
@@ -120,9 +118,8 @@ def test_a_filled_in_plan_is_read_with_the_table_that_it_continues(path: Path, t
     pairs = PAIRS if in_plane else [*PAIRS, ASIDE]
     text = plan_table(path.read_bytes(), TableOptions(), pairs).decode()
     names, *rows = csv.reader(text.splitlines(), delimiter=separator)
-    theta_in, theta_out, phi = np.radians(
-        sorted((pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in pairs)
-    ).T
+    angles = sorted((pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in pairs)
+    theta_in, theta_out, phi = np.radians(angles).T
     expected = truth(spherical(theta_in, 0.0 * phi), spherical(theta_out, phi))[:, 0]
     n_repeats = len(rows) // len(pairs)
     for at, row in enumerate(rows):

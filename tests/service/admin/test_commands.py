@@ -122,10 +122,9 @@ def purged(folder: Path, *words: str) -> dict[str, Any]:
 def test_old_fits_and_measurements_are_removed_beside_a_running_server(own_server: StartServer, data: bytes) -> None:
     server = own_server(workers="1")
     folder = server.data_dir
-    old, fresh, unused, busy, kept = (
-        str(server.http.post("/v1/measurements", content=content).json()["sha256"])
-        for content in (with_value(data, 0.5 + index) for index in range(5))
-    )
+    contents = [with_value(data, 0.5 + index) for index in range(5)]
+    uploads = [server.http.post("/v1/measurements", content=content).json() for content in contents]
+    old, fresh, unused, busy, kept = (str(upload["sha256"]) for upload in uploads)
     old_fit, fresh_fit, kept_fit = (server.submit(sha256, **QUICK).json()["id"] for sha256 in (old, fresh, kept))
     busy_fit = server.submit(busy, prefer="respond-async", **ENDLESS).json()["id"]
     with closing(sqlite3.connect(folder / FILE_NAME, timeout=30)) as db, db:

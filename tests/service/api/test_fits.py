@@ -22,12 +22,9 @@ from tests.support.soak import SOAK
 
 @pytest.mark.filterwarnings("ignore::dsbrdf.ConvergenceWarning")
 def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_file: Path) -> None:
-    answer = server.http.post(
-        "/v1/fits",
-        params={"method": "paper", "n_lobes": 2, "em_iterations": 7},
-        content=data,
-        headers={"Content-Type": "application/octet-stream"},
-    )
+    options: dict[str, Any] = {"method": "paper", "n_lobes": 2, "em_iterations": 7}
+    kind = {"Content-Type": "application/octet-stream"}
+    answer = server.http.post("/v1/fits", params=options, content=data, headers=kind)
     assert answer.status_code == 201
     fit = answer.json()
     assert answer.headers["location"] == f"/v1/fits/{fit['id']}"

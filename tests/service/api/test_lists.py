@@ -136,10 +136,8 @@ def test_fits_are_filtered_by_state_and_measurement(server: Server, data: bytes)
 
 
 def test_measurements_are_listed(server: Server, data: bytes) -> None:
-    one, other = (
-        server.http.post("/v1/measurements", params={"name": "listed"}, content=data[:-8] + end * 8).json()
-        for end in (b"\0", b"\1")
-    )
+    contents, named = (data[:-8] + end * 8 for end in (b"\0", b"\1")), {"name": "listed"}
+    one, other = (server.http.post("/v1/measurements", params=named, content=part).json() for part in contents)
     first = server.http.get("/v1/measurements", params={"name": "listed", "limit": 1})
     assert first.json()["items"] == [other]
     assert server.http.get(first.links["next"]["url"]).json()["items"] == [one]

@@ -57,10 +57,8 @@ def test_every_other_sphere_has_another_tag(server: Server, stored: str, fitted:
         url = f"/v1/{path}/figures/sphere.png?size=16"
         current = {"If-None-Match": server.http.get(url).headers["etag"]}
         assert server.http.get(url, headers=current).status_code == 304
-        for other in (
-            url.replace("size=16", "size=24"),
-            *(f"{url}&{query}" for query in ("lighting=environment", *others)),
-        ):
+        queries = ("lighting=environment", *others)
+        for other in (url.replace("size=16", "size=24"), *(f"{url}&{query}" for query in queries)):
             assert server.http.get(other, headers=current).status_code == 200, other
         url, sent = url.replace(".png", ".npy"), {"Content-Type": NPY}
         lights = [npy(np.full((16, 32, 3), value)) for value in (1.0, 2.0)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, spherical
 from dsbrdf.output import from_json
 from dsbrdf_service.http.messages import NPY
 from tests.support.models import pairs_of_directions
@@ -82,10 +82,7 @@ def test_what_is_given_once_counts_for_all_points(server: Server, url: str, mode
 
 def test_angles_of_both_directions_equal_the_library(server: Server, url: str, model: dsbrdf.DSBRDF) -> None:
     theta_in, theta_out, phi_in, phi_out = ([30.0], [10.0, 50.0], [20.0], [200.0, -40.0])
-    sides = [
-        [[np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)] for t, p in np.radians(pairs)]
-        for pairs in ([(30.0, 20.0)] * 2, [(10.0, 200.0), (50.0, -40.0)])
-    ]
+    sides = [spherical(*np.radians(pairs)) for pairs in (([30.0] * 2, [20.0] * 2), ([10.0, 50.0], [200.0, -40.0]))]
     columns = {"theta_in_deg": theta_in, "theta_out_deg": theta_out, "phi_in_deg": phi_in, "phi_out_deg": phi_out}
     expected = model.evaluate_directions(*sides)
     close(server.http.get(url, params=columns), expected)
@@ -256,10 +253,7 @@ def test_invalid_json_is_refused(server: Server, fitted: str, body: bytes) -> No
 
 def test_measured_values_are_exact_or_null(server: Server, stored: str, plastic: dsbrdf.Measurement) -> None:
     url = f"/v1/measurements/{stored}/brdf"
-    row, diff, column = (
-        np.concatenate(parts)
-        for parts in zip(np.argwhere(plastic.valid)[::70_000].T, np.argwhere(~plastic.valid)[-1:].T, strict=True)
-    )
+    row, diff, column = np.vstack([np.argwhere(plastic.valid)[::70_000], np.argwhere(~plastic.valid)[-1:]]).T
     angles = np.degrees([THETA_HALF[row], THETA_DIFF[diff], PHI_DIFF[column]])
     expected = [*plastic.values[:, row[:-1], diff[:-1], column[:-1]].T, None]
     names = ("theta_half_deg", "theta_diff_deg", "phi_diff_deg")

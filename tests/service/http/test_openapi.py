@@ -90,14 +90,14 @@ def test_every_kind_of_problem_that_is_raised_is_in_the_table() -> None:
 
 
 def test_options_are_described_with_their_defaults(document: dict[str, Any]) -> None:
-    described = {
-        parameter["name"]: re.search(r"Default: `(.*)`\.$", parameter["description"])
-        for parameter in document["paths"]["/v1/fits"]["post"]["parameters"]
-        if parameter["in"] == "query" and parameter["name"] != "name"
+    parameters = document["paths"]["/v1/fits"]["post"]["parameters"]
+    descriptions = {
+        one["name"]: one["description"] for one in parameters if one["in"] == "query" and one["name"] != "name"
     }
+    described = {name: re.search(r"Default: `(.*)`\.$", text) for name, text in descriptions.items()}
     defaults = to_wire(FitOptions()) | to_wire(TableOptions())
     assert set(described) == set(defaults)
-    assert '"type": "null"' not in json.dumps(document["paths"]["/v1/fits"]["post"]["parameters"])  # a query has none
+    assert '"type": "null"' not in json.dumps(parameters)  # a query has none
     given = {name: found[1] for name, found in described.items() if found}
     assert set(described) - set(given) == {name for name, value in defaults.items() if value == []}
     of_table = {name: given.pop(name) for name in TABLE_OPTIONS if name in given}
@@ -204,10 +204,8 @@ def test_generated_client_sends_and_reads_what_is_described(call: Callable[..., 
     angles: dict[str, Any] = {"theta_half_deg": [5.0, 20.0], "theta_diff_deg": [10.0]}
     values = call("values.get_values", fit.id, **angles).parsed.values
     assert call("values.post_values", fit.id, body=model("AnglesRequest")(**angles)).parsed.values == values
-    parts = [
-        call("values.get_component_values", fit.id, part.label, **angles).parsed.values
-        for part in call("components.get_components", fit.id).parsed.items
-    ]
+    labels = [part.label for part in call("components.get_components", fit.id).parsed.items]
+    parts = [call("values.get_component_values", fit.id, label, **angles).parsed.values for label in labels]
     np.testing.assert_allclose(np.sum(parts, axis=0), values, rtol=1e-9)
     layers = model("ExportFitComponentType0").LAYERS
     exported = call("export.export_fit", fit.id, format_=model("ExportFitFormat").JSON, component=layers)

@@ -239,11 +239,8 @@ def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
     page = visit("/?name=zzz", header=header, webgl=False).page
     expect(page.get_by_text("No fits found for “zzz”.")).to_be_visible()
     rows = [f"{light},{seen},{1 + seen / 100}" for light in (0, 40) for seen in range(-75, 76, 5)]
-    contents = {
-        "a.csv": ["theta_in,theta_out,value", *rows],
-        "bad.csv": ["a,b", "1,2"],
-        "b.csv": ["theta_in,theta_out,value", *rows[1:]],
-    }
+    head = "theta_in,theta_out,value"
+    contents = {"a.csv": [head, *rows], "bad.csv": ["a,b", "1,2"], "b.csv": [head, *rows[1:]]}
     for name, lines in contents.items():
         (tmp_path / name).write_text("\n".join(lines))
     page.goto("/")
