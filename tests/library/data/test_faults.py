@@ -11,16 +11,9 @@ from numpy.typing import NDArray
 import dsbrdf
 from dsbrdf import InvalidArgumentError, Measurement, profiles
 from dsbrdf.arrays import Array
-from dsbrdf.data import (
-    PHI_DIFF,
-    THETA_DIFF,
-    THETA_HALF,
-    incident_cosines,
-    model_measurement,
-    nodes_above_horizon,
-    synthetic_measurement,
-)
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, model_measurement, synthetic_measurement
 from dsbrdf.data.faults import clip_levels, horizon_disagreement, profile_findings, value_findings
+from dsbrdf.data.geometry import incident_cosines, nodes_above_horizon
 from dsbrdf.fitting import relative_errors, sample_errors
 from dsbrdf.model import directional_albedo
 from tests.support.models import random_model

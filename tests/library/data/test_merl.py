@@ -13,23 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from dsbrdf import Measurement, MeasurementFormatError, parse_merl, read_merl, write_merl
-from dsbrdf.data import (
-    CHANNELS,
-    FILE_SIZE,
-    GRID_SHAPE,
-    PHI_DIFF,
-    THETA_DIFF,
-    THETA_HALF,
-    directions,
-    encode_merl,
-    nodes_above_horizon,
-    parse_rgl,
-    read_rgl,
-    spherical,
-)
+from dsbrdf.data import CHANNELS, FILE_SIZE, GRID_SHAPE, PHI_DIFF, THETA_DIFF, THETA_HALF, encode_merl
 from dsbrdf.data.files import write_atomically
+from dsbrdf.data.geometry import directions, nodes_above_horizon, spherical
 from dsbrdf.data.merl import map_merl
-from dsbrdf.data.rgl import Warp, encode_tensors, parse_tensors
+from dsbrdf.data.rgl import Warp, encode_tensors, parse_rgl, parse_tensors, read_rgl
 from dsbrdf.output.export.rgl import rgl_bsdf
 from tests.support.merl_files import ABOVE, BELOW, HEADER, position, with_values
 from tests.support.models import mixture, pairs_of_directions

@@ -8,18 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dsbrdf import (
-    DSBRDF,
-    ConvergenceWarning,
-    FitError,
-    FitOptions,
-    FitResult,
-    Measurement,
-    MeasurementFormatError,
-    Profiles,
-    fit,
-    profiles,
-)
+import dsbrdf
+from dsbrdf import DSBRDF, FitError, FitOptions, FitResult, Measurement, Profiles, fit, profiles
 from dsbrdf.arrays import Array
 from dsbrdf.data import CHANNELS, THETA_DIFF, THETA_HALF, model_measurement, nodes_above_horizon, synthetic_measurement
 from dsbrdf.fitting import METRICS, Metrics, global_method, relative_errors, sample_errors
@@ -123,7 +113,7 @@ def test_warning_only_where_iterations_ran_out(plastic_profiles: Profiles, monke
         result = fit(plastic_profiles, ONE)
     assert np.all(result.report.knots.converged)
     monkeypatch.setattr(global_method, "MAX_ITERATIONS", 1)
-    with pytest.warns(ConvergenceWarning, match="^The fit stopped after 1 iterations"):
+    with pytest.warns(dsbrdf.ConvergenceWarning, match="^The fit stopped after 1 iterations"):
         result = fit(plastic_profiles, ONE)
     assert not np.any(result.report.knots.converged)
     assert np.all(np.array(result.report.knots.iterations) == 1)
@@ -254,7 +244,7 @@ def test_red_only_material(plastic: Measurement) -> None:
 
 
 def test_nothing_left_is_said(plastic: Measurement, plastic_profiles: Profiles) -> None:
-    with pytest.raises(MeasurementFormatError, match=r"a measurement needs at least 0\.1% of the nodes"):
+    with pytest.raises(dsbrdf.MeasurementFormatError, match=r"a measurement needs at least 0\.1% of the nodes"):
         edited(plastic, lambda values, _: values.fill(0.0))
     folded, nothing = plastic_profiles.folded, np.zeros_like(plastic_profiles.folded.mean)
     for empty in (replace(folded, mean=nothing), replace(folded, weight=nothing)):

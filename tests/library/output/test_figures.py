@@ -16,26 +16,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import dsbrdf
-from dsbrdf import (
-    FitResult,
-    InvalidArgumentError,
-    Measurement,
-    Profiles,
-    ScatteredSamples,
-    decompose,
-    render_sphere,
-)
+from dsbrdf import FitResult, InvalidArgumentError, Measurement, Profiles, ScatteredSamples, decompose, render_sphere
 from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon, half_difference, spherical
 from dsbrdf.output import encode_figure
 from dsbrdf.output.figures import overview_figure, parameters_figure, profiles_figure
 from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
-from dsbrdf.output.sphere_panels import (
-    DIFFERENCE_GAIN,
-    SphereComparison,
-    compare_spheres,
-    encode_png,
-    side_by_side,
-)
+from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, SphereComparison, compare_spheres, encode_png, side_by_side
 from dsbrdf.rendering import displayed, sphere_likeness
 from tests.support.models import mixture, papers_model
 

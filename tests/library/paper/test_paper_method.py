@@ -4,18 +4,8 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from dsbrdf import (
-    DSBRDF,
-    ConvergenceWarning,
-    FitError,
-    FitOptions,
-    FitResult,
-    InvalidArgumentError,
-    Measurement,
-    Profiles,
-    fit,
-    profiles,
-)
+import dsbrdf
+from dsbrdf import DSBRDF, FitError, FitOptions, FitResult, Measurement, Profiles, fit, profiles
 from dsbrdf.data import THETA_DIFF, THETA_HALF, model_measurement
 from dsbrdf.paper import PAPER_SLICES
 
@@ -115,7 +105,7 @@ def test_centre_is_not_used_for_lobes_and_no_delta_is_negative(plastic_profiles:
 @pytest.mark.parametrize(("name", "asked"), [("weighting", "cosine"), ("horizon_cutoff_deg", None), ("robust", True)])
 def test_profiles_must_have_been_made_with_the_same_options(plastic_profiles: Profiles, name: str, asked: Any) -> None:
     said = f"made with {name.removesuffix('_deg')}=.*, but the options have {asked!r}"
-    with pytest.raises(InvalidArgumentError, match=said):
+    with pytest.raises(dsbrdf.InvalidArgumentError, match=said):
         fit(plastic_profiles, paper(**{name: asked}))
 
 
@@ -139,7 +129,7 @@ def test_what_progress_raises_ends_the_fit_and_is_raised(plastic_profiles: Profi
 
 
 def test_slices_that_stop_at_the_bound_are_reported_and_warned_about(plastic_profiles: Profiles) -> None:
-    with pytest.warns(ConvergenceWarning) as said:
+    with pytest.warns(dsbrdf.ConvergenceWarning) as said:
         report = fit(plastic_profiles, paper(em_iterations=2)).report
     assert str(said[0].message) == report.warnings[0]
     iterations = np.array(report.knots.iterations)[~np.array(report.knots.converged)]

@@ -11,18 +11,10 @@ import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from dsbrdf import (
-    EnvironmentMap,
-    ImageFormatError,
-    InvalidArgumentError,
-    Measurement,
-    blend,
-    read_environment,
-    render_sphere,
-    space,
-)
+from dsbrdf import EnvironmentMap, InvalidArgumentError, Measurement, blend, read_environment, render_sphere, space
 from dsbrdf.components import DiffuseLayer, LayeredModel, SpecularLayer
 from dsbrdf.data import half_difference, incident_cosines
+from dsbrdf.errors import ImageFormatError
 from dsbrdf.rendering import LIGHTINGS, THREE_LIGHTS, MaterialSpace, displayed, exposure, psnr, sphere_normals, ssim
 from dsbrdf.rendering.environment import Light
 from dsbrdf.rendering.sphere import SUN, environment_radiance

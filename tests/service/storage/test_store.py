@@ -17,14 +17,8 @@ from types import SimpleNamespace
 import pytest
 
 import dsbrdf
-from dsbrdf_service.errors import (
-    DatabaseLostError,
-    DataFolderError,
-    FitNotFoundError,
-    MeasurementDamagedError,
-    MeasurementNotFoundError,
-    ProblemError,
-)
+from dsbrdf_service import errors
+from dsbrdf_service.errors import DataFolderError, MeasurementDamagedError, ProblemError
 from dsbrdf_service.storage.database import FILE_NAME, Database
 from dsbrdf_service.storage.maintenance import check_database, check_measurements, purge_folder, remove_files
 from dsbrdf_service.storage.schema import ROW_DAMAGED, ROW_SIZE, UNFINISHED_SIZE, Caller, FitKey
@@ -40,7 +34,7 @@ def test_finished_fit_cannot_change(store: Store) -> None:
     sha256 = add(store)
     arguments = (sha256, OPTIONS, 10)
     key = FitKey("", fit_identity(sha256, OPTIONS))
-    with pytest.raises(MeasurementNotFoundError):
+    with pytest.raises(errors.MeasurementNotFoundError):
         store.add_fit(LOCAL, "other", OPTIONS, 10)
     row, new = store.add_fit(LOCAL, *arguments)
     assert (row.status, new) == ("accepted", True)
@@ -56,7 +50,7 @@ def test_finished_fit_cannot_change(store: Store) -> None:
     with pytest.raises(ProblemError, match="stored without a thumbnail"):
         store.thumbnail(key)
     assert store.remove_fit(key)
-    with pytest.raises(FitNotFoundError):
+    with pytest.raises(errors.FitNotFoundError):
         store.fit(key)
 
 
@@ -127,12 +121,12 @@ def test_transactions_are_synced_to_the_disk_before_they_end(store: Store) -> No
 def test_lost_database_is_not_written(store: Store, tmp_path: Path, suffix: str, replaced: bool) -> None:
     path = tmp_path / f"{FILE_NAME}{suffix}"
     shutil.copy(path, tmp_path / "copy")
-    lost = pytest.raises(DatabaseLostError, match=f"{path.name} has been removed or replaced")
+    lost = pytest.raises(errors.DatabaseLostError, match=f"{path.name} has been removed or replaced")
     with lost, store.database.transaction():
         path.unlink()  # what is committed now is lost at the next crash
     if replaced:
         (tmp_path / "copy").rename(path)
-    with pytest.raises(DatabaseLostError), store.database.transaction():
+    with pytest.raises(errors.DatabaseLostError), store.database.transaction():
         pytest.fail("the transaction began")
 
 
@@ -287,7 +281,7 @@ def test_measurement_that_is_deleted_while_its_file_is_read_is_not_found(
 ) -> None:
     sha256 = add(store)
     monkeypatch.setattr(store.blobs, "damage", lambda _: str(store.remove_measurement("", sha256)))
-    with pytest.raises(MeasurementNotFoundError):
+    with pytest.raises(errors.MeasurementNotFoundError):
         store.measurement_file("", sha256)
 
 

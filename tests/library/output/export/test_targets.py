@@ -27,17 +27,7 @@ from dsbrdf.output.export.mitsuba import register
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from tests.support import models
 from tests.support.array_libraries import loaded
-from tests.support.models import (
-    COAT,
-    GROUND,
-    METAL,
-    RETRO,
-    SHEEN,
-    pairs_of_directions,
-    papers_model,
-    random_model,
-    single_lobe,
-)
+from tests.support.models import COAT, GROUND, METAL, RETRO, SHEEN, papers_model, random_model
 from tests.support.renderers import mitsuba_variant, surface_at
 from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
@@ -48,8 +38,8 @@ Source = DSBRDF | LayeredModel | Component
 # Copies, whose tables of densities are theirs alone.
 MODELS: dict[str, DSBRDF] = {
     **{name: copy.copy(model) for name, model in models.MODELS.items()},
-    "one knot": single_lobe(2.0, 900.0, 0.5, family="student"),
-    "long stretch": single_lobe(1.5, 40.0, 0.5, center=0.2, elongation=6.0),
+    "one knot": models.single_lobe(2.0, 900.0, 0.5, family="student"),
+    "long stretch": models.single_lobe(1.5, 40.0, 0.5, center=0.2, elongation=6.0),
     "no lobes": random_model(0, n_lobes=0),
 }
 LAYERED = {
@@ -68,7 +58,7 @@ COMPONENTS: dict[str, tuple[DSBRDF, int]] = {
 NAMES = (*MODELS, *LAYERED, *COMPONENTS)
 WEIGHTED = ("part of mixture", "only part")
 SAMPLED = ("mixture",)
-PAIRS = pairs_of_directions(128 * 16, lowest=0.05, spread=0.03)
+PAIRS = models.pairs_of_directions(128 * 16, lowest=0.05, spread=0.03)
 """Pairs in single precision, in 16 rows of 128 pixels; the directions are not quite of length 1."""
 BELOW = np.array([[0.6, 0.0, 0.8], [0.6, 0.0, -0.8]])
 TOWARDS = np.array([0.5, 0.0, np.sqrt(0.75)])
@@ -287,7 +277,7 @@ def measured(module: ModuleType, content: bytes, folder: Path) -> Any:
 
 @pytest.mark.parametrize("kind", ["model", "measurement"])
 def test_a_table_for_mitsuba(kind: str, table: bytes, tmp_path: Path, metal: Measurement) -> None:
-    wi, wo = pairs_of_directions(1000, spread=None)
+    wi, wo = models.pairs_of_directions(1000, spread=None)
     module, model = mitsuba_variant("llvm_ad_rgb"), MODELS["mixture"]
     evaluate: Callable[..., Array] = model.evaluate if kind == "model" else metal.interpolated.evaluate
     content = table if kind == "model" else rgl_bsdf(metal, metal.name)
@@ -314,7 +304,7 @@ def test_samples_of_a_table_return_the_albedo(table: bytes, tmp_path: Path) -> N
 def test_spectral_variants_add_three_spectra(tmp_path: Path) -> None:
     module, described = mitsuba_with_models("scalar_spectral", tmp_path)
     spectral = rgl_bsdf(MODELS["mixture"], spectral=True)
-    wi, wo = pairs_of_directions(100, spread=None)
+    wi, wo = models.pairs_of_directions(100, spread=None)
     at = [400.0, 470.0, 615.0, 720.0]
     spectra = np.stack([np.interp(at, WAVELENGTHS, row) for row in SPECTRA])
     wanted = expected(MODELS["mixture"], wo, wi).values * wo[:, 2:] @ spectra
