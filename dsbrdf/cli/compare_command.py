@@ -112,14 +112,13 @@ def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], _: Look, *
 def _spheres(paths: Sequence[Path], sources: Sequence[Any], look: Look, *, with_picture: bool) -> _Comparison:
     is_fit = len(paths) == 2 and isinstance(sources[0], Measurement) and isinstance(sources[1], DSBRDF)
     names = ["measured", "fit"] if is_fit and paths[0].stem == paths[1].stem else titles(paths)
-    light, factor = look.light(), look.exposure
+    light = look.light()
     likeness: list[dict[str, float | None]] = []
     sentences: list[str] = []
     rows: list[Panels] = [{}, {}] if len(paths) > 2 else [{}]
     drawn: dict[str, Any] = {"lighting": light, "size": look.size, "with_components": is_fit and with_picture}
     for name, source in zip(names[1:], sources[1:], strict=True):
-        found = compare_spheres(sources[0], source, names=(names[0], name), factor=factor, **drawn)
-        factor = found.exposure
+        found = compare_spheres(sources[0], source, names=(names[0], name), factor=look.exposure, **drawn)
         likeness.append({"psnr": found.psnr if np.isfinite(found.psnr) else None, "ssim": found.ssim})
         spheres = "their lit spheres" if len(paths) == 2 else f"the lit spheres of {names[0]} and {name}"
         sentences.append(f"likeness of {spheres} {found.light}: PSNR {found.psnr:.1f} dB, SSIM {found.ssim:.4f}")

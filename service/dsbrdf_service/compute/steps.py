@@ -47,7 +47,7 @@ class StoredMeasurement:
 
     def mapped(self) -> Measurement:
         """Return the measurement, with its file mapped into memory."""
-        return replace(map_merl(self.path, self.sha256), name=self.name or self.sha256[:12])
+        return map_merl(self.path, self.sha256)
 
 
 Material = ReflectanceModel | StoredMeasurement
