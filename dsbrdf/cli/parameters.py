@@ -134,6 +134,7 @@ _Directions = Annotated[
 
 
 _FORMS = (("theta_half", "theta_diff", "phi_diff"), ("theta_in", "theta_out", "phi_out"), ("omega_in", "omega_out"))
+_PAIRS = "--theta-half and --theta-diff, --theta-in and --theta-out, or --omega-in and --omega-out"
 _DEFAULTS = {"phi_diff": (90.0,), "phi_out": (180.0,)}
 
 
@@ -173,14 +174,12 @@ class Points:
         """
         used = [form for form in _FORMS if any(getattr(self, name) for name in form)]
         if len(used) > 1:
-            raise InvalidArgumentError(
-                "give either --theta-half and --theta-diff, --theta-in and --theta-out, or --omega-in and --omega-out"
-            )
+            raise InvalidArgumentError(f"give either {_PAIRS}")
         columns: dict[str, Array] = {}
         for name in used[0] if used else _FORMS[0]:
             given = getattr(self, name) or _DEFAULTS.get(name, ())
             if not given:
-                raise InvalidArgumentError(f"--{name.replace('_', '-')} is missing: a point needs both")
+                raise InvalidArgumentError(f"--{name.replace('_', '-')} is missing: give {_PAIRS}")
             is_angle = not name.startswith("omega")
             columns[f"{name}_deg" if is_angle else name] = np.array(given if is_angle else list(map(_direction, given)))
         length = max(len(array) for array in columns.values())

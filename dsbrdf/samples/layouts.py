@@ -166,6 +166,8 @@ def json_table(data: bytes) -> TextTable | None:
             return None
     if document is None:
         return None
+    if isinstance(document, dict) and str(document.get("format")).startswith("dsbrdf"):
+        raise MeasurementFormatError("The file is a stored model of dsbrdf, not a measurement: dsbrdf show prints it.")
     if isinstance(document, dict) and "lookupTable" in (document.get("brdf") or ()):
         return _open_material_table(document["brdf"])
     places = [document, *document.values()] if isinstance(document, dict) else [document]

@@ -37,7 +37,7 @@ def _data_folder(given: Path | None, *, existing: bool = True) -> Path:
     """
     folder = given or Path(os.environ.get("DSBRDF_DATA_DIR") or DEFAULT_DATA_DIR)
     if existing and not is_data_folder(folder):
-        raise DataFolderError(f"{folder} is no data folder of a service; --data-dir names one")
+        raise DataFolderError(f"{folder} is no data folder of a service; name it with --data-dir")
     return folder
 
 

@@ -69,6 +69,7 @@ REFUSED_TEXTS = {
     "In 2 of 2 rows the phase angle is not between the difference and the sum of theta_in and theta_out": (
         "incidence phase emission value\n10 70 20 1\n30 5 60 1\n"
     ),
+    "The file is a stored model of dsbrdf, not a measurement": '{"format": "dsbrdf", "model": {"kappa": [1, 2]}}',
     "The JSON has no lists of numbers by name, such as theta_in": '{"data": {"theta_i": [], "brdf": "dark"}}',
     "is a label of the Planetary Data System; take the file that it describes": "PDS_VERSION_ID = PDS3\n",
     "begins with 'ScatterAzimuth 1', as tabular BSDF of Zemax, text of LightTools": (
