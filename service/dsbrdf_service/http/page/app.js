@@ -12,7 +12,7 @@ const UNREACHABLE = "The service cannot be reached. Check the connection, then t
 export class Problem extends Error {
   /** @param {string} detail @param {string} [title] @param {number} [status] */
   constructor(detail, title = "The service does not answer", status = 0) {
-    super(detail);
+    super(detail.replace(/; GET [^;]*\.$/, ".")); // The remedy is for programs.
     this.title = title;
     this.status = status;
   }
@@ -227,14 +227,15 @@ export const removeFit = (fit, shown, then) => remove(`v1/fits/${fit.id}?only=de
 
 /** Yields the states of a fit until it has ended. @param {Fit} fit @returns {AsyncGenerator<Fit>} */
 export async function* follow(fit) {
-  for (let now = fit; ;) {
+  for (let [now, lost] = [fit, false]; ;) {
     yield now;
     if (now.status !== "accepted" && now.status !== "running") return;
     await pause(500);
-    now = await json(`v1/fits/${fit.id}?wait=1`).catch((error) => {
-      if (error.status) throw error; // The fit was deleted.
-      return now;
+    const next = await json(`v1/fits/${fit.id}?wait=1`).catch((error) => {
+      if (error.status && error.status !== 503) throw error; // The fit was deleted.
     });
+    if (lost === Boolean(next)) say(next ? "" : "The service cannot be reached. This page waits for it.", lost = !next);
+    now = next ?? now;
   }
 }
 
@@ -299,7 +300,7 @@ export async function open() {
     await (await import(`./${module}.js`))[view](main, id);
   } catch (error) {
     const { title, message } = error instanceof Problem ? error : { title: "Something is wrong with this page", message: String(error) };
-    main.replaceChildren(template("problem", { title, detail: message.replace(/; GET [^;]*\.$/, ".") })); // The remedy is for programs.
+    main.replaceChildren(template("problem", { title, detail: message }));
     act(main, "again", () => location.reload());
   } finally {
     main.removeAttribute("aria-busy");

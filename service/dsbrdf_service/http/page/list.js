@@ -179,14 +179,16 @@ async function submit(main, file, options, signal) {
   tell(main, `Reading ${file.name}`);
   const bar = find(main, "progress", HTMLProgressElement);
   bar.removeAttribute("value");
+  await file.slice(0, 1).arrayBuffer().catch(() => { throw new Error("The browser cannot read it. Choose files; a folder cannot be sent."); });
   const measurement = await sha256(file);
-  const known = measurement && await fitStored(file.name.replace(/(?<=.)\.\w+$/, ""), measurement, typedOptions(chosen(options, "[name]:not(.of-table)"))).catch((error) => {
+  const name = file.name.replace(/(?<=.)\.\w+$/, "").replace(/[\p{C}\p{Z}/\\]+/gu, " ").trim().slice(0, 100).trim() || "measurement"; // The service accepts any such name.
+  const known = measurement && await fitStored(name, measurement, typedOptions(chosen(options, "[name]:not(.of-table)"))).catch((error) => {
     if (error.status !== 404) throw error;
   });
   if (known) return known;
   const words = progressOf(`Sending ${file.name}, ${sizeOf(file)}`);
   tell(main, words(0));
-  const query = new URLSearchParams([["name", file.name.replace(/\.binary$/, "") || file.name], ...chosen(options)]);
+  const query = new URLSearchParams([["name", name], ...chosen(options)]);
   const headers = { "Content-Type": "application/octet-stream", Prefer: "respond-async" };
   return (await request(`v1/fits?${query}`, { method: "POST", headers, body: file, signal }, uploading((done) => {
     bar.value = done;
@@ -209,7 +211,9 @@ const uploading = (onProgress) => (address, { method = "POST", headers, body, si
 /** @param {File} file */
 async function sha256(file) {
   if (!globalThis.crypto?.subtle) return null; // Browsers hash only on https and localhost.
-  const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
+  const content = await file.arrayBuffer().catch(() => null); // Browsers do not read 2 GB at once.
+  if (!content) return null;
+  const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", content));
   return Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 

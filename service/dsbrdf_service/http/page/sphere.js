@@ -234,6 +234,7 @@ export async function startSpheres(spheres) {
     sphere.hint.textContent = error.message;
     find(sphere.figure, ".toggles").hidden = true;
     await showPicture(find(sphere.figure, ".fallback", HTMLImageElement), `${sphere.path}/figures/sphere.png?size=256`).catch(() => undefined);
+    sphere.work();
   })));
   for (const sphere of running) listen(sphere);
   if (running.length) control();

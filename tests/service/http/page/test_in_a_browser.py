@@ -73,9 +73,15 @@ def test_fit_without_a_result_says_why_and_is_deleted(visit: Visit, site: Site, 
     own = replace(site, header=guarded.new_key("unlucky"))
     failing = own.submit(data, "failing", method="paper", n_lobes=8, mask=10, horizon_cutoff_deg=2)
     endless = own.submit(data, "endless", prefer="respond-async", **options)
-    page = visit(f"/fits/{endless}", header=own.header, webgl=False).page
+    visitor = visit(f"/fits/{endless}", header=own.header, webgl=False)
+    page = visitor.page
     expect(page.locator("[data-text=state]")).to_have_text(re.compile("Fitting|Waiting for its turn"))
     expect(page.get_by_role("progressbar")).to_be_visible()
+    visitor.context.set_offline(True)
+    expect(page.locator("#said")).to_contain_text("cannot be reached. This page waits for it.")
+    visitor.context.set_offline(False)
+    expect(page.locator("#said")).to_be_hidden()
+    visitor.faults.clear()  # The browser reports each request without a connection.
     page.get_by_role("button", name="Cancel the fit").click()
     expect(page.get_by_text("This fit was cancelled.")).to_be_visible()
     page.goto(f"/fits/{failing}")
@@ -102,6 +108,7 @@ def test_plots_follow_their_sliders_and_a_picture_stands_where_webgl_is_missing(
     page = visit(f"/fits/{site.fits['glossy']}", webgl=False).page
     expect(page.get_by_text("This browser has no WebGL 2")).to_be_visible()
     expect(page.locator("img.fallback")).to_have_js_property("naturalWidth", 256)
+    expect(page.locator(".work")).to_be_empty()
     for control in (SPHERE, ".toggles"):
         expect(page.locator(control)).to_be_hidden()
     page.locator("#plots").scroll_into_view_if_needed()  # plots are drawn when they are seen
@@ -240,10 +247,18 @@ def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
     expect(page.get_by_text("No fits found for “zzz”.")).to_be_visible()
     rows = [f"{light},{seen},{1 + seen / 100}" for light in (0, 40) for seen in range(-75, 76, 5)]
     head = "theta_in,theta_out,value"
-    contents = {"a.csv": [head, *rows], "bad.csv": ["a,b", "1,2"], "b.csv": [head, *rows[1:]]}
+    contents = {"a.csv": [head, *rows], "bad.csv": ["a,b", "1,2"], f"b\u202e{'b' * 120}.csv": [head, *rows[1:]]}
     for name, lines in contents.items():
         (tmp_path / name).write_text("\n".join(lines))
     page.goto("/")
+    browser, folder = (
+        page.context.new_cdp_session(page),
+        {"items": [], "files": [str(tmp_path)], "dragOperationsMask": 1},
+    )
+    page.locator("#upload").wait_for()
+    for kind in ("dragEnter", "dragOver", "drop"):
+        browser.send("Input.dispatchDragEvent", {"type": kind, "x": 200, "y": 200, "data": folder})
+    expect(page.locator("#said")).to_contain_text("The browser cannot read it. Choose files")
     page.get_by_text("Options").click()
     page.locator("#option-n_lobes").select_option("1")
     page.locator("#file").set_input_files([tmp_path / name for name in contents])
@@ -253,9 +268,9 @@ def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
         guarded.server.http.delete(f"/v1/fits/{fit['id']}?only=cancel", headers=header)
     page.goto("/")
     names = page.locator("#fits .card-name")
-    expect(names).to_have_text(["b", "a"])
+    expect(names).to_have_text([f"b {'b' * 98}", "a"])
     page.get_by_label("Sort by").select_option("name")
-    expect(names).to_have_text(["a", "b"])
+    expect(names).to_have_text(["a", f"b {'b' * 98}"])
 
 
 def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic_file: Path) -> None:
