@@ -3,7 +3,7 @@
 PSNR and SSIM against the sphere of the measurement, under both lightings of `dsbrdf.render_sphere`, of
 
 - the default fit,
-- a Lambertian ground and two GGX highlights, fitted by what a lit sphere shows, see `dsbrdf.components.ggx`,
+- a Lambertian ground and two GGX highlights, fitted by what a lit sphere shows, see `dsbrdf.output.comparison`,
 - the table of means over phi_diff, with as many rows and columns as the measurement, interpolated alike,
 - another program's description of the material, where there is ``peer_<material>.binary``.
 
@@ -22,8 +22,8 @@ import numpy as np
 from benchmarks.material_filter import REFERENCE_VARIABLE, add_arguments, chosen_measurements
 from dsbrdf import DSBRDF, ConvergenceWarning, Measurement, fit, profiles, read_merl, render_sphere
 from dsbrdf.arrays import Array
-from dsbrdf.components.ggx import fit_ggx
 from dsbrdf.data import GRID_SHAPE, nodes_above_horizon
+from dsbrdf.output.comparison import fit_ggx
 from dsbrdf.output.sphere_panels import compare_spheres
 from dsbrdf.rendering import LIGHTINGS, sphere_likeness
 

@@ -22,13 +22,13 @@ from dsbrdf.cli.parameters import (
 )
 from dsbrdf.cli.picture_commands import USUAL_LOOK, Look, check_png, titles
 from dsbrdf.components.decomposition import decompose
-from dsbrdf.components.ggx import N_NUMBERS, fit_ggx
 from dsbrdf.data.files import write_atomically
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.fitting.metrics import METRICS
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.reflectance import FunctionModel, RenderableModel
+from dsbrdf.output.comparison import N_NUMBERS, fit_ggx
 from dsbrdf.output.comparison import compare as compare_with
 from dsbrdf.output.figure_panels import encode_figure
 from dsbrdf.output.plots import samples_figure

@@ -3,14 +3,19 @@
 An exported file has exact numbers, copies of the functions of this module that its model needs, and at most 150 lines.
 The functions use the common interface `xp` of the three libraries. Derivatives are finite wherever values are finite,
 because arguments of roots and denominators are kept above 0. Parameters and formulas are as in `dsbrdf.model.dsbrdf`,
-`dsbrdf.components.layers` and `dsbrdf.components.shares`. Other targets run the file, see `run_file`.
+`dsbrdf.components.layers` and `dsbrdf.components.shares`.
+
+Shaders and renderers run the file on scalars of their own, see `compiled`: `xp` is then NumPy with arrays of objects,
+which compute by Python's operators and by the functions that `array_library` is given.
 """
 
 import inspect
 import itertools
 import math
+import operator
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import numpy
@@ -254,3 +259,68 @@ def compiled(source: DSBRDF | LayeredModel | Component, xp: Any) -> Callable[...
             return file["evaluate"](*directions, numbers | changed, **weights)
 
     return evaluate
+
+
+FUNCTIONS = ("sqrt", "exp", "log", "sin", "cos", "tan", "arctan", "expm1", "log1p")
+"""Functions of one number that the formula calls."""
+
+
+class ScalarArray(numpy.ndarray):
+    """Array of scalars whose comparisons return what the scalars return, where NumPy's own would return booleans."""
+
+
+for _name in ("lt", "ge", "gt", "eq", "and_", "or_"):
+    _each = numpy.frompyfunc(getattr(operator, _name), 2, 1)
+    setattr(ScalarArray, f"__{_name.strip('_')}__", lambda a, b, each=_each: each(a, b))
+
+
+def direction(components: Iterable[Any]) -> Any:
+    """Return an array (1, 3) of a direction's components."""
+    array = numpy.empty((1, 3), dtype=object)
+    for index, component in enumerate(components):  # NumPy would look into a scalar of drjit if it were in a list.
+        array[0, index] = component
+    return array.view(ScalarArray)
+
+
+def array_library(is_scalar: Callable[[Any], bool], functions: Mapping[str, Callable[..., Any]]) -> Any:
+    """Return the array library in which the formula computes with scalars.
+
+    The mapping has the functions in `FUNCTIONS`, and ``minimum``, ``maximum`` and ``where``. They are called only if an
+    argument is a scalar; a function of plain numbers is computed at once.
+    """
+
+    def each(name: str, of_numbers: Callable[..., Any], count: int) -> Any:
+        def call(*arguments: Any) -> Any:
+            # Return a Python float: a NumPy number times one of our scalars would treat the scalar as an array.
+            return functions[name](*arguments) if any(map(is_scalar, arguments)) else float(of_numbers(*arguments))
+
+        return numpy.frompyfunc(call, count, 1)
+
+    def clip(x: Any, low: Any, high: Any) -> Any:
+        x = x if low is None else maximum(x, low)
+        return x if high is None else minimum(x, high)
+
+    def logaddexp(a: Any, b: Any) -> Any:
+        high = maximum(a, b)
+        return high + of_one["log1p"](of_one["exp"](minimum(a, b) - high))
+
+    def where(condition: Any, first: Any, second: Any) -> Any:
+        if not is_scalar(condition):
+            return first if condition else second
+        return first if first is second else functions["where"](condition, first, second)
+
+    of_one = {name: each(name, getattr(numpy, name), 1) for name in FUNCTIONS}
+    minimum, maximum = each("minimum", min, 2), each("maximum", max, 2)
+    return SimpleNamespace(
+        **of_one,
+        clip=clip,
+        minimum=minimum,
+        maximum=maximum,
+        logaddexp=logaddexp,
+        where=numpy.frompyfunc(where, 3, 1),
+        positive=lambda x: x,
+        asarray=numpy.asarray,
+        ones_like=lambda x: 1.0 + 0.0 * x,
+        zeros_like=lambda x: 0.0 * x,
+        finfo=lambda _: numpy.finfo(numpy.float32),
+    )

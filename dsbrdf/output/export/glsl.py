@@ -31,8 +31,7 @@ from dsbrdf.model.sampling import (
     mirrored,
     mirrored_density,
 )
-from dsbrdf.output.export.formula import compiled
-from dsbrdf.output.export.scalars import FUNCTIONS, array_library, direction
+from dsbrdf.output.export.formula import FUNCTIONS, array_library, compiled, direction
 from dsbrdf.output.export.templates import filled, sections
 from dsbrdf.version import __version__
 

@@ -30,9 +30,8 @@ from dsbrdf.errors import DSBRDFError, InvalidArgumentError
 from dsbrdf.extras import require
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.model.sampling import ANGLES, in_plane_of_incidence, mirrored, mirrored_density
-from dsbrdf.output.export.formula import compiled
+from dsbrdf.output.export.formula import ScalarArray, array_library, compiled, direction
 from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS
-from dsbrdf.output.export.scalars import ScalarArray, array_library, direction
 from dsbrdf.output.serialize import read_model_file
 from dsbrdf.rendering.environment import LUMINANCE
 

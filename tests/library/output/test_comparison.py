@@ -15,10 +15,10 @@ import pytest
 import dsbrdf
 from dsbrdf import Finding, FitResult, FunctionModel, InvalidArgumentError, Measurement, Profiles
 from dsbrdf.components import DiffuseLayer, LayeredModel, SpecularLayer
-from dsbrdf.components.ggx import fit_ggx
 from dsbrdf.data import directions, nodes_above_horizon
 from dsbrdf.notebook_display import register
 from dsbrdf.output import export_model
+from dsbrdf.output.comparison import fit_ggx
 from dsbrdf.output.notebook import html as html_of
 from dsbrdf.output.plots import Shown
 from tests.support.models import mixture
