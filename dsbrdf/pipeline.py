@@ -106,10 +106,9 @@ def fit(
     if isinstance(measurement, str | PathLike):
         measurement = read_measurement(measurement, **of_table)
     elif of_table:
-        chosen = " and ".join(of_table)
-        raise InvalidArgumentError(
-            f"{chosen} applies to a table in a file: give the path of the table, or leave {chosen} out"
-        )
+        named = " and ".join(of_table)
+        remedy = f"give the path of the table, or leave {named} out"
+        raise InvalidArgumentError(f"{named} applies to a table in a file: {remedy}")
     elif not isinstance(measurement, Measurement | Profiles | ScatteredSamples):
         measurement = Measurement.from_values(measurement)
     in_slices = options.method == "paper"
@@ -161,11 +160,9 @@ def _result(
     albedo = DirectionalAlbedo(tuple(ALBEDO_ANGLES.tolist()), tuple(map(tuple, model.albedo(ALBEDO_ANGLES).tolist())))
     clock.lap("albedo")
     in_slices = options.method == "paper"
+    findings = fit_findings(data, knots, albedo, in_slices=in_slices, is_unit_wrong=is_unit_wrong)
     report = FitReport(
-        findings_of_fit=(
-            *faults,
-            *fit_findings(data, knots, albedo, in_slices=in_slices, is_unit_wrong=is_unit_wrong),
-        ),
+        findings_of_fit=(*faults, *findings),
         metrics=Metrics(),
         by_channel=(),
         by_theta_diff=(),
@@ -268,13 +265,10 @@ def add_sample_metrics(result: FitResult, measurement: Measurement) -> FitResult
     by_channel, by_theta_diff = error_tables(sums)
     metrics = sample_metrics(model, measurement, sums, np.array(report.directional_albedo.rgb))
     clock.lap("metrics")
+    accuracy = accuracy_findings(metrics, is_clipped=result.is_clipped)
     complete = replace(
         report,
-        findings_of_fit=(
-            *report.findings_of_fit,
-            *value_findings(measurement),
-            *accuracy_findings(metrics, is_clipped=result.is_clipped),
-        ),
+        findings_of_fit=(*report.findings_of_fit, *value_findings(measurement), *accuracy),
         metrics=metrics,
         by_channel=by_channel,
         by_theta_diff=by_theta_diff,

@@ -161,6 +161,7 @@ class LayerStructure:
 
 
 _ONE_SURFACE_STARTS_DEG = ((0.3,), (1.5,), (6.0,), (18.0,))
+_BOTH = ((0, 1.0), (1, 1.0))  # Both specular layers start from those of the parent.
 _TWO_SURFACE_STARTS_DEG = ((0.15, 12.0), (1.0, 6.0), (1.0, 16.0), (4.0, 16.0))
 
 STRUCTURES = (
@@ -184,7 +185,7 @@ STRUCTURES = (
         2.0,
         _TWO_SURFACE_STARTS_DEG,
         parent="coat over highlight over diffuse",
-        start_factors=((0, 1.0), (1, 1.0)),
+        start_factors=_BOTH,
     ),
 )
 """Usual structures; a parent stands before the structure that starts from it."""
@@ -214,28 +215,25 @@ RARE_STRUCTURES = (
         (HIGHLIGHT, HIGHLIGHT, GROUND),
         12.0,
         parent="metal of two roughnesses",
-        start_factors=((0, 1.0), (1, 1.0)),
+        start_factors=_BOTH,
     ),
     LayerStructure("metal of turning colour", (turning(METAL),), 6.0, parent="metal"),
     LayerStructure(
-        "highlight of turning colour over diffuse",
-        (turning(HIGHLIGHT), GROUND),
-        12.0,
-        parent="highlight over diffuse",
+        "highlight of turning colour over diffuse", (turning(HIGHLIGHT), GROUND), 12.0, parent="highlight over diffuse"
     ),
     LayerStructure(
         "coat over metal of turning colour",
         (COAT, turning(METAL_UNDER_COAT)),
         8.0,
         parent="coat over metal",
-        start_factors=((0, 1.0), (1, 1.0)),
+        start_factors=_BOTH,
     ),
     LayerStructure(
         "coat over highlight of turning colour over diffuse",
         (COAT, turning(HIGHLIGHT_UNDER_COAT), GROUND),
         14.0,
         parent="coat over highlight over diffuse",
-        start_factors=((0, 1.0), (1, 1.0)),
+        start_factors=_BOTH,
     ),
     LayerStructure(
         "coat over flakes of two scales over diffuse",

@@ -61,11 +61,8 @@ def check_header(header: bytes | bytearray | memoryview) -> None:
             first = text.split("\n")[0]
             raise MeasurementFormatError(f"The data is a text that begins with {first!r}, and no MERL measurement.")
         raise MeasurementFormatError(f"The data is no MERL measurement, which begins with the dimensions {GRID_SHAPE}.")
-    wrong = [
-        f"{axis} is {size} and not {expected}"
-        for axis, size, expected in zip(_AXES, found, GRID_SHAPE, strict=True)
-        if size != expected
-    ]
+    pairs = zip(_AXES, found, GRID_SHAPE, strict=True)
+    wrong = [f"{axis} is {size} and not {expected}" for axis, size, expected in pairs if size != expected]
     raise MeasurementFormatError(f"The dimensions in the header are {found}: {', '.join(wrong)}; {right}.")
 
 

@@ -1,6 +1,6 @@
 """The data of a fit of lobes: values and weights in rows of theta_diff."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -49,10 +49,7 @@ class FitData:
 
     def take_bins(self, bins: Sequence[int]) -> "FitData":
         """Return the data of some bins of phi_diff only."""
-        chosen = list(bins)
-        return replace(
-            self, mean=self.mean[..., chosen], weight=self.weight[..., chosen], cos2_phi=self.cos2_phi[..., chosen]
-        )
+        return self._changed(lambda array: array[..., list(bins)])
 
     def single(self) -> "FitData":
         """Convert the data to single precision, which halves the time of sums.
@@ -61,9 +58,10 @@ class FitData:
         """
         if not MAX_SINGLE_VALUE**-1 < self.mean.max(initial=0.0) < MAX_SINGLE_VALUE:
             return self
-        parts: dict[str, Any] = {
-            name: getattr(self, name).astype(np.float32) for name in ("mean", "weight", "cos2_phi")
-        }
+        return self._changed(lambda array: array.astype(np.float32))
+
+    def _changed(self, change: Callable[[Array], Any]) -> "FitData":
+        parts: dict[str, Any] = {name: change(getattr(self, name)) for name in ("mean", "weight", "cos2_phi")}
         return replace(self, **parts)
 
     @cached_property
@@ -74,10 +72,8 @@ class FitData:
     @cached_property
     def rows(self) -> tuple[Array, Array]:
         """Values and weights as arrays of the shape (rows, 3, columns * bins)."""
-        mean, weight = (
-            part.transpose(1, 0, 2, 3).reshape(len(self.theta_diff), 3, -1) for part in (self.mean, self.weight)
-        )
-        return mean, weight
+        shape = len(self.theta_diff), 3, -1
+        return self.mean.transpose(1, 0, 2, 3).reshape(shape), self.weight.transpose(1, 0, 2, 3).reshape(shape)
 
     @cached_property
     def squared_tangents(self) -> tuple[Array, Array]:

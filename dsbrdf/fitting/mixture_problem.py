@@ -50,18 +50,13 @@ class MixtureProblem:
         self.data, self.structure = data, structure
         self.bases = structure.bases(data.theta_diff)
         precision: Any = self.precision
-        self._pairs = {
-            (i, j): np.einsum("rd,re->der", self.bases[i], self.bases[j])
-            .reshape(-1, len(data.theta_diff))
-            .astype(precision)
-            for i in range(3)
-            for j in range(i + 1)
-        }
+        self._pairs = {}
+        for i, j in ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)):
+            pair = np.einsum("rd,re->der", self.bases[i], self.bases[j]).reshape(-1, len(data.theta_diff))
+            self._pairs[i, j] = pair.astype(precision)
         self._log_cos = log_cosine(data.theta_diff)[:, None, None]
-        self._pulls = [
-            data.signal * weight * roughness(basis.shape[1])
-            for basis, weight in zip(self.bases, smoothing, strict=True)
-        ]
+        pulled = zip(self.bases, smoothing, strict=True)
+        self._pulls = [data.signal * weight * roughness(basis.shape[1]) for basis, weight in pulled]
         k = structure.n_lobes
         # Each unknown has a cost, `prior` times the squared data for log kappa and elongations, otherwise 0.
         self._prior = np.zeros(structure.n_unknowns)

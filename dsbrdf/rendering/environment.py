@@ -186,9 +186,8 @@ def _without_lights(image: Array) -> tuple[Array, tuple[Light, ...]]:
         row, column = np.nonzero(spots == number)
         taken = image[row, column] * surplus[row, column, np.newaxis]
         share = area[row, column, np.newaxis] * taken
-        direction = np.stack(
-            [np.sin(up[row]) * np.sin(turn[column]), np.cos(up[row]), -np.sin(up[row]) * np.cos(turn[column])]
-        )
+        sine = np.sin(up[row])
+        direction = np.stack([sine * np.sin(turn[column]), np.cos(up[row]), -sine * np.cos(turn[column])])
         middle = direction @ (share @ LUMINANCE)
         middle /= np.linalg.norm(middle)
         lights.append(Light(tuple(middle.tolist()), tuple(share.sum(axis=0).tolist())))

@@ -125,12 +125,9 @@ class ScatteredSamples:
             raise MeasurementFormatError(
                 f"There {'is 1 sample' if count == 1 else f'are {count} samples'}; a fit needs at least {MIN_SAMPLES}."
             )
-        arrays = {
-            "omega_in": _numbers("omega_in", omega_in, (count, 3)),
-            "omega_out": _numbers("omega_out", omega_out, (count, 3)),
-            "values": _numbers("values", values, (count, 3)),
-            "weight": _numbers("weight", np.ones(count) if weight is None else weight, (count,)),
-        }
+        given = {"omega_in": omega_in, "omega_out": omega_out, "values": values}
+        arrays = {name: _numbers(name, array, (count, 3)) for name, array in given.items()}
+        arrays["weight"] = _numbers("weight", np.ones(count) if weight is None else weight, (count,))
         values, weights, brightest = arrays["values"], arrays["weight"], arrays["values"].max()
         for side in ("omega_in", "omega_out"):
             off = np.abs(np.linalg.norm(arrays[side], axis=1) - 1.0) > _UNIT_TOLERANCE

@@ -102,8 +102,8 @@ async def receive_upload(
                 await _receive_merl(request, start, pieces, incoming)
             else:
                 await _write(start, pieces, incoming, _MAX_CONVERTED_BYTES, "A .bsdf file or a table")
-                duration = _duration_of_table(start, incoming.size)
-                found = await _read_table(request, context, conversion_step, incoming.path, options, duration=duration)
+                size, path = incoming.size, incoming.path
+                found = await _read_table(request, context, start, size, conversion_step, path, options)
                 incoming.sha256, incoming.size, incoming.valid_nodes = found
             return await in_thread(context.store.add_measurement, caller, incoming, name)
 
@@ -131,10 +131,7 @@ def _count_valid_nodes(path: Path) -> int:
     """Check the values of a MERL file; return the number of its nodes with a value."""
     with path.open("rb") as file:
         file.seek(merl.HEADER_SIZE)
-        rows = (
-            np.fromfile(file, "<f8", merl.ROW_NODES)
-            for _ in range(merl.HEADER_SIZE, merl.FILE_SIZE, 8 * merl.ROW_NODES)
-        )
+        rows = (np.fromfile(file, "<f8", merl.ROW_NODES) for _ in range(3 * merl.N_ROWS))
         return int(merl.check_values(rows).sum())
 
 
@@ -151,16 +148,12 @@ async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming,
     await in_thread(incoming.close)
 
 
-def _duration_of_table(start: bytes, size: int) -> Duration:
-    """Return how long the reading of a table takes: `medium` for a short text, otherwise `long`."""
+async def _read_table(request: Request, context: Context, start: bytes, size: int, *step: Any) -> Any:
+    """Read a table of `size` bytes in a separate process; raise MeasurementFormatError if the table is refused."""
     is_short_text = size <= _MAX_SHORT_TEXT_BYTES and measurement_kind(start) == "samples" and start[:2] != _ZIP
-    return "medium" if is_short_text else "long"
-
-
-async def _read_table(request: Request, context: Context, *arguments: Any, **named: Any) -> Any:
-    """Read a table in a separate process; raise MeasurementFormatError if the table is refused."""
+    duration: Duration = "medium" if is_short_text else "long"
     try:
-        return await context.computations.run_in_process(request, *arguments, **named)
+        return await context.computations.run_in_process(request, *step, duration=duration)
     except InvalidArgumentError as error:
         raise MeasurementFormatError(str(error)) from None
 
@@ -215,9 +208,8 @@ async def describe_table(request: Request, context: TheContext, options: TheTabl
     """
     media_type_of(request, *UPLOADED)
     async with context.bodies.received(request, _MAX_CONVERTED_BYTES) as content:
-        duration = _duration_of_table(content[:START_BYTES], len(content))
-        found = await _read_table(request, context, understood_step, content, options, duration=duration)
-    return TableDocument(**found)
+        start, size = content[:START_BYTES], len(content)
+        return TableDocument(**await _read_table(request, context, start, size, understood_step, content, options))
 
 
 class MeasurementDocument(Document):
