@@ -181,7 +181,7 @@ def _result(
 def _fit_samples(
     samples: ScatteredSamples, options: FitOptions, progress: Callable[[float], None], clock: _Clock
 ) -> FitResult:
-    """Fit a table predicted from samples; if there are at least FEW_SAMPLES, fit the table and the samples together."""
+    """Fit the model to samples with a usual albedo, and report on the samples as they were measured."""
     if options.method != "global":
         raise InvalidArgumentError("scattered samples cannot be fitted with method 'paper', which needs whole slices")
     doubts = sample_doubts(samples)
@@ -191,16 +191,7 @@ def _fit_samples(
     known = thinned(used)
     prediction = SamplePrediction.fit(known)
     clock.lap("prediction")
-    table = predicted_profiles(used, prediction, options)
-    clock.lap("profiles")
-    found, mixture = fit_global(table, options, lambda share: progress(0.1 + 0.7 * share), clock.lap)
-    if len(used.values) >= FEW_SAMPLES:
-        exact = thinned(used, MAX_REFINED_SAMPLES)
-        for _ in range(REFINEMENT_ROUNDS):
-            data = sample_rows(exact, table, options, prediction, found.model)
-            refined, mixture = refine_at_samples(data, mixture)
-            found = replace(refined, search=found.search)
-        clock.lap("refine at samples")
+    table, found = _model_of_samples(used, prediction, options, progress, clock)
     progress(0.9)
     without = left_out_values(known, prediction, found.model)
     left_out, rows = left_out_errors(known, without, options.horizon_cutoff)
@@ -230,6 +221,27 @@ def _fit_samples(
         samples=samples.sha256,
     )
     return replace(result, report=report)
+
+
+def _model_of_samples(
+    samples: ScatteredSamples,
+    prediction: SamplePrediction,
+    options: FitOptions,
+    progress: Callable[[float], None],
+    clock: _Clock,
+) -> tuple[Profiles, FoundModel]:
+    """Fit a table predicted from samples; if there are at least FEW_SAMPLES, fit the table and the samples together."""
+    table = predicted_profiles(samples, prediction, options)
+    clock.lap("profiles")
+    found, mixture = fit_global(table, options, lambda share: progress(0.1 + 0.7 * share), clock.lap)
+    if len(samples.values) >= FEW_SAMPLES:
+        exact = thinned(samples, MAX_REFINED_SAMPLES)
+        for _ in range(REFINEMENT_ROUNDS):
+            data = sample_rows(exact, table, options, prediction, found.model)
+            refined, mixture = refine_at_samples(data, mixture)
+            found = replace(refined, search=found.search)
+        clock.lap("refine at samples")
+    return table, found
 
 
 def profiles_for(measurement: Measurement | Profiles, options: FitOptions) -> Profiles:

@@ -260,13 +260,11 @@ def fit_slicewise(data: Profiles, options: FitOptions, progress: Callable[[float
         compared = _compared(n_nodes)
         n_lobes, done, share = 1, _SELECTION_PROGRESS, _SELECTION_PROGRESS / MAX_AUTOMATIC_LOBES
         if compared.any():
-            n_lobes, selection = choose_n_lobes(
-                _ANGLES,
-                mean[compared],
-                weight[compared],
-                within[compared],
-                lambda number: fit(compared, number, (number - 1) * share, share),
-            )
+
+            def compare(number: int) -> em.SliceFits:
+                return fit(compared, number, (number - 1) * share, share)
+
+            n_lobes, selection = choose_n_lobes(_ANGLES, mean[compared], weight[compared], within[compared], compare)
     # A slice with fewer nodes than parameters is not fitted, because its data do not determine the parameters.
     fitted = n_nodes >= 2 * n_lobes
     if not fitted.any(axis=1).all():
