@@ -333,8 +333,7 @@ def _check(fields: Mapping[str, NDArray[Any]]) -> None:
             raise MeasurementFormatError(f"The field {name!r} of the .bsdf file is not an array with {axes} axes.")
         if not np.isfinite(array).all():
             raise MeasurementFormatError(f"The field {name!r} of the .bsdf file has values that are NaN or infinite.")
-    count = fields["phi_i"].size
-    if count > 2:
+    if (count := fields["phi_i"].size) > 2:
         raise MeasurementFormatError(
             f"The material is anisotropic: it has {count} azimuths of the first direction; this model is isotropic."
         )
