@@ -114,13 +114,9 @@ class Page(Input):
 
 def members(document: type[BaseModel], row: FitRow | MeasurementRow) -> dict[str, Any]:
     """Return the values of a database row for the members of a document; times are converted to datetimes."""
-    known = {}
-    for name in document.model_fields:
-        if hasattr(row, name):
-            value = getattr(row, name)
-            is_time = name in _TIME_MEMBERS and value is not None
-            known[name] = datetime.fromtimestamp(value, UTC) if is_time else value
-    return known
+    known = {name: getattr(row, name) for name in document.model_fields if hasattr(row, name)}
+    times = {name: datetime.fromtimestamp(known[name], UTC) for name in _TIME_MEMBERS if known.get(name) is not None}
+    return known | times
 
 
 def next_page(request: Request, page: Page, rows: Sequence[FitRow | MeasurementRow]) -> dict[str, str]:
