@@ -68,7 +68,7 @@ def sphere_step(
 
     image = sphere(part)
     if file_format == "npy":
-        return _npy(image.astype("<f4"))
+        return npy_bytes(image.astype("<f4"))
     factor = exposure(image if part is whole else sphere(whole), sphere_normals(size)[1])
     return encode_png(displayed(image, factor))
 
@@ -88,10 +88,11 @@ def table_step(stored: StoredMeasurement, path: Path, _: OnProgress) -> None:
     measurement = stored.mapped()
     source, channels = measurement.interpolated.source, zip(measurement.stored, measurement.scale, strict=True)
     values = [np.maximum(channel.ravel()[source] * scale, 0.0) for channel, scale in channels]
-    path.write_bytes(_npy(np.log(np.stack(values, axis=-1) + LOG_OFFSET_PER_SR).astype("<f2")))
+    path.write_bytes(npy_bytes(np.log(np.stack(values, axis=-1) + LOG_OFFSET_PER_SR).astype("<f2")))
 
 
-def _npy(array: NDArray[Any]) -> bytes:
+def npy_bytes(array: NDArray[Any]) -> bytes:
+    """Return an array as the content of a .npy file."""
     file = BytesIO()
     np.save(file, array)
     return file.getvalue()
@@ -123,7 +124,7 @@ def samples_step(stored: StoredMeasurement, most: int, _: OnProgress) -> bytes:
     table = np.concatenate([samples.omega_in, samples.omega_out, samples.values], axis=1)
     if len(table) > most:
         table = table[np.sort(np.random.default_rng(0).permutation(len(table))[:most])]
-    return _npy(table.astype("<f4"))
+    return npy_bytes(table.astype("<f4"))
 
 
 def understood_step(content: bytes, options: TableOptions, _: OnProgress) -> dict[str, Any]:
