@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dsbrdf.arrays import Array
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import FIRST_PHI, FoldedProfiles, Profiles, cosine_parts
@@ -144,8 +144,10 @@ def profile_findings(data: Profiles) -> Iterator[Finding]:
             "neighbours: they have hardly any weight, and the model is extrapolated there.",
             {"disagreement": disagreement},
         )
-    yield from _floor_finding(folded)
-    yield from _sweep_findings(folded)
+    level, swing = cosine_parts()
+    usable = (level - swing * np.cos(FIRST_PHI) > _FLOOR_COSINE) & (folded.weight > 0.0).all(axis=0)
+    yield from _floor_finding(folded, usable)
+    yield from _sweep_findings(folded, usable)
 
 
 def _plateau_finding(folded: FoldedProfiles) -> Iterator[Finding]:
@@ -168,10 +170,8 @@ def _plateau_finding(folded: FoldedProfiles) -> Iterator[Finding]:
         )
 
 
-def _floor_finding(folded: FoldedProfiles) -> Iterator[Finding]:
+def _floor_finding(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
     """Yield a finding if, away from the highlight, values are the same at all theta_half and theta_diff."""
-    level, swing = cosine_parts()
-    usable = (level - swing * np.cos(FIRST_PHI) > _FLOOR_COSINE) & (folded.weight > 0.0).all(axis=0)
     cells = []
     for rows in pairwise(_FLOOR_EDGES_DIFF):
         for columns in pairwise(_FLOOR_EDGES_HALF.tolist()):
@@ -193,10 +193,8 @@ def _floor_finding(folded: FoldedProfiles) -> Iterator[Finding]:
         )
 
 
-def _sweep_findings(folded: FoldedProfiles) -> Iterator[Finding]:
+def _sweep_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
     """Yield findings if the values jump from one theta_diff to the next, or if a theta_half repeats another."""
-    level, swing = cosine_parts()
-    usable = (level - swing * np.cos(FIRST_PHI) > _FLOOR_COSINE) & (folded.weight > 0.0).all(axis=0)
     mean = folded.mean[:, :, ::2, ::3]  # a sixth of the bins is enough
     logs = np.where(usable[:, ::2, ::3] & (mean > 0.0), np.log(np.maximum(mean, 1e-300)), np.nan)
     bends = (logs[:, 1:-1] - 0.5 * (logs[:, 2:] + logs[:, :-2])).reshape(3, THETA_DIFF.size - 2, -1)
