@@ -46,6 +46,7 @@ OWN_PACKAGES = ("benchmarks", "dsbrdf", "dsbrdf_service", "tests")
 """Packages that a run with a fault imports anew, from the copy."""
 FURTHER_TESTS = {
     "access": ["tests/service/test_client.py", "tests/service/http/test_limits.py"],
+    "compute": ["tests/service/test_queue.py", "tests/service/api/test_pictures.py"],
     "queue": ["tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
     "fitting": ["tests/library/test_result.py"],
     "storage": [
