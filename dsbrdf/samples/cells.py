@@ -147,8 +147,8 @@ def check_size(n_rows: int, n_columns: int) -> None:
         raise MeasurementFormatError(f"The table has {n_columns} columns; it may have at most {MAX_COLUMNS}.")
     if n_rows * n_columns > MAX_CELLS:
         raise MeasurementFormatError(
-            f"The table has {n_rows} rows of {n_columns} cells, and it may have {MAX_CELLS} cells; leave out rows, or "
-            "columns that are not needed."
+            f"The table has {n_rows} rows of {n_columns} cells; it may have at most {MAX_CELLS} cells. Leave out rows, "
+            "or columns that are not needed."
         )
 
 

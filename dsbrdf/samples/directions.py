@@ -207,9 +207,9 @@ def _check_not_exchanged(angles: dict[str, Array], columns: dict[str, Column]) -
         names = zip((*THETAS, *PHIS), (*PHIS, *THETAS), strict=True)
         pairs = ",".join(f"{name}={columns[other].written}" for name, other in names)
         raise MeasurementFormatError(
-            f"{np.count_nonzero(~above)} of {above.size} rows have a direction at or below the horizon as theta and "
-            "phi are named, and the columns named phi have angles as those to the normal: if the names are "
-            f"exchanged, name them, as in --columns {pairs}."
+            f"{np.count_nonzero(~above)} of {above.size} rows have a direction at or below the horizon, but would not "
+            "with theta and phi exchanged: if the names of these columns are exchanged, name them, as in "
+            f"--columns {pairs}."
         )
 
 

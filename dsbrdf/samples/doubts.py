@@ -111,7 +111,7 @@ def sample_doubts(samples: ScatteredSamples) -> SampleDoubts:
 
 
 def _clipping(samples: ScatteredSamples) -> Iterator[Finding]:
-    """Yield a finding if the largest value of a channel fills most of a highlight, as of a saturated detector."""
+    """Yield a finding if the largest value of a channel fills most of a highlight, as from a saturated detector."""
     theta_half, theta_diff, _ = half_difference(samples.omega_in, samples.omega_out)
     # Samples that are equal by symmetry have one place.
     places = np.rint(np.degrees([theta_half, theta_diff]) / _PLACE_DEG)
@@ -132,8 +132,8 @@ def _clipping(samples: ScatteredSamples) -> Iterator[Finding]:
         yield Finding(
             "clipped-highlight",
             f"The highlight is clipped: {count} samples equal the largest value in {' and '.join(names)}, "
-            f"{value:.3g}/sr, as of a saturated detector. The fit follows them, so that its highlight is too dim. "
-            "Measure them again with a shorter exposure, or leave them out: set missing to their number in the table.",
+            f"{value:.3g}/sr, as from a saturated detector. The fit follows them, so that its highlight is too dim. "
+            "Measure them again with a shorter exposure, or leave them out: set missing to their value in the table.",
             {"fraction": count / len(clipped), "value": value},
         )
 
@@ -153,14 +153,14 @@ def _about_symmetry(samples: ScatteredSamples) -> Iterator[str]:
     if leads["turned"] > _MIN_TURNED_LEAD:
         yield (
             "The brightest samples lie back towards the light, as those of a retro-reflector do: if the material is "
-            "none, light and viewer have the same phi in the mirror direction here, and phi must be set to "
-            '"mirror", which turns the plane.'
+            "none, light and viewer have the same phi in the mirror direction of this table: set phi to "
+            '"mirror".'
         )
     elif (side := _side_of_cosine(leads)) is not None:
         yield (
-            f"The values look like a BRDF times the cosine of theta_{side}: a BRDF stays equal if light and viewer are "
-            "exchanged, and so do the values divided by this cosine, but not the values as they are; if so, set cosine "
-            f'to "{side}".'
+            f"The values look like a BRDF times the cosine of theta_{side}: divided by this cosine, but not as they "
+            "are, they stay equal if light and viewer are exchanged, as a BRDF does. If so, set cosine to "
+            f'"{side}".'
         )
 
 
@@ -269,5 +269,5 @@ def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
         yield (
             f"At {len(ratios)} angles of incidence one sample alone lies in the highlight: it is up to "
             f"{max(ratios):.2g} times as bright as its neighbours, at theta_half = {np.median(gaps):.2g} degrees and "
-            "more: the samples tell the height of the highlight there, and not its width; measure between them."
+            "more: the samples determine the height of the highlight, but not its width: measure between them."
         )

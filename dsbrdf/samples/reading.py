@@ -274,8 +274,8 @@ def _unit_vectors(side: str, vectors: Array, used: Mask, notes: list[str]) -> Ar
     off = np.where(used, np.abs(length - 1.0), 0.0)
     if count := np.count_nonzero(off > _MAX_LENGTH_DEVIATION):
         raise MeasurementFormatError(
-            f"In {count} of {off.size} rows {side} is not of unit length, which is "
-            f"{length[int(np.argmax(off))]:.4g} in one of them; directions are unit vectors."
+            f"In {count} of {off.size} rows {side} is no unit vector; one has the length "
+            f"{length[int(np.argmax(off))]:.4g}. Write directions as unit vectors."
         )
     if off.max(initial=0.0) > _ROUNDED_LENGTH_DEVIATION:
         notes.append(f"The vectors {side} were up to {off.max():.1%} off unit length; they were made unit vectors.")
@@ -297,8 +297,8 @@ def _without_noise(values: Array, notes: list[str]) -> Array:
         )
     if lowest > allowed * largest or -values[negative].sum() > allowed * values[~negative].sum():
         raise MeasurementFormatError(
-            f"{several} negative, down to {-lowest:.4g}, more than noise about zero explains: if they stand for what "
-            f"is missing, set missing to {-lowest:g}."
+            f"{several} negative, down to {-lowest:.4g}, more than noise about zero explains: if they stand for "
+            f"missing values, set missing to {-lowest:g}."
         )
     notes.append(f"{several} negative, down to {-lowest / largest:.2%} of the largest; {they_count} as 0.")
     return np.maximum(values, 0.0)

@@ -135,7 +135,7 @@ class ScatteredSamples:
             _refuse("is not above the horizon", side, arrays[side][:, 2] <= 0.0, "z must be positive")
             arrays[side] = spherical(*np.radians(_degrees(arrays[side]).T))
         _refuse("is negative", "values", values.min(axis=1) < 0.0, "no reflectance is")
-        too_bright = f"no reflectance is; if {brightest:g} stands for what is missing, set missing to it"
+        too_bright = f"no reflectance is; if {brightest:g} stands for a missing value, set missing to it"
         _refuse("is above 1e8/sr", "values", values.max(axis=1) > MAX_VALUE, too_bright)
         _refuse("is not positive", "weight", weights <= 0.0, "leave out what must not count")
         extreme = (weights < 1.0 / MAX_WEIGHT) | (weights > MAX_WEIGHT)

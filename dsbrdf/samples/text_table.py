@@ -61,7 +61,7 @@ def parse_text_table(data: bytes, named: Collection[str] = (), *, by_position: b
     if len(longest) > _MAX_LINE_LENGTH:
         raise MeasurementFormatError(
             f"Line {lines.index(longest) + 1} of the table has {len(longest)} characters; it may have "
-            f"{_MAX_LINE_LENGTH}."
+            f"at most {_MAX_LINE_LENGTH}."
         )
     if transposed := _transposed(lines, named):
         return transposed

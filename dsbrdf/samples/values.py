@@ -86,7 +86,7 @@ def unmeasured_zeros(omega_in: Array, omega_out: Array, values: Array) -> tuple[
         return np.zeros_like(empty), []
     return empty, [
         f"{count} samples have the value 0 beside samples of {np.median(darkest[empty[zero]]):.2g} and more, as "
-        "instruments write where they see nothing; they are left out."
+        "instruments write where they measure nothing; they are left out."
     ]
 
 
@@ -105,7 +105,7 @@ def about_repeated(values: Array) -> list[str]:
     counts = {place: int(np.count_nonzero(np.any(values == found[place], axis=1))) for place in (0, -1)}
     return [
         f"{counts[place]} samples have the same {which} value, {found[place]:g}, far from all others: if it stands for "
-        f"what is missing, set missing to {found[place]:g}."
+        f"a missing value, set missing to {found[place]:g}."
         for which, place, is_far in extremes
         if is_far and counts[place] >= _MIN_EQUAL_VALUES
     ]
@@ -147,9 +147,9 @@ def written_values(found: FoundColumns, options: TableOptions, notes: list[str])
         is_band = wavelength_of(name) is not None and column.unit in WAVELENGTH_UNITS
         if column.unit not in (*NO_UNIT, *VALUE_UNITS) and not is_band and options.scale == 1.0:
             raise MeasurementFormatError(
-                f"The column {column.written!r} is in {column.unit!r}; the values of a BRDF are in 1/sr: if they are "
-                "those times a factor, give its inverse as the option scale, which is 0.01 for per cent and 0.003183, "
-                "1/(100 pi), for reflectance factors in per cent."
+                f"The column {column.written!r} is in {column.unit!r}; the values of a BRDF are in 1/sr. If a factor "
+                "makes them a BRDF, set the option scale to it: 0.01 for per cent, and 0.003183, which is 1/(100 pi), "
+                "for reflectance factors in per cent."
             )
     written = np.stack([column.numbers for column in columns], axis=-1)
     return _without_code(np.where(np.isin(written, options.missing), np.nan, written), notes)
@@ -217,8 +217,8 @@ def _about_bands(wavelengths: Array) -> Iterator[str]:
     if visible.size == 1:
         others = ", ".join(f"{one:g}" for one in wavelengths if one != visible[0])
         yield (
-            f"Only one of the {wavelengths.size} wavelengths is visible, {visible[0]:g} nm: the material is taken to "
-            f"be grey, as it is there; the values at {others} nm have no part in the fit."
+            f"Only one of the {wavelengths.size} wavelengths is visible, {visible[0]:g} nm: its values are "
+            f"used for a grey material; the values at {others} nm are not used."
         )
         return
     yield (
@@ -229,8 +229,8 @@ def _about_bands(wavelengths: Array) -> Iterator[str]:
     share = light[:, beyond].sum(axis=1) / light.sum(axis=1)
     if channels := [name for name, part in zip(CHANNELS, share, strict=True) if part > _MAX_EXTRAPOLATED_FRACTION]:
         yield (
-            f"Most of {' and '.join(channels)} is extrapolated: beyond the wavelengths of the table, the values are "
-            "taken to be those at the nearest one."
+            f"Most of {' and '.join(channels)} is extrapolated: beyond the wavelengths of the table, the values "
+            "at the nearest wavelength are used."
         )
 
 

@@ -173,17 +173,17 @@ NO_Z = table((*VECTORS[:5], "z", *CHANNELS), np.hstack([*spherical(ANGLES), RGB]
 WRONG = [
     (WORDS[0].encode(), "There are 0 samples; a fit needs at least "),
     ("\n".join(WORDS[:40]).encode(), "There are 39 samples; a fit needs at least 50."),
-    (table() + b"1;" * 70_000, "Line 242 of the table has 140000 characters; it may have 131072."),
+    (table() + b"1;" * 70_000, "Line 242 of the table has 140000 characters; it may have at most 131072."),
     (table() + b"1," * 65_000, "Line 242 of the table has 65001 cells, and the line of names has 7"),
     (b"theta_in," * 4097 + b"\n1", "The table has 4097 columns; it may have at most 4096."),
-    (WORDS[0].encode() + b"\n,,,,,,\n" * 7150, "has 7150 rows of 7 cells, and it may have 50000 cells"),
+    (WORDS[0].encode() + b"\n,,,,,,\n" * 7150, "has 7150 rows of 7 cells; it may have at most 50000 cells"),
     (WORDS[0].encode() + b"\na,b,c,d,e,f,g" * 7000, "Line 22 of the table has 'a' in the column 'theta_in"),
     ((b"a," * 60_000 + b"\n") * 3 + table(), "has no line that names its columns"),
     (
         b"theta_out / theta_in" + b",1" * 1700 + b"\n" + (b"1" + b",1" * 1700 + b"\n") * 10,
-        "has 17000 rows of 3 cells, and it may have 50000 cells",
+        "has 17000 rows of 3 cells; it may have at most 50000 cells",
     ),
-    (zemax(b"1 " * 99, b"1 " * 99, b"1 " * 99, b"1 2 3 4"), "970299 rows of 7 cells, and it may have 50000"),
+    (zemax(b"1 " * 99, b"1 " * 99, b"1 " * 99, b"1 2 3 4"), "970299 rows of 7 cells; it may have at most 50000"),
     (b"", "The table is empty and has no line that names its columns; it needs one such as theta_in, "),
     ("\n".join(WORDS[1:]).encode(), "7 numbers, such as " + WORDS[1].replace(",", ", ")[:60] + ": name them by"),
     ("\n".join(["felt BRDF today", *WORDS[1:]]).encode(), "names its columns; its rows have 7 numbers"),
@@ -208,7 +208,7 @@ WRONG = [
     (renamed(*(f"{name}_rad" for name in DIRECTION)), "'theta_in' has an angle of 4866.96 degrees; 180 is the largest"),
     (
         table((*DIRECTION, "BRDF [%]"), np.hstack([ANGLES, RGB[:, :1]])),
-        "'BRDF [%]' is in '%'; the values of a BRDF are in 1/sr: if they are those times a factor, give",
+        "'BRDF [%]' is in '%'; the values of a BRDF are in 1/sr. If a factor makes them a BRDF, set",
     ),
     (
         table(number=lambda x: f"{x:.9g}".replace(".", ",")),
@@ -217,7 +217,7 @@ WRONG = [
     ("\n".join([*WORDS[:4], "1,2,3"]).encode(), "Line 5 of the table has 3 cells, and the line of names has 7."),
     (changed(4, "dark"), "Line 6 of the table has 'dark' in the column 'red'; write a number, or nan where"),
     (changed(0, "1_0"), "Line 6 of the table has '1_0' in the column 'theta_in'"),
-    (table((*VECTORS, *CHANNELS), OFF_UNIT), "In 240 of 240 rows omega_in is not of unit length, which is 1.05 in one"),
+    (table((*VECTORS, *CHANNELS), OFF_UNIT), "In 240 of 240 rows omega_in is no unit vector; one has the length 1.05"),
     (changed(5, "-1"), "1 value is negative, down to -1, more than noise about zero explains: if they stand for"),
     (changed(5, "1e9"), "In 1 of 240 samples, the first of them number 5, values is above 1e8/sr"),
     (table(columns=np.hstack([ANGLES, 0.0 * RGB])), "Every sample is zero in all channels; a measurement has positive"),
@@ -228,7 +228,7 @@ WRONG = [
     ),
     (b"SpectralContent XYZ\nScatterRadial 2\n0 9\nDataBegin\n1 2 3 4\n", "XYZ; only Monochrome is read"),
     (b"TIS 1\nScatterRadial\n# DataBegin\n", "begins with 'TIS 1' and has no line that names its columns"),
-    (changed(5, "1e30"), "no reflectance is; if 1e+30 stands for what is missing, set missing to it."),
+    (changed(5, "1e30"), "no reflectance is; if 1e+30 stands for a missing value, set missing to it."),
     (changed(4, '"1'), "A quotation mark in the table is not closed on its line."),
 ]
 

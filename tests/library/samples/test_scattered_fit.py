@@ -214,7 +214,7 @@ def test_outliers_of_a_robust_fit_do_not_count() -> None:
         (1500.0, None, ("1/1500 (scale 0.0006667; are they the integers of a MERL file?)",)),
         (100.0, None, ("1/100 (scale 0.01; are they per cent?)",)),
         (np.pi, None, ("multiply the values by 1/pi (scale 0.3183; are they reflectance factors?)",)),
-        (1.0, "out", ('if so, set cosine to "out"',)),
+        (1.0, "out", ('If so, set cosine to "out"',)),
         (
             100.0 * np.pi,
             "in",

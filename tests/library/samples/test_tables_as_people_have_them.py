@@ -37,7 +37,7 @@ def test_values_below_a_floor_that_are_written_as_0_are_left_out() -> None:
     falling = 0.02 * np.exp(-GRID[:, 2] / 9.0)
     samples = read(np.where(falling < 5e-5, 0.0, falling))
     assert samples.values.min() >= 5e-5
-    assert "as instruments write where they see nothing" in samples.notes[-1]
+    assert "as instruments write where they measure nothing" in samples.notes[-1]
 
 
 @pytest.mark.parametrize("kind", ["few digits", "noise"])
@@ -100,7 +100,7 @@ def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubt
             values[at] = 90.0
     (said,) = sample_doubts(read(values)).sentences
     assert said.startswith("At 3 angles of incidence one sample alone lies in the highlight: it is up to ")
-    assert "not its width; measure between them" in said
+    assert "not its width: measure between them" in said
 
 
 def test_a_retro_reflector_is_told_as_such() -> None:
