@@ -242,10 +242,15 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
     below = (values < 0.0).mean(axis=1)
     share = float(below.max())
     if share > _MIN_OUTSIDE_FRACTION:
+        channel = int(np.argmax(below))
+        negative = values[channel][values[channel] < 0.0]
+        equal = np.ptp(negative) == 0.0
+        reason = (
+            f"always {negative[0]:.3g}/sr, as where it was not measured" if equal else "as in colours outside of sRGB"
+        )
         yield Finding(
             "outside-gamut",
-            f"In {share:.1%} of the samples {CHANNELS[int(np.argmax(below))]} is below 0, as in colours outside of "
-            "sRGB; such values count as 0.",
+            f"In {share:.1%} of the samples {CHANNELS[channel]} is below 0, {reason}; such values count as 0.",
             {"fraction": share},
         )
     for channel in values:

@@ -146,7 +146,10 @@ def sample_errors(model: ReflectanceModel, measurement: Measurement, horizon_cut
             samples = measurement.values_at(i, PHI_STEP)[:, rows].astype(SINGLE)
             sums[:, :, rows] += _column_sums(samples, fit, used[rows].astype(SINGLE), cosine)
     if not sums[0].any():
-        raise InvalidArgumentError("there are no data to compare with: every sample used is zero or left out")
+        raise InvalidArgumentError(
+            f"there are no data to compare with: from theta_half = {math.degrees(CENTER_CUTOFF):.2g} degrees on, every "
+            "sample used is zero or left out"
+        )
     return sums
 
 

@@ -204,8 +204,12 @@ OLD_WORKBOOK = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 """First bytes of an ``.xls`` file."""
 # The part of an archive that holds the sheets of an .xlsx, or the sheets of an .ods, makes it a spreadsheet.
 _WORKBOOKS = {"xl/workbook.xml", "content.xml"}
+_ENCRYPTED = "EncryptedPackage".encode(
+    "utf-16-le"
+)  # This part of an .xlsx with a password stands in the frame of .xls.
 _MAX_UNPACKED_BYTES = 1 << 26
 _XLSX_COLUMN = re.compile(rb'<c r="([A-Z]{1,3})')
+_XLSX_NO_RESULT = re.compile(rb"</f>(?:<v ?/>|<v></v>)?</c>")
 _XLSX_ROW = re.compile(rb'<row r="([0-9]{1,9})"')
 _ODS_EMPTY_COLUMNS = re.compile(rb'columns-repeated="([0-9]{1,9})"/>(?=<table:table-cell [^>]*value)')
 _ODS_REPEATED_ROWS = re.compile(rb'rows-repeated="([0-9]{1,9})"')
@@ -229,32 +233,45 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
     MeasurementFormatError if the file cannot be read or is too long, and MissingExtraError without python-calamine.
     """
     require("xlsx", "python_calamine", purpose="spreadsheets, which can also be saved as .csv")
-    from python_calamine import CalamineError, CalamineWorkbook
+    from python_calamine import CalamineError, CalamineWorkbook, PasswordError, SheetVisibleEnum
 
     try:
-        if not data.startswith(OLD_WORKBOOK):
-            _check_extent(data)
+        n_formulas = 0 if data.startswith(OLD_WORKBOOK) else _check_extent(data)
         with CalamineWorkbook.from_filelike(io.BytesIO(data)) as book:
-            texts = {name: _text(book.get_sheet_by_name(name).to_python(False)) for name in book.sheet_names}
+            count = len(book.sheet_names)
+            shown = [sheet.name for sheet in book.sheets_metadata if sheet.visible == SheetVisibleEnum.Visible]
+            texts = {name: _text(book.get_sheet_by_name(name).to_python(False)) for name in shown}
     except BaseException as error:
         # Some damaged files make the library panic; this error is no `Exception`, and its class has no public name.
         unreadable = isinstance(error, CalamineError | zipfile.BadZipFile | zlib.error | EOFError | RuntimeError)
         if not unreadable and type(error).__name__ != "PanicException":
             raise
-        raise MeasurementFormatError("The spreadsheet cannot be read; save its sheet as .csv.") from error
+        locked = isinstance(error, PasswordError) or _ENCRYPTED in data
+        fault = (
+            "is protected by a password; save it without one" if locked else "cannot be read; save its sheet as .csv"
+        )
+        raise MeasurementFormatError(f"The spreadsheet {fault}.") from error
     title = max(texts, key=lambda name: len(texts[name]), default="")
-    notes = [f"The spreadsheet has {len(texts)} sheets; the longest was read, {title!r}."] if len(texts) > 1 else []
+    longest = "longest" if len(texts) == count else "longest that is not hidden"
+    notes = [f"The spreadsheet has {count} sheets; the {longest} was read, {title!r}."] if count > 1 else []
+    if n_formulas:
+        several = "1 formula has" if n_formulas == 1 else f"{n_formulas} formulas have"
+        notes.append(f"{several} no result in the file until a spreadsheet program saves it; such cells are left out.")
     return texts.get(title, "").encode(), notes
 
 
-def _check_extent(data: bytes) -> None:
-    """Raise MeasurementFormatError if an archive, or the rectangle around the cells of a sheet, is too large."""
-    n_bytes = 0
+def _check_extent(data: bytes) -> int:
+    """Return the number of formulas without results in an archive.
+
+    Raises MeasurementFormatError if the archive, or the rectangle around the cells of a sheet, is too large.
+    """
+    n_bytes = n_formulas = 0
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         for part in archive.namelist():
             with archive.open(part) as file:
                 content = file.read(_MAX_UNPACKED_BYTES - n_bytes + 1)
             n_bytes += len(content)
+            n_formulas += len(_XLSX_NO_RESULT.findall(content))
             column = max((letters.rjust(3) for letters in _XLSX_COLUMN.findall(content)), default=b"")
             n_columns = sum(max(letter - 64, 0) * 26**place for place, letter in enumerate(reversed(column)))
             n_rows = max(map(int, _XLSX_ROW.findall(content)), default=0)
@@ -268,6 +285,7 @@ def _check_extent(data: bytes) -> None:
                     f"The spreadsheet has more than {_MAX_UNPACKED_BYTES} bytes when it is unpacked, or a sheet with "
                     f"more than {MAX_CELLS} cells, empty ones between others included; save its sheet as .csv."
                 )
+    return n_formulas
 
 
 def _text(rows: Iterable[Sequence[Any]]) -> str:

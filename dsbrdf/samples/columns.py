@@ -35,6 +35,7 @@ _OTHER_VALUES = {
 }
 # A column of unknown meaning is refused if its name matches this, because it may be an azimuth that the samples need.
 _AZIMUTH = re.compile(r"phi|(?:^|_)az|azi|azm|[rv]aa|phase")
+_PLAIN = re.compile(r"[\w=.,/%:+-]+")  # A shell needs quotation marks around other texts.
 _MEANINGS = (
     "theta_in, phi_in, theta_out, phi_out [degrees], theta_half, theta_diff, phi_diff, omega_in_x to omega_out_z, red, "
     "green, blue or value [1/sr], weight and wavelength"
@@ -183,13 +184,15 @@ def _missing(wanted: Sequence[str], table: TextTable, places: dict[str, list[int
         named = _option(lacking[0], unknown[0]) if len(lacking) == len(unknown) == 1 else f"--columns {lacking[0]}=NAME"
         remedy = f"say which column is which, as in {named}"
     held = ", or give an angle that all rows have, as in --constants theta_in=30" if "theta_in" in lacking else ""
+    if lacking == [*GREY] and "cos" in "".join(unknown).lower():
+        held = ", with --cosine out if the values are the BRDF times the cosine of theta_out, or --cosine in"
     return MeasurementFormatError(f"The table lacks {' and '.join(lacking)}: {found}{rest}; {remedy}{held}.")
 
 
 def _option(meaning: str, name: str) -> str:
     """Return the option that names a column, as it is written on the command line."""
     option = f"{meaning}={name}"
-    return f'--columns "{option}"' if " " in option else f"--columns {option}"
+    return f"--columns {option}" if _PLAIN.fullmatch(option) else f'--columns "{option}"'
 
 
 def _logarithm(written: str) -> MeasurementFormatError:

@@ -69,6 +69,7 @@ class SampleRows:
     n_rows: int  # number of rows in the file, also unusable rows
     is_grey: bool  # whether the file has one value for all channels
     is_clean: bool = False  # whether all rows are samples of a file of samples
+    gap: str = ""  # name of the column that lacks most numbers, if one lacks any
 
 
 def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
@@ -99,7 +100,9 @@ def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
         *(about_gamut(numbers[:, 6:9]) if wavelengths.size > 1 or found.values == TRISTIMULUS else ()),
     )
     is_grey = found.values == GREY and wavelengths.size == 0
-    return SampleRows(numbers, written, tuple(notes), found.description, table.n_rows, is_grey)
+    lacking = {column.written: np.count_nonzero(~np.isfinite(column.numbers)) for column in columns.values()}
+    gap = max(lacking, key=lacking.__getitem__) if any(lacking.values()) else ""
+    return SampleRows(numbers, written, tuple(notes), found.description, table.n_rows, is_grey, gap=gap)
 
 
 def _unnamed(table: TextTable, options: TableOptions) -> MeasurementFormatError:

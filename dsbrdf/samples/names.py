@@ -45,10 +45,10 @@ _VALUES = (
 # A name of values may have one of these words more, as in "Panel BRF".
 _QUALIFIERS = {"panel", "sample", "target", "measured", "mean", "average", "calibrated", "corrected", "absolute"}
 _OTHERS = {
-    "theta_in": ("aoi", "sza", "incidence", "incident", "einfallswinkel", "angle_dincidence"),
+    "theta_in": ("aoi", "sza", "incidence", "incident", "einfallswinkel", "beleuchtungswinkel", "angle_dincidence"),
     "theta_out": (
         *("aor", "aos", "aov", "vza", "scatter", "scatterbeta", "emission", "emergence", "viewing"),
-        *("ausfallswinkel", "beobachtungswinkel", "angle_de_réflexion"),
+        *("ausfallswinkel", "beobachtungswinkel", "betrachtungswinkel", "angle_de_réflexion"),
     ),
     "phi_in": ("saa",),
     "phi_out": ("vaa", "raa"),
@@ -154,6 +154,9 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
         # An angle without a side, beside one of the viewer, is the light's if the light has no other.
         if len(having(f"{angle}_out")) > 1 and not having(f"{angle}_in") and not relative:
             known |= {name: f"{angle}_in" for name in names if _ANGLES.get(name) == angle}
+    if having("theta_out") and not having("theta_in") and not having("elevation_in"):
+        sideless = [name for name in having("elevation_out") if _SIDES.keys().isdisjoint(name.split("_"))]
+        known |= dict.fromkeys(sideless, "elevation_in")
     if _EXACT.keys() & {*having("value")}:
         ignored |= {*having("value")} - _EXACT.keys()
     has_values = {"value", *CHANNELS} & {*known.values()} or any(map(wavelength_of, cells))

@@ -241,7 +241,8 @@ def _usable(found: Sequence[SampleRows], notes: list[str]) -> Array:
     """Return the rows with measured values above the horizon, and make their vectors unit vectors."""
     numbers = np.concatenate([rows.numbers for rows in found])
     used = np.asarray(np.isfinite(numbers).all(axis=1))
-    notes += _left_out(~used, "no finite number in a column that is needed")
+    gap = next((f", such as {rows.gap[:40]!r}" for rows in found if rows.gap), "")
+    notes += _left_out(~used, f"no finite number in a column that is needed{gap}")
     for side, part in (("omega_in", slice(0, 3)), ("omega_out", slice(3, 6))):
         numbers[:, part] = _unit_vectors(side, numbers[:, part], used, notes)
     above = np.minimum(numbers[:, 2], numbers[:, 5]) > LOWEST_COSINE

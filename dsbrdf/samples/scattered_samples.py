@@ -122,9 +122,9 @@ class ScatteredSamples:
         """
         count = len(values) if isinstance(values, Sized) else 0
         if count < MIN_SAMPLES:
-            raise MeasurementFormatError(
-                f"There {'is 1 sample' if count == 1 else f'are {count} samples'}; a fit needs at least {MIN_SAMPLES}."
-            )
+            why = "".join(f" {note}" for note in notes if note.endswith("left out."))
+            several = "is 1 sample" if count == 1 else f"are {count} samples"
+            raise MeasurementFormatError(f"There {several}; a fit needs at least {MIN_SAMPLES}.{why}")
         given = {"omega_in": omega_in, "omega_out": omega_out, "values": values}
         arrays = {name: _numbers(name, array, (count, 3)) for name, array in given.items()}
         arrays["weight"] = _numbers("weight", np.ones(count) if weight is None else weight, (count,))

@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from dsbrdf.engines.engine import Fault
-from dsbrdf.errors import InvalidArgumentError
+from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from dsbrdf.fitting.metrics import Metrics
 from dsbrdf.fitting.report import SuggestedPair
 from dsbrdf.result import verdict
@@ -139,6 +139,10 @@ _FILE_AS_JSON = (
     "The body is a file, but its Content-Type is application/json; send a MERL or RGL file as application/octet-stream "
     "and a table as text/csv."
 )
+_NO_CONTENT_TYPE = (
+    "The body was taken for a file, because the request has no Content-Type; a document that names a stored "
+    "measurement needs Content-Type: application/json."
+)
 _Wait = Annotated[
     float, Query(ge=0, allow_inf_nan=False, description="Answer when the fit has ended, or after this time [s]."), PLAIN
 ]
@@ -177,7 +181,12 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, t
     """
     name, chosen = given_name(request), from_query(request.query_params.multi_items())
     if media_type_of(request, BINARY, JSON, *TABLES) != JSON:
-        stored, _ = await receive_upload(request, context, caller, name, table)
+        try:
+            stored, _ = await receive_upload(request, context, caller, name, table)
+        except MeasurementFormatError as error:
+            if "content-type" in request.headers:
+                raise
+            raise MeasurementFormatError(f"{error} {_NO_CONTENT_TYPE}") from None
         sha256, options, name = stored.sha256, canonical(chosen), name and stored.name
     else:
         if request.query_params.keys() - {"name"}:

@@ -68,6 +68,12 @@ def test_faults_are_noticed(paint: Measurement, fault: str) -> None:
     assert codes(changed(paint, FAULTS[fault])) == [fault]
 
 
+def test_one_negative_number_is_no_colour(paint: Measurement) -> None:
+    half_of_green = np.array([False, True, False])[:, None, None, None] & (np.arange(180) < 90)
+    hole = changed(paint, lambda values: np.where(half_of_green, -1.0, values))
+    assert "below 0, always -1/sr, as where it was not measured" in next(value_findings(hole)).sentence
+
+
 def test_a_missing_centre_is_noticed(paint: Measurement) -> None:
     found = Measurement.from_values(paint.values, paint.valid & (THETA_HALF >= np.radians(2.0))[:, None, None])
     (one,) = profile_findings(profiles(found))

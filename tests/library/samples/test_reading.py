@@ -141,7 +141,7 @@ def test_what_is_no_number_is_left_out_and_counted() -> None:
     samples = parse_samples("\n".join(lines).encode())
     check_same(samples, ANGLES, RGB)
     assert samples.notes == (
-        "5 rows have no finite number in a column that is needed; they are left out.",
+        "5 rows have no finite number in a column that is needed, such as 'red'; they are left out.",
         "2 rows have a direction at or below the horizon; they are left out.",
     )
 

@@ -1,6 +1,7 @@
 """Spreadsheets with samples: read as the same table in a text is, or refused with a sentence."""
 
 import io
+import re
 import sys
 import zipfile
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from tests.library.samples.test_reading import RGB, table
 FOLDER = Path(__file__).parent
 XLSX, XLS, ODS = ((FOLDER / f"plate.{suffix}").read_bytes() for suffix in ("xlsx", "xls", "ods"))
 """The table of `test_reading`."""
+NOTES_AROUND = (FOLDER / "notes_around.xlsx").read_bytes()
 MAIN_SCHEMA = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 
 
@@ -34,10 +36,10 @@ def test_a_sheet_is_read_as_the_same_table_in_a_text(content: bytes, tmp_path: P
 
 
 def test_what_people_write_around_a_table_is_left_out() -> None:
-    samples = read_samples(FOLDER / "notes_around.xlsx")
+    samples = parse_samples(NOTES_AROUND)
     assert samples.notes == (
         "The spreadsheet has 2 sheets; the longest was read, 'Data'.",
-        "1 row has no finite number in a column that is needed; it is left out.",
+        "1 row has no finite number in a column that is needed, such as 'red'; it is left out.",
     )
     np.testing.assert_allclose(samples.values, np.delete(RGB, 5, axis=0), rtol=1e-8)
 
@@ -56,6 +58,11 @@ def changed(content: bytes, part: str, now: bytes | None) -> bytes:
         if now is not None:
             new.writestr(part, now)
     return file.getvalue()
+
+
+def replaced(content: bytes, part: str, old: bytes, new: bytes) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(content)) as file:
+        return changed(content, part, re.sub(old, new, file.read(part)))
 
 
 def with_sheet(rows: str) -> bytes:
@@ -89,6 +96,20 @@ def with_many_rows() -> bytes:
         (lambda: XLSX[:2000], "The file is a ZIP archive, as"),
         (lambda: XLS[:9000], "The spreadsheet cannot be read; save its sheet as .csv."),
         (lambda: with_sheet(""), "The table is empty"),
+        (
+            lambda: XLS[:9000] + "EncryptedPackage".encode("utf-16-le"),
+            "is protected by a password; save it without one.",
+        ),
+        (
+            lambda: replaced(NOTES_AROUND, "xl/workbook.xml", b'name="Data"', b'name="Data" state="hidden"'),
+            "The table begins with 'a;1.0;'",
+        ),
+        (
+            lambda: replaced(XLSX, "xl/worksheets/sheet1.xml", b"<row><c><v>[^<]*</v>", b"<row><c><f>B1+1</f><v/>"),
+            f"There are 0 samples; a fit needs at least 50. {len(RGB)} formulas have no result in the file until a "
+            f"spreadsheet program saves it; such cells are left out. {len(RGB)} rows have no finite number in a column "
+            "that is needed, such as 'theta_in'; they are left out.",
+        ),
     ],
 )
 def test_a_spreadsheet_that_is_no_table_is_refused(content: Callable[[], bytes], words: str) -> None:

@@ -127,6 +127,9 @@ def test_an_elevation_is_from_the_horizon() -> None:
     assert any("theta_out is 90 degrees minus it" in note for note in samples.notes)
     both = table(("elevation", *DIRECTION, "value"), np.hstack([0.5 * ANGLES[:, :1], ANGLES, GREY[:, :1]]))
     check_same(parse_samples(both), ANGLES, GREY)
+    # An elevation without a side is the light's where only the viewer has an angle.
+    alone = np.hstack([90.0 - ANGLES[:, :1], ANGLES[:, 1:], GREY[:, :1]])
+    check_same(parse_samples(table(("grazing angle", *DIRECTION[1:], "value"), alone)), ANGLES, GREY)
 
 
 @pytest.mark.parametrize(("missing", "which"), [(0.0, "smallest"), (9999.0, "largest")])

@@ -235,7 +235,7 @@ def test_files_of_one_material_are_told_of_together(tmp_path: Path) -> None:
 def test_words_for_no_number_leave_out_their_row(word: str) -> None:
     samples = parse_samples(changed(5, word))
     assert len(samples.values) == COUNT - 1
-    assert samples.notes == ("1 row has no finite number in a column that is needed; it is left out.",)
+    assert samples.notes == ("1 row has no finite number in a column that is needed, such as 'green'; it is left out.",)
 
 
 def test_vectors_one_percent_off_are_made_unit_vectors() -> None:

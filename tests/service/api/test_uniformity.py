@@ -165,6 +165,11 @@ def test_invalid_documents_are_named(server: Server, body: bytes) -> None:
     assert_problem(answer, 422, "invalid-argument")
 
 
+def test_a_document_without_a_type_is_told_the_type(server: Server) -> None:
+    answer = server.http.post("/v1/fits", content=b'{"measurement": "%b"}' % (b"0" * 64))
+    assert "needs Content-Type: application/json" in assert_problem(answer, 422, "measurement-format")
+
+
 def test_content_types_are_checked(server: Server, fitted: str) -> None:
     files, batches = ("application/octet-stream", "text/csv"), ("application/x-npy", "application/json")
     for path, taken in (("/v1/fits", files), ("/v1/measurements", files), (f"/v1/fits/{fitted}/brdf", batches)):
