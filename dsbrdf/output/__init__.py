@@ -1,19 +1,12 @@
 """Write results of a fit for people and programs: stored models, text, figures and exported files."""
 
-from dsbrdf.output.export import FORMATS, export_model
-from dsbrdf.output.figure_panels import encode_figure
-from dsbrdf.output.plots import plot
-from dsbrdf.output.serialize import fit_from_json, from_json, load, result_from_json, save, to_json
-
-__all__ = [
-    "FORMATS",
-    "encode_figure",
-    "export_model",
-    "fit_from_json",
-    "from_json",
-    "load",
-    "plot",
-    "result_from_json",
-    "save",
-    "to_json",
-]
+from dsbrdf.output.export import FORMATS as FORMATS
+from dsbrdf.output.export import export_model as export_model
+from dsbrdf.output.figure_panels import encode_figure as encode_figure
+from dsbrdf.output.plots import plot as plot
+from dsbrdf.output.serialize import fit_from_json as fit_from_json
+from dsbrdf.output.serialize import from_json as from_json
+from dsbrdf.output.serialize import load as load
+from dsbrdf.output.serialize import result_from_json as result_from_json
+from dsbrdf.output.serialize import save as save
+from dsbrdf.output.serialize import to_json as to_json
