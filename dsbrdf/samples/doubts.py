@@ -153,14 +153,12 @@ def _about_symmetry(samples: ScatteredSamples) -> Iterator[str]:
     if leads["turned"] > _MIN_TURNED_LEAD:
         yield (
             "The brightest samples lie back towards the light, as those of a retro-reflector do: if the material is "
-            "none, light and viewer have the same phi in the mirror direction of this table: set phi to "
-            '"mirror".'
+            'none, light and viewer have the same phi in the mirror direction: set phi to "mirror".'
         )
     elif (side := _side_of_cosine(leads)) is not None:
         yield (
             f"The values look like a BRDF times the cosine of theta_{side}: divided by this cosine, but not as they "
-            "are, they stay equal if light and viewer are exchanged, as a BRDF does. If so, set cosine to "
-            f'"{side}".'
+            f'are, they stay equal if light and viewer are exchanged, as a BRDF does. If so, set cosine to "{side}".'
         )
 
 

@@ -31,17 +31,13 @@ class TableOptions:
         "and the values from the third column. In Python, a dict is allowed too.",
     )
     constants: tuple[str, ...] | str = option(
-        (),
-        'Angles [degrees] that are equal in all rows and have no column: "theta_in=30,phi_in=0". In Python, a dict is '
-        "allowed too.",
+        (), 'Angles [degrees] that are equal in all rows: "theta_in=30,phi_in=0". In Python, a dict is allowed too.'
     )
     missing: tuple[float, ...] | float = option(
         (), "Numbers that stand for a missing value, such as 0 or -999: their rows are left out."
     )
     scale: Annotated[float, _SCALES] = option(
-        1.0,
-        "Factor that turns the values into a BRDF in 1/sr: 0.003183, which is 0.01 / pi, for reflectance factors in "
-        "per cent.",
+        1.0, "Factor that makes the values a BRDF in 1/sr: 0.003183, or 0.01 / pi, for reflectance factors in per cent."
     )
     cosine: Literal["in", "out"] | None = option(
         None,
