@@ -73,7 +73,7 @@ class Database:
             with ExitStack() as resources:
                 if exclusive:
                     resources.enter_context(_lock(folder))
-                    if _is_full(folder):
+                    if is_full(folder):
                         (folder / RESERVE).unlink(missing_ok=True)
                 check_integrity(folder)
                 with suppress(FileExistsError):  # SQLite gives its other files the access mode of this one.
@@ -226,7 +226,8 @@ def own_folder(folder: Path) -> Path:
     return folder
 
 
-def _is_full(folder: Path) -> bool:
+def is_full(folder: Path) -> bool:
+    """Return whether the disk of a folder has too little free space for SQLite."""
     return shutil.disk_usage(folder).free < _MIN_FREE_BYTES
 
 
@@ -253,7 +254,7 @@ def _claim(folder: Path) -> None:
 def _cannot_be_opened(folder: Path, error: sqlite3.DatabaseError) -> DataFolderError:
     """Return a DataFolderError for SQLite's error, with the remedy that fits the cause."""
     remedy = _REMEDIES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)  # The lower byte is the kind of error.
-    if _is_full(folder):  # SQLite reports a full disk as "disk I/O error".
+    if is_full(folder):  # SQLite reports a full disk as "disk I/O error".
         remedy = _REMEDIES[sqlite3.SQLITE_FULL]
     return DataFolderError(
         f"the database {folder / FILE_NAME} cannot be opened: {error}" + (f"; {remedy}" if remedy else "")

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 
-from .database import Database, read_only
+from .database import RESERVE, Database, is_full, read_only
 from .files import Blobs
 from .schema import IS_UNFINISHED, VERSION, FitRow, MeasurementRow, columns
 
@@ -70,6 +70,8 @@ def purge_folder(folder: Path, before: float | None, *, files_without_rows: bool
 
     Raises DataFolderError if the folder cannot be opened, or its database is damaged.
     """
+    if is_full(folder):  # A removal needs space for the log of the database first.
+        (folder / RESERVE).unlink(missing_ok=True)
     blobs, purged = Blobs(folder), {"fits": 0, "measurements": 0, "files_without_rows": 0, "bytes": 0}
     with closing(Database(folder, exclusive=False)) as database:
         if before is not None:

@@ -19,6 +19,7 @@ from dsbrdf_service.storage import files
 from dsbrdf_service.storage.database import RESERVE, Database
 from dsbrdf_service.storage.files import Incoming
 from dsbrdf_service.storage.keys import add_key, revoke_key
+from dsbrdf_service.storage.maintenance import purge_folder
 from dsbrdf_service.storage.schema import Caller
 from dsbrdf_service.storage.store import Store
 from tests.support.server import LOCAL, Guarded, add, assert_problem, keys_command, receive
@@ -115,7 +116,11 @@ def test_check_of_the_database_waits_for_nobody_who_writes(store: Store, monkeyp
 def test_reserve_gives_its_room_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Store(tmp_path).close()
     assert (tmp_path / RESERVE).stat().st_size == 1 << 22
-    monkeypatch.setattr("dsbrdf_service.storage.database._is_full", lambda _: True)
+    monkeypatch.setattr("dsbrdf_service.storage.maintenance.is_full", lambda _: True)
+    purge_folder(tmp_path, None)
+    assert not (tmp_path / RESERVE).exists()
+    Store(tmp_path).close()
+    monkeypatch.setattr("dsbrdf_service.storage.database.is_full", lambda _: True)
     there = []
     monkeypatch.setattr(
         "dsbrdf_service.storage.database.check_integrity", lambda folder: there.append((folder / RESERVE).exists())
