@@ -101,10 +101,12 @@ function takeFiles(main) {
 /** Filters the list by name while the user types, starting with the name in the address. @param {HTMLElement} main @param {HTMLElement[]} cards @param {string} name */
 function search(main, cards, name) {
   const field = find(main, "#search", HTMLInputElement);
+  const isPart = !find(main, "#older").hidden || location.search.includes("cursor=");
   const filter = () => {
     const wanted = field.value.trim();
     for (const item of cards) item.hidden = !String(item.dataset.name).toLowerCase().includes(wanted.toLowerCase());
-    fill(main, { wanted });
+    const next = isPart ? { part: " on this page", next: "Search all fits for this name" } : { part: "", next: "Show all" };
+    fill(main, { wanted, ...next }, { next: isPart ? `./?${new URLSearchParams({ name: wanted })}` : "./" });
     find(main, "#no-match").hidden = !wanted || cards.some((item) => !item.hidden);
   };
   field.value = name;

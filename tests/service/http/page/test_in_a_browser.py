@@ -183,6 +183,11 @@ def test_page_of_a_fit_has_a_verdict_a_name_figures_and_downloads(visit: Visit, 
 
 
 def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visit, site: Site) -> None:
+    part = visit("/?limit=1").page
+    part.get_by_role("searchbox").fill("glossy")
+    expect(part.get_by_text("No fits found for “glossy” on this page.")).to_be_visible()
+    part.get_by_role("link", name="Search all fits for this name").click()
+    expect(part.locator("#fits .card-name")).to_have_text(["glossy"])
     page = visit("/").page
     cards = page.locator("#fits .card:visible")
     cards.nth(1).wait_for()
