@@ -98,16 +98,18 @@ def test_valid_needs_a_channel_and_the_horizon(data: bytes) -> None:
     assert measurement.values[2, 2, 2, 2] == 0.0
 
 
-def test_mapped_file_is_what_is_read(plastic_file: Path, tmp_path: Path) -> None:
-    read = read_merl(plastic_file)
-    mapped = map_merl(plastic_file, read.sha256)
+def test_mapped_file_is_what_is_read(data: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "whole.binary"
+    path.write_bytes(with_values(data, {(0, ABOVE): -1.0}))  # A node counts if any channel has a value there.
+    read = read_merl(path)
+    mapped = map_merl(path, read.sha256)
     np.testing.assert_array_equal(mapped.stored, read.stored)
     np.testing.assert_array_equal(mapped.valid, read.valid)
     assert (mapped.name, mapped.sha256) == (read.name, read.sha256)
     assert not mapped.stored.flags.writeable
     assert not mapped.valid.flags.writeable
     short = tmp_path / "short.binary"
-    short.write_bytes(plastic_file.read_bytes()[:-8])
+    short.write_bytes(data[:-8])
     with pytest.raises(ValueError, match="length"):
         map_merl(short, read.sha256)
 
