@@ -32,6 +32,8 @@ _PRINTED = frozenset((*b"\t\r\n", *range(32, 127)))
 _NO_NUMBER = re.compile(r"#.*|:?-+:?")
 # A tolerance, a degree sign or the mark of a footnote behind a number is ignored.
 _TOLERANCE = re.compile(r"(?:±.*|[\N{DEGREE SIGN}*]\s*)$")
+# Spreadsheets turn numbers such as 1.5 into dates, and show numbers as times.
+_DATE = re.compile(r"\d{4}-\d\d-\d\d.*|.*\d:\d\d(?:[:.].*)?")
 _FORTRAN_EXPONENT = re.compile(r"(?<=[0-9.])[dD](?=[-+0-9])")
 
 Constants = dict[str, float]
@@ -114,10 +116,11 @@ class TextTable:
         cell = self.rows[place][column].strip()
         number = as_number(cell, self.separator)
         if number is None:
-            raise MeasurementFormatError(
-                f"Line {self.lines[place]} of the table has {cell[:40]!r} in the column {self.names[column]!r}; "
-                "write a number, or nan where there is none."
-            )
+            where = f"Line {self.lines[place]} of the table has {cell[:40]!r} in the column {self.names[column]!r}"
+            remedy = "write a number, or nan where there is none"
+            if _DATE.fullmatch(cell):
+                remedy = "it is a date or a time: write the number, and give its cell the format of a number"
+            raise MeasurementFormatError(f"{where}; {remedy}.")
         return number
 
 
@@ -188,7 +191,7 @@ def about_foot(lines: Sequence[tuple[int, str]]) -> tuple[str, ...]:
 
 def as_number(cell: str, separator: str) -> float | None:
     """Return the number in a cell, NaN for an empty cell or a word such as "n/a", or None for other words."""
-    text = _TOLERANCE.sub("", cell).strip().replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "-")
+    text = _TOLERANCE.sub("", cell).strip().lstrip("'").replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "-")
     if text.lower() in _MISSING or _NO_NUMBER.fullmatch(text):
         return float("nan")
     if separator != "," and "," in text:
@@ -210,6 +213,7 @@ _ENCRYPTED = "EncryptedPackage".encode(
 _MAX_UNPACKED_BYTES = 1 << 26
 _XLSX_COLUMN = re.compile(rb'<c r="([A-Z]{1,3})')
 _XLSX_NO_RESULT = re.compile(rb"</f>(?:<v ?/>|<v></v>)?</c>")
+_HIDDEN_ROW = re.compile(rb'<row [^>]*hidden="(?:1|true)"|<table:table-row [^>]*visibility="(?:collapse|filter)"')
 _XLSX_ROW = re.compile(rb'<row r="([0-9]{1,9})"')
 _ODS_EMPTY_COLUMNS = re.compile(rb'columns-repeated="([0-9]{1,9})"/>(?=<table:table-cell [^>]*value)')
 _ODS_REPEATED_ROWS = re.compile(rb'rows-repeated="([0-9]{1,9})"')
@@ -236,7 +240,7 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
     from python_calamine import CalamineError, CalamineWorkbook, PasswordError, SheetVisibleEnum
 
     try:
-        n_formulas = 0 if data.startswith(OLD_WORKBOOK) else _check_extent(data)
+        n_formulas, n_hidden = (0, 0) if data.startswith(OLD_WORKBOOK) else _check_extent(data)
         with CalamineWorkbook.from_filelike(io.BytesIO(data)) as book:
             count = len(book.sheet_names)
             shown = [sheet.name for sheet in book.sheets_metadata if sheet.visible == SheetVisibleEnum.Visible]
@@ -257,20 +261,23 @@ def spreadsheet_text(data: bytes) -> tuple[bytes, list[str]]:
     if n_formulas:
         several = "1 formula has" if n_formulas == 1 else f"{n_formulas} formulas have"
         notes.append(f"{several} no result in the file until a spreadsheet program saves it; such cells are left out.")
+    if n_hidden:
+        notes.append(f"The spreadsheet has {n_hidden} hidden rows, as of a filter; they are read like all others.")
     return texts.get(title, "").encode(), notes
 
 
-def _check_extent(data: bytes) -> int:
-    """Return the number of formulas without results in an archive.
+def _check_extent(data: bytes) -> tuple[int, int]:
+    """Return the numbers of formulas without results and of hidden rows in an archive.
 
     Raises MeasurementFormatError if the archive, or the rectangle around the cells of a sheet, is too large.
     """
-    n_bytes = n_formulas = 0
+    n_bytes = n_formulas = n_hidden = 0
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         for part in archive.namelist():
             with archive.open(part) as file:
                 content = file.read(_MAX_UNPACKED_BYTES - n_bytes + 1)
             n_bytes += len(content)
+            n_hidden += len(_HIDDEN_ROW.findall(content))
             n_formulas += len(_XLSX_NO_RESULT.findall(content))
             column = max((letters.rjust(3) for letters in _XLSX_COLUMN.findall(content)), default=b"")
             n_columns = sum(max(letter - 64, 0) * 26**place for place, letter in enumerate(reversed(column)))
@@ -285,7 +292,7 @@ def _check_extent(data: bytes) -> int:
                     f"The spreadsheet has more than {_MAX_UNPACKED_BYTES} bytes when it is unpacked, or a sheet with "
                     f"more than {MAX_CELLS} cells, empty ones between others included; save its sheet as .csv."
                 )
-    return n_formulas
+    return n_formulas, n_hidden
 
 
 def _text(rows: Iterable[Sequence[Any]]) -> str:

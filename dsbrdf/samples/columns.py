@@ -88,9 +88,11 @@ def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
         place, *others = places[name]
         written, unit = table.names[place], name_and_unit(table.names[place])[1]
         if others:
+            # Columns of the same name are told apart by their positions.
+            chosen = str(place + 1) if written == table.names[others[0]] else written
             raise MeasurementFormatError(
                 f"The columns {written!r} and {table.names[others[0]]!r} both seem to be {name}: leave one of them "
-                f"out, or choose, as in {_option(name, written)}."
+                f"out, or choose, as in {_option(name, chosen)}."
             )
         if name in (*GREY, *CHANNELS, *TRISTIMULUS) and is_logarithm(written):
             raise _logarithm(written)

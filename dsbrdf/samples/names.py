@@ -45,18 +45,22 @@ _VALUES = (
 # A name of values may have one of these words more, as in "Panel BRF".
 _QUALIFIERS = {"panel", "sample", "target", "measured", "mean", "average", "calibrated", "corrected", "absolute"}
 _OTHERS = {
-    "theta_in": ("aoi", "sza", "incidence", "incident", "einfallswinkel", "beleuchtungswinkel", "angle_dincidence"),
+    "theta_in": (
+        *("aoi", "sza", "incidence", "incident", "einfallswinkel", "beleuchtungswinkel", "angle_dincidence"),
+        *("入射角", "入射天顶角"),
+    ),
     "theta_out": (
         *("aor", "aos", "aov", "vza", "scatter", "scatterbeta", "emission", "emergence", "viewing"),
         *("ausfallswinkel", "beobachtungswinkel", "betrachtungswinkel", "angle_de_réflexion"),
+        *("反射角", "出射角", "出射天顶角", "受光角", "观测角", "観測角"),
     ),
-    "phi_in": ("saa",),
-    "phi_out": ("vaa", "raa"),
+    "phi_in": ("saa", "入射方位角"),
+    "phi_out": ("vaa", "raa", "方位角", "出射方位角", "反射方位角", "相对方位角", "相対方位角"),
     "phase": ("phase", "phase_angle"),
     "theta_from_mirror": ("angle_from_specular", "degrees_from_specular"),
     "value": (*_VALUES, *_FACTORS, *_RADIANCE_FACTORS),
     "weight": ("weight",),
-    "wavelength": ("wavelength", "wavelength_i", "lambda", "wl", "wavenumber", "wave_number"),
+    "wavelength": ("wavelength", "波长", "波長", "wavelength_i", "lambda", "wl", "wavenumber", "wave_number"),
 }
 TRISTIMULUS = ("cie_x", "cie_y", "cie_z")
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDE_WORDS for axis in "xyz")
@@ -79,6 +83,8 @@ _PLANETARY = {"i": "theta_in", "e": "theta_out", "g": "phase", "alpha": "phase"}
 _SOLAR = {"theta_s": "theta_in", "phi_s": "phi_in"}  # In a table that has "v" for the viewer, "s" means the sun.
 _GREEK = {"θ": "theta", "φ": "phi", "ϕ": "phi", "λ": "lambda", "ω": "omega", "δ": "delta", "ρ": "rho", "β": "beta"}
 _COSINE = re.compile(r"cos(?:ine)?(?:[_ ]?\((.+)\)|[_ ](.+))")
+# This means the cosine of theta_out, as in "ccbrdf", unless another angle is named.
+_PRODUCT = re.compile(r"(?:brdf|bsdf|f_?r) ?[*×·x] ?cos(?:ine)?(?:[_ ]?\(?theta_?(?:out|[orsv])\)?)?")
 # A unit may follow a name without brackets, as in "theta / deg", "BRDF, 1/sr" or "brdf_sr-1".
 _UNIT_BEHIND = re.compile(
     rf"(.+?)(?:(?: / |, ?| in )({'|'.join(map(re.escape, (*ANGLE_UNITS, *WAVELENGTH_UNITS, *VALUE_UNITS, '%')))})|"
@@ -297,6 +303,8 @@ def _name_and_unit(cell: str) -> tuple[str, str]:
     for letter, word in _GREEK.items():
         text = text.replace(letter, word)
     text = _MARKUP.sub("", text).strip()
+    if _PRODUCT.fullmatch(text):
+        return "ccbrdf", ""
     found = _COSINE.fullmatch(text)
     if found and (_meaning(name := name_and_unit(found[1] or found[2])[0]) or "").startswith("theta"):
         return name, COSINE

@@ -66,7 +66,7 @@ REFUSED_TEXTS = {
         "theta_in,camera azimuth,theta_out,brdf\n10,20,30,1\n10,40,30,1\n"
     ),
     "The table lacks value: not understood are its columns 'Signal'": "theta_in,theta_out,Signal\n10,20,1\n10,30,1\n",
-    r'--columns "value=BRDF\*cos", with --cosine out if the values': "theta_in,theta_out,BRDF*cos\n10,20,1\n10,30,1\n",
+    r'--columns "value=BRDF\*cos_in", with --cosine out if the values': "theta_in,theta_out,BRDF*cos_in\n10,20,1\n",
     "In 2 of 2 rows the phase angle is not between the difference and the sum of theta_in and theta_out": (
         "incidence phase emission value\n10 70 20 1\n30 5 60 1\n"
     ),

@@ -44,6 +44,11 @@ def test_what_people_write_around_a_table_is_left_out() -> None:
     np.testing.assert_allclose(samples.values, np.delete(RGB, 5, axis=0), rtol=1e-8)
 
 
+def test_hidden_rows_are_counted_in_a_note() -> None:
+    content = replaced(NOTES_AROUND, "xl/worksheets/sheet2.xml", b"<row>", b'<row hidden="1">')
+    assert re.search(r"[0-9]{3} hidden rows, as of a filter", parse_samples(content).notes[-2])
+
+
 def test_lines_in_errors_are_rows_of_the_sheet() -> None:
     with pytest.raises(MeasurementFormatError, match="Line 10 of the table has 'x' in the column 'theta_out'"):
         read_samples(FOLDER / "wrong_cell.xlsx")

@@ -99,6 +99,7 @@ def test_options_are_checked_when_they_are_made(choice: dict[str, object], words
 OF_INSTRUMENTS = {
     "AOI, AOR": ("AOI", "phi_i", "AOR", "phi_r"),
     "in French": ("Angle d’incidence", "Azimut incident", "Angle de réflexion", "Azimut réfléchi"),
+    "in Japanese": ("入射角 [°]", "入射方位角", "受光角 [°]", "方位角"),
     "in words": ("Angle of incidence", "Incident azimuth", "Angle of reflection", "Azimuth"),
     "zenith angles": ("Illumination zenith angle (deg)", "Illumination azimuth", "View zenith (deg)", "View azimuth"),
     "of remote sensing": ("SZA", "SAA", "VZA", "VAA"),
@@ -118,6 +119,12 @@ OF_INSTRUMENTS = {
 @pytest.mark.parametrize("names", OF_INSTRUMENTS.values(), ids=OF_INSTRUMENTS.keys())
 def test_names_of_instruments_are_known(names: tuple[str, ...]) -> None:
     check_same(parse_samples(table((*names, "BSDF (sr⁻¹)"), np.hstack([ANGLES, GREY[:, :1]]))), ANGLES, GREY)
+
+
+@pytest.mark.parametrize("name", ["BRDF*cos", "BRDF * cos(θ_r)", "f_r·cos θ_o"])
+def test_values_named_as_a_product_are_divided_by_the_cosine(name: str) -> None:
+    values = GREY[:, :1] * np.cos(np.radians(ANGLES[:, 2:3]))
+    check_same(parse_samples(table((*DIRECTION, name), np.hstack([ANGLES, values]))), ANGLES, GREY)
 
 
 def test_an_elevation_is_from_the_horizon() -> None:
