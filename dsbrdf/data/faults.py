@@ -57,6 +57,7 @@ _MAX_JUMP = 0.06
 
 Good measurements reach 0.04.
 """
+_MAX_COPIED = 0.5  # Good measurements reach 0.05.
 _MAX_REPEATED = 0.2
 """Limit of the fraction of bins that equal the bin before, and not the one before that."""
 _SAMPLED_NODES = 20_000
@@ -239,6 +240,15 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
     nodes = nodes[:: max(nodes.size // _SAMPLED_NODES, 1)]
     values = measurement.stored.reshape(3, -1)[:, nodes] * measurement.scale[:, np.newaxis]
     yield from channel_findings(values)
+    first, second = np.split(measurement.stored[:, 4::9, 4::9], 2, axis=-1)
+    varied = np.abs(np.diff(first)) > 1e-6 * np.abs(first[..., 1:])  # Smaller differences are rounding.
+    if varied.any() and (share := float((first == second)[..., 1:][varied].mean())) > _MAX_COPIED:
+        yield Finding(
+            "repeated-samples",
+            f"At {share:.0%} of the angles the values at phi_diff and at phi_diff + 90 degrees are exactly equal: one "
+            "half of the measurement seems to be a copy of the other.",
+            {"fraction": share},
+        )
     below = (values < 0.0).mean(axis=1)
     share = float(below.max())
     if share > _MIN_OUTSIDE_FRACTION:

@@ -74,6 +74,11 @@ def test_one_negative_number_is_no_colour(paint: Measurement) -> None:
     assert "below 0, always -1/sr, as where it was not measured" in next(value_findings(hole)).sentence
 
 
+def test_a_copied_half_is_noticed(paint: Measurement) -> None:
+    copied = changed(paint, lambda values: np.concatenate([values[..., :90]] * 2, axis=-1))
+    assert [one.code for one in value_findings(copied)] == ["repeated-samples"]
+
+
 def test_a_missing_centre_is_noticed(paint: Measurement) -> None:
     found = Measurement.from_values(paint.values, paint.valid & (THETA_HALF >= np.radians(2.0))[:, None, None])
     (one,) = profile_findings(profiles(found))
