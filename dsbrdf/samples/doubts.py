@@ -265,7 +265,8 @@ def _about_spikes(samples: ScatteredSamples) -> Iterator[str]:
     # The sentence is left out for random directions, where few samples have equal angles of incidence.
     if ratios and 2 * len(ratios) >= seen and 2 * covered > len(level):
         yield (
-            f"At {len(ratios)} angles of incidence one sample alone lies in the highlight: it is up to "
-            f"{max(ratios):.2g} times as bright as its neighbours, at theta_half = {np.median(gaps):.2g} degrees and "
-            "more: the samples determine the height of the highlight, but not its width: measure between them."
+            f"At {len(ratios)} {'angle' if len(ratios) == 1 else 'angles'} of incidence one sample alone lies in the "
+            f"highlight: it is up to {max(ratios):.2g} times as bright as its neighbours, at theta_half = "
+            f"{np.median(gaps):.2g} degrees and more: the samples determine the height of the highlight, but not its "
+            "width: measure between them."
         )
