@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from tests.support.processes import ONE_CORE
+from dsbrdf.process_settings import ONE_BLAS_THREAD
 
 MAIN = "def main("
 """Modules of this package that contain this text are benchmarks; the others are helpers."""
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"{what}; the benchmarks are: {', '.join(known())}", file=sys.stderr)
         return 2
     if len(names) == 1:
-        os.environ.update(ONE_CORE)  # The benchmark is the first to import NumPy.
+        os.environ.update(ONE_BLAS_THREAD)  # The benchmark is the first to import NumPy.
         code: int = import_module(f"benchmarks.{names[0]}").main(flags)
         return code
     codes = []

@@ -16,7 +16,8 @@ from pathlib import Path
 
 from dsbrdf import write_merl
 from dsbrdf.data import synthetic_measurement
-from tests.support.processes import ONE_CORE, free_port
+from dsbrdf.process_settings import ONE_BLAS_THREAD
+from tests.support.processes import free_port
 
 PROJECT = Path(__file__).parent.parent
 EXTRAS = "cli,service,client,plot"
@@ -91,6 +92,6 @@ def tried(folder: Path, python: str, package: Path, resolution: str) -> tuple[st
 
 def run(folder: Path, *command: str) -> str:
     """Run a command in a folder; return what it prints."""
-    environment = os.environ | ONE_CORE | {"PYTHONWARNINGS": "error::DeprecationWarning:dsbrdf"}
+    environment = os.environ | ONE_BLAS_THREAD | {"PYTHONWARNINGS": "error::DeprecationWarning:dsbrdf"}
     answer = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
     return answer.stdout

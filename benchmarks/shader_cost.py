@@ -19,7 +19,7 @@ from benchmarks.material_filter import add_arguments, chosen_measurements
 from dsbrdf import ConvergenceWarning, decompose, fit, render_sphere
 from dsbrdf.output.export.glsl import glsl_function
 from dsbrdf.rendering import displayed, exposure, psnr, sphere_normals
-from tests.support.webgl import ShaderCall, time_glsl
+from tests.support.webgl import ShaderCall, page_answers
 
 SIZE = 128
 N_TILES = 16
@@ -68,7 +68,7 @@ def main(argv: Sequence[str]) -> int:
             sources |= {"layers": glsl_function(components.layers), "parts": glsl_function(next(iter(components)))}
             calls = {n: ShaderCall(s, "dsbrdf(a, b)", first, second) for n, s in sources.items()}
             with tempfile.TemporaryDirectory() as folder:
-                times = time_glsl(calls, Path(folder), N_REPEATS)
+                times = dict(zip(calls, map(float, page_answers(calls, Path(folder), N_REPEATS)), strict=True))
             one = (times["GGX"] - times["nothing"]) / CALLS_PER_PIXEL
             ratios = [(times[n] - times["nothing"]) / one for n in [*sources][2:]]
             measured = render_sphere(measurement, size=SIZE)

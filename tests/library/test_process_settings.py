@@ -65,15 +65,13 @@ print(compute())
 
 def test_one_blas_thread_while_something_is_computed_and_as_many_as_before_afterwards() -> None:
     environment = os.environ | dict.fromkeys(ONE_BLAS_THREAD, "2")
-    found = subprocess.run(
-        [sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, check=True, timeout=60
-    )
+    command = [sys.executable, "-c", THREADS]
+    found = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60)
     assert found.stdout.split("\n")[:-1] == ["[2]", "[1]", "[1]", "[2]"]
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads the size of the process in /proc")
 def test_blas_that_has_its_memory_computes_under_a_limit() -> None:
-    found = subprocess.run(
-        [sys.executable, "-c", LIMITED], env=os.environ | ONE_BLAS_THREAD, capture_output=True, text=True, timeout=60
-    )
+    command, environment = [sys.executable, "-c", LIMITED], os.environ | ONE_BLAS_THREAD
+    found = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert found.stdout == "0\n", found.stderr

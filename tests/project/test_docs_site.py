@@ -42,9 +42,8 @@ def test_site_has_a_page_for_each_public_name_and_the_references(site: Path) -> 
 
 
 def test_pages_show_spheres(site: Path) -> None:
-    tutorial, choices, index, gallery = (
-        (site / f"{name}.html").read_text() for name in ("tutorial", "choices", "index", "gallery")
-    )
+    names = ("tutorial", "choices", "index", "gallery")
+    tutorial, choices, index, gallery = ((site / f"{name}.html").read_text() for name in names)
     if SOAK:
         assert tutorial.count('alt="lit sphere"') == 3
         assert "the components add up: True" in tutorial

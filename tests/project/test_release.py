@@ -17,14 +17,36 @@ import pytest
 import yaml
 
 import dsbrdf
+from dsbrdf.data import encode_merl
 from dsbrdf_service.settings import Settings
 from tests.support.command_line import load_fit
+from tests.support.merl_files import glossy_plastic
+from tests.support.processes import short_folder
 from tests.support.server import Server
-from tests.support.stored_fits import THETA_DIFF, THETA_HALF
 
 ROOT = Path(__file__).parents[2]
 STORED = sorted((Path(__file__).parent / "stored").iterdir())  # a folder for each release that stored something new
+THETA_HALF = np.radians([[0.0], [5.0], [20.0], [60.0]])
+THETA_DIFF = np.radians([0.0, 30.0, 60.0])
 releases = pytest.mark.parametrize("folder", STORED, ids=lambda folder: folder.name)
+
+
+def store(folder: Path, scratch: Path) -> None:
+    """Write what this release stores, once a release: ``python -m tests.project.test_release FOLDER``.
+
+    A fit as JSON, values of its model, and a service's database with the same fit, without the measurement.
+    """
+    folder.mkdir(parents=True)
+    measurement = glossy_plastic()
+    result = dsbrdf.fit(measurement, n_lobes=2)
+    dsbrdf.save(result, folder / "plastic.json")
+    values = result.model.evaluate(THETA_HALF, THETA_DIFF)
+    (folder / "values.json").write_text(json.dumps(values.tolist(), indent=1))
+    server = Server(scratch / "data").start()
+    headers = {"Content-Type": "application/octet-stream"}
+    server.http.post("/v1/fits?n_lobes=2", content=encode_merl(measurement), headers=headers).raise_for_status()
+    server.stop()
+    shutil.copy(server.data_dir / "dsbrdf.sqlite", folder)
 
 
 def test_version_is_the_same_everywhere() -> None:
@@ -201,3 +223,8 @@ def test_commands_of_the_docker_readme_name_existing_files() -> None:
     assert named == {path.relative_to(ROOT).as_posix() for path in (*COMPOSE, TLS)}
     for path in re.findall(r"`((?:tests|service|docker)/\S+?)`", text):
         assert (ROOT / path).exists(), path
+
+
+if __name__ == "__main__":
+    with short_folder() as scratch:
+        store(Path(sys.argv[1]), Path(scratch))

@@ -228,9 +228,8 @@ def test_resources_of_other_owners_are_not_found(guarded: Guarded, data: bytes) 
     fit, sha256 = fitted.json()["id"], fitted.json()["measurement"]
     paths = (f"fits/{fit}", f"fits/{fit}/components", f"measurements/{sha256}")
     tags = {path: server.http.get(f"/v1/{path}", headers=alice).headers["etag"] for path in paths}
-    for (method, path, arguments), (_, other, _) in zip(
-        probes(fit, sha256, tags), probes(MISSING_FIT, MISSING_MEASUREMENT, tags), strict=True
-    ):
+    both = probes(fit, sha256, tags), probes(MISSING_FIT, MISSING_MEASUREMENT, tags)
+    for (method, path, arguments), (_, other, _) in zip(*both, strict=True):
         headers = {**arguments.get("headers", {}), **bob}
         hidden = server.http.request(method, path, **{**arguments, "headers": headers})
         document = arguments.get("json", {})

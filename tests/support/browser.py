@@ -32,9 +32,8 @@ _REPORTED = "Failed to load resource: the server responded with a status of 4"
 def running_browser() -> Iterator[Browser]:
     expect.set_options(timeout=_PATIENCE)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage", *SOFTWARE_RENDERER]
-        )
+        flags = ["--no-sandbox", "--disable-dev-shm-usage", *SOFTWARE_RENDERER]
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
         yield browser
         browser.close()
 

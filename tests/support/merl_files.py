@@ -3,8 +3,6 @@
 import struct
 from functools import cache
 
-import numpy as np
-
 from dsbrdf import Measurement
 from dsbrdf.data import synthetic_measurement
 
@@ -39,7 +37,3 @@ def with_values(data: bytes, changes: dict[tuple[int, tuple[int, int, int]], flo
 
 def with_value(data: bytes, value: float, position: int = 12 + 8 * 700_000) -> bytes:
     return data[:position] + struct.pack("<d", value) + data[position + 8 :]
-
-
-def filled(value: float) -> bytes:
-    return HEADER + np.full(3 * NODES, value).tobytes()

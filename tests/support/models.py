@@ -71,9 +71,8 @@ def mixture(n_lobes: int, seed: int) -> DSBRDF:
     kappa = random.uniform(0.7, 3.0, n_lobes) * np.ones_like(share)
     gamma = np.log(np.log1p(np.expm1(kappa) / 2.0) / kappa) / np.log(np.cos(width))
     gamma = gamma * np.exp(random.uniform(-0.3, 0.3, n_lobes) * share)
-    return DSBRDF(
-        KNOTS, amplitude=height, kappa=kappa[None], gamma=gamma[None], elongation=random.uniform(0.2, 1.0, (1, n_lobes))
-    )
+    elongation = random.uniform(0.2, 1.0, (1, n_lobes))
+    return DSBRDF(KNOTS, amplitude=height, kappa=kappa[None], gamma=gamma[None], elongation=elongation)
 
 
 def scattered_samples(model: DSBRDF, count: int, seed: int = 1) -> ScatteredSamples:

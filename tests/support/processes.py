@@ -11,9 +11,6 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Environment of the benchmarks, which measure times on one core."""
-
 
 def short_folder() -> "TemporaryDirectory[str]":
     """A temporary folder for processes: the path of a socket has at most 107 characters, and pytest's are long."""

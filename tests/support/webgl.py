@@ -54,20 +54,13 @@ def evaluate_glsl(calls: Mapping[str, ShaderCall], folder: Path) -> dict[str, Ar
 
     Raises RuntimeError with the compiler's messages.
     """
-    values = (np.frombuffer(base64.b64decode(text), dtype="<f4").reshape(-1, 4) for text in _answers(calls, folder, 0))
-    return {
-        name: pixels[: len(call.first), :3].astype(float)
-        for (name, call), pixels in zip(calls.items(), values, strict=True)
-    }
+    pixels = [np.frombuffer(base64.b64decode(text), dtype="<f4") for text in page_answers(calls, folder, 0)]
+    pairs = zip(calls.items(), pixels, strict=True)
+    return {name: found.reshape(-1, 4)[: len(call.first), :3].astype(float) for (name, call), found in pairs}
 
 
-def time_glsl(calls: Mapping[str, ShaderCall], folder: Path, repeats: int) -> dict[str, float]:
-    """Shortest time of drawing each call several times [ms]; as `evaluate_glsl`."""
-    return dict(zip(calls, map(float, _answers(calls, folder, repeats)), strict=True))
-
-
-def _answers(calls: Mapping[str, ShaderCall], folder: Path, repeats: int) -> list[str]:
-    """Text that the page gives for each call: values in base64 or, for repeats above 0, the time."""
+def page_answers(calls: Mapping[str, ShaderCall], folder: Path, repeats: int) -> list[str]:
+    """What the page gives for each call: values in base64 or, for repeats above 0, the shortest time [ms]."""
     assert CHROMIUM is not None
     page = folder / "page.html"
     text = Path(__file__).with_name("webgl.html").read_text().replace("REPEATS", str(repeats))

@@ -28,9 +28,8 @@ def student_model(*lobes: tuple[float, tuple[float, float, float]]) -> DSBRDF:
     """Round lobes of GGX's tails with these half widths [degrees] and heights [1/sr] at every theta_diff."""
     widths, heights = np.array([width for width, _ in lobes]), np.array([height for _, height in lobes])
     gamma = (np.sqrt(2.0) - 1.0) / np.tan(np.radians(widths)) ** 2
-    return DSBRDF(
-        np.zeros(1), heights.T[:, np.newaxis], np.full((1, 1, widths.size), 2.0), gamma[None, None], lobe="student"
-    )
+    kappa = np.full((1, 1, widths.size), 2.0)
+    return DSBRDF(np.zeros(1), heights.T[:, np.newaxis], kappa, gamma[None, None], lobe="student")
 
 
 def diffuse_albedo(albedo: float, reflectance: float) -> float:
@@ -179,9 +178,8 @@ def test_split_that_is_open_is_said() -> None:
     assert parts.diffuse is not None
     low, high = parts.diffuse.ranges.light_share
     assert 0.6 < low < 0.9 < high
-    assert parts.remarks[0].startswith(
-        f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to {high:.0%}. "
-    )
+    said = f"The measurement does not determine how much of the light is diffuse: it may be {low:.0%} to {high:.0%}. "
+    assert parts.remarks[0].startswith(said)
     assert parts.structure in parts.remarks[0]
     assert parts.structure == max(parts.structures, key=lambda one: one.weight).name
 

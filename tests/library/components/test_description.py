@@ -117,9 +117,8 @@ def test_a_coat_stays_white_over_a_lobe_that_no_layer_describes() -> None:
             angles, points = (theta_half, theta_diff, phi_diff), Points.at(theta_half, theta_diff, phi_diff)
             path = np.sum(1.0 / points.cosines, axis=0)
             film = np.exp(-path[:, np.newaxis] * (0.02, 0.4, 0.5))
-            return np.asarray(
-                coat.linearize(points, coat.unknowns).values.T + film * LayeredModel((gold,)).evaluate_unmasked(*angles)
-            )
+            below = film * LayeredModel((gold,)).evaluate_unmasked(*angles)
+            return np.asarray(coat.linearize(points, coat.unknowns).values.T + below)
 
     spike = dsbrdf.decompose(cast(dsbrdf.DSBRDF, Coated()))["specular_spike"]
     np.testing.assert_allclose(spike.color, 1.0, atol=0.4)
@@ -188,9 +187,8 @@ def test_reflectance_at_70_degrees_is_that_of_the_layer() -> None:
 def test_an_uncertain_reflectance_at_70_degrees_is_left_out_with_a_sentence() -> None:
     sure, unsure = (Surface(0.1, 2.0, (0.04,) * 3, f70, None, None, None) for f70 in ((0.17,) * 3, None))
     found = Description(LayeredModel(()), (sure, unsure), Misfit(0.1, 0.1, 0.1, 0.1))
-    assert found.remarks("specular_lobe") == (
-        "F70 of surface 2 of the specular lobe is left out: it is uncertain by more than a factor of 2.",
-    )
+    (said,) = found.remarks("specular_lobe")
+    assert said == "F70 of surface 2 of the specular lobe is left out: it is uncertain by more than a factor of 2."
 
 
 def test_a_black_channel_has_finite_ranges() -> None:

@@ -100,6 +100,7 @@ def test_layers_for_renderers_are_fitted_to_the_albedo() -> None:
 
 def test_the_descent_ends_in_a_minimum_of_the_documented_cost() -> None:
     data = data_of(PLASTIC, GROUND)
+    assert np.sum(data.weighted**2) == pytest.approx(1.0)  # Errors are shares of the signal.
     structure = next(one for one in STRUCTURES if one.name == "dielectric over diffuse")
     (found,) = fit_structures(data, [structure])
 

@@ -44,9 +44,8 @@ def test_values_are_those_of_scipys_interpolator_of_the_logarithm(plastic: Measu
     theta_half, theta_diff, phi_diff = theta_half[inside], theta_diff[inside], phi_diff[inside]
     values = np.maximum(np.concatenate([plastic.values, plastic.values[..., :1]], axis=-1), 1e-3)
     axes = (np.arange(90.0), np.arange(90.0), np.arange(181.0))
-    points = np.stack(
-        [90.0 * np.sqrt(theta_half / (np.pi / 2)), np.degrees(theta_diff), np.degrees(phi_diff) % 180.0], axis=-1
-    )
+    row = 90.0 * np.sqrt(theta_half / (np.pi / 2))
+    points = np.stack([row, np.degrees(theta_diff), np.degrees(phi_diff) % 180.0], axis=-1)
     found = plastic.interpolated.evaluate(theta_half, theta_diff, phi_diff)
     for channel in range(3):
         expected = np.exp(RegularGridInterpolator(axes, np.log(values[channel]))(points))

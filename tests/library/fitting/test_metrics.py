@@ -62,9 +62,8 @@ def direct_errors(
     mean = samples.sum(axis=3, keepdims=True) / np.maximum(counted.sum(axis=2, keepdims=True), 1)
     folded = (samples + samples[..., partner]) / np.maximum(counted + counted[..., partner].astype(float), 1.0)
     power = np.sum(samples[channels][:, rows] ** 2)
-    rms, floor, symmetric = (
-        float(np.sqrt(np.sum((samples - other)[channels][:, rows] ** 2) / power)) for other in (fit, mean, folded)
-    )
+    differences = [(samples - other)[channels][:, rows] for other in (fit, mean, folded)]
+    rms, floor, symmetric = (float(np.sqrt(np.sum(difference**2) / power)) for difference in differences)
     logs = [np.log(1.0 + values[channels][:, rows] * cosines()[0][rows]) for values in (samples, fit)]
     return RelativeErrors(rms, floor, symmetric, rms / floor, float(np.mean(np.abs(logs[0] - logs[1]))))
 

@@ -77,11 +77,7 @@ SPELLINGS = {
 }
 OF_OTHER_TABLES = {
     "in plane": (IN_PLANE, RGB, table(("theta_in", "theta_out", *CHANNELS), np.hstack([IN_PLANE[:, ::2], RGB]))),
-    "one phi": (
-        ANGLES * [1, 0, 1, 1],
-        RGB,
-        table(("theta_in", "theta_out", "phi_out", *CHANNELS), np.hstack([ANGLES[:, [0, 2, 3]], RGB])),
-    ),
+    "one phi": (ANGLES * [1, 0, 1, 1], RGB, table(("theta_in", *ALL[2:]), np.hstack([ANGLES[:, [0, 2, 3]], RGB]))),
     **{
         name: (ANGLES, GREY, table((*DIRECTION, name), np.hstack([ANGLES, GREY[:, :1]])))
         for name in ("value", "BRDF [sr^-1]", "luminance", "f_r")
@@ -211,10 +207,7 @@ WRONG = [
         table((*DIRECTION, "BRDF [%]"), np.hstack([ANGLES, RGB[:, :1]])),
         "'BRDF [%]' is in '%'; the values of a BRDF are in 1/sr. If a factor makes them a BRDF, set",
     ),
-    (
-        table(number=lambda x: f"{x:.9g}".replace(".", ",")),
-        "Line 2 of the table has 14 cells, separated by commas, and the line of names has 7",
-    ),
+    (table(number=lambda x: f"{x:.9g}".replace(".", ",")), "Line 2 of the table has 14 cells, separated by commas"),
     ("\n".join([*WORDS[:4], "1,2,3"]).encode(), "Line 5 of the table has 3 cells, and the line of names has 7."),
     (changed(4, "dark"), "Line 6 of the table has 'dark' in the column 'red'; write a number, or nan where"),
     (changed(4, "2026-05-01 00:00:00"), "it is a date or a time: write the number, and give its cell the format"),

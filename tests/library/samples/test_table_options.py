@@ -175,9 +175,8 @@ OBSERVER = np.array(
 
 def smooth(wavelengths: Array) -> Array:
     at = (wavelengths - 550.0) / 150.0
-    return np.stack(
-        [0.5 + 0.3 * at, 0.5 - 0.3 * at, 0.3 + 0.3 * at**2, 0.7 - 0.3 * at**2, 0.4 + 0.2 * np.sin(3.0 * at)]
-    )
+    wave, line, curve = 0.4 + 0.2 * np.sin(3.0 * at), 0.3 * at, 0.3 * at**2
+    return np.stack([0.5 + line, 0.5 - line, 0.3 + curve, 0.7 - curve, wave])
 
 
 def test_colors_are_those_of_the_table_of_the_observer() -> None:

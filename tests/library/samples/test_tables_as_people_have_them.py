@@ -106,9 +106,8 @@ def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubt
 def test_a_retro_reflector_is_told_as_such() -> None:
     omega_in, omega_out = spherical(GRID * [1.0, 0.0, 1.0, 1.0])
     aside = np.arccos(np.clip(np.sum(omega_in * omega_out, axis=1), -1.0, 1.0))
-    samples = ScatteredSamples.from_arrays(
-        omega_in, omega_out, np.repeat(0.02 + 4.0 * np.exp(-((aside / 0.3) ** 2))[:, None], 3, axis=1)
-    )
+    values = np.repeat(0.02 + 4.0 * np.exp(-((aside / 0.3) ** 2))[:, None], 3, axis=1)
+    samples = ScatteredSamples.from_arrays(omega_in, omega_out, values)
     (said,) = sample_doubts(samples).sentences
     assert said.startswith("The brightest samples lie back towards the light, as those of a retro-reflector do")
 
@@ -125,9 +124,8 @@ def test_exchanged_angles_are_told_with_the_option_that_exchanges_them() -> None
 
 def test_several_materials_in_one_table_are_told() -> None:
     rows = [",".join([name, *map(repr, row)]) for row in GRID[:, :3].tolist() for name in ("B", "G")]
-    samples = parse_samples(
-        "\n".join(["paint,theta_in,phi_in,theta_out", *rows]).encode(), options=TableOptions(columns="value=phi_in")
-    )
+    content = "\n".join(["paint,theta_in,phi_in,theta_out", *rows]).encode()
+    samples = parse_samples(content, options=TableOptions(columns="value=phi_in"))
     assert "The column 'paint' has 2 values, such as 'B' and 'G': if they are several materials" in samples.notes[2]
 
 
@@ -155,9 +153,8 @@ def test_a_name_too_many_after_a_label_is_told() -> None:
     ],
 )
 def test_reflectance_and_radiance_factors_are_told_with_the_options(names: tuple[str, ...], words: str) -> None:
-    samples = parse_samples(
-        table(names, np.column_stack([GRID, TRUE])), options=TableOptions(columns=f"value={names[4]}")
-    )
+    options = TableOptions(columns=f"value={names[4]}")
+    samples = parse_samples(table(names, np.column_stack([GRID, TRUE])), options=options)
     assert words in samples.notes[0] if words else not any("factors" in note for note in samples.notes)
 
 

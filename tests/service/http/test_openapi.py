@@ -91,10 +91,8 @@ def test_every_kind_of_problem_that_is_raised_is_in_the_table() -> None:
 
 def test_options_are_described_with_their_defaults(document: dict[str, Any]) -> None:
     parameters = document["paths"]["/v1/fits"]["post"]["parameters"]
-    descriptions = {
-        one["name"]: one["description"] for one in parameters if one["in"] == "query" and one["name"] != "name"
-    }
-    described = {name: re.search(r"Default: `(.*)`\.$", text) for name, text in descriptions.items()}
+    options = [one for one in parameters if one["in"] == "query" and one["name"] != "name"]
+    described = {one["name"]: re.search(r"Default: `(.*)`\.$", one["description"]) for one in options}
     defaults = to_wire(FitOptions()) | to_wire(TableOptions())
     assert set(described) == set(defaults)
     assert '"type": "null"' not in json.dumps(parameters)  # a query has none

@@ -28,9 +28,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 
 def test_locked_database_is_not_ready_but_known_fits_are_answered(own_server: StartServer, data: bytes) -> None:
     limit = 0.5  # [s] The service's own limits are several seconds.
-    server = own_server(
-        constants={f"{database.__name__}._BUSY_TIMEOUT_S": limit, f"{monitoring.__name__}.READY_TIMEOUT_S": limit}
-    )
+    constants = f"{database.__name__}._BUSY_TIMEOUT_S", f"{monitoring.__name__}.READY_TIMEOUT_S"
+    server = own_server(constants=dict.fromkeys(constants, limit))
     first = server.http.post("/v1/fits", params=QUICK, content=data).json()
     with closing(sqlite3.connect(server.data_dir / FILE_NAME, isolation_level=None)) as db:
         db.execute("BEGIN IMMEDIATE")

@@ -1,6 +1,4 @@
-"""The store on its own: what a fit may become, what owners share and may have, and what a fault of a row, a file or the
-folder leaves.
-"""
+"""The store on its own: what a fit may become, what owners share, and what a fault of a row, file or folder leaves."""
 
 import errno
 import os

@@ -1,11 +1,11 @@
 """Files for other programs, read by these or by their syntax, and the surface of MaterialX, by its own shaders."""
 
-import importlib.util
 import re
 import shlex
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from unittest.mock import MagicMock
@@ -30,9 +30,7 @@ from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
 
-needs_materialx = pytest.mark.skipif(
-    importlib.util.find_spec("MaterialX") is None, reason='"MaterialX" is not installed'
-)
+needs_materialx = pytest.mark.skipif(find_spec("MaterialX") is None, reason='"MaterialX" is not installed')
 COATED = OpenPBR((0.6, 0.3, 0.1), 0.3, (0.9, 0.8, 0.5), specular_roughness=0.5, coat_weight=0.6, coat_roughness=0.25)
 # About what a decomposition would say of it, not the surface itself.
 COAT = SpecularLayer((0.03, 0.03, 0.03), 0.8, 0.08, 2.0, (0.0, 0.0), 0.0, 0.0)
