@@ -82,12 +82,12 @@ fix: $(TESTS_READY)  ## format and repair what can be repaired automatically
 	$(BIN)/ruff format .
 
 bench: $(TESTS_READY)  ## run the tests of the benchmarks, then all benchmarks except the long ones
-	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile benchmarks
+	$(BIN)/python -m pytest --numprocesses=$(WORKERS) --dist=loadfile --timeout=0 benchmarks
 	$(BIN)/python -m benchmarks
 
 soak: $(TESTS_READY) $(DOCS_READY)  ## load the service for DURATION minutes (30), then run all tests with the full number of repeats
 	$(BIN)/python -m benchmarks soak --minutes $(DURATION)
-	DSBRDF_SOAK=1 $(BIN)/python -m pytest tests benchmarks
+	DSBRDF_SOAK=1 $(BIN)/python -m pytest --timeout=0 tests benchmarks
 
 prove:  ## build and run the images of docker/ on a fresh Debian root (as root)
 	docker/prove.sh
