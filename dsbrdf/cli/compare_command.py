@@ -69,10 +69,11 @@ def compare(
     found += [_beside(word, found[0][0]) for word in beside]
     paths += tuple(Path("2 GGX" if word == "ggx" else word) for word in beside)
     sources, columns = zip(*found, strict=True)
-    has_table = any(isinstance(source, ScatteredSamples) for source in sources)
-    likeness, sentences, picture, shown = (_samples_and_model if has_table else _spheres)(
-        paths, sources, look, with_picture=output is not None
-    )
+    with_picture = output is not None
+    if any(isinstance(source, ScatteredSamples) for source in sources):
+        likeness, sentences, picture, shown = _samples_and_model(paths, sources, with_picture=with_picture)
+    else:
+        likeness, sentences, picture, shown = _spheres(paths, sources, look, with_picture=with_picture)
     if output is not None and picture is not None:
         write_atomically(output, [picture])
     if json:
@@ -97,7 +98,7 @@ _Comparison = tuple[list[dict[str, float | None]], list[str], bytes | None, str]
 """Likeness of each source to the first source, sentences about it, a picture, and a description of the picture."""
 
 
-def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], _: Look, *, with_picture: bool) -> _Comparison:
+def _samples_and_model(paths: Sequence[Path], sources: Sequence[Any], *, with_picture: bool) -> _Comparison:
     samples = next(source for source in sources if isinstance(source, ScatteredSamples))
     others = [path for path, source in zip(paths, sources, strict=True) if source is not samples]
     if len(others) > 1:

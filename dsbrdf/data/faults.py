@@ -57,7 +57,7 @@ _MAX_JUMP = 0.06
 
 Good measurements reach 0.04.
 """
-_MAX_COPIED = 0.5  # Good measurements reach 0.05.
+_MAX_COPIED_FRACTION = 0.5  # Good measurements have at most 0.04.
 _MAX_REPEATED = 0.2
 """Limit of the fraction of bins that equal the bin before, and not the one before that."""
 _SAMPLED_NODES = 20_000
@@ -242,7 +242,7 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
     yield from channel_findings(values)
     first, second = np.split(measurement.stored[:, 4::9, 4::9], 2, axis=-1)
     varied = np.abs(np.diff(first)) > 1e-6 * np.abs(first[..., 1:])  # Smaller differences are rounding.
-    if varied.any() and (share := float((first == second)[..., 1:][varied].mean())) > _MAX_COPIED:
+    if varied.any() and (share := float((first == second)[..., 1:][varied].mean())) > _MAX_COPIED_FRACTION:
         yield Finding(
             "repeated-samples",
             f"At {share:.0%} of the angles the values at phi_diff and at phi_diff + 90 degrees are exactly equal: one "
