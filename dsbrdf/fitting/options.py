@@ -23,17 +23,19 @@ Options = TypeVar("Options")
 class Bounds:
     """Bound the number of an option, or every number of a list; the annotation of the option contains the bounds."""
 
-    least: float
-    most: float
+    minimum: float
+    maximum: float
     above: bool = False  # whether the lower bound itself is excluded
 
     def allow(self, number: float) -> bool:
         """Tell whether a number is within the bounds."""
-        return (self.least < number if self.above else self.least <= number) and number <= self.most
+        return (self.minimum < number if self.above else self.minimum <= number) and number <= self.maximum
 
     def __str__(self) -> str:
         return (
-            f"above {self.least:g} and at most {self.most:g}" if self.above else f"from {self.least:g} to {self.most:g}"
+            f"above {self.minimum:g} and at most {self.maximum:g}"
+            if self.above
+            else f"from {self.minimum:g} to {self.maximum:g}"
         )
 
     def __get_pydantic_json_schema__(
@@ -41,10 +43,10 @@ class Bounds:
     ) -> dict[str, Any]:
         """Add the bounds to the schema of the HTTP interface, as pydantic asks."""
         schema = handler(core_schema)
-        bounds = {"exclusiveMinimum" if self.above else "minimum": self.least, "maximum": self.most}
+        bounds = {"exclusiveMinimum" if self.above else "minimum": self.minimum, "maximum": self.maximum}
         if schema.get("type") != "array":
             return schema | bounds
-        several = {"minItems": 2, "maxItems": int(self.most - self.least) + 1, "uniqueItems": True}
+        several = {"minItems": 2, "maxItems": int(self.maximum - self.minimum) + 1, "uniqueItems": True}
         return schema | several | {"items": schema["items"] | bounds}
 
 

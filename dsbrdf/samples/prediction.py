@@ -47,9 +47,9 @@ _N_FOLDS = 5
 _MIN_OUTLIER_LOG = 1e-2
 
 
-def thinned(samples: ScatteredSamples, most: int = _MAX_SAMPLES) -> ScatteredSamples:
-    """Return a random subset of at most `most` samples; equal samples give the same subset."""
-    return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < most)
+def thinned(samples: ScatteredSamples, max_samples: int = _MAX_SAMPLES) -> ScatteredSamples:
+    """Return a random subset of at most `max_samples` samples; equal samples give the same subset."""
+    return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < max_samples)
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,18 +59,18 @@ class Settings(BaseSettings):
     fit_attempts: Annotated[int, Field(ge=1, lt=_MAX_LIMIT)] = 2
     """Maximum number of attempts if the process of a fit is lost; restarts of the service do not count."""
 
-    default_wait: Annotated[float, Field(ge=0)] = 30.0
+    default_wait_seconds: Annotated[float, Field(ge=0)] = 30.0
     """Time that a POST waits for its fit by default [s]."""
-    max_wait: Annotated[float, Field(ge=0)] = 300.0
+    max_wait_seconds: Annotated[float, Field(ge=0)] = 300.0
     """Maximum time that any request may wait [s]."""
     min_free_mb: Annotated[int, Field(ge=0, lt=_MAX_LIMIT)] = 256
     """Free disk space below which the service is not ready [MB]."""
 
     limit_concurrency: Annotated[int, Field(ge=1, lt=_MAX_LIMIT)] = 512
     """Maximum number of requests in progress; beyond it, requests get 503."""
-    idle_timeout: Annotated[float, Field(gt=0)] = 30.0
+    max_idle_seconds: Annotated[float, Field(gt=0)] = 30.0
     """An upload is aborted after this time without data [s]."""
-    least_upload_rate: Annotated[int, Field(ge=0, lt=_MAX_LIMIT)] = 10_000
+    min_upload_bytes_per_second: Annotated[int, Field(ge=0, lt=_MAX_LIMIT)] = 10_000
     """An upload with a lower mean rate is aborted [bytes/s]; 0 allows any rate."""
     shutdown_seconds: Annotated[int, Field(ge=1, le=3600)] = 4
     """Time for requests in progress to finish at shutdown [s]."""

@@ -121,11 +121,11 @@ def test_bad_heads_are_refused_by_nginx(proxy: Proxy) -> None:
 def test_stalled_body_times_out_in_the_service_before_it_does_in_nginx(
     own_server: StartServer, own_proxy: Callable[..., Proxy], data: bytes
 ) -> None:
-    proxy = own_proxy(own_server(idle_timeout="1").http.base_url.port)
+    proxy = own_proxy(own_server(max_idle_seconds="1").http.base_url.port)
     assert b"urn:dsbrdf:problem:request-timeout" in proxy.send(head_of_upload(len(data)) + data[:1000])
     seconds = re.search(r"client_body_timeout (\d+)s;", CONFIGURATION.read_text())
     assert seconds
-    assert int(seconds[1]) > Settings().idle_timeout
+    assert int(seconds[1]) > Settings().max_idle_seconds
 
 
 def test_request_rate_of_an_address_is_limited(own_proxy: Callable[..., Proxy]) -> None:

@@ -195,7 +195,7 @@ async def submit_fit(request: Request, context: TheContext, caller: TheCaller, t
         sha256, options = document.measurement, canonical(from_wire(document.options))
     row, new = await context.queue.submit(caller, sha256, options, name)
     if not row.ended:
-        wait = preferred_wait(request, context.settings.default_wait, context.settings.max_wait)
+        wait = preferred_wait(request, context.settings.default_wait_seconds, context.settings.max_wait_seconds)
         row = await _wait(request, context, caller, row.key, wait)
     status, headers = 201 if new else 200, {"Location": f"{prefix_of(request)}/v1/fits/{row.id}"}
     if not row.ended:
@@ -235,7 +235,7 @@ async def list_materials(context: TheContext, caller: TheCaller) -> Response:
 @router.get("/{fit_id}", response_model=FitDocument, responses=openapi.TAGGED | openapi.problems("not-found"))
 async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit: TheFit, wait: _Wait = 0.0) -> Response:
     """Return a fit; with `wait`, the answer comes when the fit has ended or the time is over."""
-    row = await _wait(request, context, caller, fit, min(wait, context.settings.max_wait))
+    row = await _wait(request, context, caller, fit, min(wait, context.settings.max_wait_seconds))
     headers = {} if row.ended else {"Retry-After": "1"}
     return tagged_reply(request, await _document(context, row), headers=headers)
 

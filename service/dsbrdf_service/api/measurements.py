@@ -135,12 +135,12 @@ def _count_valid_nodes(path: Path) -> int:
         return int(merl.check_values(rows).sum())
 
 
-async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming, most: int, kind: str) -> None:
-    """Write and close a file of a `kind`; raise ProblemError if the file is longer than `most` bytes."""
+async def _write(start: bytes, pieces: AsyncIterator[bytes], incoming: Incoming, max_bytes: int, kind: str) -> None:
+    """Write and close a file of a `kind`; raise ProblemError if the file is longer than `max_bytes` bytes."""
     piece = start
     while piece:
-        if incoming.size + len(piece) > most:
-            detail = f"{kind} has at most {most} bytes here, and this one is longer."
+        if incoming.size + len(piece) > max_bytes:
+            detail = f"{kind} has at most {max_bytes} bytes here, and this one is longer."
             raise ProblemError("measurement-too-large", detail)
         await in_thread(incoming.write, piece)
         del piece  # This piece is not kept in memory while the next one arrives.

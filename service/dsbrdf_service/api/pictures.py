@@ -36,7 +36,7 @@ _Lighting = Annotated[
     Query(description="Three lights, or a sky with sun and window."),
 ]
 _Component = Annotated[Label | None, Query(description="One component instead of the whole fit.")]
-_Most = Annotated[int, Query(ge=1, le=100_000, description="Maximum number of samples."), PLAIN]
+_MaxSamples = Annotated[int, Query(ge=1, le=100_000, description="Maximum number of samples."), PLAIN]
 _Figure = Annotated[Literal["parameters", "residual"], Path(examples=["parameters"])]
 _SphereFormat = Annotated[Literal["png", "npy"], Path(description="`png` or `npy`.", examples=["png"])]
 
@@ -189,8 +189,8 @@ async def get_table(draw: Draw, stored: TheMeasurement) -> Response:
 
 @_draws_npy("/measurements/{sha256}/samples.npy")
 async def get_samples(
-    draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, most: _Most = 5000
+    draw: Draw, context: TheContext, caller: TheCaller, sha256: Sha256, max_samples: _MaxSamples = 5000
 ) -> Response:
-    """Return omega_in, omega_out and RGB values of at most `most` random samples of a table, float32 (n, 9)."""
+    """Return omega_in, omega_out and RGB values of at most `max_samples` random samples of a table, float32 (n, 9)."""
     stored = await context.stored_measurement(caller.owner, sha256, on_grid=False)
-    return await draw(samples_step, stored, most)
+    return await draw(samples_step, stored, max_samples)

@@ -118,12 +118,12 @@ def figure_step(
     return encode_figure(drawn, "svg")
 
 
-def samples_step(stored: StoredMeasurement, most: int, _: OnProgress) -> bytes:
-    """Return a .npy of omega_in, omega_out and values of samples, float32 (n, 9), at most `most` at random."""
+def samples_step(stored: StoredMeasurement, max_samples: int, _: OnProgress) -> bytes:
+    """Return a .npy of omega_in, omega_out and values of samples, float32 (n, 9), at most `max_samples` at random."""
     samples = parse_samples(stored.path.read_bytes())
     table = np.concatenate([samples.omega_in, samples.omega_out, samples.values], axis=1)
-    if len(table) > most:
-        table = table[np.sort(np.random.default_rng(0).permutation(len(table))[:most])]
+    if len(table) > max_samples:
+        table = table[np.sort(np.random.default_rng(0).permutation(len(table))[:max_samples])]
     return npy_bytes(table.astype("<f4"))
 
 

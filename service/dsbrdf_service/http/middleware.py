@@ -128,20 +128,20 @@ def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
 class _Pace:
     """Wait for a client to send or to read; `n_bytes` is the number of bytes that it has sent or read so far.
 
-    The client is too slow after `idle_timeout` seconds without a byte, or when its mean rate after that time is below
-    `min_rate` bytes per second; 0 allows any rate. Only the time spent waiting for the client counts, not the time that
-    the service takes.
+    The client is too slow after `max_idle_seconds` without a byte, or when its mean rate after that time is below
+    `min_bytes_per_second`; 0 allows any rate. Only the time spent waiting for the client counts, not the time that the
+    service takes.
     """
 
-    def __init__(self, idle_timeout: float, min_rate: float) -> None:
-        self.idle_timeout, self.min_rate = idle_timeout, min_rate
+    def __init__(self, max_idle_seconds: float, min_bytes_per_second: float) -> None:
+        self.max_idle_seconds, self.min_bytes_per_second = max_idle_seconds, min_bytes_per_second
         self.n_bytes, self._waited = 0, 0.0
 
     async def wait(self, call: Callable[[], Awaitable[T]]) -> T:
         """Return the result of `call`; raise TimeoutError if the client is too slow."""
-        begin, timeout = perf_counter(), self.idle_timeout
-        if self.min_rate:
-            timeout = min(timeout, timeout + self.n_bytes / self.min_rate - self._waited)
+        begin, timeout = perf_counter(), self.max_idle_seconds
+        if self.min_bytes_per_second:
+            timeout = min(timeout, timeout + self.n_bytes / self.min_bytes_per_second - self._waited)
         try:
             async with asyncio.timeout(timeout):
                 result = await call()
@@ -166,8 +166,12 @@ class _Body:
         try:
             message = await pace.wait(self._receive)
         except TimeoutError:
-            rate = f", or came at less than {pace.min_rate:g} bytes a second" if pace.min_rate else ""
-            detail = f"The body stopped for {pace.idle_timeout:g} s{rate}; {pace.n_bytes} bytes had arrived."
+            rate = (
+                f", or came at less than {pace.min_bytes_per_second:g} bytes a second"
+                if pace.min_bytes_per_second
+                else ""
+            )
+            detail = f"The body stopped for {pace.max_idle_seconds:g} s{rate}; {pace.n_bytes} bytes had arrived."
             raise ProblemError("request-timeout", detail, _CLOSE_HEADERS) from None
         pace.n_bytes += len(message.get("body", b""))
         self._ended = not message.get("more_body", False)
@@ -180,7 +184,7 @@ class RequestLogMiddleware:
     def __init__(self, app: ASGIApp, access: Access, settings: Settings, metrics: Metrics) -> None:
         self._app = app
         self._access = access
-        self._limits = settings.idle_timeout, settings.least_upload_rate
+        self._limits = settings.max_idle_seconds, settings.min_upload_bytes_per_second
         self._metrics = metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

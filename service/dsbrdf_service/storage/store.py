@@ -344,11 +344,11 @@ class Store:
         ((size,),) = self.database.rows(files)
         return int(size)
 
-    def check_space(self, least_mb: int) -> None:
-        """Raise RuntimeError if less than `least_mb` MB of the disk is free."""
+    def check_space(self, min_free_mb: int) -> None:
+        """Raise RuntimeError if less than `min_free_mb` MB of the disk is free."""
         free = shutil.disk_usage(self.folder).free >> 20
-        if free < least_mb:
-            raise RuntimeError(f"only {free} MB are free; the service needs {least_mb} MB")
+        if free < min_free_mb:
+            raise RuntimeError(f"only {free} MB are free; the service needs {min_free_mb} MB")
 
     def check(self) -> None:
         """Raise sqlite3.Error or OSError unless rows can be read, and those of an upload and a fit can be written."""

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def impatient(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A service that soon gives slow clients up, and has few places."""
-    settings = {"idle_timeout": "1", "least_upload_rate": "100000", "limit_concurrency": "4"}
+    settings = {"max_idle_seconds": "1", "min_upload_bytes_per_second": "100000", "limit_concurrency": "4"}
     with Server.running(tmp_path_factory.mktemp("impatient") / "data", workers="1", **settings) as running:
         yield running
 
@@ -89,7 +89,7 @@ def test_answer_that_nobody_reads_is_given_up(impatient: Server, data: bytes) ->
 
 def test_steady_body_may_take_longer_than_the_idle_timeout(own_server: StartServer, data: bytes) -> None:
     patience = 2.0  # seconds, for a client that is held up by a busy machine
-    server = own_server(idle_timeout=str(patience), least_upload_rate="100000")
+    server = own_server(max_idle_seconds=str(patience), min_upload_bytes_per_second="100000")
     step = len(data) // 8
 
     async def in_steps() -> AsyncIterator[bytes]:
@@ -115,7 +115,7 @@ def follow_until_refused(stack: ExitStack, server: Server, path: str, headers: d
 
 
 def test_no_caller_can_take_all_places(own_server: StartServer, data: bytes) -> None:
-    server = own_server(require_keys="true", limit_concurrency="8", workers="1", max_wait="0.5")
+    server = own_server(require_keys="true", limit_concurrency="8", workers="1", max_wait_seconds="0.5")
     alice, bob = (new_key(server, name)[1] for name in ("alice", "bob"))
     head = head_of_upload(100, "/v1/fits") + b"slow"
     with ExitStack() as stack:  # who has no key is refused at once, and takes no place with a slow body
@@ -203,7 +203,7 @@ def test_client_that_sends_many_requests_and_reads_no_answer_is_disconnected(imp
 
 
 def test_process_that_was_stopped_refuses_no_body_that_came_meanwhile(own_server: StartServer) -> None:
-    server = own_server(idle_timeout="2")
+    server = own_server(max_idle_seconds="2")
     body = b'{"measurement": "%s"}' % (b"0" * 64)
     head = head_of_upload(len(body), "/v1/fits", content_type="application/json")
     with server.connection(head + body[:40]) as connection:

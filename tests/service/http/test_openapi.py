@@ -105,7 +105,13 @@ def test_options_are_described_with_their_defaults(document: dict[str, Any]) -> 
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
 # As few seconds for the fits that the cases start as there can be; all of them find room in the queue.
-SETTINGS = {"default_wait": "0.3", "max_wait": "0.3", "fit_seconds": "0.01", "queue_limit": "100000", "workers": "1"}
+SETTINGS = {
+    "default_wait_seconds": "0.3",
+    "max_wait_seconds": "0.3",
+    "fit_seconds": "0.01",
+    "queue_limit": "100000",
+    "workers": "1",
+}
 # A .npy body is bytes, as that of any other file.
 HOOKS = """
 import gc

@@ -95,7 +95,7 @@ def test_interrupted_upload_is_logged_as_client_error(server: Server, fitted: st
 
 def test_stalled_client_takes_half_a_megabyte(own_server: StartServer, data: bytes) -> None:
     """So 240 uploads take 120 MB, and the service 250 MB with them."""
-    server = own_server(idle_timeout="600", least_upload_rate="0")
+    server = own_server(max_idle_seconds="600", min_upload_bytes_per_second="0")
     path = f"/v1/fits/{server.http.post('/v1/fits', params=QUICK, content=data).json()['id']}"
     server.http.get(f"{path}/export?format=merl")  # what any work takes once is no cost of the clients
     requests = [f"GET {path}/export?format=merl HTTP/1.1\r\nHost: x\r\n\r\n".encode()] * 4
@@ -114,7 +114,7 @@ def test_stalled_client_takes_half_a_megabyte(own_server: StartServer, data: byt
 
 
 def test_bodies_of_one_caller_take_limited_memory_and_no_disk(own_server: StartServer, data: bytes) -> None:
-    server = own_server(idle_timeout="600", least_upload_rate="0", require_keys="true")
+    server = own_server(max_idle_seconds="600", min_upload_bytes_per_second="0", require_keys="true")
     alice, bob = (new_key(server, name)[1] for name in ("alice", "bob"))
     path = f"/v1/fits/{server.http.post('/v1/fits', params=QUICK, content=data, headers=alice).json()['id']}/brdf"
     head = head_of_upload(16_000_000, path, content_type="application/json", **alice)

@@ -4,7 +4,7 @@
 export const root = new URL("..", import.meta.url);
 const STORED = `key of ${root.href}`;
 const LIGHT = `light of ${root.href}`;
-const MOST_TRIES = 5;
+const MAX_TRIES = 5;
 const UNDO_MS = 8000; // A deletion can be taken back during this time.
 const UNREACHABLE = "The service cannot be reached. Check the connection, then try again.";
 
@@ -37,7 +37,7 @@ export async function answerTo(path, options = {}, send = fetch) {
     });
     if (answer.ok) return answer;
     if (answer.status === 401) await signedIn(key);
-    else if (answer.status === 429 && tries < MOST_TRIES) await pause(1000 * Number(answer.headers.get("Retry-After") ?? 1));
+    else if (answer.status === 429 && tries < MAX_TRIES) await pause(1000 * Number(answer.headers.get("Retry-After") ?? 1));
     else {
       const { detail = `The service answered ${answer.status}.`, title } = await answer.json().catch(() => ({}));
       throw new Problem(detail, answer.status === 404 ? "Nothing is stored here" : title ?? "Something is wrong", answer.status);

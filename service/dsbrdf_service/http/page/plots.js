@@ -205,7 +205,7 @@ async function startPlots(box, subjects) {
 }
 
 const MAX_SAMPLE_DISTANCE_DEG = 3; // Samples farther from the angle of a slider are hidden.
-const MOST_SAMPLES = 4000;
+const MAX_SAMPLES = 4000;
 const NODES = Array.from({ length: 90 }, (_, i) => (i * i) / 90); // Angles theta_half of the MERL grid, dense at the peak [degrees].
 const MEAN_PHI_DIFF_DEG = [15, 45, 75, 105, 135, 165]; // Means are taken over these angles phi_diff.
 const IN_PLANE = Array.from({ length: 179 }, (_, i) => i - 89); // Angles of the viewer, negative on the light's side [degrees].
@@ -246,9 +246,9 @@ function isNear(one, along, place) {
   return along === "half" ? Math.abs(one.diff - place) <= MAX_SAMPLE_DISTANCE_DEG : Math.abs(one.light - place) <= MAX_SAMPLE_DISTANCE_DEG && one.aside <= MAX_SAMPLE_DISTANCE_DEG;
 }
 
-/** Fetches samples of a table, at most MOST_SAMPLES. @param {string} path @returns {Promise<Sample[]>} */
+/** Fetches samples of a table, at most MAX_SAMPLES. @param {string} path @returns {Promise<Sample[]>} */
 async function samplesOf(path) {
-  const table = await askArray(`${path}most=${MOST_SAMPLES}`); // A sample has nine numbers.
+  const table = await askArray(`${path}max_samples=${MAX_SAMPLES}`); // A sample has nine numbers.
   return Array.from({ length: table.length / 9 }, (_, i) => {
     const [a, b, c, d, e, f, ...values] = Array.from({ length: 9 }, (_, k) => table[9 * i + k]);
     const flat = Math.hypot(a, b);
