@@ -264,8 +264,6 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
             {"fraction": share},
         )
     for channel in values:
-        # A clipped highlight repeats the largest value, which does not mean that other values are coarse.
-        channel = channel[channel < channel.max()]
         levels = np.unique(channel)
         if not 1 < levels.size <= min(_MAX_LEVELS, channel.size // 4):
             continue

@@ -18,7 +18,7 @@ import dsbrdf
 from dsbrdf import Finding, FitResult, TableOptions, decompose, load, read_merl
 from dsbrdf.cli import fit_command
 from dsbrdf.cli.parameters import DEFAULT, Flags
-from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, read_rgl
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, incident_cosines, read_rgl
 from dsbrdf.data.rgl import encode_tensors, parse_tensors
 from dsbrdf.engines import FileFit, batch, local
 from dsbrdf.fitting.options import sentences_of
@@ -239,17 +239,25 @@ def test_a_measurement_becomes_a_bsdf_file_and_one_of_its_own_kind_a_copy(plasti
 
 def test_an_rgl_file_becomes_a_merl_file_and_what_that_cannot_hold_is_told(tmp_path: Path) -> None:
     source, output = tmp_path / "paint.bsdf", tmp_path / "paint.binary"
-    # One order of the directions is brighter than the other.
+    # One order of the directions is brighter than the other, and none begins beyond 72 degrees.
     fields = dict(parse_tensors(rgl_bsdf(single_lobe(1.0, 1.0, 0.2))))
     fields["rgb"] = (fields["rgb"] * (1.0 + 1.5 * fields["theta_i"])[:, None, None, None]).astype(np.float32)
+    fields["theta_i"] = fields["theta_i"][:29]
+    fields |= {name: fields[name][:, :29] for name in ("vndf", "luminance", "rgb")}
     source.write_bytes(encode_tensors(fields))
     answer = run("convert", source, output, "--json")
     assert "warning: " in answer.stderr
     rgl = read_rgl(source)
     assert 0.1 < json.loads(answer.stdout)["non_reciprocity"] == rgl.non_reciprocity()
     written = read_merl(output)
-    i, j, k = (index[written.valid[1:80:9, :70:10, ::20]] for index in np.mgrid[1:80:9, 0:70:10, 0:180:20])
-    orders = [rgl.evaluate(THETA_HALF[i], THETA_DIFF[j], PHI_DIFF[k] + turn) for turn in (0.0, np.pi)]
-    expected = np.mean(orders, axis=0)
-    assert i.size > 200
-    assert np.median(np.abs(written.values[:, i, j, k].T / expected - 1.0)) < 0.01
+    nodes = tuple(np.mgrid[1:80:9, 0:80:5, 0:180:20].reshape(3, -1))
+    angles = [axis[index] for axis, index in zip((THETA_HALF, THETA_DIFF, PHI_DIFF), nodes, strict=True)]
+    cosines = np.array(incident_cosines(*angles))
+    begins = (cosines > np.cos(fields["theta_i"][-1])) & (cosines.min(axis=0) > 1e-9)
+    np.testing.assert_array_equal(written.valid[nodes], begins.any(axis=0))
+    orders = [rgl.evaluate(*angles[:2], angles[2] + turn) for turn in (0.0, np.pi)]
+    for which in ((True, True), (True, False), (False, True)):
+        at = np.all(begins.T == which, axis=1)
+        expected = np.average(orders, axis=0, weights=which)[at]
+        assert at.sum() > 50
+        assert np.median(np.abs(written.values[:, *nodes].T[at] / expected - 1.0)) < 1e-3

@@ -100,6 +100,14 @@ def test_a_peak_with_haze_has_two_surfaces() -> None:
     assert alphas[-1] == pytest.approx(0.25, rel=0.05)
 
 
+def test_a_highlight_with_a_faint_ground_below_it_keeps_its_f0() -> None:
+    """A metallic paint without a diffuse part: without a ground among the layers, they would miss the albedo by 15 %."""
+    (lobe,) = dsbrdf.decompose(dsbrdf.load_material("vch_golden_yellow"))
+    assert [type(layer) for layer in lobe.layers.layers] == [SpecularLayer, SpecularLayer, DiffuseLayer]
+    assert lobe.misfit.albedo < 0.13
+    assert lobe.surfaces[0].f0 is not None
+
+
 def test_layers_of_all_components_are_as_bright_as_the_model() -> None:
     model = LayeredModel((surface(GREEN, 0.05), surface((0.1, 0.1, 0.1), 0.3), GROUND))
     layers = decomposed(*model.layers).layers

@@ -1,6 +1,7 @@
 """Synthetic materials, and faults of measurements: noticed, while good measurements are not blamed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import dsbrdf
-from dsbrdf import InvalidArgumentError, Measurement, profiles
+from dsbrdf import InvalidArgumentError, Measurement, Profiles, profiles
 from dsbrdf.arrays import Array
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, model_measurement, synthetic_measurement
 from dsbrdf.data.faults import clip_levels, horizon_disagreement, profile_findings, value_findings
@@ -41,15 +42,27 @@ def with_garbage(values: Array) -> Array:
     return np.where(beyond_cutoff(), values * factors, values)
 
 
-FAULTS = {
-    "clipped-highlight": clipped,
-    "coarse-values": lambda values: np.round(values / values.max() * 255.0) / 255.0 * values.max(),
-    "constant-floor": lambda values: values + 0.05,
-    "bad-horizon": with_garbage,
-    "outside-gamut": lambda values: values - np.array([0.0, 0.0, 0.02])[:, None, None, None],
-    "constant-channel": lambda values: np.concatenate([values[:2], np.full_like(values[2:], 0.02)]),
-    "uneven-sweeps": lambda values: values * np.where(np.arange(90) < 30, 1.0, 1.2)[:, None],
-    "repeated-samples": lambda values: np.repeat(values[:, ::2], 2, axis=1),
+FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
+    "clipped-highlight": (clipped, "44.8% of the samples equal the largest value in red and green and blue, 0.0878/sr"),
+    "coarse-values": (lambda values: np.round(values / values.max() * 255.0) / 255.0 * values.max(), "about 7 bits"),
+    "constant-floor": (lambda values: values + 0.05, "the values are 0.051/sr at all theta_half and theta_diff"),
+    "bad-horizon": (with_garbage, "a direction further than 80 degrees from the normal disagree"),
+    "outside-gamut": (
+        lambda values: values - np.array([0.0, 0.0, 0.02])[:, None, None, None],
+        "In 43.4% of the samples blue is below 0, as in colours outside of sRGB",
+    ),
+    "constant-channel": (
+        lambda values: np.concatenate([values[:2], np.full_like(values[2:], 0.02)]),
+        "All values of blue are 0.02/sr, and other channels vary: check the measurement of blue.",
+    ),
+    "uneven-sweeps": (
+        lambda values: values * np.where(np.arange(90) == 30, 1.2, 1.0)[:, None],
+        "At theta_diff = 30 degrees all values differ by 20% from their neighbours",
+    ),
+    "repeated-samples": (
+        lambda values: np.repeat(values[:, ::2], 2, axis=1),
+        "At 50% of the angles the values are exactly those at the next smaller theta_half",
+    ),
 }
 
 
@@ -59,13 +72,16 @@ def paint() -> Measurement:
 
 
 def codes(measurement: Measurement) -> list[str]:
-    found = [*profile_findings(profiles(measurement)), *value_findings(measurement)]
-    return [one.code for one in found]
+    return [one.code for one in (*profile_findings(profiles(measurement)), *value_findings(measurement))]
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_noticed(paint: Measurement, fault: str) -> None:
-    assert codes(changed(paint, FAULTS[fault])) == [fault]
+    change, words = FAULTS[fault]
+    spoiled = changed(paint, change)
+    (found,) = [*profile_findings(profiles(spoiled)), *value_findings(spoiled)]
+    assert found.code == fault
+    assert words in found.sentence
 
 
 def test_one_negative_number_is_no_colour(paint: Measurement) -> None:
@@ -127,6 +143,24 @@ def test_garbage_beyond_a_cutoff_changes_nothing_inside(plastic: Measurement) ->
         assert errors.relative_rms < 1.1 * good.relative_rms + 0.005
     assert horizon_disagreement(profiles(plastic).folded, CUTOFF)[0] < 1.0
     assert horizon_disagreement(profiles(spoiled).folded, None)[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("logs", "disagreement"),
+    [
+        (0.4 * (-1.0) ** np.arange(90), 0.8 / 0.3),  # Each row differs by 0.8 from the mean of its neighbours.
+        (0.02 * np.arange(90.0), 0.04 / 0.8),  # Rows 2 degrees apart differ by 0.04.
+    ],
+)
+def test_disagreement_beyond_the_cutoff_is_in_units_of_its_limits(
+    logs: Array, disagreement: float, plastic_profiles: Profiles
+) -> None:
+    folded = plastic_profiles.folded
+    mean = np.exp(logs)[:, None, None] * np.ones_like(folded.mean)
+    found, trust = horizon_disagreement(replace(folded, mean=mean), CUTOFF)
+    assert found == pytest.approx(disagreement, rel=0.01)
+    assert trust[0, 89, 40, 0] == pytest.approx(max(found, 1.0) ** -12.0)
+    assert trust[0, 20, 40, 0] == 1.0
 
 
 def test_albedo_is_that_of_the_material(matte: Measurement, metal: Measurement) -> None:

@@ -235,7 +235,7 @@ ANGLES = random_fields()["theta_i"]
     [
         (b"\x89PNG\r\n", "The data is a PNG image; a picture has no directions"),
         *((content, r"not a tensor file of version 1\.0") for content in (b"", b"tensor_file\0\x02\x00" + bytes(99))),
-        (changed(phi_i=np.linspace(0, 6, 8, dtype=np.float32)), "is anisotropic: it has 8 azimuths"),
+        (changed(phi_i=np.linspace(0, 4, 3, dtype=np.float32)), "is anisotropic: it has 3 azimuths"),
         (changed(rgb=None, spectra=np.zeros((1, 5, 9, 4, 4), np.float32)), "has spectra; use the file .* ends in _rgb"),
         (changed(vndf=None), "lacks the field 'vndf'"),
         (changed(ndf=np.ones(3, np.float32)), "'ndf' .* not an array with 2 axes"),

@@ -21,8 +21,8 @@ TRUE = 0.1 * truth(*spherical(GRID))[:, 0]
 """A dark, rough material [1/sr]."""
 
 
-def read(values: Array, number: str = "{:.6g}") -> ScatteredSamples:
-    return parse_samples(table(NAMES, np.column_stack([GRID, values]), number=number.format))
+def read(values: Array, number: str = "{:.6g}", grid: Array = GRID) -> ScatteredSamples:
+    return parse_samples(table(NAMES, np.column_stack([grid, values]), number=number.format))
 
 
 def test_zeros_beyond_the_reach_of_an_instrument_are_left_out_and_said() -> None:
@@ -38,6 +38,18 @@ def test_values_below_a_floor_that_are_written_as_0_are_left_out() -> None:
     samples = read(np.where(falling < 5e-5, 0.0, falling))
     assert samples.values.min() >= 5e-5
     assert "as instruments write where they measure nothing" in samples.notes[-1]
+
+
+def test_a_pair_of_directions_may_be_turned_about_the_normal() -> None:
+    """Materials are isotropic: whatever azimuth the lamp has, rows are left out and doubted alike."""
+    turn = np.random.default_rng(3).uniform(0.0, 360.0, (len(GRID), 1)).round(3)
+    turned = (GRID + turn * [0.0, 1.0, 0.0, 1.0]) % 360.0
+    unseen = GRID[:, 2] > 0.9 * 85.0 - 0.1 * GRID[:, 3] / 20.0
+    for values in (TRUE, np.where(unseen, 0.0, TRUE), np.minimum(TRUE, np.quantile(TRUE, 0.9)), 100.0 * np.pi * TRUE):
+        samples, other = read(values), read(values, grid=turned)
+        np.testing.assert_array_equal(other.values, samples.values)
+        assert other.notes == samples.notes
+        assert sample_doubts(other).sentences == sample_doubts(samples).sentences
 
 
 @pytest.mark.parametrize("kind", ["few digits", "noise"])
@@ -91,6 +103,8 @@ def test_spectra_outside_of_srgb_are_told() -> None:
     names = (*NAMES[:-1], *(f"{band:g} nm" for band in bands))
     laser = parse_samples(table(names, np.hstack([GRID, TRUE[:, None] * np.exp(-(((bands - 520.0) / 12.0) ** 2))])))
     assert laser.notes[-1] == "In 100.0% of the rows the colour is outside of sRGB: red and blue below 0 count as 0."
+    noise = np.where(np.arange(len(GRID)) == 55, -1e-4, TRUE)[:, None] * np.ones(bands.size)  # It is no colour.
+    assert "1 value is negative" in parse_samples(table(names, np.hstack([GRID, noise]))).notes[-1]
 
 
 def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubted() -> None:
@@ -101,6 +115,7 @@ def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubt
     (said,) = sample_doubts(read(values)).sentences
     assert said.startswith("At 3 angles of incidence one sample alone lies in the highlight: it is up to ")
     assert "not its width: measure between them" in said
+    assert not sample_doubts(read(np.where(GRID[:, 0] == 15.0, values, TRUE))).sentences  # A glint at one incidence.
 
 
 def test_a_retro_reflector_is_told_as_such() -> None:
