@@ -101,7 +101,7 @@ def test_a_peak_with_haze_has_two_surfaces() -> None:
 
 
 def test_a_highlight_with_a_faint_ground_below_it_keeps_its_f0() -> None:
-    """A metallic paint without a diffuse part: without a ground among the layers, they would miss the albedo by 15 %."""
+    """Of a metallic paint, whose layers without a ground would miss the albedo by 15 %."""
     (lobe,) = dsbrdf.decompose(dsbrdf.load_material("vch_golden_yellow"))
     assert [type(layer) for layer in lobe.layers.layers] == [SpecularLayer, SpecularLayer, DiffuseLayer]
     assert lobe.misfit.albedo < 0.13

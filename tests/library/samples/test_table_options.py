@@ -29,6 +29,7 @@ def test_a_column_that_is_named_counts_alone() -> None:
     check_same(samples, ANGLES, GREY)
     swapped = TableOptions(columns="theta_in=theta_out,theta_out=theta_in,phi_in=phi_out,phi_out=phi_in")
     check_same(parse_samples(table(), options=swapped), ANGLES[:, [2, 3, 0, 1]], RGB)
+    check_same(parse_samples(table(), options=TableOptions(constants="theta_in=5")), ANGLES, RGB)
 
 
 @pytest.mark.parametrize(
