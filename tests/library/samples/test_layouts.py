@@ -1,5 +1,6 @@
 """Files as instruments and other programs write them, of a known truth: read right, or told what they are."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from dsbrdf import MeasurementFormatError, TableOptions, read_measurement, read_samples
 from dsbrdf.arrays import Array
-from dsbrdf.data import half_difference
+from dsbrdf.data import half_difference, spherical
 from dsbrdf.samples import layouts
 from dsbrdf.samples.reading import parse_samples, read_table
 
@@ -54,11 +55,36 @@ def test_files_are_read_or_refused_with_what_helps(path: Path) -> None:
     np.testing.assert_allclose(samples.values, truth(samples.omega_in, samples.omega_out), rtol=1e-4, atol=1e-5)
 
 
-def test_two_angles_of_alta_lie_at_phi_diff_90_degrees() -> None:
-    angles = np.stack(np.broadcast_arrays(0.2, np.linspace(0.1, 1.2, 60), np.pi / 2))
-    rows = "".join(f"{theta_half} {theta_diff} 1\n" for theta_half, theta_diff, _ in angles.T)
-    samples = parse_samples(f"#DIM 2 1\n#PARAM_IN RUSIN_TH_TD\n{rows}".encode())
-    np.testing.assert_allclose(half_difference(samples.omega_in, samples.omega_out), angles, rtol=1e-6)
+X = np.linspace(0.1, 1.2, 60)
+COLUMNS = {"wavelength": [550.0], "theta_in": np.full(60, 0.5), "theta_out": X, "value": np.ones(60)}
+OF_PROGRAMS = {
+    "two angles of ALTA lie at phi_diff 90 degrees": (
+        "#DIM 2 1\n#PARAM_IN RUSIN_TH_TD\n" + "".join(f"0.2 {x} 1\n" for x in X),
+        (0.2, X, np.pi / 2),
+    ),
+    "ALTA projects theta_out": (
+        "#DIM 3 1\n#PARAM_IN ISOTROPIC_TL_TV_PROJ_DPHI\n"
+        + "".join(f"0.5 {x * np.cos(2.0)} {x * np.sin(2.0)} 1\n" for x in X),
+        half_difference(spherical(0.5, 0.0), spherical(X, 2.0)),
+    ),
+    "a short list in JSON is no column": (
+        json.dumps(
+            {
+                name if name in ("value", "wavelength") else f"{name}_rad": np.asarray(one).tolist()
+                for name, one in COLUMNS.items()
+            }
+        ),
+        half_difference(spherical(0.5, np.pi), spherical(X, 0.0)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OF_PROGRAMS)
+def test_samples_of_programs_lie_at_their_angles(name: str) -> None:
+    text, angles = OF_PROGRAMS[name]
+    samples = parse_samples(text.encode())
+    expected = np.stack(np.broadcast_arrays(*angles))
+    np.testing.assert_allclose(half_difference(samples.omega_in, samples.omega_out), expected, atol=1e-8)
 
 
 REFUSED_TEXTS = {

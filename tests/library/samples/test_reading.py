@@ -75,7 +75,14 @@ SPELLINGS = {
     ),
     "theta_h": table(("theta_h", "theta_d", "phi_d", *CHANNELS), np.hstack([half_and_difference(), RGB])),
 }
+ASIDE = ANGLES[:, [1]] + np.abs((ANGLES[:, [3]] - ANGLES[:, [1]] + 180.0) % 360.0 - 180.0)
+PHASE = np.degrees(np.arccos(np.sum(np.prod(spherical(ANGLES), axis=0), axis=1, keepdims=True)))
 OF_OTHER_TABLES = {
+    "phase": (
+        np.hstack([ANGLES[:, :3], ASIDE]),
+        RGB,
+        table((*DIRECTION[:3], "phase", *CHANNELS), np.hstack([ANGLES[:, :3], PHASE, RGB])),
+    ),
     "in plane": (IN_PLANE, RGB, table(("theta_in", "theta_out", *CHANNELS), np.hstack([IN_PLANE[:, ::2], RGB]))),
     "one phi": (ANGLES * [1, 0, 1, 1], RGB, table(("theta_in", *ALL[2:]), np.hstack([ANGLES[:, [0, 2, 3]], RGB]))),
     **{
@@ -108,6 +115,7 @@ def test_what_a_table_leaves_out_is_assumed_and_said(spelling: str) -> None:
     samples = parse_samples(content)
     check_same(samples, angles, values)
     said = {"in plane": "has no phi", "one phi": "the mirror direction is taken to have phi_out = 180."}
+    said["phase"] = "The azimuth follows from the phase angle"
     words = said.get(spelling, "grey")
     assert [words in note for note in samples.notes] == [True]
 
@@ -202,7 +210,10 @@ WRONG = [
     (renamed("theta_in", "phi_in", "theta_out", "theta_in"), "or choose, as in --columns theta_in=1."),
     (table(columns=np.hstack([np.radians(ANGLES), RGB])), "are at most 1.48, as angles in radians are: write degrees"),
     (renamed(*(f"{name} [gon]" for name in DIRECTION)), "'theta_in [gon]' is in 'gon'; angles are in deg or in rad."),
-    (renamed(*(f"{name}_rad" for name in DIRECTION)), "'theta_in' has an angle of 4866.96 degrees; 180 is the largest"),
+    (
+        table(columns=np.hstack([ANGLES * [1, 1, 3, 1], RGB])),
+        "'theta_out' has an angle of 253.843 degrees; 180 is the largest",
+    ),
     (
         table((*DIRECTION, "BRDF [%]"), np.hstack([ANGLES, RGB[:, :1]])),
         "'BRDF [%]' is in '%'; the values of a BRDF are in 1/sr. If a factor makes them a BRDF, set",

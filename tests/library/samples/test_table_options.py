@@ -10,6 +10,7 @@ import dsbrdf
 from dsbrdf import InvalidArgumentError, MeasurementFormatError, TableOptions
 from dsbrdf.arrays import Array
 from dsbrdf.data.merl_validation import HEADER
+from dsbrdf.samples.names import constants_in, wavelength_of
 from dsbrdf.samples.reading import parse_samples
 from dsbrdf.samples.values import linear_srgb
 from tests.library.samples.test_reading import ANGLES, COUNT, DIRECTION, GREY, RGB, check_same, spherical, table
@@ -120,6 +121,14 @@ OF_INSTRUMENTS = {
 @pytest.mark.parametrize("names", OF_INSTRUMENTS.values(), ids=OF_INSTRUMENTS.keys())
 def test_names_of_instruments_are_known(names: tuple[str, ...]) -> None:
     check_same(parse_samples(table((*names, "BSDF (sr⁻¹)"), np.hstack([ANGLES, GREY[:, :1]]))), ANGLES, GREY)
+
+
+def test_numbers_in_names_and_lines_are_wavelengths_and_angles_where_they_can_be() -> None:
+    names = ("450 nm", "0.45um", "brdf_450nm", "199 nm", "3001 nm")
+    assert [wavelength_of(name) for name in names] == [450.0, 450.0, 450.0, None, None]
+    assert constants_in("AOI [deg]: 30") == {"theta_in [deg]": 30.0}
+    assert constants_in("incident_angle 30 180") == {"theta_in": 30.0, "phi_in": 180.0}
+    assert [constants_in(line) for line in ("AOI 30 60", "temperature 20", "phi_in zero")] == [{}, {}, {}]
 
 
 @pytest.mark.parametrize("name", ["BRDF*cos", "BRDF * cos(θ_r)", "f_r·cos θ_o"])

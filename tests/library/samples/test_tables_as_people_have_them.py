@@ -7,7 +7,7 @@ import pytest
 
 from dsbrdf import MeasurementFormatError, ScatteredSamples, TableOptions, read_samples
 from dsbrdf.arrays import Array
-from dsbrdf.data import CHANNELS
+from dsbrdf.data import CHANNELS, half_difference
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.names import VECTORS
 from dsbrdf.samples.reading import parse_samples
@@ -76,6 +76,9 @@ def test_a_saturated_detector_is_told_of_and_equal_peaks_are_not() -> None:
         "value": pytest.approx(np.quantile(TRUE, 0.9), rel=1e-4),
     }
     assert not sample_doubts(read(TRUE)).findings
+    grid = np.vstack([GRID, np.add(GRID, [5.0, 0.0, 0.0, 0.0])])
+    sharp = 0.01 + 0.04 * np.exp(-((half_difference(*spherical(grid))[0] / 0.06) ** 2))
+    assert not sample_doubts(read(sharp, grid=grid)).findings
     assert sample_doubts(read(np.where(np.arange(len(TRUE)) % 9, TRUE, 99999.0))).findings[0].code == "doubtful-table"
     rough = np.minimum(TRUE, np.quantile(TRUE, 0.9)).round(2)
     assert not any("clipped" in sentence for sentence in sample_doubts(read(rough)).sentences)
@@ -108,14 +111,23 @@ def test_spectra_outside_of_srgb_are_told() -> None:
 
 
 def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubted() -> None:
-    values = TRUE.copy()
-    for at, (theta_in, _, _, _) in enumerate(GRID):
-        if GRID[at, 2] == theta_in and GRID[at, 3] == 0.0:
-            values[at] = 90.0
-    (said,) = sample_doubts(read(values)).sentences
+    anywhere = np.column_stack([ANGLES[:, 0], np.full(COUNT, 180.0), ANGLES[:, 2:]])
+    half, of_random = np.degrees(half_difference(*spherical(GRID))[0]), 0.1 * truth(*spherical(anywhere))[:, 0]
+
+    def told(kept: Array, bright: Array, *others: tuple[Array, Array]) -> tuple[str, ...]:
+        grids, values = zip((GRID[kept], np.where(bright, 90.0, TRUE)[kept]), *others, strict=True)
+        return sample_doubts(read(np.concatenate(values), grid=np.vstack(grids))).sentences
+
+    every, first = np.ones(len(GRID), bool), GRID[:, 0] == 15.0
+    (said,) = told(every, half < 1e-3)
     assert said.startswith("At 3 angles of incidence one sample alone lies in the highlight: it is up to ")
     assert "not its width: measure between them" in said
-    assert not sample_doubts(read(np.where(GRID[:, 0] == 15.0, values, TRUE))).sentences  # A glint at one incidence.
+    for others in (
+        told(every, first & (half < 1e-3)),  # a glint at one of the incidences
+        told(half > 4.0, half < 5.01),  # no sample near the mirror direction
+        told(first, half < 1e-3, (anywhere, of_random)),  # hardly any incidence occurs twice
+    ):
+        assert "one sample alone" not in " ".join(others)
 
 
 def test_a_retro_reflector_is_told_as_such() -> None:
