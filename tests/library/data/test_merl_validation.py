@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dsbrdf import MeasurementFormatError, parse_merl, read_merl
+from dsbrdf import MeasurementFormatError, parse_merl, read_merl, read_samples
 from dsbrdf.data import FILE_SIZE, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.merl_validation import SCALE
 from tests.support.merl_files import ABOVE, BELOW, HEADER, NODES, header, with_values
@@ -126,15 +126,18 @@ def test_missing_file_directory_and_pipe_are_refused(tmp_path: Path) -> None:
         read_merl(tmp_path / "pipe")
 
 
-def test_huge_file_is_refused_unread(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("read", "start", "limit"), [(read_merl, HEADER, FILE_SIZE), (read_samples, b"a,b\n", 1 << 30)]
+)
+def test_huge_file_is_refused_unread(read: Callable[[Path], object], start: bytes, limit: int, tmp_path: Path) -> None:
     path = tmp_path / "huge.binary"
     with path.open("wb") as file:
-        file.write(HEADER)
+        file.write(start)
         file.truncate(10 << 30)  # sparse
     tracemalloc.start()
     try:
-        with pytest.raises(MeasurementFormatError, match="longer than 34992012 bytes"):
-            read_merl(path)
+        with pytest.raises(MeasurementFormatError, match=f"longer than {limit} bytes"):
+            read(path)
         assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
         tracemalloc.stop()

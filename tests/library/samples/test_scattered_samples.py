@@ -111,22 +111,25 @@ SEPARATORS = {
 }
 
 
+@pytest.mark.parametrize("is_turned", [False, True])
 @pytest.mark.parametrize("path", SEPARATORS, ids=lambda path: path.name)
-def test_a_filled_in_plan_is_read_with_the_table_that_it_continues(path: Path, tmp_path: Path) -> None:
-    separator, alone = SEPARATORS[path], read_samples(path)
+def test_a_filled_in_plan_is_read_with_the_table_that_it_continues(path: Path, is_turned: bool, tmp_path: Path) -> None:
+    options = TableOptions(phi="mirror" if is_turned else None)
+    separator, alone = SEPARATORS[path], read_samples(path, options)
+    turn = np.array([-1.0, -1.0, 1.0] if is_turned else [1.0, 1.0, 1.0])
     in_plane = bool(np.abs(np.cross(alone.omega_in, alone.omega_out)[:, 2]).max() < 1e-3)
     pairs = PAIRS if in_plane else [*PAIRS, ASIDE]
-    text = plan_table(path.read_bytes(), TableOptions(), pairs).decode()
+    text = plan_table(path.read_bytes(), options, pairs).decode()
     names, *rows = csv.reader(text.splitlines(), delimiter=separator)
     angles = sorted((pair.theta_in_deg, pair.theta_out_deg, pair.phi_deg) for pair in pairs)
     theta_in, theta_out, phi = np.radians(angles).T
-    expected = truth(spherical(theta_in, 0.0 * phi), spherical(theta_out, phi))[:, 0]
+    expected = truth(spherical(theta_in, 0.0 * phi) * turn, spherical(theta_out, phi))[:, 0]
     n_repeats = len(rows) // len(pairs)
     for at, row in enumerate(rows):
         value = f"{expected[at // n_repeats]:.8g}".replace(".", "," if "," in "".join(row[:4]) else ".")
         row[:] = [value if cell in ("", "nan") else cell for cell in row]
     plan = tmp_path / "plan.txt"
     plan.write_text("\n".join(separator.join(row) for row in (names, *rows)) + "\n")
-    both = read_samples([path, plan])
+    both = read_samples([path, plan], options)
     assert len(both.values) == len(alone.values) + len(pairs)
-    np.testing.assert_allclose(both.values, truth(both.omega_in, both.omega_out), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(both.values, truth(both.omega_in * turn, both.omega_out), rtol=1e-4, atol=1e-5)

@@ -274,7 +274,7 @@ def test_values_of_one_pair_of_directions_that_are_far_apart_are_told() -> None:
     rows = np.hstack([ANGLES, RGB])
     again = rows[10:40] * [1.0, 1.0, 1.0, 1.0, 1.02, 1.02, 1.02]
     assert not parse_samples(table(columns=np.vstack([rows, again]))).notes
-    again[[3, 7], 4:] *= 1.5
+    again[[3, 7], 4:] *= [[1.5], [0.6]]
     again[3] -= [0.0, 360.0, 0.0, 360.0, 0.0, 0.0, 0.0]
     (note,) = parse_samples(table(columns=np.vstack([rows, again]))).notes
     assert note.startswith("2 pairs of directions have values that differ by more than 25%, such as theta_in = ")
