@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def test_files_are_read_or_refused_with_what_helps(path: Path) -> None:
 
 X = np.linspace(0.1, 1.2, 60)
 COLUMNS = {"wavelength": [550.0], "theta_in": np.full(60, 0.5), "theta_out": X, "value": np.ones(60)}
-OF_PROGRAMS = {
+OF_PROGRAMS: dict[str, tuple[str, Any]] = {
     "two angles of ALTA lie at phi_diff 90 degrees": (
         "#DIM 2 1\n#PARAM_IN RUSIN_TH_TD\n" + "".join(f"0.2 {x} 1\n" for x in X),
         (0.2, X, np.pi / 2),

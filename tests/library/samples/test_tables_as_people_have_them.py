@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dsbrdf import MeasurementFormatError, ScatteredSamples, TableOptions, read_samples
-from dsbrdf.arrays import Array
+from dsbrdf.arrays import Array, Mask
 from dsbrdf.data import CHANNELS, half_difference
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.names import VECTORS
@@ -114,7 +114,7 @@ def test_one_bright_sample_in_each_mirror_direction_is_told_and_no_unit_is_doubt
     anywhere = np.column_stack([ANGLES[:, 0], np.full(COUNT, 180.0), ANGLES[:, 2:]])
     half, of_random = np.degrees(half_difference(*spherical(GRID))[0]), 0.1 * truth(*spherical(anywhere))[:, 0]
 
-    def told(kept: Array, bright: Array, *others: tuple[Array, Array]) -> tuple[str, ...]:
+    def told(kept: Mask, bright: Mask, *others: tuple[Array, Array]) -> tuple[str, ...]:
         grids, values = zip((GRID[kept], np.where(bright, 90.0, TRUE)[kept]), *others, strict=True)
         return sample_doubts(read(np.concatenate(values), grid=np.vstack(grids))).sentences
 
