@@ -1,4 +1,4 @@
-"""Notice faults of measurements: clipped highlights, a missing centre, stray light, coarse values, a bad horizon.
+"""Notice faults of measurements: clipped highlights, a missing centre, stray light, coarse values, exchanged angles.
 
 Every threshold lies between good measurements, 9 of the RGL database and 62 stand-ins for MERL, and the same
 measurements with a fault. Sums over bins of phi_diff tell most faults; `value_findings` needs the samples.
@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, THETA_DIFF, THETA_HALF
+from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import FIRST_PHI, FoldedProfiles, Profiles, cosine_parts
 from dsbrdf.findings import Finding
@@ -53,9 +54,21 @@ _MAX_FLOOR_COLOUR = 2.0
 """Stray light is about grey: channels whose minimum differs by a larger factor have no common floor."""
 _MIN_BINS_IN_SWEEP = 40
 _MAX_JUMP = 0.06
-"""Limit of the difference of logarithms between one theta_diff and its neighbours that all theta_half share.
+"""Limit of the third difference of logarithms over theta_diff that all theta_half share; good measurements reach 0.04.
 
-Good measurements reach 0.04.
+A step of the logarithm has a third difference of its own height, a single high row one of 1.5 times its height, and
+the slope and the curvature of a material have none.
+"""
+_BRIGHT_FRACTION = 0.3  # Values above this fraction of the median are bright.
+_MIN_EDGE_FRACTION = 0.0025
+"""Zeros are missing values if this fraction of the bins is 0 beside a bright bin; good measurements reach 0.0016."""
+_MIN_CERTAINTY = 5.0  # A jump must exceed its standard error by this factor.
+_MIN_HOLLOW_FRACTION = 0.02
+"""A highlight is hollow if its values double outwards at this fraction of (theta_diff, phi_diff); good ones: 0."""
+_MIN_MISPLACED_FRACTION = 0.002
+"""Angles are misplaced if more nodes lie on the wrong side of the horizon, and another layout puts most of them right.
+
+Good measurements have no such node.
 """
 _MAX_COPIED_FRACTION = 0.5  # Good measurements have at most 0.04.
 _MAX_REPEATED = 0.2
@@ -148,6 +161,7 @@ def profile_findings(data: Profiles) -> Iterator[Finding]:
     level, swing = cosine_parts()
     usable = (level - swing * np.cos(FIRST_PHI) > _FLOOR_COSINE) & (folded.weight > 0.0).all(axis=0)
     yield from _floor_finding(folded, usable)
+    yield from _dark_findings(folded, usable)
     yield from _sweep_findings(folded, usable)
 
 
@@ -194,20 +208,52 @@ def _floor_finding(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
         )
 
 
+def _dark_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
+    """Yield findings if values are 0 beside bright ones, or if a highlight falls suddenly towards its centre."""
+    filled = (folded.weight > 0.0).all(axis=0)
+    # The mean of the channels is positive where only one of them is outside of sRGB and counts as 0.
+    mean = np.where(filled, folded.mean.mean(axis=0), 0.0)
+    zero, bright = filled & (mean == 0.0), mean > _BRIGHT_FRACTION * np.median(mean[mean > 0.0])
+    if np.count_nonzero(zero & binary_dilation(bright)) > _MIN_EDGE_FRACTION * np.count_nonzero(filled):
+        share = float(zero[filled].mean())
+        yield Finding(
+            "sudden-zeros",
+            f"At {share:.1%} of the angles the values are 0 in all channels, right beside bright ones: the fit takes "
+            "them for black. Write -1 where nothing was measured, and keep the digits of dark values.",
+            {"fraction": share},
+        )
+    inner, outer = mean[:, :-1], mean[:, 1:]
+    falls = (outer > 2.0 * inner) & (inner > 0.0) & (outer > 0.3 * mean.max(axis=1, keepdims=True)) & usable[:, :-1]
+    share = np.count_nonzero(falls.any(axis=1)) / max(np.count_nonzero(usable.any(axis=1)), 1)
+    if share > _MIN_HOLLOW_FRACTION:
+        angle = float(np.degrees(THETA_HALF[1:][falls.any(axis=(0, 2))].max()))
+        yield Finding(
+            "hollow-highlight",
+            f"Within {angle:.1f} degrees of theta_half, the highlight falls suddenly by more than half towards its "
+            f"centre, at {share:.0%} of the other angles: a counter may have overflowed. Measure it again with a "
+            "shorter exposure.",
+            {"fraction": share, "theta_half_deg": angle},
+        )
+
+
 def _sweep_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
     """Yield findings if the values jump from one theta_diff to the next, or if a theta_half repeats another."""
     mean = folded.mean[:, :, ::2, ::3]  # a sixth of the bins is enough
     logs = np.where(usable[:, ::2, ::3] & (mean > 0.0), np.log(np.maximum(mean, 1e-300)), np.nan)
-    bends = (logs[:, 1:-1] - 0.5 * (logs[:, 2:] + logs[:, :-2])).reshape(3, THETA_DIFF.size - 2, -1)
-    filled = np.count_nonzero(np.isfinite(bends), axis=2).min(axis=0) >= _MIN_BINS_IN_SWEEP
-    jumps = np.abs(np.nanmedian(bends[:, filled], axis=2)).max(axis=0) if filled.any() else np.zeros(1)
-    jump, row = float(jumps.max()), int(jumps.argmax())
-    if jump > _MAX_JUMP:
-        angle = float(np.degrees(THETA_DIFF[1:-1][filled][row]))
+    steps = 1.5 * (logs[:, 2:-1] - logs[:, 1:-2]) - 0.5 * (logs[:, 3:] - logs[:, :-3])
+    steps = steps.reshape(3, THETA_DIFF.size - 3, -1)
+    filled = np.count_nonzero(np.isfinite(steps), axis=2).min(axis=0) >= _MIN_BINS_IN_SWEEP
+    steps = steps[:, filled] if filled.any() else np.zeros((3, 1, 1))
+    jumps = np.abs(np.nanmedian(steps, axis=2))
+    channel, row = np.unravel_index(jumps.argmax(), jumps.shape)
+    jump, found = float(jumps.max()), steps[channel, row][np.isfinite(steps[channel, row])]
+    error = 1.25 * float(found.std()) / np.sqrt(found.size)
+    if jump > max(_MAX_JUMP, _MIN_CERTAINTY * error):
+        angle = float(np.degrees(THETA_DIFF[2:-1][filled][row]))
         yield Finding(
             "uneven-sweeps",
-            f"At theta_diff = {angle:.0f} degrees all values differ by {np.expm1(jump):.0%} from their neighbours: the "
-            "lamp may have drifted between two sweeps, or channels were exchanged. Scale the sweeps to each other.",
+            f"At theta_diff = {angle:.0f} degrees all values jump by {np.expm1(jump / 1.5):.0%} to {np.expm1(jump):.0%}: the lamp may have "
+            "drifted between two sweeps, or channels were exchanged. Scale the sweeps to each other.",
             {"jump": float(np.expm1(jump)), "theta_diff_deg": angle},
         )
     same = folded.mean[:, :, 1:] == folded.mean[:, :, :-1]
@@ -234,8 +280,34 @@ def channel_findings(values: Array) -> Iterator[Finding]:
         )
 
 
+def _layout_finding(stored: Array) -> Iterator[Finding]:
+    """Yield a finding if values are missing above the horizon and present below it, as in another order of angles."""
+    above, few = nodes_above_horizon(), stored[:, ::3, ::3]
+    negative = few < 0.0
+    filled = (~negative if negative.any() else few > 0.0).any(axis=0)
+    wrong = np.mean(filled != above[::3, ::3])
+    if wrong < _MIN_MISPLACED_FRACTION:
+        return
+    layouts = {
+        "theta_half descends": above[::-1],
+        "theta_half is evenly spaced": above[np.sqrt(90.0 * np.arange(90)).astype(int)],
+        "theta_diff descends": above[:, ::-1],
+        "theta_half and theta_diff are exchanged": above.swapaxes(0, 1),
+        "phi_diff covers 360 degrees": np.tile(above[..., ::2], 2),
+    } | {f"phi_diff begins at {first} degrees": np.roll(above, -first, axis=2) for first in range(1, 180)}
+    layout, mask = min(layouts.items(), key=lambda item: np.count_nonzero(filled != item[1][::3, ::3]))
+    if np.mean(filled != mask[::3, ::3]) < wrong / 3.0:
+        yield Finding(
+            "misplaced-angles",
+            f"At {wrong:.1%} of the nodes values are missing above the horizon or present below it, as in a file in "
+            f"which {layout}: the model is that of another material. Write the file in the order of the MERL grid.",
+            {"fraction": float(wrong)},
+        )
+
+
 def value_findings(measurement: Measurement) -> Iterator[Finding]:
-    """Yield what single samples tell: a constant channel, colours outside of sRGB, and values of few levels."""
+    """Yield what single samples tell: angles in another order, wrong channels, copies, and values of few levels."""
+    yield from _layout_finding(measurement.stored)
     nodes = np.flatnonzero(measurement.valid)
     nodes = nodes[:: max(nodes.size // _SAMPLED_NODES, 1)]
     values = measurement.stored.reshape(3, -1)[:, nodes] * measurement.scale[:, np.newaxis]

@@ -44,7 +44,10 @@ def with_garbage(values: Array) -> Array:
 
 FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
     "clipped-highlight": (clipped, "44.8% of the samples equal the largest value in red and green and blue, 0.0878/sr"),
-    "coarse-values": (lambda values: np.round(values / values.max() * 255.0) / 255.0 * values.max(), "about 7 bits"),
+    "sudden-zeros coarse-values": (
+        lambda values: np.round(values / values.max() * 255.0) / 255.0 * values.max(),
+        "right beside bright ones: the fit takes them for black. Write -1 where nothing was measured",
+    ),
     "constant-floor": (lambda values: values + 0.05, "the values are 0.051/sr at all theta_half and theta_diff"),
     "bad-horizon": (with_garbage, "a direction further than 80 degrees from the normal disagree"),
     "outside-gamut": (
@@ -56,13 +59,30 @@ FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
         "All values of blue are 0.02/sr, and other channels vary: check the measurement of blue.",
     ),
     "uneven-sweeps": (
-        lambda values: values * np.where(np.arange(90) == 30, 1.2, 1.0)[:, None],
-        "At theta_diff = 30 degrees all values differ by 20% from their neighbours",
+        lambda values: values * np.where(np.arange(90) < 30, 1.0, 1.1)[:, None],
+        "At theta_diff = 30 degrees all values jump by 7% to 10%: the lamp may have drifted",
     ),
     "repeated-samples": (
         lambda values: np.repeat(values[:, ::2], 2, axis=1),
         "At 50% of the angles the values are exactly those at the next smaller theta_half",
     ),
+    "sudden-zeros": (
+        lambda values: np.where(THETA_DIFF[:, None] > np.radians(60.0), 0.0, values),
+        "At 18.6% of the angles the values are 0 in all channels",
+    ),
+    "hollow-highlight": (
+        lambda values: np.where(values > 2.0, values - 1.9, values),
+        "degrees of theta_half, the highlight falls suddenly by more than half towards its centre",
+    ),
+}
+LAYOUTS: dict[str, Callable[[Array], Array]] = {
+    "theta_half descends": lambda values: values[:, ::-1],
+    "theta_half is evenly spaced": lambda values: values[:, np.sqrt(90.0 * np.arange(90)).round().astype(int)],
+    "theta_diff descends": lambda values: values[:, :, ::-1],
+    "theta_half and theta_diff are exchanged": lambda values: values.swapaxes(1, 2),
+    "phi_diff covers 360 degrees": lambda values: np.concatenate([values[..., ::2]] * 2, axis=-1),
+    "phi_diff begins at 90 degrees": lambda values: np.roll(values, 90, axis=-1),
+    "phi_diff begins at 179 degrees": lambda values: np.roll(values, 1, axis=-1),
 }
 
 
@@ -79,9 +99,15 @@ def codes(measurement: Measurement) -> list[str]:
 def test_faults_are_noticed(paint: Measurement, fault: str) -> None:
     change, words = FAULTS[fault]
     spoiled = changed(paint, change)
-    (found,) = [*profile_findings(profiles(spoiled)), *value_findings(spoiled)]
-    assert found.code == fault
-    assert words in found.sentence
+    found = [*profile_findings(profiles(spoiled)), *value_findings(spoiled)]
+    assert " ".join(one.code for one in found) == fault
+    assert words in found[0].sentence
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_another_order_of_angles_is_named(paint: Measurement, layout: str) -> None:
+    found = {one.code: one.sentence for one in value_findings(Measurement.from_values(LAYOUTS[layout](paint.values)))}
+    assert f"a file in which {layout}:" in found["misplaced-angles"]
 
 
 def test_one_negative_number_is_no_colour(paint: Measurement) -> None:
