@@ -59,7 +59,7 @@ _MAX_JUMP = 0.06
 A step of the logarithm has a third difference of its own height, a single high row one of 1.5 times its height, and
 the slope and the curvature of a material have none.
 """
-_BRIGHT_FRACTION = 0.3  # Values above this fraction of the median are bright.
+_BRIGHT_FRACTION = 0.3  # Values above this fraction of the median, or of a highlight's maximum, are bright.
 _MIN_EDGE_FRACTION = 0.0025
 """Zeros are missing values if this fraction of the bins is 0 beside a bright bin; good measurements reach 0.0016."""
 _MIN_CERTAINTY = 5.0  # A jump must exceed its standard error by this factor.
@@ -222,8 +222,9 @@ def _dark_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
             "them for black. Write -1 where nothing was measured, and keep the digits of dark values.",
             {"fraction": share},
         )
-    inner, outer = mean[:, :-1], mean[:, 1:]
-    falls = (outer > 2.0 * inner) & (inner > 0.0) & (outer > 0.3 * mean.max(axis=1, keepdims=True)) & usable[:, :-1]
+    mean, usable = mean[..., :-1], usable[..., :-1]  # The last bin has a single sample, which may be noise.
+    inner, outer, top = mean[:, :-1], mean[:, 1:], mean.max(axis=1, keepdims=True)
+    falls = (outer > 2.0 * inner) & (inner > 0.0) & (outer > _BRIGHT_FRACTION * top) & usable[:, :-1]
     share = np.count_nonzero(falls.any(axis=1)) / max(np.count_nonzero(usable.any(axis=1)), 1)
     if share > _MIN_HOLLOW_FRACTION:
         angle = float(np.degrees(THETA_HALF[1:][falls.any(axis=(0, 2))].max()))
@@ -313,7 +314,7 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
     values = measurement.stored.reshape(3, -1)[:, nodes] * measurement.scale[:, np.newaxis]
     yield from channel_findings(values)
     first, second = np.split(measurement.stored[:, 4::9, 4::9], 2, axis=-1)
-    varied = np.abs(np.diff(first)) > 1e-6 * np.abs(first[..., 1:])  # Smaller differences are rounding.
+    varied = (np.abs(np.diff(first)) > 1e-6 * first[..., 1:]) & (first[..., 1:] >= 0.0)  # Less is rounding.
     if varied.any() and (share := float((first == second)[..., 1:][varied].mean())) > _MAX_COPIED_FRACTION:
         yield Finding(
             "repeated-samples",
