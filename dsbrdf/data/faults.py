@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, THETA_DIFF, THETA_HALF, nodes_above_horizon
+from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import FIRST_PHI, FoldedProfiles, Profiles, cosine_parts
 from dsbrdf.findings import Finding
@@ -215,10 +215,10 @@ def _dark_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
     mean = np.where(filled, folded.mean.mean(axis=0), 0.0)
     zero, bright = filled & (mean == 0.0), mean > _BRIGHT_FRACTION * np.median(mean[mean > 0.0])
     if np.count_nonzero(zero & binary_dilation(bright)) > _MIN_EDGE_FRACTION * np.count_nonzero(filled):
-        share = float(zero[filled].mean())
+        share = float(folded.weight[:, zero].sum() / folded.weight.sum())
         yield Finding(
             "sudden-zeros",
-            f"At {share:.1%} of the angles the values are 0 in all channels, right beside bright ones: the fit takes "
+            f"{share:.1%} of the samples are 0 in all channels, right beside bright ones: the fit takes "
             "them for black. Write -1 where nothing was measured, and keep the digits of dark values.",
             {"fraction": share},
         )
@@ -253,8 +253,8 @@ def _sweep_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
         angle = float(np.degrees(THETA_DIFF[2:-1][filled][row]))
         yield Finding(
             "uneven-sweeps",
-            f"At theta_diff = {angle:.0f} degrees all values jump by {np.expm1(jump / 1.5):.0%} to {np.expm1(jump):.0%}: the lamp may have "
-            "drifted between two sweeps, or channels were exchanged. Scale the sweeps to each other.",
+            f"At theta_diff = {angle:.0f} degrees values jump by {np.expm1(jump / 1.5):.0%} to {np.expm1(jump):.0%}. "
+            "The lamp may have drifted between sweeps, or channels were exchanged. Scale the sweeps to each other.",
             {"jump": float(np.expm1(jump)), "theta_diff_deg": angle},
         )
     same = folded.mean[:, :, 1:] == folded.mean[:, :, :-1]
@@ -315,6 +315,7 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
     yield from channel_findings(values)
     first, second = np.split(measurement.stored[:, 4::9, 4::9], 2, axis=-1)
     varied = (np.abs(np.diff(first)) > 1e-6 * first[..., 1:]) & (first[..., 1:] >= 0.0)  # Less is rounding.
+    varied[..., PHI_DIFF.size // 4 - 1] = False  # Symmetric materials are equal at 45 and 135 degrees.
     if varied.any() and (share := float((first == second)[..., 1:][varied].mean())) > _MAX_COPIED_FRACTION:
         yield Finding(
             "repeated-samples",

@@ -60,7 +60,7 @@ FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
     ),
     "uneven-sweeps": (
         lambda values: values * np.where(np.arange(90) < 30, 1.0, 1.1)[:, None],
-        "At theta_diff = 30 degrees all values jump by 7% to 10%: the lamp may have drifted",
+        "At theta_diff = 30 degrees values jump by 7% to 10%. The lamp may have drifted",
     ),
     "repeated-samples": (
         lambda values: np.repeat(values[:, ::2], 2, axis=1),
@@ -68,7 +68,7 @@ FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
     ),
     "sudden-zeros": (
         lambda values: np.where(THETA_DIFF[:, None] > np.radians(60.0), 0.0, values),
-        "At 18.6% of the angles the values are 0 in all channels",
+        "22.0% of the samples are 0 in all channels",
     ),
     "hollow-highlight": (
         lambda values: np.where(values > 2.0, values - 1.9, values),
