@@ -225,7 +225,7 @@ def _dark_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
     mean, usable = mean[..., :-1], usable[..., :-1]  # The last bin has a single sample, which may be noise.
     inner, outer, top = mean[:, :-1], mean[:, 1:], mean.max(axis=1, keepdims=True)
     falls = (outer > 2.0 * inner) & (inner > 0.0) & (outer > _BRIGHT_FRACTION * top) & usable[:, :-1]
-    share = np.count_nonzero(falls.any(axis=1)) / max(np.count_nonzero(usable.any(axis=1)), 1)
+    share = np.count_nonzero(falls.any(axis=1)) / max(int(np.count_nonzero(usable.any(axis=1))), 1)
     if share > _MIN_HOLLOW_FRACTION:
         angle = float(np.degrees(THETA_HALF[1:][falls.any(axis=(0, 2))].max()))
         yield Finding(
