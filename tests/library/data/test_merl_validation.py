@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from dsbrdf import MeasurementFormatError, parse_merl, read_merl, read_samples
 from dsbrdf.data import FILE_SIZE, GRID_SHAPE, nodes_above_horizon
 from dsbrdf.data.merl_validation import SCALE
 from tests.support.merl_files import ABOVE, BELOW, HEADER, NODES, header, with_values
-from tests.support.soak import examples
 
 
 def whole(data: bytes) -> str:
@@ -111,7 +108,7 @@ def test_nodes_below_the_horizon_and_single_ones_are_no_measurement() -> None:
     for lit, elsewhere in ((0, 1.0), (count - 1, 0.0), (count, 0.0)):
         values = np.where(above, 0.0, np.full((3, *GRID_SHAPE), elsewhere))
         values[:, 0] = elsewhere  # A fit does not see light at theta_half = 0, which has no solid angle.
-        values[2, 1:].flat[np.flatnonzero(above[1:])[:lit]] = 1e-4  # 1.1e-7/sr
+        values[0, 1:].flat[np.flatnonzero(above[1:])[:lit]] = 1e-4  # 6.7e-8/sr
         sentence = whole(HEADER + values.tobytes())
         assert (f"{lit} of the {above.sum()} nodes above the horizon have a value" in sentence) == (lit < count)
 
@@ -141,45 +138,3 @@ def test_huge_file_is_refused_unread(read: Callable[[Path], object], start: byte
         assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
         tracemalloc.stop()
-
-
-near_an_end = st.one_of(st.integers(0, 64), st.integers(FILE_SIZE - 64, FILE_SIZE + 64), st.integers(0, FILE_SIZE))
-
-
-@st.composite
-def damages(draw: st.DrawFn) -> list[tuple[int, bytes]]:
-    special = (np.nan, np.inf, -np.inf, -1.0, -0.0, 0.0, 5e-324, 1.7e308, 1.5e11, -1.7e308)
-    number = st.sampled_from(special).map(lambda value: struct.pack("<d", value))
-    run = st.tuples(number, st.sampled_from([1, 3, 70_000, 1_458_000])).map(lambda part: part[0] * part[1])
-    value_place = st.integers(0, 3 * 90 * 90 * 180 - 1).map(lambda index: 12 + 8 * index)
-    anywhere = st.tuples(near_an_end, st.binary(min_size=1, max_size=40))
-    integer = st.integers(-(2**31), 2**31 - 1).map(lambda n: struct.pack("<i", n))
-    dimension = st.tuples(st.sampled_from([0, 4, 8]), integer)
-    return draw(st.lists(st.one_of(st.tuples(value_place, run), anywhere, dimension), max_size=3))
-
-
-def judged_at_once(data: bytes) -> str:
-    """Return the words of the only refusal that fits, or the number of valid nodes, from whole arrays."""
-    if data[:12] != HEADER or len(data) != FILE_SIZE:
-        return "The d"  # data, or dimensions
-    stored, above = floats(data).reshape(3, *GRID_SHAPE), nodes_above_horizon()
-    limits = SCALE[:, None, None, None]
-    if not np.isfinite(stored).all():
-        return "finite"
-    if (stored * limits > 1e8)[:, above].any():
-        return "1e8/sr"
-    measured = (stored >= 0.0)[:, above]
-    if (measured.mean(axis=1) < 0.01).any():
-        return "not negative"
-    nonzero = (stored * limits >= 1e-8).any(axis=0) & (stored >= 0.0).any(axis=0) & above
-    return "at least" if nonzero[1:].sum() < 0.001 * above.sum() else f" {measured.any(axis=0).sum()}"
-
-
-@examples(0.3)
-@given(damage=damages(), length=st.one_of(st.just(FILE_SIZE), near_an_end))
-def test_damaged_file_is_judged_by_rows_as_at_once(data: bytes, damage: list[tuple[int, bytes]], length: int) -> None:
-    changed = bytearray(data)
-    for place, content in damage:
-        changed[place : place + len(content)] = content
-    cut = bytes(changed[:length]).ljust(min(length, FILE_SIZE + 64), b"\0")
-    assert judged_at_once(cut) in whole(cut)
