@@ -244,6 +244,8 @@ def test_ends_symmetry_and_reciprocity() -> None:
     np.testing.assert_allclose(blend(b, a, 0.7).evaluate_directions(*PAIRS), values, rtol=1e-12)
     np.testing.assert_allclose(blend(a, b, 0.3).evaluate_directions(*PAIRS[::-1]), values, rtol=1e-9)
     assert np.all(values > 0.0)
+    paper = papers_model()  # Its values have kinks, at which the integral is divided.
+    np.testing.assert_allclose(blend(a, paper, 1.0).albedo(0.7), paper.albedo(0.7), rtol=1e-12)
     node = blend(a, b, 0.3).tabulate()[:, 10, 20, 30]
     np.testing.assert_allclose(node, blend(a, b, 0.3).evaluate(*np.radians([10 / 9, 20, 30])), rtol=1e-12)
 

@@ -1,16 +1,24 @@
+from dataclasses import astuple, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf import FitOptions, InvalidArgumentError, ScatteredSamples
+from dsbrdf import FitOptions, InvalidArgumentError, Profiles, ScatteredSamples
 from dsbrdf.data import THETA_DIFF, THETA_HALF, half_difference, spherical, synthetic_measurement
 from dsbrdf.fitting import Metrics
+from dsbrdf.model import directional_albedo
 from dsbrdf.result import sample_findings
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction
-from dsbrdf.samples.scattered_fit import planned_pairs, predicted_profiles, sample_rows, scattered_metrics
+from dsbrdf.samples.scattered_fit import (
+    left_out_errors,
+    planned_pairs,
+    predicted_profiles,
+    sample_rows,
+    scattered_metrics,
+)
 from tests.support.models import deviations, mixture, scattered_directions, scattered_samples
 
 pytestmark = pytest.mark.slow
@@ -29,10 +37,29 @@ def test_parameters_of_a_known_model_are_found() -> None:
     assert not any("held out of a fit" in sentence for sentence in result.report.warnings)
 
 
-def test_a_table_is_predicted_at_the_middle_of_the_nodes_of_each_bin() -> None:
-    samples, options = scattered_samples(TRUTH, 80), FitOptions()
-    prediction = SamplePrediction.fit(samples)
-    folded = predicted_profiles(samples, prediction, options).folded
+@pytest.fixture(scope="module")
+def prediction() -> SamplePrediction:
+    return SamplePrediction.fit(scattered_samples(TRUTH, 80))
+
+
+def test_a_prediction_is_reciprocal_and_returns_no_more_light_than_it_gets(prediction: SamplePrediction) -> None:
+    bright = replace(prediction, logs=prediction.logs + np.log(8.0) * prediction.root_weight[:, None])
+    assert bright.albedo.max() > 1.2
+    assert directional_albedo(bright.evaluate_unmasked, np.radians([0.0, 60.0])).max() <= 1.0 + 1e-6
+    half, diff, phi = np.random.default_rng(0).uniform(0.0, (0.7, 0.7, np.pi), (50, 3)).T
+    values = bright.evaluate_unmasked(half, diff, phi)
+    np.testing.assert_allclose(bright.evaluate_unmasked(half, diff, phi + np.pi), values, rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def predicted(prediction: SamplePrediction) -> Profiles:
+    return predicted_profiles(scattered_samples(TRUTH, 80), prediction, FitOptions())
+
+
+def test_a_table_is_predicted_at_the_middle_of_the_nodes_of_each_bin(
+    prediction: SamplePrediction, predicted: Profiles
+) -> None:
+    folded = predicted.folded
     row, column, bin_of = (index[::97] for index in np.nonzero(folded.weight[0]))
     squared = folded.cos2_phi[row, column, bin_of]
     middle = np.degrees(np.arccos(np.sqrt(squared)))
@@ -41,10 +68,11 @@ def test_a_table_is_predicted_at_the_middle_of_the_nodes_of_each_bin() -> None:
     np.testing.assert_allclose(folded.mean[:, row, column, bin_of].T, values)
 
 
-def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta_diff() -> None:
-    samples, options = scattered_samples(TRUTH, 400), FitOptions()
-    prediction = SamplePrediction.fit(samples.take(np.arange(400) < 80))
-    data = sample_rows(samples, predicted_profiles(samples, prediction, options), options, prediction, TRUTH)
+def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta_diff(
+    prediction: SamplePrediction, predicted: Profiles
+) -> None:
+    samples, of_table = scattered_samples(TRUTH, 400), (predicted, FitOptions(), prediction, TRUTH)
+    data = sample_rows(samples, *of_table)
     theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
     placed = 0.0
     for at, row in enumerate(data.theta_diff):
@@ -57,6 +85,9 @@ def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta
         np.testing.assert_allclose(found, there, rtol=1e-9, atol=1e-12)
         placed += data.weight[0, at, places.argmax(axis=1), 0].sum()
     assert placed > 0.0
+    sides = (side * [1.0, -1.0, 1.0] for side in (samples.omega_in, samples.omega_out))
+    mirrored = ScatteredSamples.from_arrays(*sides, samples.values)  # about the plane of incidence
+    np.testing.assert_allclose(sample_rows(mirrored, *of_table).weight, data.weight, rtol=1e-6)
 
 
 def scaled(samples: ScatteredSamples, factor: Any, notes: tuple[str, ...] = ()) -> ScatteredSamples:
@@ -97,6 +128,18 @@ def test_metrics_of_samples_are_those_of_a_loop(cutoff: float | None) -> None:
             error, signal = error + np.sum((values - fitted) ** 2), signal + np.sum(values**2)
     found = scattered_metrics(model, samples, cutoff)
     assert (found.relative_rms, found.male) == pytest.approx((np.sqrt(error / signal), logs), rel=1e-9)
+
+
+def test_errors_are_told_for_bands_that_begin_at_their_first_angle() -> None:
+    theta_out = np.repeat(np.radians([0.0, 29.0, 31.0, 61.0, 76.0]), 20)
+    samples = ScatteredSamples.from_arrays(
+        spherical(np.full(100, 0.5), np.full(100, np.pi)), spherical(theta_out, np.zeros(100)), np.ones((100, 3))
+    )
+    total, rows = left_out_errors(samples, 1.0 + theta_out[:, None] * np.ones(3), np.radians(65.0))
+    assert [row.n_samples for row in rows[:4]] == [40, 20, 20, 20]
+    expected = [np.sqrt(np.mean(theta_out[chosen] ** 2)) for chosen in (np.s_[:40], np.s_[40:60], np.s_[60:80])]
+    assert [row.relative_rms for row in rows[:3]] == pytest.approx(expected)
+    assert total == pytest.approx(np.sqrt(np.mean(theta_out[:80] ** 2)))
 
 
 def test_what_is_for_one_kind_of_data_is_refused_for_the_other(matte: dsbrdf.Measurement) -> None:
@@ -189,9 +232,12 @@ def test_directions_to_measure_next_are_where_no_sample_is(truth: dsbrdf.DSBRDF)
     flat = ScatteredSamples.from_arrays(first, second, truth.evaluate_directions(first, second))
     pairs = planned_pairs(flat, truth, 7.5, 60.0)
     assert {pair.phi_deg for pair in pairs} <= {0.0, 180.0}
-    angles = np.array([(pair.theta_in_deg, pair.theta_out_deg) for pair in pairs])
-    assert angles.max() <= 60.0
-    np.testing.assert_array_equal(angles % 7.5, 0.0)
+    angles = np.array([astuple(pair) for pair in pairs])
+    assert angles[:, :2].max() <= 60.0
+    np.testing.assert_array_equal(angles[:, :2] % 7.5, 0.0)
+    angles = np.array([astuple(pair) for pair in report.measure_next])
+    apart = np.abs(angles[:, None] - angles).max(axis=2)
+    assert apart[~np.eye(len(angles), dtype=bool)].min() >= 4.0
 
 
 def noisy(samples: ScatteredSamples, seed: int = 1) -> ScatteredSamples:
@@ -277,3 +323,6 @@ def test_errors_that_matter_are_named(truth: dsbrdf.DSBRDF) -> None:
     assert "is 0.1 at the samples of the fit, but 0.6 at samples held out" in said(0.1, 0.6, 0.01)[0]
     assert "Over all directions the error is probably below 20%" in said(0.1, 0.1, 0.2)[0]
     assert "The model misses the samples by 90% of their size" in said(0.9, 0.9, 0.01)[0]
+    pair = spherical(np.full(60, 0.3), np.full(60, 0.7)), spherical(np.linspace(0.1, 1.2, 60), np.full(60, 0.7 + np.pi))
+    samples = ScatteredSamples.from_arrays(*pair, np.ones((60, 3)))
+    assert "All samples lie in one plane of incidence" in said(0.1, 0.1, 0.01)[1]

@@ -80,6 +80,7 @@ NEARLY_UNIT = np.tile([0.6004, 0.0, 0.8], (200, 1))
         ((UP, UP, UP, np.full(200, 1e-308)), r"200 of 200 samples.* weight is not from 1e-12 to 1e12"),
         (([["a"]], UP, UP), "omega_in must be real numbers"),
         ((1.01 * NEARLY_UNIT, UP, UP), r"In 200 of 200 samples.* omega_in is not of unit length"),
+        ((UP, UP[:, ::-1], UP), r"In 200 of 200 samples.* omega_out is not above the horizon; z must be positive"),
         ((UP, UP, 1e-200 * (UP + 1.0)), "largest value is 2e-200/sr"),
     ],
 )
