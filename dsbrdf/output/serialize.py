@@ -299,7 +299,7 @@ def _fits(kind: Any, value: Any) -> bool:
     if is_dataclass(kind) and isinstance(kind, type):
         return isinstance(value, Mapping) and set(value) == set(_hints(kind))
     if origin is Literal:
-        return isinstance(value, str) and value in get_args(kind)
+        return value in get_args(kind)
     if origin is tuple:
         return isinstance(value, list)
     if origin is dict:

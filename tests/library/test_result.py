@@ -1,5 +1,3 @@
-import copy
-import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -90,14 +88,6 @@ def test_the_verdict_knows_of_a_missed_highlight() -> None:
 @pytest.fixture(scope="module")
 def result(matte: Measurement) -> FitResult:
     return fit(profiles(matte), n_lobes=1, ring_lobes=0, knots_deg=(0.0, 30.0, 60.0, 89.0))
-
-
-def test_copies_are_equal_and_hash_alike(result: FitResult) -> None:
-    for other in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result), copy.copy(result)):
-        assert other == result
-        assert hash(other) == hash(result)
-    assert replace(result.report, n_numbers=1) != result.report
-    assert replace(result.report, metrics=Metrics(male=0.1)) != result.report
 
 
 def test_result_is_evaluated_and_drawn_as_its_model(result: FitResult) -> None:

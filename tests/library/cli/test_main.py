@@ -1,24 +1,18 @@
 """The command ``dsbrdf``: how it starts, its help, and the sentence that each mistake gets."""
 
-import io
 import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import dsbrdf
-from dsbrdf import FitResult, extras, save
-from dsbrdf.cli import fit_command
+from dsbrdf import extras, save
 from dsbrdf.cli import main as cli
 from dsbrdf.cli.arguments import SERVICE_COMMANDS
 from dsbrdf.cli.commands import command_names
-from dsbrdf.engines import FileFit
 from tests.support.command_line import printed, run, sentence
 from tests.support.models import mixture, samples_table, scattered_samples
 
@@ -89,26 +83,6 @@ def test_help_lists_all_commands_in_groups() -> None:
     assert {"Models", "Pictures", "Files", "Service", "Options"} <= {*lines}
     listed = {line.split()[0] for line in lines if line}
     assert listed >= {*command_names(), *SERVICE_COMMANDS, "--help", "--version"}
-
-
-def test_progress_is_gone_with_the_last_result(two_lobe_fit: FitResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    def known(files: list[Path], *_: Any, progress: Callable[[float], None], **__: Any) -> Iterator[FileFit]:
-        for number, file in enumerate(files, 1):
-            yield FileFit(file, result=two_lobe_fit)
-            progress(number)
-
-    monkeypatch.setattr(fit_command, "fit_files", known)
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "100")
-    screen = io.StringIO()
-    monkeypatch.setattr(screen, "isatty", lambda: True)
-    with redirect_stdout(screen), redirect_stderr(screen):
-        assert cli.main(["fit", "plastic.binary", "again.binary"]) == 0
-    text = screen.getvalue()
-    assert "0 of 2 files" in text
-    last = text.index("again: ")
-    assert " of 2 files" not in text[last:]
-    assert "\x1b[2K" in text[text.rindex(" of 2 files") : last]  # its line is empty again
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

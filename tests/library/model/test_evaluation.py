@@ -1,6 +1,5 @@
 """Lobes and their derivatives against mpmath with 60 digits, values of models against SciPy and the definition."""
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import mpmath  # type: ignore[import-untyped]
@@ -14,7 +13,6 @@ from dsbrdf.model import FAMILIES, MAX_CENTER, gamma_of_half_width, half_width
 from dsbrdf.model.lobes import GRAZING_COSINE, lobe_curves, lobe_values, log_cosine, reach_of_width, width_of_reach
 from dsbrdf.model.splines import n_control_values
 from tests.support.models import single_lobe
-from tests.support.soak import repeats
 
 Number = Any  # mpmath has no types
 
@@ -230,14 +228,3 @@ def test_what_is_too_faint_for_a_number_is_zero_or_nearly(count: int, family: st
     values = single_lobe(200.0, 1e7, 2.0, family=family).evaluate(np.linspace(0.2, 1.0, count), 0.5)
     assert np.all((values >= 0.0) & (values < 1e-80))
     assert not np.any(np.signbit(values))
-
-
-def test_threads_may_share_a_model() -> None:
-    angles = points(20_000)
-    expected = random_model().evaluate_unmasked(*angles)
-    for _ in range(repeats(2, 5)):
-        fresh = random_model()  # whose coefficients the threads find at the same time
-        with ThreadPoolExecutor(8) as threads:
-            every = list(threads.map(lambda _, model=fresh: model.evaluate_unmasked(*angles), range(8)))
-        for values in every:
-            np.testing.assert_array_equal(values, expected)

@@ -1,16 +1,13 @@
 """Stored models: nothing is lost, and whatever comes, the readers answer with a model or with one sentence."""
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import dsbrdf
 from dsbrdf import DSBRDF, FitReport, FitResult, InvalidArgumentError, ModelFormatError, decompose, load, save
@@ -18,7 +15,6 @@ from dsbrdf.fitting import Metrics
 from dsbrdf.output import fit_from_json, from_json, result_from_json, to_json
 from dsbrdf.output.serialize import model_from_dict, model_to_dict, report_from_dict
 from tests.support.models import ARRAYS, TEXTS, assert_same_bits, make_model, random_model, single_lobe
-from tests.support.soak import examples
 
 
 @pytest.mark.parametrize("interpolation", ["spline", "linear"])
@@ -190,44 +186,3 @@ def test_other_files_are_refused(model: DSBRDF, tmp_path: Path) -> None:
         file.truncate(10 << 30)
     with pytest.raises(ModelFormatError, match="longer than the 67108864 bytes"):
         load(path)
-
-
-def check(text: str) -> None:
-    """Read a stored model, which either is refused in a sentence, or works and comes back the same."""
-    try:
-        model, _ = from_json(text)
-    except ModelFormatError as error:
-        said = str(error)
-    else:
-        assert np.isfinite(model.evaluate([0.0, 0.5, 1.57], [0.0, 0.5, 1.57])).all()
-        assert to_json(from_json(to_json(model))[0]) == to_json(model)
-        return
-    assert 10 < len(said) < 1000
-    assert "\n" not in said
-
-
-numbers = st.one_of(st.integers(), st.floats(), st.sampled_from([0, 1, 1e-320, 1e308, 10**400, 1.5707]))
-plain, keys = st.none() | st.booleans() | numbers | st.text(max_size=8), st.sampled_from(["model", "kappa", "x", ""])
-json_values = st.recursive(
-    plain, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(keys, inner, max_size=3), max_leaves=12
-)
-
-
-def places(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    for key, value in children:
-        yield (*path, key)
-        yield from places(value, (*path, key))
-
-
-DOCUMENT = to_json(random_model(n_lobes=2))
-
-
-@examples(0.3)
-@given(st.lists(st.tuples(st.sampled_from([*places(json.loads(DOCUMENT))]), json_values | st.just(...)), max_size=5))
-def test_changed_json_document_is_refused_or_valid(changes: list[tuple[tuple[Any, ...], Any]]) -> None:
-    document = json.loads(DOCUMENT)
-    for path, value in changes:
-        with suppress(KeyError, IndexError, TypeError):  # an earlier change has taken the place away
-            _set(*path, value=value)(document)
-    check(json.dumps(document))
