@@ -150,7 +150,7 @@ def _exceedance(t: float, n_doses: int, degrees_of_freedom: float) -> float:
     last = math.sqrt(float(gammainccinv(half, _CUT_OFF_PROBABILITY)) / half)
     # If the statistic t is large, only small standard deviations s contribute, so the integral leaves out larger ones.
     if t > 0:
-        last = min(last, max(_CERTAIN_CRITICAL_VALUE / (math.sqrt(2.0) * t), 2.0 * first))
+        last = min(last, _CERTAIN_CRITICAL_VALUE / (math.sqrt(2.0) * t))
     s = first + 0.5 * (last - first) * (1.0 + _LEGENDRE_NODES)
     log_density = (
         (degrees_of_freedom - 1.0) * np.log(s) - half * s**2 + half * math.log(half) - float(gammaln(half))

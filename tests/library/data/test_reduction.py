@@ -10,7 +10,7 @@ import pytest
 from dsbrdf import InvalidArgumentError, Measurement, Profiles, profiles
 from dsbrdf.arrays import Array
 from dsbrdf.data import DEFAULT_HORIZON_CUTOFF, PHI_DIFF, THETA_DIFF, THETA_HALF, directions
-from dsbrdf.data.reduction import IN_BIN, N_BINS, FoldedProfiles, bin_weights, seen_weight
+from dsbrdf.data.reduction import N_BINS, FoldedProfiles, bin_weights, seen_weight
 
 CELLS = [(0, 0), (0, 30), (30, 0), (40, 33), (55, 60), (10, 85), (60, 75), (89, 10), (35, 80)]
 """Indices (theta_half, theta_diff) at which loops are run: the normal, the horizon, grazing and in between."""
@@ -20,11 +20,6 @@ CELLS = [(0, 0), (0, 30), (30, 0), (40, 33), (55, 60), (10, 85), (60, 75), (89, 
 def speckled(plastic: Measurement) -> Measurement:
     holes = np.random.default_rng(5).uniform(size=plastic.valid.shape) < 0.3
     return Measurement.from_values(plastic.values, plastic.valid & ~holes)
-
-
-@pytest.fixture(scope="module")
-def robust_matte(matte: Measurement) -> Profiles:
-    return profiles(matte, robust=True)
 
 
 def samples_of(measurement: Measurement, channel: int, i: int, j: int, cutoff: float | None) -> tuple[Array, Array]:
@@ -76,10 +71,10 @@ def test_what_is_stored_at_invalid_nodes_does_not_matter(plastic: Measurement) -
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-def test_without_any_spread_nothing_is_an_outlier(matte: Measurement, robust_matte: Profiles) -> None:
+def test_without_any_spread_nothing_is_an_outlier(matte: Measurement) -> None:
     clean = profiles(matte)
     exact = clean.within == 0.0
-    np.testing.assert_allclose(robust_matte.weight[exact], clean.weight[exact], rtol=1e-6)
+    np.testing.assert_allclose(profiles(matte, robust=True).weight[exact], clean.weight[exact], rtol=1e-6)
 
 
 def expected_robust_weights(values: Array) -> Array:
@@ -135,14 +130,6 @@ def test_robust_weights_fall_with_the_distance_from_the_median_of_a_cell_or_a_bi
                 n_few += is_few
     assert n_graded > 20
     assert n_few > 5
-
-
-def test_two_groups_of_samples_in_a_bin_are_no_outliers(matte: Measurement) -> None:
-    j, i, fold = 33, 40, 0
-    members = np.flatnonzero(matte.valid[i, j] & (IN_BIN[:, fold] > 0))
-    stored = matte.stored.copy()
-    stored[1, i, j, members[members > 90]] *= 1.5
-    assert profiles(replace(matte, stored=stored), robust=True).folded.weight[1, j, i, fold] == members.size
 
 
 @pytest.mark.parametrize(

@@ -108,10 +108,12 @@ def test_profiles_give_the_same_model_without_metrics(plastic_profiles: Profiles
 
 def test_warning_only_where_iterations_ran_out(plastic_profiles: Profiles, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(global_method, "MAX_ITERATIONS", 500)
+    monkeypatch.setattr(global_method, "_bounds_hit", lambda _: True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         result = fit(plastic_profiles, ONE)
     assert np.all(result.report.knots.converged)
+    assert np.all(result.report.knots.bounds_hit)
     monkeypatch.setattr(global_method, "MAX_ITERATIONS", 1)
     with pytest.warns(dsbrdf.ConvergenceWarning, match="^The fit stopped after 1 iterations"):
         result = fit(plastic_profiles, ONE)
