@@ -4,9 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dsbrdf.arrays import Array
-from tests.support import foreign_kinds, foreign_materials
-from tests.support.foreign_kinds import (
+from benchmarks import foreign_kinds
+from benchmarks.foreign_kinds import (
     anodised,
     compensated_metal,
     plastic_with,
@@ -14,6 +13,7 @@ from tests.support.foreign_kinds import (
     two_flakes,
     two_roughnesses,
 )
+from dsbrdf.arrays import Array
 from tests.support.foreign_materials import (
     BLUE,
     GREEN,
@@ -39,6 +39,7 @@ from tests.support.foreign_materials import (
     rgb,
     under_coat,
 )
+from tests.support.foreign_materials import CATALOGUE as USUAL_MATERIALS
 
 YELLOW = (0.70, 0.58, 0.08)
 BLACK = (0.030, 0.030, 0.035)
@@ -113,7 +114,7 @@ def ashikhmin_shirley(exponent: float, specular: Color, ground: Color) -> Materi
     return Material((ashikhmin_shirley_specular(exponent, specular),), (ashikhmin_shirley_diffuse(ground, specular),))
 
 
-CATALOGUE = foreign_materials.CATALOGUE | {
+CATALOGUE = USUAL_MATERIALS | {
     "plastic_blue_08_beckmann": plastic_material(0.08, BLUE, kind="beckmann"),
     "plastic_white_12": plastic_material(0.12, WHITE, ior=1.46),
     "plastic_dark_07": plastic_material(0.07, BLACK),

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 import dsbrdf
+from benchmarks.foreign_kinds import directional_rule
 from dsbrdf.arrays import Array
 from dsbrdf.components.layers import Color
 from dsbrdf.components.shares import RgbRange
-from tests.support.foreign_kinds import directional_rule
 from tests.support.foreign_materials import Material
 
 ANGLES_DEG = (0.0, 40.0, 70.0)

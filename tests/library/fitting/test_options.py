@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dsbrdf import FitOptions, InvalidArgumentError
-from dsbrdf.fitting.options import MAX_RING_LOBES
+from dsbrdf.fitting.options import MAX_RING_LOBES, Bounds
 
 KNOTS = 'knots_deg must be at least two increasing whole numbers from 0 to 89 or "auto"'
 CUTOFF = "horizon_cutoff_deg must be a number above 0 and at most 90"
@@ -79,6 +79,17 @@ def test_numpy_numbers_and_booleans_are_taken_as_pythons_own() -> None:
     for bad in (np.int64(11), np.True_):
         with pytest.raises(InvalidArgumentError, match="n_lobes"):
             FitOptions(n_lobes=bad)  # type: ignore[arg-type]
+
+
+def test_bounds_are_those_of_the_schema() -> None:
+    schemas: list[dict[str, Any]] = [{"type": "array", "items": {"type": "integer"}}, {"type": "number"}]
+    knots, cutoff = (
+        bounds.__get_pydantic_json_schema__(None, lambda _, schema=schema: schema)  # type: ignore[misc]
+        for bounds, schema in zip((Bounds(0, 89), Bounds(0, 90, above=True)), schemas, strict=True)
+    )
+    assert knots["items"] == {"type": "integer", "minimum": 0, "maximum": 89}
+    assert (knots["minItems"], knots["maxItems"], knots["uniqueItems"]) == (2, 90, True)
+    assert cutoff == {"type": "number", "exclusiveMinimum": 0, "maximum": 90}
 
 
 @pytest.mark.parametrize(

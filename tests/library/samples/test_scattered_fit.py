@@ -85,8 +85,8 @@ def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta
         np.testing.assert_allclose(found, there, rtol=1e-9, atol=1e-12)
         placed += data.weight[0, at, places.argmax(axis=1), 0].sum()
     assert placed > 0.0
-    sides = (side * [1.0, -1.0, 1.0] for side in (samples.omega_in, samples.omega_out))
-    mirrored = ScatteredSamples.from_arrays(*sides, samples.values)  # about the plane of incidence
+    omega_in, omega_out = (side * [1.0, -1.0, 1.0] for side in (samples.omega_in, samples.omega_out))
+    mirrored = ScatteredSamples.from_arrays(omega_in, omega_out, samples.values)
     np.testing.assert_allclose(sample_rows(mirrored, *of_table).weight, data.weight, rtol=1e-6)
 
 
