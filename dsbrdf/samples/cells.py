@@ -34,6 +34,8 @@ _NO_NUMBER = re.compile(r"#.*|:?-+:?")
 _TOLERANCE = re.compile(r"(?:±.*|[\N{DEGREE SIGN}*]\s*)$")
 # Spreadsheets turn numbers such as 1.5 into dates, and show numbers as times.
 _DATE = re.compile(r"\d{4}-\d\d-\d\d.*|.*\d:\d\d(?:[:.].*)?")
+# A blank of normal width separates cells, not thousands.
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:(?:[\xa0\u2009\u202f'’]\d{3})+(?:[.,]\d*)?|(?:,\d{3})+\.\d*)")
 _FORTRAN_EXPONENT = re.compile(r"(?<=[0-9.])[dD](?=[-+0-9])")
 
 Constants = dict[str, float]
@@ -194,6 +196,8 @@ def as_number(cell: str, separator: str) -> float | None:
     text = _TOLERANCE.sub("", cell).strip().lstrip("'").replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "-")
     if text.lower() in _MISSING or _NO_NUMBER.fullmatch(text):
         return float("nan")
+    if _THOUSANDS.fullmatch(text):
+        text = re.sub(r"[\xa0\u2009\u202f'’]|,(?=.*\.)", "", text)
     if separator != "," and "," in text:
         thousands = "." if text.rfind(",") > text.rfind(".") else ","
         text = text.replace(thousands, "").replace(",", ".")

@@ -31,7 +31,11 @@ _DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS, FROM_MIRROR)
 # Columns of these names are no values of a BRDF; the sentence says what would be.
 _OTHER_VALUES = {
     r"(?i)btdf|transm": "light that a sample transmits is not read, only reflected light",
-    r"(?i)\bL\*?\|a\*?\|b\*?\b|\bx\|y\|Y\b": "colours must be linear sRGB or CIE XYZ",
+    r"(?i)\bL\*?\|a\b|\bx\|y\|Y\b": "colours must be linear sRGB or CIE XYZ",
+    r"(?i)aspecular": "it is positive towards the light: write theta_out, which is theta_in minus it",
+    r"(?i)normali[sz]ed|\brelative\b|intensity|signal|counts|voltage": (
+        "name it with --columns, give the factor to 1/sr with --scale, and add --cosine out for a radiant intensity"
+    ),
 }
 # A column of unknown meaning is refused if its name matches this, because it may be an azimuth that the samples need.
 _AZIMUTH = re.compile(r"phi|(?:^|_)az|azi|azm|[rv]aa|phase")
@@ -200,7 +204,7 @@ def _option(meaning: str, name: str) -> str:
 def _logarithm(written: str) -> MeasurementFormatError:
     return MeasurementFormatError(
         f"The column {written!r} has logarithms of the values, as decibels or log10 are: write the values themselves, "
-        "10^(v/10) for decibels, or 10^v for log10."
+        "10^(v/10) for decibels, 10^v for log10, or 10^-v for densities."
     )
 
 

@@ -43,6 +43,8 @@ from dsbrdf.samples.values import (
 
 _MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
 _MAX_THETA_RAD = 1.6  # A table without a larger theta and without units is refused: its angles look like radians.
+_MIN_AZIMUTHS = 3  # A table with fewer azimuths gives no sign of its unit.
+_WHOLE_DEG = 0.05  # This difference from a whole number of degrees is rounding.
 # If more than this fraction of the rows is at or below the horizon, the columns theta and phi may be exchanged.
 _DOUBTFUL_FRACTION = 0.5
 # A phase angle may lie outside of its possible range by this much, because of rounding.
@@ -161,7 +163,7 @@ def in_radians(column: Column) -> Array:
     if unit == COSINE and np.all(np.abs(column.numbers) <= 1.0):
         return np.asarray(np.arccos(column.numbers))
     if unit not in ANGLE_UNITS:
-        raise MeasurementFormatError(f"The column {column.written!r} is in {unit!r}; angles are in deg or in rad.")
+        raise MeasurementFormatError(f"The column {column.written!r} is in {unit!r}; angles are in deg, rad or gon.")
     angles = np.where(np.isfinite(column.numbers), column.numbers, np.nan) * ANGLE_UNITS[unit]
     return np.pi / 2.0 - angles if column.is_elevation else angles
 
@@ -224,14 +226,22 @@ def _check_sizes(angles: dict[str, Array], columns: dict[str, Column]) -> None:
             raise MeasurementFormatError(
                 f"The column {name!r} has an angle of {largest:.6g} degrees; {bound:.0f} is the largest that there is."
             )
-    thetas = [name for name in angles if name.startswith("theta") and not columns[name].unit]
-    largest = max((largest_of(columns[name].numbers) for name in thetas), default=0.0)
-    if 0.0 < largest < _MAX_THETA_RAD:
-        first, second = [name for name in angles if name.startswith("theta")][:2]
+    bare = {name: columns[name].numbers for name in angles if not columns[name].unit}
+    thetas = {name: largest_of(numbers) for name, numbers in bare.items() if name.startswith("theta")}
+    phis = {name: largest_of(bare[name]) for name in PHIS if name in bare and _are_radians(bare[name])}
+    is_small = 0.0 < max(thetas.values(), default=0.0) < _MAX_THETA_RAD
+    if wrong := thetas if is_small else phis:
         raise MeasurementFormatError(
-            f"The angles {first} and {second} are at most {largest:.3g}, as angles in radians are: write degrees, "
-            f"or name the columns {first}_rad and so on."
+            f"The largest {' and '.join(wrong)} is {max(wrong.values()):.3g}, as of angles in radians: write degrees, "
+            f"or name the columns {next(iter(wrong))}_rad and so on."
         )
+
+
+def _are_radians(azimuths: Array) -> bool:
+    """Return whether azimuths are within a turn of radians, and are whole numbers only in degrees."""
+    turns = np.unique(azimuths[np.isfinite(azimuths)])
+    is_whole = np.abs(np.degrees(turns) - np.rint(np.degrees(turns))) < _WHOLE_DEG
+    return turns.size > _MIN_AZIMUTHS and largest_of(turns) < 2.0 * np.pi + _WHOLE_DEG and bool(is_whole.all())
 
 
 def _about_directions(found: FoundColumns, *, is_turned: bool) -> Iterator[str]:

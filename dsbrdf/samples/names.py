@@ -19,7 +19,7 @@ _SIDE_WORDS = {
 _ANGLE_WORDS = {
     "theta": "theta zenith polar zen za z",
     "phi": "phi azimuth azimuthal azimut azim azm azi az aa a",
-    "elevation": "elevation altitude grazing glancing",
+    "elevation": "elevation elev el altitude grazing glancing",
 }
 _SIDES = {word: side for side, words in _SIDE_WORDS.items() for word in words.split()}
 _ANGLES = {word: angle for angle, words in _ANGLE_WORDS.items() for word in words.split()}
@@ -39,7 +39,7 @@ _RADIANCE_FACTORS = ("i/f", "i_over_f", "iof", "radf")
 _DENSITIES = ("value", "brdf", "bsdf", "frdb", "f_r", "fr")
 _TIMES_COSINE = ("dsf", "ccbsdf", "ccbrdf")
 _VALUES = (
-    *(*_DENSITIES, *_TIMES_COSINE, "luminance"),
+    *(*_DENSITIES, *_TIMES_COSINE, "luminance", "luminance_coefficient", "leuchtdichtekoeffizient"),
     *(f"{name}{mark}11" for name in ("f_r", "fr", "f", "m", "s", "mueller", "brdf") for mark in ("", "_")),
 )
 # A name of values may have one of these words more, as in "Panel BRF".
@@ -55,7 +55,7 @@ _OTHERS = {
         *("反射角", "出射角", "出射天顶角", "受光角", "观测角", "観測角"),
     ),
     "phi_in": ("saa", "入射方位角"),
-    "phi_out": ("vaa", "raa", "方位角", "出射方位角", "反射方位角", "相对方位角", "相対方位角"),
+    "phi_out": ("vaa", "raa", "azimutdifferenz", "方位角", "出射方位角", "反射方位角", "相对方位角", "相対方位角"),
     "phase": ("phase", "phase_angle"),
     "theta_from_mirror": ("angle_from_specular", "degrees_from_specular"),
     "value": (*_VALUES, *_FACTORS, *_RADIANCE_FACTORS),
@@ -68,7 +68,7 @@ HALF_DIFFERENCE = ("theta_half", "theta_diff", "phi_diff")
 COSINE = "cosine"
 """The unit of a column that has the cosines of angles instead of the angles."""
 ANGLE_UNITS = {"deg": pi / 180.0, "degree": pi / 180.0, "degrees": pi / 180.0, "°": pi / 180.0}
-ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
+ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0, "gon": pi / 200.0}
 """Factors that convert units of angles to radians."""
 WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
 """Factors that convert units of wavelengths to nanometres."""
@@ -91,7 +91,7 @@ _UNIT_BEHIND = re.compile(
     rf"_({'|'.join(map(re.escape, VALUE_UNITS))}))"
 )
 # A column is in decibels or another logarithm if its unit, or the first or the last word of its name, is one of these.
-_LOGARITHM = re.compile(r"(?:10_?\*_?)?(?:d_?b|dex|ln|lg|log(?:_?10)?|decibels?)")
+_LOGARITHM = re.compile(r"(?:10_?\*_?)?(?:d_?b|dex|ln|lg|log(?:_?10)?|decibels?|od|density)")
 # LaTeX, quotation marks and arguments, as in f_r(theta_i, theta_r), are removed from a name.
 _MARKUP = re.compile(r"[$\\{}'’\"#]|\([^()=]*theta[^()=]*,[^()=]*\)")
 _BAND_IN_BRACKETS = re.compile(r"(?:lambda ?= ?)?([0-9.]+ ?(?:nm|um|μm)?)")
@@ -165,6 +165,8 @@ def meanings_of(cells: Sequence[str]) -> list[str | None]:
         known |= dict.fromkeys(sideless, "elevation_in")
     if _EXACT.keys() & {*having("value")}:
         ignored |= {*having("value")} - _EXACT.keys()
+    if "R" in {cell.strip()[:1] for cell in cells} and not {"value", "green", "blue"} & {*known.values()}:
+        known |= {name: "value" for name in names if name == "r"}  # Alone, R means reflectance.
     has_values = {"value", *CHANNELS} & {*known.values()} or any(map(wavelength_of, cells))
     if known.keys() >= {*"xyz"} and not has_values and {*units} <= {"", "deg", "rad", *VALUE_UNITS}:
         known |= {axis: f"cie_{axis}" for axis in "xyz"}
@@ -225,7 +227,7 @@ def factor_of(cell: str, light: str) -> str:
     if name in _RADIANCE_FACTORS:
         return "pi times the cosine of theta_in times the BRDF: if they are, set scale to 0.3183, and cosine to in"
     is_density = name.startswith((*_DENSITIES, "rrs"))
-    is_factor = _FACTOR.fullmatch(name) is not None or (is_solar is not None and not is_density)
+    is_factor = name == "r" or _FACTOR.fullmatch(name) is not None or (is_solar is not None and not is_density)
     return "pi times the BRDF: if they are, set scale to 0.3183, or to 0.003183 for per cent" if is_factor else ""
 
 
@@ -317,5 +319,5 @@ def _name_and_unit(cell: str) -> tuple[str, str]:
         text, unit = found[1], found[2] or found[3]
     name = re.sub(r"[\s.,-]+", "_", text)
     base, _, last = name.rpartition("_")
-    is_unit = last in ANGLE_UNITS or (last in WAVELENGTH_UNITS and base in _OTHERS["wavelength"])
+    is_unit = last in {*ANGLE_UNITS, *RECIPROCAL_UNITS} or (last in WAVELENGTH_UNITS and base in _OTHERS["wavelength"])
     return (base, last) if is_unit else (name, unit.replace("\N{MINUS SIGN}", "-"))

@@ -57,10 +57,12 @@ def measurement_kind(start: bytes) -> MeasurementKind:
         return "samples"
     if (kind := known_kind(start)) is not None:
         raise MeasurementFormatError(f"The file is {kind}.")
+    if utf_16_of(start):
+        return "samples"
     dimensions = [struct.unpack(order, start[:12].ljust(12)) for order in ("<3i", ">3i")]
     if any(0 < min(sizes) <= max(sizes) < _MAX_LIKELY_SIZE for sizes in dimensions):
         return "merl"
-    if utf_16_of(start) or not _CONTROLS.search(start):
+    if not _CONTROLS.search(start):
         return "samples"
     raise MeasurementFormatError(
         f"The file is of an unknown kind: neither a MERL file, which begins with the dimensions {GRID_SHAPE}, nor a "
@@ -246,7 +248,8 @@ def _usable(found: Sequence[SampleRows], notes: list[str]) -> Array:
     for side, part in (("omega_in", slice(0, 3)), ("omega_out", slice(3, 6))):
         numbers[:, part] = _unit_vectors(side, numbers[:, part], used, notes)
     above = np.minimum(numbers[:, 2], numbers[:, 5]) > LOWEST_COSINE
-    notes += _left_out(used & ~above, "a direction at or below the horizon")
+    away = "" if above[used].any() else ", though directions point away from the surface, whose normal is z"
+    notes += _left_out(used & ~above, f"a direction at or below the horizon{away}")
     used &= above
     if len({rows.written.shape[1] for rows in found}) == 1 and sum(len(rows.written) for rows in found) == len(used):
         notes += about_repeated(np.concatenate([rows.written for rows in found])[used])

@@ -189,7 +189,8 @@ def largest_of(numbers: Array) -> float:
 def about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:
     """Yield sentences on the unit and the colour of the values."""
     written, light = found.columns[found.values[0]].written, found.columns.get("theta_in")
-    factor = factor_of(written, light.written if light else "") if options.scale == 1.0 else ""
+    is_red = found.values == CHANNELS and written in {"R", "r"}
+    factor = factor_of(written, light.written if light else "") if options.scale == 1.0 and not is_red else ""
     if factor:
         yield f"The names suggest that the column {written!r} has reflectance factors, which are {factor}."
     if found.values == TRISTIMULUS:

@@ -67,6 +67,8 @@ SPELLINGS = {
     "[deg]": renamed(*(f"{name} [deg]" for name in DIRECTION)),
     "a degree sign": renamed(*(f"{name} (°)" for name in DIRECTION)),
     "_rad": table((*(f"{name}_rad" for name in DIRECTION), *CHANNELS), np.hstack([np.radians(ANGLES), RGB])),
+    "[gon]": table((*(f"{name} [gon]" for name in DIRECTION), *CHANNELS), np.hstack([ANGLES / 0.9, RGB])),
+    "UTF-16": table().decode().encode("utf-16"),
     "r, g, b": table((*DIRECTION, "R", "G", "B")),
     "brdf_red [1/sr]": table((*DIRECTION, *(f"brdf_{name} [1/sr]" for name in CHANNELS))),
     "unit vectors": table((*VECTORS, *CHANNELS), np.hstack([*spherical(ANGLES), RGB])),
@@ -87,7 +89,17 @@ OF_OTHER_TABLES = {
     "one phi": (ANGLES * [1, 0, 1, 1], RGB, table(("theta_in", *ALL[2:]), np.hstack([ANGLES[:, [0, 2, 3]], RGB]))),
     **{
         name: (ANGLES, GREY, table((*DIRECTION, name), np.hstack([ANGLES, GREY[:, :1]])))
-        for name in ("value", "BRDF [sr^-1]", "luminance", "f_r")
+        for name in ("value", "BRDF [sr^-1]", "luminance", "f_r", "Leuchtdichtekoeffizient")
+    },
+    **{
+        f"thousands {mark!r}": (
+            *(ANGLES, 1e4 * GREY),
+            table(
+                *((*DIRECTION, "value"), np.hstack([ANGLES, 1e4 * GREY[:, :1]])),
+                number=lambda number, mark=mark: f'"{number:,.9f}"'.replace(",", mark),  # type: ignore[misc]
+            ),
+        )
+        for mark in (",", "'", "\N{NARROW NO-BREAK SPACE}")
     },
 }
 
@@ -208,15 +220,30 @@ WRONG = [
         "'theta_in' and 'theta_i' both seem to be theta_in: leave one of them out, or choose, as in",
     ),
     (renamed("theta_in", "phi_in", "theta_out", "theta_in"), "or choose, as in --columns theta_in=1."),
-    (table(columns=np.hstack([np.radians(ANGLES), RGB])), "are at most 1.48, as angles in radians are: write degrees"),
-    (renamed(*(f"{name} [gon]" for name in DIRECTION)), "'theta_in [gon]' is in 'gon'; angles are in deg or in rad."),
+    (table(columns=np.hstack([np.radians(ANGLES), RGB])), "is 1.48, as of angles in radians: write degrees, or name"),
+    (
+        table(ALL, np.hstack([np.rint(ANGLES) * [1.0, np.pi / 180.0, 1.0, np.pi / 180.0], RGB])),
+        "The largest phi_in and phi_out is 6.28, as of angles in radians: write degrees, or name the columns phi_in_",
+    ),
+    (renamed(*(f"{name} [mil]" for name in DIRECTION)), "'theta_in [mil]' is in 'mil'; angles are in deg, rad or gon."),
+    (table((*VECTORS, *CHANNELS), np.hstack([-spherical(ANGLES)[0], spherical(ANGLES)[1], RGB])), "whose normal is z"),
+    (table((*DIRECTION, "L", "a", "b")), "understood are its columns 'L', 'a'; understood are 'theta_in', 'phi_in', "),
+    (table((*DIRECTION, "optical density"), np.hstack([ANGLES, GREY[:, :1]])), "or 10^-v for densities."),
+    (
+        table(("AOI", "aspecular angle", "BRDF"), np.hstack([IN_PLANE[:, ::2], GREY[:, :1]])),
+        "which is theta_in minus it",
+    ),
+    (
+        table((*DIRECTION, "signal [V]"), np.hstack([ANGLES, GREY[:, :1]])),
+        "and add --cosine out for a radiant intensity",
+    ),
     (
         table(columns=np.hstack([ANGLES * [1, 1, 3, 1], RGB])),
         "'theta_out' has an angle of 253.843 degrees; 180 is the largest",
     ),
     (
-        table((*DIRECTION, "BRDF [%]"), np.hstack([ANGLES, RGB[:, :1]])),
-        "'BRDF [%]' is in '%'; the values of a BRDF are in 1/sr. If a factor makes them a BRDF, set",
+        table((*DIRECTION, "R [%]"), np.hstack([ANGLES, RGB[:, :1]])),
+        "'R [%]' is in '%'; the values of a BRDF are in 1/sr. If a factor makes them a BRDF, set",
     ),
     (table(number=lambda x: f"{x:.9g}".replace(".", ",")), "Line 2 of the table has 14 cells, separated by commas"),
     ("\n".join([*WORDS[:4], "1,2,3"]).encode(), "Line 5 of the table has 3 cells, and the line of names has 7."),
