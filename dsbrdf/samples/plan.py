@@ -76,6 +76,6 @@ def _cell(number: float, column: Column | None) -> str:
         number = 90.0 - number
     if column is not None and column.unit == COSINE:
         number = float(np.cos(np.radians(number)))
-    elif column is not None and ANGLE_UNITS.get(column.unit) == 1.0:
-        number = float(np.radians(number))
+    elif column is not None and column.unit in ANGLE_UNITS:
+        number = float(np.radians(number)) / ANGLE_UNITS[column.unit]
     return f"{round(number, 9):.10g}"

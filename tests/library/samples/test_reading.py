@@ -91,16 +91,6 @@ OF_OTHER_TABLES = {
         name: (ANGLES, GREY, table((*DIRECTION, name), np.hstack([ANGLES, GREY[:, :1]])))
         for name in ("value", "BRDF [sr^-1]", "luminance", "f_r", "Leuchtdichtekoeffizient")
     },
-    **{
-        f"thousands {mark!r}": (
-            *(ANGLES, 1e4 * GREY),
-            table(
-                *((*DIRECTION, "value"), np.hstack([ANGLES, 1e4 * GREY[:, :1]])),
-                number=lambda number, mark=mark: f'"{number:,.9f}"'.replace(",", mark),  # type: ignore[misc]
-            ),
-        )
-        for mark in (",", "'", "\N{NARROW NO-BREAK SPACE}")
-    },
 }
 
 
