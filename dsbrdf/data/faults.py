@@ -255,23 +255,25 @@ def _layout_finding(stored: Array) -> Iterator[Finding]:
     above, few = nodes_above_horizon(), stored[:, ::3, ::3]
     negative = few < 0.0
     filled = (~negative if negative.any() else few > 0.0).any(axis=0)
-    wrong = np.mean(filled != above[::3, ::3])
+    here = above[::3, ::3]
+    wrong = float(np.mean(filled != here))
     if wrong < _MIN_MISPLACED_FRACTION:
         return
     layouts = {
-        "theta_half descends": above[::-1],
-        "theta_half is evenly spaced": above[np.sqrt(90.0 * np.arange(90)).astype(int)],
-        "theta_diff descends": above[:, ::-1],
-        "theta_half and theta_diff are exchanged": above.swapaxes(0, 1),
-        "phi_diff covers 360 degrees": np.tile(above[..., ::2], 2),
-    } | {f"phi_diff begins at {first} degrees": np.roll(above, -first, axis=2) for first in range(1, 180)}
-    layout, mask = min(layouts.items(), key=lambda item: np.count_nonzero(filled != item[1][::3, ::3]))
-    if np.mean(filled != mask[::3, ::3]) < wrong / 3.0:
+        "theta_half descends": above[::-1][::3, ::3],
+        "theta_half is evenly spaced": above[np.sqrt(90.0 * np.arange(90)).astype(int)][::3, ::3],
+        "theta_diff descends": above[:, ::-1][::3, ::3],
+        "theta_half and theta_diff are exchanged": here.swapaxes(0, 1),
+        "phi_diff covers 360 degrees": np.tile(here[..., ::2], 2),
+    } | {f"phi_diff begins at {first} degrees": np.roll(here, -first, axis=2) for first in range(1, 180)}
+    misfits = {layout: float(np.mean(filled != mask)) for layout, mask in layouts.items()}
+    layout = min(misfits, key=misfits.__getitem__)
+    if misfits[layout] < wrong / 3.0:
         yield Finding(
             "misplaced-angles",
             f"At {wrong:.1%} of the nodes values are missing above the horizon or present below it, as in a file in "
             f"which {layout}: the model is that of another material. Write the file in the order of the MERL grid.",
-            {"fraction": float(wrong)},
+            {"fraction": wrong},
         )
 
 
