@@ -1,10 +1,11 @@
-"""Notice faults of measurements: clipped highlights, a missing centre, coarse values, exchanged angles.
+"""Notice faults of measurements: clipped highlights, a missing centre, stray light, coarse values, exchanged angles.
 
 Every threshold lies between good measurements, 9 of the RGL database and 62 stand-ins for MERL, and the same
 measurements with a fault. Sums over bins of phi_diff tell most faults; `value_findings` needs the samples.
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -43,8 +44,17 @@ MISTRUST_POWER = 12.0
 MAX_SINGLE_ROUGHNESS = 1.0
 """A bin beyond the cutoff whose logarithm differs more from its neighbours has less weight than they."""
 _DARK_FRACTION = 1e-3  # This fraction of the mean is added before a logarithm, because 0 has none.
-_USABLE_COSINE = float(np.cos(np.radians(75.0)))
-"""Jumps are looked for where both cosines to the normal are larger, because grazing values change fast by nature."""
+_FLOOR_EDGES_HALF = np.sqrt(90.0 * np.array([25.0, 35.0, 45.0, 55.0, 65.0, 75.0])).astype(int)
+_FLOOR_EDGES_DIFF = (0, 15, 30, 45, 60, 70)
+_FLOOR_COSINE = float(np.cos(np.radians(75.0)))
+_MIN_FLOOR_CELLS = 8
+_MIN_FLATNESS = 0.92
+"""Minimum over cells divided by the median, beyond which there is a floor; good grey measurements reach 0.90."""
+_MAX_FLOOR_COLOUR = 1.1
+"""Stray light is grey: channels whose minimum differs by a larger factor have no common floor.
+
+Known materials with Lambert's diffuse light are as even, and differ by a factor of 1.1 or more.
+"""
 _MIN_BINS_IN_SWEEP = 40
 _MAX_JUMP = 0.06
 """Limit of the third difference of logarithms over theta_diff that all theta_half share; good measurements reach 0.04.
@@ -152,7 +162,8 @@ def profile_findings(data: Profiles) -> Iterator[Finding]:
             {"disagreement": disagreement},
         )
     level, swing = cosine_parts()
-    usable = (level - swing * np.cos(FIRST_PHI) > _USABLE_COSINE) & (folded.weight > 0.0).all(axis=0)
+    usable = (level - swing * np.cos(FIRST_PHI) > _FLOOR_COSINE) & (folded.weight > 0.0).all(axis=0)
+    yield from _floor_finding(folded, usable)
     yield from _dark_findings(folded, usable)
     yield from _sweep_findings(folded, usable)
 
@@ -174,6 +185,29 @@ def _plateau_finding(folded: FoldedProfiles) -> Iterator[Finding]:
             "clipped-highlight",
             f"The highlight seems to be clipped: its top is flat in {' and '.join(names)}, with an edge. If it is, the "
             "height and the width of the fitted highlight are wrong. Measure it again with a shorter exposure.",
+        )
+
+
+def _floor_finding(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
+    """Yield a finding if, away from the highlight, values are the same at all theta_half and theta_diff."""
+    cells = []
+    for rows in pairwise(_FLOOR_EDGES_DIFF):
+        for columns in pairwise(_FLOOR_EDGES_HALF.tolist()):
+            cell = slice(*rows), slice(*columns)
+            if usable[cell].any():
+                cells.append(np.median(folded.mean[:, *cell][:, usable[cell]], axis=1))
+    if len(cells) < _MIN_FLOOR_CELLS:
+        return
+    lowest, middle = np.min(cells, axis=0), np.median(cells, axis=0)
+    is_grey = lowest.max() < _MAX_FLOOR_COLOUR * lowest.min()
+    if is_grey and np.all(lowest > _MIN_FLATNESS * middle) and folded.mean.max() > MIN_HIGHLIGHT_RATIO * middle.max():
+        value, spread = float(lowest.mean()), float(np.max(middle / lowest) - 1.0)
+        yield Finding(
+            "constant-floor",
+            f"Away from the highlight the values are {value:.2g}/sr at all theta_half and theta_diff, within "
+            f"{max(spread, 0.01):.0%}. Few materials are so even: stray light or a dark current may be in every "
+            "sample. Measure a black sample, and subtract its values.",
+            {"value": value, "spread": spread},
         )
 
 

@@ -48,6 +48,7 @@ FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
         lambda values: np.round(values / values.max() * 255.0) / 255.0 * values.max(),
         "right beside bright ones: the fit takes them for black. Write -1 where nothing was measured",
     ),
+    "constant-floor": (lambda values: values + 0.05, "the values are 0.051/sr at all theta_half and theta_diff"),
     "bad-horizon": (with_garbage, "a direction further than 80 degrees from the normal disagree"),
     "outside-gamut": (
         lambda values: values - np.array([0.0, 0.0, 0.02])[:, None, None, None],
