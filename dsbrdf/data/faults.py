@@ -5,7 +5,7 @@ measurements with a fault. Sums over bins of phi_diff tell most faults; `value_f
 """
 
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import product
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -44,17 +44,12 @@ MISTRUST_POWER = 12.0
 MAX_SINGLE_ROUGHNESS = 1.0
 """A bin beyond the cutoff whose logarithm differs more from its neighbours has less weight than they."""
 _DARK_FRACTION = 1e-3  # This fraction of the mean is added before a logarithm, because 0 has none.
-_FLOOR_EDGES_HALF = np.sqrt(90.0 * np.array([25.0, 35.0, 45.0, 55.0, 65.0, 75.0])).astype(int)
-_FLOOR_EDGES_DIFF = (0, 15, 30, 45, 60, 70)
 _FLOOR_COSINE = float(np.cos(np.radians(75.0)))
 _MIN_FLOOR_CELLS = 8
 _MIN_FLATNESS = 0.92
 """Minimum over cells divided by the median, beyond which there is a floor; good grey measurements reach 0.90."""
 _MAX_FLOOR_COLOUR = 1.1
-"""Stray light is grey: channels whose minimum differs by a larger factor have no common floor.
-
-Known materials with Lambert's diffuse light are as even, and differ by a factor of 1.1 or more.
-"""
+"""Channels whose minimum differs by a larger factor have no common floor; known even materials differ by more."""
 _MIN_BINS_IN_SWEEP = 40
 _MAX_JUMP = 0.06
 """Limit of the third difference of logarithms over theta_diff that all theta_half share; good measurements reach 0.04.
@@ -69,10 +64,7 @@ _MIN_CERTAINTY = 5.0  # A jump must exceed its standard error by this factor.
 _MIN_HOLLOW_FRACTION = 0.02
 """A highlight is hollow if its values double outwards at this fraction of (theta_diff, phi_diff); good ones: 0."""
 _MIN_MISPLACED_FRACTION = 0.002
-"""Angles are misplaced if more nodes lie on the wrong side of the horizon, and another layout puts most of them right.
-
-Good measurements have no such node.
-"""
+"""Angles are misplaced if more nodes lie on the wrong side of the horizon, as those of good measurements never do."""
 _MAX_COPIED_FRACTION = 0.5  # Good measurements have at most 0.04.
 _MAX_REPEATED = 0.2
 """Limit of the fraction of bins that equal the bin before, and not the one before that."""
@@ -190,12 +182,9 @@ def _plateau_finding(folded: FoldedProfiles) -> Iterator[Finding]:
 
 def _floor_finding(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
     """Yield a finding if, away from the highlight, values are the same at all theta_half and theta_diff."""
-    cells = []
-    for rows in pairwise(_FLOOR_EDGES_DIFF):
-        for columns in pairwise(_FLOOR_EDGES_HALF.tolist()):
-            cell = slice(*rows), slice(*columns)
-            if usable[cell].any():
-                cells.append(np.median(folded.mean[:, *cell][:, usable[cell]], axis=1))
+    # The cells lie between 24 and 75 degrees of theta_half, and below 75 degrees of theta_diff.
+    blocks = [np.s_[row : row + 15, column : column + 7] for row, column in product(range(0, 75, 15), range(47, 82, 7))]
+    cells = [np.median(folded.mean[:, *one][:, usable[one]], axis=1) for one in blocks if usable[one].any()]
     if len(cells) < _MIN_FLOOR_CELLS:
         return
     lowest, middle = np.min(cells, axis=0), np.median(cells, axis=0)
