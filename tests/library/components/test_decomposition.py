@@ -10,7 +10,7 @@ import dsbrdf
 from dsbrdf import DSBRDF, InvalidArgumentError, Measurement, decompose
 from dsbrdf.components import LABELS
 from dsbrdf.components.layers import DiffuseLayer, LayeredModel, SpecularLayer
-from dsbrdf.components.shares import SPIKE_HALF_WIDTH
+from dsbrdf.components.shares import SPIKE_HALF_WIDTH, WeightedLayers
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, synthetic_measurement
 from dsbrdf.model import FAMILIES
 from dsbrdf.model.lobes import gamma_of_half_width
@@ -182,6 +182,44 @@ def test_split_that_is_open_is_said() -> None:
     assert parts.remarks[0].startswith(said)
     assert parts.structure in parts.remarks[0]
     assert parts.structure == max(parts.structures, key=lambda one: one.weight).name
+
+
+METAL = WeightedLayers("metal", 0.6, LayeredModel((SpecularLayer(RED, 1.0, 0.2, 2.0, (0.0,) * 2, 0.0, 0.0),)), (False,))
+MATTE_LAYERS = WeightedLayers("diffuse", 0.4, LayeredModel((DiffuseLayer(RED, (0.0,) * 6),)), (True,))
+
+
+@pytest.mark.parametrize(
+    ("labels", "diffuse_range", "is_said"),
+    [
+        (LABELS[1:2], (0.0, 0.04), False),
+        (LABELS[1:2], (0.0, 0.06), True),  # A diffuse part may be missing.
+        (LABELS[2:], (0.91, 1.0), False),
+        (LABELS[2:], (0.89, 1.0), True),  # Its part of the light is wide open.
+        (LABELS[2:], (0.0, 0.09), True),  # It may not be there at all.
+    ],
+)
+def test_an_open_split_is_said_from_a_tenth_or_where_a_part_may_be_missing(
+    labels: tuple[str, ...], diffuse_range: tuple[float, float], is_said: bool, paint_model: DSBRDF
+) -> None:
+    parts = replace(decompose(paint_model), labels=labels, diffuse_range=diffuse_range, descriptions=(), ranges=())
+    alone = replace(
+        parts, descriptions=decompose(paint_model).descriptions[:1], ranges=decompose(paint_model).ranges[:1]
+    )
+    assert any(found.code == "open-split" for found in alone.findings) == is_said
+
+
+def test_layers_belong_to_the_nearest_component_and_a_component_to_a_structure_that_has_it(paint_model: DSBRDF) -> None:
+    parts = decompose(paint_model)
+    for labels, receivers in (
+        (LABELS[1:], LABELS[1:2] + LABELS[1:]),
+        (LABELS[::2], (LABELS[0], LABELS[0], LABELS[2])),
+        (LABELS[:2], (*LABELS[:2], LABELS[1])),
+        (LABELS[2:], LABELS[2:] * 3),
+    ):
+        assert tuple(replace(parts, labels=labels).receiver(label) for label in LABELS) == receivers
+    mixed = replace(parts, structures=(METAL, MATTE_LAYERS))
+    assert [part.structure for part in mixed] == ["metal", "diffuse"]
+    assert mixed.structure == "metal"
 
 
 @pytest.mark.parametrize(("ground", "is_tail"), [((0.15, 0.11, 0.07), True), ((0.1, 0.1, 0.1), False)])

@@ -9,10 +9,22 @@ import pytest
 
 import dsbrdf
 from dsbrdf.arrays import Array
-from dsbrdf.components import LABELS, Component, DiffuseLayer, Layer, LayeredModel, SpecularLayer, TurningLayer
-from dsbrdf.components.description import Description
+from dsbrdf.components import (
+    LABELS,
+    Component,
+    DiffuseLayer,
+    Layer,
+    LayeredModel,
+    RetroLayer,
+    SheenLayer,
+    SpecularLayer,
+    TurningLayer,
+)
+from dsbrdf.components.description import Description, describe
+from dsbrdf.components.layer_data import grid_values
 from dsbrdf.components.points import Points
-from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, Misfit, Surface
+from dsbrdf.components.shares import SurfaceSpread
+from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, PROFILE, Misfit, OwnValues, Surface, albedo_of
 from dsbrdf.model import ReflectanceModel
 from tests.support.models import mixture, random_model
 
@@ -132,6 +144,28 @@ def test_a_coat_stays_white_over_a_lobe_that_no_layer_describes() -> None:
     np.testing.assert_allclose(spike.color, 1.0, atol=0.4)
 
 
+@pytest.mark.parametrize(
+    ("layer", "code"),
+    [(SheenLayer((0.5,) * 3, (1.0, 1.0)), "sheen"), (RetroLayer((0.3,) * 3, 0.1), "retro-reflection")],
+)
+def test_sheen_and_retro_reflection_are_told(layer: Layer, code: str) -> None:
+    found = {one.code: one.numbers for one in decomposed(layer, GROUND).findings}
+    assert found.keys() & {"sheen", "retro-reflection"} == {code}
+    light = [LayeredModel(layers).albedo(0.0).sum() for layers in ((layer,), (layer, GROUND))]
+    assert found[code]["fraction"] == pytest.approx(light[0] / light[1], rel=0.2)
+
+
+def test_the_spread_over_probable_layers_widens_the_ranges() -> None:
+    model = LayeredModel((surface(GREEN, 0.12),))
+    own = OwnValues(grid_values(model.evaluate_unmasked), model.evaluate_unmasked(*PROFILE).T, albedo_of(model))
+    spreads = SurfaceSpread(0.0, np.zeros(3), np.zeros(3)), SurfaceSpread(0.3, np.full(3, 0.2), np.full(3, 0.1))
+    (narrow,), (wide,) = (describe(own, spread, is_diffuse=False).surfaces for spread in spreads)
+    for name, deviation in (("alpha", 0.3), ("f0", 0.2), ("f70", 0.1)):
+        values, ranges = ([np.ravel(getattr(one, name + end)) for one in (narrow, wide)] for end in ("", "_range"))
+        before, after = (np.log(found[1] / value[0]) for value, found in zip(values, ranges, strict=True))
+        assert after**2 - before**2 == pytest.approx((1.645 * deviation) ** 2, rel=1e-3)
+
+
 def test_a_lobe_below_a_spike_has_no_dent() -> None:
     parts = decomposed(surface((0.04,) * 3, 0.02), surface((0.3, 0.2, 0.1), 0.2), GROUND)
     lobe = parts["specular_lobe"].evaluate(np.radians(np.linspace(0.0, 4.0, 30)), 0.0)
@@ -173,12 +207,12 @@ def test_parameters_that_do_not_describe_are_withheld_with_a_sentence() -> None:
 
 def test_sentences_name_the_misfit() -> None:
     empty = Surface(None, None, None, None, None, None, None)
-    found = Description(LayeredModel(()), (empty,), Misfit(0.5, 0.2, 0.4, 0.2))
+    found = Description(LayeredModel(()), (empty,), Misfit(0.5, 0.2, 0.4, 0.3))
     assert found.half_width is None
     (sentence,) = found.remarks("specular_lobe")
     assert sentence == (
         "The specular lobe has no alpha or F0: its surfaces miss its peak by a factor of 1.50, its half width by a "
-        "factor of 1.40, its colour by 20% of the brightest channel and its albedo by 20%."
+        "factor of 1.40, its colour by 20% of the brightest channel and its albedo by 30%."
     )
 
 

@@ -110,6 +110,9 @@ def test_one_number_can_be_fixed_and_the_other_found() -> None:
     assert searched(TWO, 3, "auto")[0].structure.n_lobes == 3
     assert searched(TWO, "auto", 1)[0].structure.n_rings == 1
     assert searched(lobes_of((3.0, 8.0, 0.0)))[0].structure.rings == (False,)
+    for count, rings in ((7, 0), (8, "auto")):  # Any ring would explain data at so few theta_half.
+        few = replace(data_of(TWO), theta_half=THETA_HALF[COLUMNS[:count]])
+        assert Wanted("auto", "auto").limited_to(few).ring_lobes == rings
 
 
 def test_few_lobes_do_not_stay_where_one_start_ends() -> None:

@@ -44,6 +44,7 @@ def test_a_function_ggx_a_model_and_a_measurement_are_compared(measurement: Meas
             "model": SURFACE,
             "function": SURFACE.evaluate_directions,
             "ggx": "ggx",
+            "itself": measurement,
             "with holes": Measurement.from_values(measurement.values, measurement.valid & (np.arange(180) // 3 != 9)),
             # Directions further than 80 degrees from the normal do not count.
             "black": lambda i, o: np.where(np.minimum(i[:, 2:], o[:, 2:]) > np.cos(np.radians(80.5)), 0.0, 1e3),
@@ -54,6 +55,7 @@ def test_a_function_ggx_a_model_and_a_measurement_are_compared(measurement: Meas
     assert 0.0 < (found["with holes"].relative_rms or 0.0) < 1e-4
     assert (found["ggx"].psnr or 0.0) > 50.0
     assert found["black"].relative_rms == pytest.approx(1.0)
+    assert found["itself"].psnr == 200.0
 
 
 def test_two_ggx_highlights_are_found_again() -> None:

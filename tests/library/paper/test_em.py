@@ -80,6 +80,7 @@ def test_batch_gives_the_curves_of_plain_scipy_on_the_raw_samples(plastic: Measu
     found = em.fit_slices(ANGLES, mean, weight, n_lobes, iterations=ITERATIONS)
     # The plain version knows no bounds: these slices must not need them.
     assert found.gamma.min() > 1e-3
+    assert np.all(np.diff(found.kappa, axis=1) < 0.0)
     curves = mixture(found.kappa, found.gamma)
     for which, curve, iterations in zip(slices, curves, found.iterations.tolist(), strict=True):
         expected = algorithm_1(*raw_slice(plastic, *which), n_lobes, iterations)
@@ -132,4 +133,5 @@ def test_more_lobes_than_data_have_stay_finite() -> None:
     mean[0, 3:6], weight[0, 3:6], weight[1] = [1e5, 2e5, 1e4], 1.0, 1.0
     found = em.fit_slices(ANGLES, mean, weight, 8)
     assert np.isfinite([found.kappa, found.gamma]).all()
+    np.testing.assert_array_equal(em.e_step(np.zeros((1, 4, 3))), 0.25)  # where all lobes underflow
     assert np.isfinite(mixture(found.kappa, found.gamma)).all()
