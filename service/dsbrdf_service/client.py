@@ -6,7 +6,6 @@ with Client("http://127.0.0.1:8000") as client:
 """
 
 import hashlib
-import json
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -214,12 +213,15 @@ class Client:
         left = self._timeout
         try:
             while (answer := self._http.request(method, url, params=given, **request)).status_code in (429, 503):
-                pause = answer.headers.get("retry-after", "")
-                if not pause.isdecimal() or int(pause) > left:
+                given_pause = answer.headers.get("retry-after", "")
+                if not given_pause.isdecimal():
                     break
-                left -= int(pause)
-                time.sleep(int(pause))
-        except httpx.ConnectError as error:
+                pause = max(1, int(given_pause))  # A pause of 0 s, which proxies may name, would never end the loop.
+                if pause > left:
+                    break
+                left -= pause
+                time.sleep(pause)
+        except (httpx.ConnectError, httpx.ConnectTimeout) as error:
             address = str(self._http.base_url).rstrip("/")
             advice = "is a service running there? dsbrdf serve starts one"
             raise ConnectionError(f"nothing answers at {address}: {advice} ({error})") from error
@@ -227,8 +229,10 @@ class Client:
             return answer
         title = f"{answer.status_code} {answer.reason_phrase}"
         problem: dict[str, Any] = {"status": answer.status_code, "title": title}
-        with suppress(json.JSONDecodeError):  # A proxy may answer without JSON.
-            problem |= answer.json()
+        with suppress(ValueError):  # A proxy may answer without JSON, or in another encoding than UTF-8.
+            document = answer.json()
+            if isinstance(document, dict):
+                problem |= document
         kind = _LIBRARY_ERRORS.get(problem.get("type", ""))
         raise ServiceError(problem) if kind is None else kind(problem["detail"])
 

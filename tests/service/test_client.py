@@ -170,6 +170,31 @@ def test_request_is_repeated_after_the_time_that_the_service_names(slept: list[f
     assert asked == ["GET"] * 2 + ["POST"] * 3
 
 
+def test_pause_of_zero_seconds_does_not_repeat_a_request_without_end(slept: list[float]) -> None:
+    with pytest.raises(ServiceError, match="refused with 503"):
+        upload(2.0, *[(503, "0")] * 3)
+    assert slept == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("content", ["<p>Dienst nicht verfügbar</p>".encode("latin-1"), b'"bad gateway"', b"null"])
+def test_answers_of_a_proxy_become_service_errors(content: bytes) -> None:
+    client = Client()
+    answer = httpx.MockTransport(lambda _: httpx.Response(502, content=content))
+    client._http = httpx.Client(base_url="http://service", transport=answer)
+    with pytest.raises(ServiceError, match="502 Bad Gateway"):
+        client.get("0" * 32)
+
+
+def test_address_without_any_answer_is_a_connection_error() -> None:
+    def silence(request: httpx.Request) -> httpx.Response:
+        raise httpx.ConnectTimeout("timed out", request=request)
+
+    client = Client()
+    client._http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(silence))
+    with pytest.raises(ConnectionError, match="nothing answers at http://service"):
+        client.get("0" * 32)
+
+
 @pytest.mark.parametrize(
     "answer",
     [
