@@ -266,9 +266,10 @@ def _lock(folder: Path) -> Iterator[None]:
     """The exclusive lock on a folder; raise DataFolderError if another server holds it."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DataFolderError(f"the data folder {folder} is in use by another server") from None
         yield
-    except BlockingIOError:
-        raise DataFolderError(f"the data folder {folder} is in use by another server") from None
     finally:
         os.close(descriptor)

@@ -37,7 +37,8 @@ def remove_rows(db: sqlite3.Connection, blobs: Blobs, rows: Sequence[tuple[int, 
     """
     db.executemany("DELETE FROM measurements WHERE rowid = ?", [(rowid,) for rowid, _ in rows])
     unwanted = [sha256 for _, sha256 in rows if not _has_row(db, sha256)]
-    if unwanted and shutil.disk_usage(blobs.temporary).free < _SPARE_DISK_BYTES:
+    # A restored copy of the data folder may lack the empty folder of temporary files, so its parent is asked.
+    if unwanted and shutil.disk_usage(blobs.temporary.parent).free < _SPARE_DISK_BYTES:
         for sha256 in unwanted:
             blobs.path(sha256).unlink(missing_ok=True)
     return unwanted

@@ -188,6 +188,8 @@ def test_files_without_rows_go_only_when_that_is_asked_for(store: Store, tmp_pat
     assert purged == {"fits": 0, "measurements": 0, "files_without_rows": 1, "bytes": len(b"second")}
     assert not store.blobs.path(second).exists()
     assert store.measurement_file("", first)[1].read_bytes() == b"first"
+    (tmp_path / "tmp").rmdir()  # A restored copy may lack empty folders.
+    assert purge_folder(tmp_path, 1e12)["bytes"] == len(b"first")
 
 
 @pytest.mark.parametrize("harm", [b"other", b"anything else", None])
