@@ -91,6 +91,7 @@ def test_every_response_has_security_headers(guarded: Guarded) -> None:
         "with a slash": http_client.get("/v1/fits/", headers=guarded.alice),
         "too long a head": http_client.get("/v1/fits", headers={"X-Long": "x" * 9000}),
     }
+    assert answers["wrong method"].headers["allow"] == "GET, HEAD, POST"
     for name, answer in answers.items():
         assert answer.headers["x-content-type-options"] == "nosniff", name
         assert answer.headers["x-frame-options"] == "DENY"

@@ -138,6 +138,18 @@ async def test_keys_take_turns_with_long_batches(running: Application, key: str,
     assert bodies.index(LONG_BATCH[:-2] + b",1]}") <= 2
 
 
+async def test_a_stop_cancels_what_is_being_computed(
+    running: Application, key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endless: Future[Any] = Future()
+    monkeypatch.setattr(Processes, "call", lambda *_: endless)
+    running.ask(EXPORT, key)
+    computations = running.app.state.context.computations
+    await until(lambda: bool(computations._unfinished))
+    await asyncio.wait_for(computations.close(), 5.0)
+    assert endless.cancelled()
+
+
 async def test_full_disk_at_an_export_is_507(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(results, "export_step", lambda *_: Path("/dev/full").write_bytes(b"a table"))
     answer = await running.ask(f"{FIT_PATH}/export?format=merl", key).end()
@@ -156,11 +168,12 @@ async def test_export_without_a_folder_for_its_file_is_a_problem(running: Applic
     assert not list(folder.iterdir())
 
 
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
 async def test_without_inodes_what_writes_is_507_and_what_reads_works(
-    running: Application, key: str, data: bytes, monkeypatch: pytest.MonkeyPatch
+    running: Application, key: str, data: bytes, monkeypatch: pytest.MonkeyPatch, code: int
 ) -> None:
     def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        raise OSError(code, os.strerror(code))
 
     async def status(target: str, method: str = "GET", body: bytes = b"") -> int:
         return (await running.ask(target, key, method, body, "application/octet-stream").end()).status
