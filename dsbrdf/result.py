@@ -1,7 +1,7 @@
 """Keep the result of a fit, the model and its report, and find what a user should know before using it.
 
-Here is made all that a result says: in Python, on the command line, over HTTP, on the page and in notebooks. A report
-consists of frozen dataclasses, tuples and numbers, so that reports can be compared, hashed and pickled.
+Python, the command line, HTTP, the page and notebooks all show `FitReport.findings`. A report consists of frozen
+dataclasses, tuples and numbers, so that reports can be compared, hashed and pickled.
 
 The limits were chosen on 71 reference materials, 9 of the RGL database and 62 stand-ins for MERL, so that only the
 materials with the worst fits exceed a limit. The comment on each limit has the largest value of all other materials.

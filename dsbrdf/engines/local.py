@@ -241,7 +241,9 @@ def _fault_of_exit(code: int | None) -> Fault:
     # Native libraries abort if an allocation fails.
     if code in (OUT_OF_MEMORY, -signal.SIGABRT):
         return MEMORY_LIMIT
-    reason = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
+    reason = f"exit code {code}"
+    if code is not None and code < 0:  # Most real-time signals have no name.
+        reason = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
     if reason == "SIGXCPU":
         return Fault("compute", "ProcessorLimit", "The fit took more processor time than a fit may take.")
     if reason in _FROM_OUTSIDE:

@@ -51,6 +51,8 @@ def test_what_a_process_does_to_itself_is_a_crash(processes: Processes) -> None:
     crash, end = processes.call(die, signal.SIGSEGV), processes.call(exit_with, 3)
     assert crash.result(PATIENCE) == Fault("compute", "ProcessCrashed", "The fit's process crashed (SIGSEGV).")
     assert end.result(PATIENCE) == Fault("compute", "ProcessCrashed", "The fit's process crashed (exit code 3).")
+    nameless = processes.call(die, signal.SIGRTMIN + 1)
+    assert nameless.result(PATIENCE).message == f"The fit's process crashed (signal {signal.SIGRTMIN + 1})."
 
 
 def test_process_that_stops_while_it_sends_holds_up_no_other() -> None:
