@@ -22,7 +22,7 @@ from dsbrdf.output import encode_figure
 from dsbrdf.output.figures import overview_figure, parameters_figure, profiles_figure
 from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, SphereComparison, compare_spheres, encode_png, side_by_side
-from dsbrdf.rendering import displayed, sphere_likeness
+from dsbrdf.rendering import displayed, sphere_likeness, sphere_normals
 from tests.support.models import mixture, papers_model
 
 pytestmark = pytest.mark.slow
@@ -155,6 +155,8 @@ def test_panels_have_the_exposure_of_the_measurement(plastic: Measurement) -> No
     difference = np.minimum(DIFFERENCE_GAIN * np.abs(seen - compared), 1.0)
     np.testing.assert_allclose(found.panels["difference x 4"], difference)
     assert (found.psnr, found.ssim) == sphere_likeness(measured, fitted)
+    mask = sphere_normals(24)[1]
+    assert found.psnr == pytest.approx(-10.0 * np.log10(np.mean((seen - compared)[mask] ** 2)))
     assert list(found.panels)[3:] == [component.label.replace("_", " ") for component in decompose(PAINT)]
     picture = side_by_side(found.panels)
     assert picture.shape == (24, len(found.panels) * 24, 3)

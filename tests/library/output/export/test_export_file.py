@@ -169,6 +169,7 @@ NO_NAMES = ("", "2nd", "gl_paint", "a__b", "paint_", "flat", "a-b", "é", "p" * 
         *((lambda name=name: export_model(MODEL, "glsl", name=name), "must begin with a letter") for name in NO_NAMES),
         (lambda: glsl_function(single_lobe(1.0, 1.0, 1e39)), "too large for GLSL"),
         (lambda: export_model(single_lobe(1.0, 1.0, 1e200), "materialx"), "too large for a picture"),
+        (lambda: export_model(MODEL, "csv", sampling=True), "sampling are options of the format glsl, not of csv"),
         (lambda: example(Path("a.csv"), "csv", b"", ""), "example for glsl, bsdf, bsdf-spectral or materialx, not"),
     ],
 )
