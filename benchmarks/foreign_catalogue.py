@@ -9,6 +9,7 @@ from benchmarks.foreign_kinds import (
     anodised,
     compensated_metal,
     plastic_with,
+    refracted_flakes,
     retro,
     two_flakes,
     two_roughnesses,
@@ -172,6 +173,12 @@ KINDS: dict[str, Callable[[], tuple[Material, ...]]] = {
         two_flakes(0.015, 0.1, 0.35, (0.25, 0.18, 0.10), (0.08, 0.05, 0.03)),
         two_flakes(0.01, 0.2, 0.5, (0.20, 0.05, 0.05), (0.10, 0.02, 0.02)),
         two_flakes(0.03, 0.14, 0.38, (0.12, 0.20, 0.12), (0.03, 0.08, 0.04)),
+    ),
+    "refracted_flakes": lambda: (
+        refracted_flakes(0.02, 0.12, (0.15, 0.20, 0.45), (0.05, 0.08, 0.20)),
+        refracted_flakes(0.01, 0.25, (0.40, 0.38, 0.35), (0.15, 0.14, 0.12)),
+        refracted_flakes(0.03, 0.15, (0.25, 0.05, 0.05), (0.20, 0.03, 0.03)),
+        refracted_flakes(0.015, 0.1, (0.20, 0.30, 0.15), (0.02, 0.05, 0.02)),
     ),
     "retro_reflection_beside_plastic": lambda: (
         plastic_with(0.2, (0.5, 0.3, 0.05), specular=(retro(0.15, (0.2, 0.15, 0.05)),)),

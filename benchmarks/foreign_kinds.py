@@ -57,6 +57,16 @@ def dyed(part: Part, density: Color) -> Part:
     return lambda i, o: part(i, o) * np.exp(-np.array(density) * (1.0 / i[:, 2:] + 1.0 / o[:, 2:]))
 
 
+def refracted(part: Part, ior: float = 1.5) -> Part:
+    """A part under a smooth coat that refracts the light on its way in and out."""
+
+    def inside(omega: Array) -> Array:
+        along = omega[:, :2] / ior
+        return np.column_stack([along, np.sqrt(1.0 - np.sum(along**2, axis=1))])
+
+    return under_coat(lambda i, o: part(inside(i), inside(o)) / ior**2, ior)
+
+
 @cache
 def lost_light(alpha: float) -> tuple[Array, Array]:
     """Cosines, and the light that GGX without absorption loses between its facets there."""
@@ -105,6 +115,10 @@ def two_flakes(coat: float, fine: float, coarse: float, color: Color, ground: Co
     return Material((dielectric_coat(coat), under_coat(flakes)), (under_coat(lambert(ground)),))
 
 
+def refracted_flakes(coat: float, alpha: float, color: Color, ground: Color) -> Material:
+    return Material((dielectric_coat(coat), refracted(conductor(alpha, color=color))), (under_coat(lambert(ground)),))
+
+
 def anodised(alpha: float, density: Color, coat: float) -> Material:
     return Material((dielectric_coat(coat, 1.65), under_coat(dyed(conductor(alpha, "Al"), density), 1.65)))
 
@@ -116,6 +130,7 @@ KINDS: dict[str, Callable[[], Material]] = {
         0.15, (0.3, 0.05, 0.08), diffuse=(charlie_sheen(0.3, (0.3, 0.25, 0.25)),)
     ),
     "flakes_of_two_scales": lambda: two_flakes(0.01, 0.12, 0.4, (0.15, 0.15, 0.16), (0.02, 0.02, 0.02)),
+    "refracted_flakes": lambda: refracted_flakes(0.015, 0.2, (0.3, 0.2, 0.1), (0.1, 0.06, 0.03)),
     "retro_reflection_beside_plastic": lambda: plastic_with(
         0.1, (0.4, 0.4, 0.4), specular=(retro(0.1, (0.15, 0.15, 0.15)),)
     ),

@@ -188,7 +188,7 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks truth", description=__doc__)
     parser.add_argument("--names", default="", help="only materials whose name contains one of these, with commas")
     parser.add_argument("--random", type=int, metavar="N", help="N materials drawn at random instead of the catalogue")
-    parser.add_argument("--kinds", action="store_true", help="30 materials that scatter light several ways instead")
+    parser.add_argument("--kinds", action="store_true", help="35 materials that scatter light several ways instead")
     parser.add_argument("--seed", type=int, default=1, help="of the random materials (default: 1)")
     parser.add_argument("--noise", type=float, default=0.0, help="relative noise of every value (default: 0)")
     models_help = "keep fits and truth there, and take those that are there; these are decomposed anew, with the time"

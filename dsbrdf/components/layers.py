@@ -10,7 +10,14 @@ surface of microfacets (Cook and Torrance 1982), with s = s(cos(theta_diff)),
 D is Student's t distribution of slopes with the exponent tau, normalised by g = tau - 1: tau = 2 is GGX (Walter
 2007), and a large tau is Beckmann's distribution, both with their usual alpha. V is GGX's Smith masking divided by
 4 cos_in cos_out; b = 0 is its height-correlated form, and b = 1 its separable form. T is the fraction of light that
-passes a clear coat both ways; t is 1 for a layer below a coat, and otherwise 0. A **turning layer** is a specular layer
+passes a clear coat both ways; t is 1 for a layer below a coat, and otherwise 0.
+
+A coat of index n = 1.5 also refracts the light, by Snell's law. Let below_in and below_out be n times the cosines of
+both refracted directions to the normal. Then tan(theta_half)**2 is multiplied by the power r of ((cos_in + cos_out) /
+(below_in + below_out))**2, f by the power r of cos_in cos_out / (below_in below_out), and alpha by n**-r: alpha remains
+the roughness that is seen at normal incidence. r is 1 for a smooth coat, and 0 without refraction.
+
+A **turning layer** is a specular layer
 times exp(a sin(theta_half)**2 + b u), where the channels of a and of b sum to 0. A **diffuse layer** is
 
     f = rho / pi exp(p . X),
@@ -28,13 +35,13 @@ Positive parameters are replaced by their logarithms.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.components.points import COAT_F0, Points, fresnel_rise, grid_points
+from dsbrdf.components.points import COAT_F0, COAT_INDEX, Points, fresnel_rise, grid_points
 from dsbrdf.model.reflectance import RenderableModel
 
 Color: TypeAlias = tuple[float, float, float]
@@ -69,8 +76,8 @@ class SpecularLayer:
         Roughness, and the exponent tau of the tails: 2 is GGX, and a smaller exponent makes a longer tail.
     rise : tuple of float
         Exponents q1 and q2, by which the reflectance of the facets deviates from glass.
-    masking, under_coat : float
-        Exponent b of the masking, and exponent t of the light that passes a coat.
+    masking, under_coat, refraction : float
+        Exponents b of the masking, t of the light that passes a coat, and r of the refraction by a coat.
     """
 
     f0: Color
@@ -79,14 +86,15 @@ class SpecularLayer:
     tail_exponent: float
     rise: tuple[float, float]
     masking: float
-    under_coat: float
+    under_coat: float = 0.0
+    refraction: float = 0.0
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> SpecularLayer:
-        """Make a layer from the array (10,) of its unknowns."""
+        """Make a layer from the array (11,) of its unknowns."""
         red, green, blue, f90, alpha, tail_exponent = np.exp(unknowns[[0, 1, 2, 3, 6, 7]]).tolist()
-        q1, q2, masking, under_coat = unknowns[[4, 5, 8, 9]].tolist()
-        return cls((red, green, blue), f90, alpha, tail_exponent, (q1, q2), masking, under_coat)
+        q1, q2, masking, under_coat, refraction = unknowns[[4, 5, 8, 9, 10]].tolist()
+        return cls((red, green, blue), f90, alpha, tail_exponent, (q1, q2), masking, under_coat, refraction)
 
     @property
     def reflectance(self) -> Array:
@@ -100,9 +108,9 @@ class SpecularLayer:
         return red, green, blue
 
     def reflectance_slopes(self, theta_diff: float) -> Array:
-        """Return the derivatives of the logarithm of `reflectance_at` in the layer's unknowns, (channels, 10)."""
+        """Return the derivatives of the logarithm of `reflectance_at` in the layer's unknowns, (channels, 11)."""
         low, high = self._reflectance_parts(theta_diff)
-        rise, slopes = 1.0 - np.cos(theta_diff), np.zeros((3, 10))
+        rise, slopes = 1.0 - np.cos(theta_diff), np.zeros((3, 11))
         slopes[:, :3] = np.diag(low / (low + high))
         slopes[:, 3] = high / (low + high)
         slopes[:, 4:6] = rise, rise**2
@@ -122,21 +130,25 @@ class SpecularLayer:
 
     @property
     def unknowns(self) -> Array:
-        """Array (10,) of the unknowns of the layer."""
+        """Array (11,) of the unknowns of the layer."""
         logs = np.log([*self.f0, self.f90, self.alpha, self.tail_exponent])
-        return np.array([*logs[:4], *self.rise, *logs[4:], self.masking, self.under_coat])
+        return np.array([*logs[:4], *self.rise, *logs[4:], self.masking, self.under_coat, self.refraction])
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
         """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
-        surface = _Surface(points, *np.exp(unknowns[6:8]))
+        alpha, tail_exponent = np.exp(unknowns[6:8]).tolist()
+        surface = _Surface(points, alpha, tail_exponent, float(unknowns[10]))
         masking = unknowns[8]
         shape = np.exp(surface.log_shape(masking) + unknowns[4:6] @ points.rise + unknowns[9] * points.passed)
         own = np.exp(unknowns[:3])[:, np.newaxis] * (shape * (1.0 - points.fresnel))
         grazing = np.exp(unknowns[3]) * shape * points.fresnel
-        return Linearized(
-            own + grazing, own, lambda: np.array([*points.rise, *surface.derivatives(masking), points.passed]), grazing
-        )
+
+        def relative() -> Array:
+            *shape, by_refraction = surface.derivatives(masking)
+            return np.array([*points.rise, *shape, points.passed, by_refraction])
+
+        return Linearized(own + grazing, own, relative, grazing)
 
 
 @dataclass(frozen=True)
@@ -149,25 +161,25 @@ class TurningLayer(SpecularLayer):
         Colours a and b in the module's equation of a turning layer, RGB.
     """
 
-    turn: tuple[Color, Color]
+    turn: tuple[Color, Color] = field(kw_only=True)
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> TurningLayer:
-        """Make a layer from the array (14,) of its unknowns."""
-        first, second = ((red, green, blue) for red, green, blue in (unknowns[10:].reshape(2, 2) @ CONTRASTS).tolist())
-        return cls(**vars(SpecularLayer.from_unknowns(unknowns[:10])), turn=(first, second))
+        """Make a layer from the array (15,) of its unknowns."""
+        first, second = ((red, green, blue) for red, green, blue in (unknowns[11:].reshape(2, 2) @ CONTRASTS).tolist())
+        return cls(**vars(SpecularLayer.from_unknowns(unknowns[:11])), turn=(first, second))
 
     @property
     def unknowns(self) -> Array:
-        """Array (14,) of the unknowns of the layer."""
+        """Array (15,) of the unknowns of the layer."""
         return np.concatenate([super().unknowns, (np.array(self.turn) @ CONTRASTS.T).ravel()])
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
         """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
-        plain = SpecularLayer.linearize(points, unknowns[:10])
+        plain = SpecularLayer.linearize(points, unknowns[:11])
         turns = np.concatenate([CONTRASTS[:, :, np.newaxis] * angle for angle in (points.ground[4], points.rise[0])])
-        factor = np.exp(np.tensordot(unknowns[10:], turns, 1))
+        factor = np.exp(np.tensordot(unknowns[11:], turns, 1))
 
         def relative() -> Array:
             of_all = plain.relative()
@@ -179,31 +191,36 @@ class TurningLayer(SpecularLayer):
 class _Surface:
     """Evaluate the logarithm of D V, the distribution times the masking of a specular layer, and its derivatives."""
 
-    def __init__(self, points: Points, alpha: float, tail_exponent: float) -> None:
-        self._points, self._exponent = points, tail_exponent
-        self._square = square = alpha**2
+    def __init__(self, points: Points, alpha: float, tail_exponent: float, refraction: float = 0.0) -> None:
+        self._points, self._exponent, self._refraction = points, tail_exponent, refraction
+        self._square = square = (alpha / COAT_INDEX**refraction) ** 2
         self._seen = np.sqrt(1.0 - (1.0 - square) * points.squared_sines)
         (cos_in, cos_out), (seen_in, seen_out) = points.cosines, self._seen
         self._together = cos_out * seen_in + cos_in * seen_out
         self._apart = points.cosines + self._seen
         self._by_masking = np.log(2.0 * self._together / (self._apart[0] * self._apart[1]))
         self._norm, self._norm_slope = tail_norm(tail_exponent)
-        self._slope = points.squared_tangent / (self._norm * square)
+        self._squared_tangent = points.squared_tangent * np.exp(refraction * points.refraction[0])
+        self._slope = self._squared_tangent / (self._norm * square)
         self._tail = np.log1p(self._slope)
 
     def log_shape(self, masking: float) -> Array:
         norm = 1.0 / (2.0 * np.pi * self._square)
-        tails = 2.0 * self._points.log_squared_secant - self._exponent * self._tail
-        return np.asarray(tails + np.log(norm / self._together) + masking * self._by_masking)
+        tails = 2.0 * np.log1p(self._squared_tangent) - self._exponent * self._tail
+        refracted = self._refraction * self._points.refraction[1]
+        return np.asarray(tails + np.log(norm / self._together) + masking * self._by_masking + refracted)
 
-    def derivatives(self, masking: float) -> tuple[Array, Array, Array]:
-        """Return the derivatives of `log_shape` in log alpha, in log tau and in the exponent of the masking."""
+    def derivatives(self, masking: float) -> tuple[Array, Array, Array, Array]:
+        """Return the derivatives of `log_shape` in log alpha, log tau, and the exponents of masking and refraction."""
         points, pulled = self._points, self._exponent * self._slope / (1.0 + self._slope)
         (cos_in, cos_out), by_seen = points.cosines, self._square * points.squared_sines / self._seen
         together = -(cos_out * by_seen[0] + cos_in * by_seen[1]) / self._together
         apart = -(by_seen / self._apart).sum(axis=0)
         by_alpha = 2.0 * (pulled - 1.0) + together + masking * (apart - together)
-        return by_alpha, self._exponent * (self._norm_slope / self._norm * pulled - self._tail), self._by_masking
+        by_tail = self._exponent * (self._norm_slope / self._norm * pulled - self._tail)
+        by_tangent = 2.0 * self._squared_tangent / (1.0 + self._squared_tangent) - pulled
+        by_refraction = by_tangent * points.refraction[0] + points.refraction[1] - np.log(COAT_INDEX) * by_alpha
+        return by_alpha, by_tail, self._by_masking, by_refraction
 
 
 def tail_norm(tail_exponent: float) -> tuple[float, float]:
@@ -298,9 +315,7 @@ class RetroLayer:
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
         """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
-        squared = points.squared_retro
-        turned = points._replace(squared_tangent=squared, log_squared_secant=np.log1p(squared))
-        surface = _Surface(turned, float(np.exp(unknowns[3])), 2.0)
+        surface = _Surface(points._replace(squared_tangent=points.squared_retro), float(np.exp(unknowns[3])), 2.0)
         values = np.exp(unknowns[:3])[:, np.newaxis] * np.exp(surface.log_shape(0.0))
         return Linearized(values, values, lambda: surface.derivatives(0.0)[0][np.newaxis])
 

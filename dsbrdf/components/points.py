@@ -14,6 +14,8 @@ import numpy as np
 from dsbrdf.arrays import Array
 from dsbrdf.model.albedo import half_vector_rule
 
+COAT_INDEX = 1.5
+"""Refractive index of the clear coat above a layer."""
 COAT_F0 = 0.04
 """Reflectance at normal incidence of the clear coat above a layer."""
 MIN_COSINE = 0.02
@@ -31,7 +33,6 @@ class Points(NamedTuple):
     """The quantities that layers need at N pairs of directions, as arrays (N,) or stacks of such arrays."""
 
     squared_tangent: Array  # tan(theta_half)**2
-    log_squared_secant: Array
     cosines: Array  # cosines of omega_in and of omega_out to the normal, (2, N)
     squared_sines: Array  # 1 - cosines**2, (2, N)
     fresnel: Array  # reflectance of glass at theta_diff, from 0 (normal) to 1 (grazing)
@@ -39,6 +40,7 @@ class Points(NamedTuple):
     rise: Array  # u = 1 - cos(theta_diff), and u**2
     ground: Array  # the six terms of a diffuse layer, see `dsbrdf.components.layers`
     fibres: Array  # logarithms of 1 - cos(theta_diff) and of sin(theta_half), for sheen
+    refraction: Array  # logarithms of factors of tan(theta_half)**2 and of values, due to refraction, (2, N)
     squared_retro: Array  # tan(theta_half)**2 after omega_in is turned by 180 degrees about the normal
 
     @classmethod
@@ -47,6 +49,7 @@ class Points(NamedTuple):
         cos_half, sin_half, cos_diff = np.cos(theta_half), np.sin(theta_half), np.cos(theta_diff)
         level, swing = cos_diff * cos_half, np.sin(theta_diff) * sin_half * np.cos(phi_diff)
         cos_in, cos_out = cosines = np.maximum(np.stack([level - swing, level + swing]), MIN_COSINE)
+        below = np.sqrt(COAT_INDEX**2 - 1.0 + cosines**2)
         squared_tangent = np.minimum((sin_half / np.maximum(cos_half, 1e-9)) ** 2, MAX_TAN2)
         rise = 1.0 - np.maximum(cos_diff, 0.0)
         to_in, to_out, fresnel = map(fresnel_rise, (cos_in, cos_out, 1.0 - rise))
@@ -63,7 +66,6 @@ class Points(NamedTuple):
         )
         return cls(
             squared_tangent=squared_tangent,
-            log_squared_secant=np.log1p(squared_tangent),
             cosines=cosines,
             squared_sines=1.0 - cosines**2,
             fresnel=fresnel,
@@ -71,6 +73,9 @@ class Points(NamedTuple):
             rise=np.stack([rise, rise**2]),
             ground=np.stack(ground),
             fibres=np.log(np.stack([np.maximum(rise, MIN_RISE), np.maximum(sin_half, MIN_SINE)])),
+            refraction=np.log(
+                np.stack([(cosines.sum(axis=0) / below.sum(axis=0)) ** 2, np.prod(cosines / below, axis=0)])
+            ),
             squared_retro=np.maximum(4.0 * np.sin(theta_diff) ** 2 - (cos_in - cos_out) ** 2, 0.0)
             / (cos_in + cos_out) ** 2,
         )

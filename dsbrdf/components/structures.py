@@ -145,14 +145,13 @@ class LayerStructure:
         parts = zip(self.layers, self.slices, strict=True)
         return LayeredModel(tuple(layer.kind.from_unknowns(unknowns[part]) for layer, part in parts))
 
-    def no_narrower(self, half_width: float) -> "LayerStructure":
-        """Return the structure with a lower bound of the half widths of its specular layers, as GGX [rad]."""
-        least, layers = np.log(np.tan(half_width) / np.sqrt(np.sqrt(2.0) - 1.0)), list(self.layers)
-        for place, layer in enumerate(layers):
-            if issubclass(layer.kind, SpecularLayer):
-                is_alpha = np.arange(layer.lower.size) == 6
-                layers[place] = replace(layer, lower=np.where(is_alpha, np.maximum(layer.lower, least), layer.lower))
-        return replace(self, layers=tuple(layers))
+    def of_samples(self, min_half_width: float) -> "LayerStructure":
+        """Return the structure for scattered samples, with a lower bound of the half widths of surfaces, as GGX [rad].
+
+        Coats do not refract, because few samples do not tell a refracted highlight from a rougher one.
+        """
+        min_log_alpha = np.log(np.tan(min_half_width) / np.sqrt(np.sqrt(2.0) - 1.0))
+        return replace(self, layers=tuple(layer.of_samples(min_log_alpha) for layer in self.layers))
 
     @property
     def is_diffuse(self) -> tuple[bool, ...]:
@@ -238,7 +237,7 @@ RARE_STRUCTURES = (
     LayerStructure(
         "coat over flakes of two scales over diffuse",
         (CLEAR_COAT, HIGHLIGHT_UNDER_COAT, HIGHLIGHT_UNDER_COAT, GROUND),
-        12.0,
+        8.0,
         parent="coat over highlight over diffuse",
         start_factors=((0, 1.0), (1, 0.7), (1, 2.0)),
     ),

@@ -66,7 +66,7 @@ class SampleLayers:
         narrowest = max(min(nearest, _APERTURE), nearest / 4.0, _MIN_HALF_WIDTH)
         found = list[tuple[FittedStructure, float]]()
         for stretch in dict.fromkeys(stretch for _, stretch in candidates):
-            structures = [structure.no_narrower(narrowest) for structure, given in candidates if given == stretch]
+            structures = [structure.of_samples(narrowest) for structure, given in candidates if given == stretch]
             found += [(one, stretch) for one in fit_structures(_layer_data(samples, stretch), structures)]
         weights = structure_weights([one for one, _ in found]) * [_STRETCHES[stretch] for _, stretch in found]
         weights = weights / weights.sum()
@@ -131,7 +131,7 @@ def _points(theta_half: Array, theta_diff: Array, phi_diff: Array, stretch: floa
         return points
     narrowed = np.maximum(np.cos(theta_diff), _LOWEST_COSINE_DIFF) ** (2.0 * stretch)
     squared = points.squared_tangent * (np.cos(phi_diff) ** 2 + narrowed * np.sin(phi_diff) ** 2)
-    return points._replace(squared_tangent=squared, log_squared_secant=np.log1p(squared))
+    return points._replace(squared_tangent=squared)
 
 
 def _layer_data(samples: ScatteredSamples, stretch: float) -> LayerData:

@@ -22,7 +22,7 @@ import numpy
 
 from dsbrdf.components.component import Component
 from dsbrdf.components.layers import Layer, LayeredModel
-from dsbrdf.components.points import COAT_F0, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
+from dsbrdf.components.points import COAT_F0, COAT_INDEX, MAX_TAN2, MIN_COSINE, MIN_RISE, MIN_SINE
 from dsbrdf.components.shares import EXCESS_HALO_TAN2, HALO_TAN2, LABELS, MIN_LIGHT
 from dsbrdf.data.geometry import CENTER_CUTOFF
 from dsbrdf.model.dsbrdf import DSBRDF
@@ -99,39 +99,41 @@ def _student(xp: Any, kappa: Any, gamma: Any, square: Any, top2: Any) -> Any:
     return xp.exp(xp.clip(kappa * (xp.log1p(gamma * top2) - xp.log1p(gamma * square)), low, None))
 
 
-def _rise(xp: Any, cosine: Any) -> Any:
-    """Return the reflectance of glass, scaled to 0 at normal incidence and to 1 at grazing incidence."""
-    bent = xp.sqrt(1.25 + cosine**2)
+def _rise(xp: Any, cosine: Any, bent: Any) -> Any:
+    """Return the reflectance of glass, scaled from 0 to 1; `bent` is 1.5 times the cosine of refracted directions."""
     square = ((cosine * (bent + cosine) - 1.0) / (cosine * (bent - cosine) + 1.0)) ** 2
     return xp.clip(0.5 * ((bent - cosine) / (bent + cosine)) ** 2 * (1.0 + square) - COAT_F0, 0.0, None) / (1 - COAT_F0)
 
 
-def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, alpha: Any, tail: Any, masking: Any) -> Any:
-    """Return the logarithm of a rough surface's distribution of facets times masking; the tail exponent 2 is GGX."""
-    square, norm = alpha**2, 0.125 + xp.logaddexp(8.0 * (tail - 1.125), 0.0 * tail) / 8.0
+def _facets(xp: Any, cos_in: Any, cos_out: Any, tan2: Any, square: Any, tail: Any, masking: Any) -> Any:
+    """Return the logarithm of a rough surface's distribution of facets times masking; `square` is alpha**2."""
     to_in, to_out = (xp.sqrt(square + (1.0 - square) * cosine**2) for cosine in (cos_in, cos_out))
     seen, both = cos_out * to_in + cos_in * to_out, (cos_in + to_in) * (cos_out + to_out)
-    tails = 2.0 * xp.log1p(tan2) - tail * xp.log1p(tan2 / (norm * square))
-    return tails + masking * xp.log(2.0 * seen / both) - xp.log(2.0 * math.pi * square * seen)
+    tails = tail * xp.log1p(8.0 * tan2 / square / (1.0 + xp.logaddexp(8.0 * tail - 9.0, 0.0 * tail)))
+    return 2.0 * xp.log1p(tan2) - tails + masking * xp.log(2.0 * seen / both) - xp.log(2.0 * math.pi * square * seen)
 
 
 def _layers(xp: Any, pair: tuple[Any, Any], diff: Any, tan2: Any, parameters: dict[str, Any], names: Any) -> Any:
     """Return the logarithm of the sum of the layers with the given names (..., 3)."""
     cos_in, cos_out = (xp.clip(omega[..., 2], MIN_COSINE, 1.0) for omega in pair)
     u, sin2, tan2 = diff[1] / (1.0 + xp.sqrt(1.0 - diff[1])), diff[1], xp.clip(tan2, None, MAX_TAN2)
-    to_in, to_out, fresnel = (_rise(xp, cosine) for cosine in (cos_in, cos_out, 1.0 - u))
+    bent_in, bent_out, bent = (xp.sqrt(1.25 + cosine**2) for cosine in (cos_in, cos_out, 1.0 - u))
+    to_in, to_out, fresnel = _rise(xp, cos_in, bent_in), _rise(xp, cos_out, bent_out), _rise(xp, 1.0 - u, bent)
+    ratio, spread = ((cos_in + cos_out) / (bent_in + bent_out)) ** 2, cos_in * cos_out / (bent_in * bent_out)
     passed, sin2_half, rise = xp.log((1.0 - to_in) * (1.0 - to_out)), tan2 / (1.0 + tan2), fresnel[..., None]
     total = 0.0 * rise - 1e4  # The logarithm -1e4 stands for a sum without layers, because exp(-1e4) is 0.
     for name in names:
         p = {key.rpartition(".")[2]: value for key, value in parameters.items() if key.rpartition(".")[0] == name}
         if "f0" in p:  # Only specular layers have F0.
-            bent = p["rise"][0] * u + p["rise"][1] * u**2 + p["under_coat"] * (passed + 2.0 * math.log1p(-COAT_F0))
+            form = p["rise"][0] * u + p["rise"][1] * u**2 + p["under_coat"] * (passed + 2.0 * math.log1p(-COAT_F0))
+            form = form + p["refraction"] * xp.log(spread)
             color = xp.log(p["f0"] * (1.0 - rise) + p["f90"] * rise)
             color = color + p["turn"][0] * sin2_half[..., None] + p["turn"][1] * u[..., None] if "turn" in p else color
-            form = bent + _facets(xp, cos_in, cos_out, tan2, p["alpha"], p["tail_exponent"], p["masking"])
+            below2, square = tan2 * ratio ** p["refraction"], (p["alpha"] / COAT_INDEX ** p["refraction"]) ** 2
+            form = form + _facets(xp, cos_in, cos_out, below2, square, p["tail_exponent"], p["masking"])
         elif "alpha" in p:  # Of the other layers, only retro layers have a roughness alpha.
             back2 = xp.clip(4.0 * sin2 - (cos_in - cos_out) ** 2, 0.0, None) / (cos_in + cos_out) ** 2
-            color, form = xp.log(p["color"]), _facets(xp, cos_in, cos_out, back2, p["alpha"], 0.0 * u + 2.0, 0.0)
+            color, form = xp.log(p["color"]), _facets(xp, cos_in, cos_out, back2, p["alpha"] ** 2, 0.0 * u + 2.0, 0.0)
         elif "powers" in p:  # Only sheen layers have powers.
             log_u, log_sin2 = xp.log(xp.clip(u, MIN_RISE, None)), xp.log(xp.clip(sin2_half, MIN_SINE**2, None))
             color, form = xp.log(p["color"]), p["powers"][0] * log_u + p["powers"][1] / 2.0 * log_sin2
@@ -171,7 +173,7 @@ _TEMPLATES = sections("python_file.txt")
 _LOBE_FUNCTIONS: dict[str, Callable[..., Any]] = {"hemi_epd": _hemi_epd, "student": _student}
 _LAYER_FUNCTIONS: _Functions = (_rise, _facets, _layers)
 _CONSTANTS = (
-    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "HALO_TAN2", "EXCESS_HALO_TAN2"),
+    *("GRAZING_COSINE", "CENTER_CUTOFF", "COAT_F0", "COAT_INDEX", "HALO_TAN2", "EXCESS_HALO_TAN2"),
     *("MIN_COSINE", "MAX_TAN2", "MIN_RISE", "MIN_SINE", "MIN_LIGHT"),
 )
 
@@ -237,7 +239,6 @@ def _file(part: str, evaluate: str, parameters: dict[str, _Numbers], constants: 
     numbers = [" ".join(f'"{name}": {value!r},' for name, value in line.items()) for line in parameters.values()]
     lines = [filled(_TEMPLATES["head"], {"VERSION": __version__, "PART": part}), "PARAMETERS: dict[str, Any] = {"]
     lines += [f"    {line}" for line in numbers] + ["}"]
-    lines += [f"{name} = {constants.pop(name)!r}" for name in ("KNOTS", "STRUCTURES") if name in constants]
     constants |= {name: globals()[name] for name in _CONSTANTS if name in body}
     lines += [f"{', '.join(constants)} = {', '.join(map(repr, constants.values()))}", "", body]
     return "\n".join(lines)

@@ -126,7 +126,9 @@ class _Symbol:
         self.operation, self.parts = operation, parts
         self.is_logical = operation in _COMPARISONS or operation in _LOGICAL_OPERATORS
 
-    def __pow__(self, power: int) -> Any:
+    def __pow__(self, power: float) -> Any:
+        if power < 0.0 or power % 1.0:
+            return _Symbol("exp", operator.mul(float(power), _Symbol("log", self)))
         return operator.mul(self, self ** (power - 1)) if power > 1 else self if power else 1.0
 
     def __neg__(self) -> Any:

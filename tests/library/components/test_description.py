@@ -79,7 +79,7 @@ def test_surfaces_of_nearly_one_roughness_are_stated_as_one() -> None:
 def test_the_range_of_alpha_contains_the_truth_where_two_surfaces_describe_one() -> None:
     for alpha in (0.1, 0.2):
         turn = (1.0, 0.0, -1.0), (0.0, 0.0, 0.0)
-        parts = decomposed(TurningLayer((0.7, 0.6, 0.5), 0.95, alpha, 2.0, (0.0, 0.0), 0.5, 0.0, turn))
+        parts = decomposed(TurningLayer((0.7, 0.6, 0.5), 0.95, alpha, 2.0, (0.0, 0.0), 0.5, turn=turn))
         ((first, _),) = (part.surfaces for part in parts)
         assert first.alpha_range is not None
         assert first.alpha_range[0] < alpha < first.alpha_range[1]

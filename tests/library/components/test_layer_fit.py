@@ -76,6 +76,17 @@ def test_a_highlight_that_turns_its_colour_is_no_diffuse_light() -> None:
     np.testing.assert_allclose(layer.turn, turning.turn, atol=0.03)
 
 
+def test_refraction_is_found_with_the_roughness() -> None:
+    flakes = replace(surface(COPPER, 0.2, 1.0), refraction=1.0)
+    best = fitted(COAT, flakes, GROUND)[0]
+    _, found, ground = best.model.layers
+    assert best.structure.name == "coat over highlight over diffuse"
+    assert isinstance(found, SpecularLayer)
+    assert isinstance(ground, DiffuseLayer)
+    assert (found.alpha, found.refraction) == pytest.approx((0.2, 1.0), rel=0.02)
+    np.testing.assert_allclose(ground.albedo, GROUND.albedo, rtol=0.02)
+
+
 def test_a_structure_is_not_tried_far_below_the_widths_that_it_may_have() -> None:
     rough = next(one for one in RARE_STRUCTURES if one.name == "very rough metal")
     assert rough.started_from(LayeredModel((surface(GOLD, 0.15),))) is None

@@ -1,5 +1,7 @@
 """Layers: derivatives by finite differences, energy and symmetry; the test of exported layers has their formulas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -7,9 +9,10 @@ from scipy.integrate import quad
 from dsbrdf.arrays import Array
 from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, TurningLayer
 from dsbrdf.components.points import Points
-from dsbrdf.data import spherical
+from dsbrdf.data import directions, spherical
 
-KINDS: dict[type[Layer], int] = {SpecularLayer: 10, TurningLayer: 14, DiffuseLayer: 9, SheenLayer: 5, RetroLayer: 4}
+KINDS: dict[type[Layer], int] = {SpecularLayer: 11, TurningLayer: 15, DiffuseLayer: 9, SheenLayer: 5, RetroLayer: 4}
+F0 = (0.9, 0.6, 0.2)
 
 
 def angles(count: int = 60) -> tuple[Array, Array, Array]:
@@ -36,6 +39,18 @@ def test_the_half_width_halves_the_slopes() -> None:
     layer = SpecularLayer((1.0, 1.0, 1.0), 1.0, 0.2, 1.7, (0.0, 0.0), 0.0, 0.0)
     tangent = np.tan(layer.half_width)
     assert (1.0 + tangent**2 / (0.7 * 0.2**2)) ** -1.7 == pytest.approx(0.5, rel=1e-2)
+
+
+@pytest.mark.parametrize("theta_diff", np.radians([0.0, 30.0, 60.0]))
+def test_refraction_widens_a_highlight_as_snells_law_does(theta_diff: float) -> None:
+    # Narrow facets that reflect all light, below a smooth coat: from outside, their slopes look 1.5 times larger.
+    facets = SpecularLayer((1.0,) * 3, 1.0, 0.01, 2.0, (0.0, 0.0), 0.0)
+    coated = replace(facets, alpha=0.015, refraction=1.0)
+    at = np.linspace(0.0, 0.05, 30), np.full(30, theta_diff), np.full(30, np.pi / 2)
+    inside = [omega[:, :2] / 1.5 for omega in directions(*at)]
+    inside = [np.column_stack([xy, np.sqrt(1.0 - np.sum(xy**2, axis=1))]) for xy in inside]
+    expected = LayeredModel((facets,)).evaluate_directions(*inside) / 1.5**2
+    np.testing.assert_allclose(LayeredModel((coated,)).evaluate(*at), expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize(("kind", "count"), KINDS.items())
@@ -65,7 +80,7 @@ def test_a_layered_model_is_reciprocal_and_the_sum_of_its_layers() -> None:
     values = model.evaluate(*at)
     np.testing.assert_allclose(values, sum(LayeredModel((layer,)).evaluate(*at) for layer in layers), rtol=1e-12)
     np.testing.assert_allclose(model.evaluate(at[0], at[1], at[2] + np.pi), values, rtol=1e-9)
-    assert model.n_numbers == 42
+    assert model.n_numbers == 44
     grid = np.stack(list(model.evaluate_grid(at[0][:2], at[1][:3], at[2][:4])))
     expected = model.evaluate(at[0][:2, None, None], at[1][:3, None], at[2][:4])
     np.testing.assert_allclose(np.moveaxis(grid, 1, -1), expected, rtol=1e-12)
@@ -80,9 +95,9 @@ def test_albedo_is_the_mean_weight_of_samples() -> None:
 
 
 def test_the_reflectance_at_an_angle_has_the_slopes_of_finite_differences() -> None:
-    x = np.random.default_rng(2).normal(-0.5, 0.3, 10)
+    x = np.random.default_rng(2).normal(-0.5, 0.3, KINDS[SpecularLayer])
     slopes = SpecularLayer.from_unknowns(x).reflectance_slopes(1.2)
-    for k in range(10):
-        step = 1e-6 * np.eye(10)[k]
+    for k in range(x.size):
+        step = 1e-6 * np.eye(x.size)[k]
         ends = (np.log(SpecularLayer.from_unknowns(x + sign * step).reflectance_at(1.2)) for sign in (1.0, -1.0))
         np.testing.assert_allclose(slopes[:, k], (next(ends) - next(ends)) / 2e-6, rtol=1e-5, atol=1e-8)

@@ -58,7 +58,7 @@ def test_samples_all_around_tell_an_elongated_highlight(is_in_plane: bool, lowes
 @pytest.mark.parametrize("half_width", [1e-3, 0.02])
 def test_highlights_of_a_structure_can_be_bounded(half_width: float) -> None:
     for structure in STRUCTURES:
-        bounded = structure.no_narrower(half_width)
+        bounded = structure.of_samples(half_width)
         for layer in bounded.model(np.clip(bounded.mean - 9.0, *bounded.bounds)).layers:
             if isinstance(layer, SpecularLayer):
                 ggx = SpecularLayer(layer.f0, layer.f90, layer.alpha, 2.0, layer.rise, layer.masking, layer.under_coat)

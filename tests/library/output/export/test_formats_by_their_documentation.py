@@ -96,8 +96,11 @@ def layer_values(layer: dict[str, Any]) -> Array:
 
     if "f0" in layer:
         q_1, q_2 = layer["rise"]
-        shape = facets(np.minimum(np.tan(half) ** 2, 1e4), layer["alpha"], layer["tail_exponent"], layer["masking"])
+        r, b_i, b_o = layer["refraction"], np.sqrt(1.25 + c_i**2), np.sqrt(1.25 + c_o**2)
+        tangent2 = np.minimum(np.tan(half) ** 2, 1e4) * ((c_i + c_o) / (b_i + b_o)) ** (2.0 * r)
+        shape = facets(tangent2, layer["alpha"] / 1.5**r, layer["tail_exponent"], layer["masking"])
         shape = shape * np.exp(q_1 * u + q_2 * u**2) * (0.96**2 * (1.0 - s_i) * (1.0 - s_o)) ** layer["under_coat"]
+        shape = shape * (c_i * c_o / (b_i * b_o)) ** r
         return np.outer(layer["f0"], shape * (1.0 - s)) + layer["f90"] * s * shape
     if "albedo" in layer:
         a = np.cos(2.0 * diff) - c_i * c_o
