@@ -206,6 +206,7 @@ const uploading = (onProgress) => (address, { method = "POST", headers, body, si
   sent.upload.onprogress = ({ loaded, total }) => onProgress(loaded / total);
   sent.onload = () => resolve(new Response(sent.responseText, { status: sent.status, headers: { "Retry-After": sent.getResponseHeader("Retry-After") ?? "1" } }));
   sent.onerror = sent.onabort = reject;
+  if (signal?.aborted) return reject(); // The user cancelled while the file was hashed.
   signal?.addEventListener("abort", () => sent.abort());
   sent.send(/** @type {File} */ (body));
 });

@@ -52,6 +52,11 @@ def test_file_is_hashed_then_sent_once_and_may_be_cancelled(visit: Visit, plasti
     expect(page.get_by_role("status").filter(has_text="Sending plastic.binary, 35.0 MB")).to_be_visible()
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("#said")).to_contain_text("plastic.binary: The upload was cancelled.")
+    cancel = "document.querySelector('#cancel-upload').click()"
+    page.evaluate(f"crypto.subtle.digest = async () => {{ {cancel}; return new ArrayBuffer(32); }}")
+    page.locator("#file").set_input_files(plastic_file)  # This file is cancelled while it is hashed.
+    expect(page.locator("#said")).to_contain_text("plastic.binary: The upload was cancelled.")
+    page.evaluate("delete crypto.subtle.digest")
     page.unroute_all()
     for _ in range(2):
         page.get_by_text("Options").click()
@@ -65,7 +70,7 @@ def test_file_is_hashed_then_sent_once_and_may_be_cancelled(visit: Visit, plasti
         page.get_by_role("link", name="Fits").click()
     expect(page.locator("#fits .card")).to_have_count(1)
     sent = [kind.removeprefix("application/") for method, _, kind in visitor.requests if method == "POST"]
-    assert sent == ["json", "octet-stream", "json", "octet-stream", "json"]
+    assert sent == ["json", "octet-stream", "json", "json", "octet-stream", "json"]
 
 
 def test_fit_without_a_result_says_why_and_is_deleted(visit: Visit, site: Site, guarded: Guarded, data: bytes) -> None:
