@@ -15,7 +15,7 @@ import stat
 import tempfile
 import weakref
 from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -153,6 +153,15 @@ class Blobs:
         if right:
             self._sound[sha256] = _stamp(status)
         return None if right else "its sha256 is another one"
+
+    def remove(self, sha256: str) -> int | None:
+        """Remove the file of a measurement; return its size, or None if there is no file."""
+        self._sound.pop(sha256, None)
+        with suppress(FileNotFoundError):
+            size = (path := self.path(sha256)).lstat().st_size
+            path.unlink()
+            return size
+        return None
 
     def fault(self, sha256: str) -> str | None:
         """Return what is wrong with a measurement's file, also if it cannot be read; otherwise None."""

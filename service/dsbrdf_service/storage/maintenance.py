@@ -8,7 +8,7 @@ whether there is no fault, and a sentence.
 import shutil
 import sqlite3
 from collections.abc import Iterable, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 
 from .database import RESERVE, Database, is_full, read_only
@@ -40,7 +40,7 @@ def remove_rows(db: sqlite3.Connection, blobs: Blobs, rows: Sequence[tuple[int, 
     # A restored copy of the data folder may lack the empty folder of temporary files, so its parent is asked.
     if unwanted and shutil.disk_usage(blobs.temporary.parent).free < _SPARE_DISK_BYTES:
         for sha256 in unwanted:
-            blobs.path(sha256).unlink(missing_ok=True)
+            blobs.remove(sha256)
     return unwanted
 
 
@@ -49,15 +49,9 @@ def remove_files(database: Database, blobs: Blobs, names: Iterable[str]) -> list
 
     During the transaction, no upload can add a row for the same bytes; a file with an earlier row stays.
     """
-    sizes = []
     with database.transaction() as db:
-        for sha256 in names:
-            if not _has_row(db, sha256):
-                path = blobs.path(sha256)
-                with suppress(FileNotFoundError):
-                    sizes.append(path.lstat().st_size)
-                    path.unlink()
-    return sizes
+        found = [blobs.remove(sha256) for sha256 in names if not _has_row(db, sha256)]
+    return [size for size in found if size is not None]
 
 
 def _has_row(db: sqlite3.Connection, sha256: str) -> bool:
