@@ -245,6 +245,8 @@ DARK_VALUE_FRACTION = 0.02
 _MIN_RELATIVE_FLOOR = 1e-4
 TINY = 1e-300
 """Added to sums of weights that are divisors, so that they are not 0."""
+# If a mirror reflects all light below 1 degree, its nodes keep this weight, because no other nodes have any signal.
+_MIN_CENTER_WEIGHT = 1e-9
 # Nodes near theta_half = 0 have a solid angle near 0, but the peak value: their relative weight is at least this.
 _MIN_RELATIVE_SOLID_ANGLE = 1e-3
 
@@ -260,7 +262,8 @@ def bin_weights(folded: FoldedProfiles, weighting: str, horizon_cutoff: float | 
     plain = folded.weight * trust(lowest, horizon_cutoff) * center_share(THETA_HALF)[:, None]
     center = THETA_HALF < CENTER_CUTOFF
     signal = np.sum(plain * folded.mean**2, axis=(0, 1, 3))
-    plain[:, :, center] *= min(float(signal[~center].sum() / max(signal[center].sum(), TINY)), 1.0)
+    outside = float(signal[~center].sum() / max(signal[center].sum(), TINY))
+    plain[:, :, center] *= np.clip(outside, _MIN_CENTER_WEIGHT, 1.0)
     if weighting == "plain":
         return plain
     cosines = np.maximum(level**2 - swing**2 * folded.cos2_phi, 0.0)

@@ -190,6 +190,13 @@ def test_what_was_not_measured_counts_nothing_and_the_center_little(folded: Fold
         assert 0.0 < total[j, 0] < total[j, 5] < total[j, 9]
 
 
+def test_weights_are_finite_if_a_mirror_reflects_all_light_in_the_center(folded: FoldedProfiles) -> None:
+    needle = np.where(THETA_HALF[:, None] < np.radians(0.2), folded.mean, 1e-30)
+    weight = bin_weights(replace(folded, mean=needle), "balanced", CUTOFF)
+    assert np.all(np.isfinite(weight.astype(np.float32)))
+    assert np.any(weight[:, :, 0] > 0.0)
+
+
 @pytest.mark.parametrize("weighting", ["plain", "cosine", "log"])
 def test_trust_falls_beyond_the_cutoff_down_to_nothing_at_the_horizon(folded: FoldedProfiles, weighting: str) -> None:
     trusted, all_of_it = (bin_weights(folded, weighting, cutoff) for cutoff in (CUTOFF, None))
