@@ -118,7 +118,7 @@ def renderer_layers(evaluate: Evaluate, descriptions: Sequence[Description]) -> 
     return refined(data, structure, np.concatenate([layer.unknowns for layer in layers])).model
 
 
-_SURFACE_PRIOR = OWN_PRIORS[SpecularLayer]
+_SURFACE_PRIOR = OWN_PRIORS[SpecularLayer].unrefracted()
 _GROUND_PRIOR = OWN_PRIORS[DiffuseLayer]
 _DIFFUSE_STRUCTURES = (
     LayerStructure("ground", (_GROUND_PRIOR,)),

@@ -47,8 +47,8 @@ class LayerPrior:
     lower: Array
     upper: Array
 
-    def of_samples(self, min_log_alpha: float) -> "LayerPrior":
-        """Return the prior for scattered samples: a surface has a minimum roughness and no refraction."""
+    def unrefracted(self, min_log_alpha: float = -np.inf) -> "LayerPrior":
+        """Return the prior with a minimum roughness and without refraction, if the layer is a surface."""
         if not issubclass(self.kind, SpecularLayer):
             return self
         is_alpha, is_refraction = (np.arange(self.mean.size) == index for index in (6, 10))
@@ -96,10 +96,12 @@ MAX_ALPHA = 0.7
 _DIELECTRIC_LOG_F0_BOUNDS = (-12.0, np.log(0.2))  # Diamond, the brightest dielectric, has F0 = 0.17.
 _LOG_F0_BOUNDS = (-12.0, np.log(3.0))
 _RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # priors of a surface's exponents q1 and q2, along two axes of their plane
+_REFRACTION = (0.0, 0.2)  # Only few materials have a coat that refracts; for a coat of glass, the exponent is 1.
+_REFRACTION_BOUNDS = (-0.2, 1.2)
 # Bounds of log F90, q1, q2, log alpha, log tau, masking, under_coat and refraction: a surface's unknowns but colour.
 _SPECULAR_BOUNDS = (
     (-5.0, 0.0), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(MAX_ALPHA)), (np.log(0.6), np.log(60.0)),
-    (-0.5, 1.5), (-0.5, 2.0), (-0.2, 1.2),
+    (-0.5, 1.5), (-0.5, 2.0), _REFRACTION_BOUNDS,
 )  # fmt: skip
 
 _TURN_DEVIATION = 0.7  # From the mirror direction to the horizon, the ratio of two channels may change threefold.
@@ -116,7 +118,7 @@ def _specular(color: Pair, tint: float, *, strength: Pair = _LOG_F0_BOUNDS, unde
         (np.log(2.0), 0.5),  # log tau; a tail exponent of 2 makes GGX
         (0.5, 0.3),  # masking
         (1.0, 0.3) if under_coat else (0.0, _FIXED_DEVIATION),
-        (0.0, 0.2 if under_coat else _FIXED_DEVIATION),  # refraction, which only few materials have
+        _REFRACTION if under_coat else (0.0, _FIXED_DEVIATION),
     )
     return _prior(SpecularLayer, color, tint, others, bounds, is_diffuse=False)
 
@@ -193,11 +195,11 @@ _OWN_SURFACE = _prior(
     SpecularLayer, (np.log(0.15), 2.0), 2.0,
     (
         (-0.1, 0.8), (0.0, 1.5), (0.0, 0.6), (np.log(0.12), 3.0), (np.log(2.0), 1.0), (0.5, 0.4),
-        (0.0, _FIXED_DEVIATION), (0.0, _FIXED_DEVIATION),
+        (0.0, _FIXED_DEVIATION), _REFRACTION,
     ),
     (
         _LOG_F0_BOUNDS, (np.log(0.02), 0.0), (-3.0, 3.0), (-3.0, 3.0), (np.log(0.001), np.log(0.9)),
-        (np.log(0.6), np.log(60.0)), (-0.5, 1.5), (0.0, 0.0), (0.0, 0.0),
+        (np.log(0.6), np.log(60.0)), (-0.5, 1.5), (0.0, 0.0), _REFRACTION_BOUNDS,
     ),
     is_diffuse=False,
 )  # fmt: skip
@@ -207,4 +209,4 @@ OWN_PRIORS: dict[type[Layer], LayerPrior] = {
     SheenLayer: SHEEN,
     RetroLayer: RETRO,
 }
-"""Weak priors of layers, for fits to the values of a single component."""
+"""Weak priors of layers, for fits to the values of a single component or of all components together."""

@@ -151,7 +151,7 @@ class LayerStructure:
         Coats do not refract, because few samples do not tell a refracted highlight from a rougher one.
         """
         min_log_alpha = np.log(np.tan(min_half_width) / np.sqrt(np.sqrt(2.0) - 1.0))
-        return replace(self, layers=tuple(layer.of_samples(min_log_alpha) for layer in self.layers))
+        return replace(self, layers=tuple(layer.unrefracted(min_log_alpha) for layer in self.layers))
 
     @property
     def is_diffuse(self) -> tuple[bool, ...]:
