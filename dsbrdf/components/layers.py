@@ -17,8 +17,8 @@ both refracted directions to the normal. Then tan(theta_half)**2 is multiplied b
 (below_in + below_out))**2, f by the power r of cos_in cos_out / (below_in below_out), and alpha by n**-r: alpha remains
 the roughness that is seen at normal incidence. r is 1 for a smooth coat, and 0 without refraction.
 
-A **turning layer** is a specular layer
-times exp(a sin(theta_half)**2 + b u), where the channels of a and of b sum to 0. A **diffuse layer** is
+A **turning layer** is a specular layer times exp(a sin(theta_half)**2 + b u), where the channels of a and of b sum to
+0. A **diffuse layer** is
 
     f = rho / pi exp(p . X),
 
