@@ -7,18 +7,15 @@ surface of microfacets (Cook and Torrance 1982), with s = s(cos(theta_diff)),
     f = (F0 (1 - s) + F90 s) D V exp(q1 u + q2 u**2) T**t,
     D = 1 / (pi alpha**2) (1 + tan(theta_half)**2 / (g alpha**2))**-tau / cos(theta_half)**4.
 
-D is Student's t distribution of slopes with the exponent tau, normalised by g = tau - 1: tau = 2 is GGX (Walter
-2007), and a large tau is Beckmann's distribution, both with their usual alpha. V is GGX's Smith masking divided by
-4 cos_in cos_out; b = 0 is its height-correlated form, and b = 1 its separable form. T is the fraction of light that
-passes a clear coat both ways; t is 1 for a layer below a coat, and otherwise 0.
-
-A coat of index n = 1.5 also refracts the light, by Snell's law. Let below_in and below_out be n times the cosines of
-both refracted directions to the normal. Then tan(theta_half)**2 is multiplied by the power r of ((cos_in + cos_out) /
-(below_in + below_out))**2, f by the power r of cos_in cos_out / (below_in below_out), and alpha by n**-r: alpha remains
-the roughness that is seen at normal incidence. r is 1 for a smooth coat, and 0 without refraction.
-
-A **turning layer** is a specular layer times exp(a sin(theta_half)**2 + b u), where the channels of a and of b sum to
-0. A **diffuse layer** is
+D is Student's t distribution of slopes with the exponent tau, normalised by g = tau - 1: tau = 2 is GGX (Walter 2007),
+and a large tau is Beckmann's distribution, both with their usual alpha. V is GGX's Smith masking divided by 4 cos_in
+cos_out; b = 0 is its height-correlated form, and b = 1 its separable form. T is the fraction of light that passes a
+clear coat both ways; t is 1 for a layer below a coat, and otherwise 0. A coat of index n = 1.5 also refracts the light,
+by Snell's law. Let below_in and below_out be n times the cosines of both refracted directions to the normal. Then
+tan(theta_half)**2 is multiplied by the power r of ((cos_in + cos_out) / (below_in + below_out))**2, f by the power r of
+cos_in cos_out / (below_in below_out), and alpha by n**-r: alpha remains the roughness that is seen at normal incidence.
+r is 1 for a smooth coat, and 0 without refraction. A **turning layer** is a specular layer times exp(a
+sin(theta_half)**2 + b u), where the channels of a and of b sum to 0. A **diffuse layer** is
 
     f = rho / pi exp(p . X),
 
