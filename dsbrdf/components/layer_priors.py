@@ -96,7 +96,7 @@ MAX_ALPHA = 0.7
 _DIELECTRIC_LOG_F0_BOUNDS = (-12.0, np.log(0.2))  # Diamond, the brightest dielectric, has F0 = 0.17.
 _LOG_F0_BOUNDS = (-12.0, np.log(3.0))
 _RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # priors of a surface's exponents q1 and q2, along two axes of their plane
-_REFRACTION = (0.0, 0.2)  # Only few materials have a coat that refracts; for a coat of glass, the exponent is 1.
+_REFRACTION = (0.0, 0.2)  # The exponent is 1 for a coat of glass, but most materials are described as well without.
 _REFRACTION_BOUNDS = (-0.2, 1.2)
 # Bounds of log F90, q1, q2, log alpha, log tau, masking, under_coat and refraction: a surface's unknowns but colour.
 _SPECULAR_BOUNDS = (

@@ -197,14 +197,14 @@ class _Surface:
         self._apart = points.cosines + self._seen
         self._by_masking = np.log(2.0 * self._together / (self._apart[0] * self._apart[1]))
         self._norm, self._norm_slope = tail_norm(tail_exponent)
-        self._squared_tangent = points.squared_tangent * np.exp(refraction * points.refraction[0])
+        self._squared_tangent = points.squared_tangent * np.exp(refraction * points.below_coat[0])
         self._slope = self._squared_tangent / (self._norm * square)
         self._tail = np.log1p(self._slope)
 
     def log_shape(self, masking: float) -> Array:
         norm = 1.0 / (2.0 * np.pi * self._square)
         tails = 2.0 * np.log1p(self._squared_tangent) - self._exponent * self._tail
-        refracted = self._refraction * self._points.refraction[1]
+        refracted = self._refraction * self._points.below_coat[1]
         return np.asarray(tails + np.log(norm / self._together) + masking * self._by_masking + refracted)
 
     def derivatives(self, masking: float) -> tuple[Array, Array, Array, Array]:
@@ -216,7 +216,7 @@ class _Surface:
         by_alpha = 2.0 * (pulled - 1.0) + together + masking * (apart - together)
         by_tail = self._exponent * (self._norm_slope / self._norm * pulled - self._tail)
         by_tangent = 2.0 * self._squared_tangent / (1.0 + self._squared_tangent) - pulled
-        by_refraction = by_tangent * points.refraction[0] + points.refraction[1] - np.log(COAT_INDEX) * by_alpha
+        by_refraction = by_tangent * points.below_coat[0] + points.below_coat[1] - np.log(COAT_INDEX) * by_alpha
         return by_alpha, by_tail, self._by_masking, by_refraction
 
 

@@ -40,7 +40,9 @@ class Points(NamedTuple):
     rise: Array  # u = 1 - cos(theta_diff), and u**2
     ground: Array  # the six terms of a diffuse layer, see `dsbrdf.components.layers`
     fibres: Array  # logarithms of 1 - cos(theta_diff) and of sin(theta_half), for sheen
-    refraction: Array  # logarithms of factors of tan(theta_half)**2 and of values, due to refraction, (2, N)
+    below_coat: (
+        Array  # logarithms of the factors of tan(theta_half)**2 and of values below a coat that refracts, (2, N)
+    )
     squared_retro: Array  # tan(theta_half)**2 after omega_in is turned by 180 degrees about the normal
 
     @classmethod
@@ -73,7 +75,7 @@ class Points(NamedTuple):
             rise=np.stack([rise, rise**2]),
             ground=np.stack(ground),
             fibres=np.log(np.stack([np.maximum(rise, MIN_RISE), np.maximum(sin_half, MIN_SINE)])),
-            refraction=np.log(
+            below_coat=np.log(
                 np.stack([(cosines.sum(axis=0) / below.sum(axis=0)) ** 2, np.prod(cosines / below, axis=0)])
             ),
             squared_retro=np.maximum(4.0 * np.sin(theta_diff) ** 2 - (cos_in - cos_out) ** 2, 0.0)

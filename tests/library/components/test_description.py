@@ -214,6 +214,8 @@ def test_sentences_name_the_misfit() -> None:
         "The specular lobe has no alpha or F0: its surfaces miss its peak by a factor of 1.50, its half width by a "
         "factor of 1.40, its colour by 20% of the brightest channel and its albedo by 30%."
     )
+    (sentence,) = replace(found, misfit=Misfit(0.5, 0.0, 0.0, 0.0)).misfit_remarks("specular_lobe")
+    assert sentence == "The specular lobe has no F0: its surfaces miss its peak by a factor of 1.50."
 
 
 def test_reflectance_at_70_degrees_is_that_of_the_layer() -> None:
