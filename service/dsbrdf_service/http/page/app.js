@@ -190,13 +190,17 @@ export async function share() {
   say(copied ? "The link to this view is copied." : `The browser did not allow copying. The link is the address of this page: ${location.href}`);
 }
 
-/** Hides what is to be deleted, and deletes it after some seconds unless the user takes this back; a page that is left
- * deletes at once. @param {string} path @param {string} words @param {HTMLElement} shown @param {() => unknown} [then] */
+/** The deletion that can be taken back. @type {(() => Promise<void>) | null} */
+let undoable = null;
+
+/** Hides what is to be deleted, and deletes it after some seconds unless the user takes this back; the next deletion, or
+ * leaving the page, deletes it at once. @param {string} path @param {string} words @param {HTMLElement} shown @param {() => unknown} [then] */
 export function remove(path, words, shown, then = () => location.assign(root)) {
   const hide = (/** @type {boolean} */ gone) => { shown.classList.toggle("gone", shown.inert = gone); };
   const stop = () => {
     clearTimeout(timer);
     removeEventListener("pagehide", finish);
+    undoable = null;
     say("");
   };
   const finish = async () => {
@@ -206,6 +210,8 @@ export function remove(path, words, shown, then = () => location.assign(root)) {
       throw error;
     });
   };
+  undoable?.();
+  undoable = finish;
   const timer = setTimeout(finish, UNDO_MS);
   addEventListener("pagehide", finish);
   hide(true);
@@ -252,6 +258,8 @@ export const sizeOf = (/** @type {{size: number}} */ { size }) => (size < 1e6 ? 
 export const LABELS = ["specular_spike", "specular_lobe", "diffuse"];
 export const words = (/** @type {string} */ label) => label.replace("_", " ");
 export const dateOf = (/** @type {string} */ created) => `${created.slice(0, 16).replace("T", " ")} UTC`;
+/** Tells when a fit was made. @param {Fit} fit */
+export const madeOf = ({ started, created }) => (started ? dateOf(created) : "comes with dsbrdf");
 export const setTitle = (/** @type {string} */ name) => { document.title = `${name} – dsbrdf`; };
 
 const fields = () => /** @type {HTMLInputElement[]} */ ([...document.querySelectorAll("main :is(input, select)[name]")]).filter((field) => !field.closest(".options, dialog"));

@@ -1,5 +1,5 @@
 // Shows one fit (its progress, its failure or its result with downloads), or two fits side by side under one light.
-import { act, answerTo, dateOf, fill, find, follow, json, make, nameOf, openapi, Problem, progressOf, removeFit, request, root, save, say, setTitle, share, showPicture, template, whenOpened, whenSeen } from "./app.js";
+import { act, answerTo, dateOf, fill, find, follow, json, madeOf, make, nameOf, openapi, Problem, progressOf, removeFit, request, root, save, say, setTitle, share, showPicture, template, whenOpened, whenSeen } from "./app.js";
 import { fitStored } from "./options.js";
 import { place, showComponents, showSide, showSpheres, storedOf, subjectOf } from "./result.js";
 import { colourOf } from "./shader.js";
@@ -59,12 +59,12 @@ function showActions(main, path, asked) {
 
 /** Lets the user choose a second fit, and opens the comparison. @param {Fit} fit */
 async function compareWith(fit) {
+  const lists = await Promise.all(["v1/fits?limit=200&status=succeeded", "v1/materials"].map((path) => json(path)));
   /** @type {Fit[]} */
-  const others = (await json("v1/fits?limit=200&status=succeeded")).items.filter((/** @type {Fit} */ { id }) => id !== fit.id);
-  if (!others.length) return say("There is no other fit to compare with. Fit a second material first.");
+  const others = lists.flatMap(({ items }) => items).filter(({ id }) => id !== fit.id);
   const [dialog, choice] = [find(document, "#compare-with", HTMLDialogElement), find(document, "#other-fit", HTMLSelectElement)];
   fill(dialog, { name: nameOf(fit) });
-  choice.replaceChildren(...others.map((other) => make("option", { value: other.id }, `${nameOf(other)}, ${dateOf(other.created)}`)));
+  choice.replaceChildren(...others.map((other) => make("option", { value: other.id }, `${nameOf(other)}, ${madeOf(other)}`)));
   dialog.onclose = () => dialog.returnValue === "compare" && location.assign(new URL(`compare?fit=${fit.id}&fit=${choice.value}`, root));
   dialog.showModal();
 }
@@ -113,7 +113,7 @@ export async function compare(main) {
   fill(main, { names });
   const stored = await Promise.all(fits.map(storedOf));
   const figures = fits.map((fit) => {
-    const made = find(template("compared", { name: nameOf(fit), about: dateOf(fit.created) }, { fit: `fits/${fit.id}` }), "section");
+    const made = find(template("compared", { name: nameOf(fit), about: madeOf(fit) }, { fit: `fits/${fit.id}` }), "section");
     const side = make("section", { className: "panel", ariaLabel: `Result of ${nameOf(fit)}` });
     find(main, ".spheres").append(made);
     find(main, ".sides").append(side);

@@ -155,7 +155,7 @@ function tell(main, text) {
   find(main, "#sending-title").textContent = text;
 }
 
-/** Sends files in turn, then opens the fit, or the list for several files; a faulty file does not stop the others. @param {HTMLElement} main @param {File[]} files @param {HTMLElement} options the form */
+/** Sends files in turn, then opens the fit, or the list for several files; a faulty file does not stop the others, but the user can. @param {HTMLElement} main @param {File[]} files @param {HTMLElement} options the form */
 async function sendAll(main, files, options) {
   const fits = [];
   const faults = [];
@@ -167,6 +167,7 @@ async function sendAll(main, files, options) {
     } catch (error) {
       const { message } = /** @type {Error} */ (error);
       faults.push(`${file.name}: ${message}`);
+      if (signal.aborted) break;
     }
   }
   sending = null;

@@ -282,9 +282,10 @@ function listen(sphere) {
     clearTimeout(asked);
     if (look().lighting === "environment") return undefined; // A point has a value for each light, not for all of the sky.
     asked = setTimeout(async () => {
-      const { highlight, zoom } = look();
+      const { highlight, zoom, show, wipe } = look();
+      const isMeasured = sphere.hasBoth && (show === "measured" || (show === "half" && point[0] < wipe));
       const onSphere = point.map((value, i) => highlight[i] + (value - highlight[i]) / zoom);
-      hint.textContent = await (await import("./plots.js")).valuesBelow(sphere.subject, onSphere, lightAt(highlight));
+      hint.textContent = await (await import("./plots.js")).valuesBelow(isMeasured ? { ...sphere.subject, fit: null } : sphere.subject, onSphere, lightAt(highlight));
     }, 150);
     return undefined;
   };
@@ -293,6 +294,7 @@ function listen(sphere) {
     hint.textContent = usual();
   };
   canvas.onkeydown = (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return; // The browser has shortcuts with these keys, for example zoom.
     const { stops, wipe, highlight } = look();
     const key = event.key.toLowerCase();
     if (STEPS[event.key]) aim(highlight.map((value, i) => value + 0.05 * STEPS[event.key][i]));

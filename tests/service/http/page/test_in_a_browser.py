@@ -48,10 +48,10 @@ def test_file_is_hashed_then_sent_once_and_may_be_cancelled(visit: Visit, plasti
     page = visitor.page
     expect(page.get_by_role("heading", name="Fit your first material")).to_be_visible()
     page.route("**/v1/fits?*", lambda route: route.continue_() if "json" in str(route.request.headers) else None)
-    page.locator("#file").set_input_files(plastic_file)
+    page.locator("#file").set_input_files([plastic_file, plastic_file])  # The second file is not sent.
     expect(page.get_by_role("status").filter(has_text="Sending plastic.binary, 35.0 MB")).to_be_visible()
     page.get_by_role("button", name="Cancel").click()
-    expect(page.locator("#said")).to_contain_text("plastic.binary: The upload was cancelled.")
+    expect(page.locator("#said span")).to_have_text("plastic.binary: The upload was cancelled.")
     cancel = "document.querySelector('#cancel-upload').click()"
     page.evaluate(f"crypto.subtle.digest = async () => {{ {cancel}; return new ArrayBuffer(32); }}")
     page.locator("#file").set_input_files(plastic_file)  # This file is cancelled while it is hashed.
@@ -242,7 +242,7 @@ def test_fit_asks_with_what_it_is_compared(visit: Visit, site: Site) -> None:
         page.wait_for_timeout(10)
     delayed[0].continue_()
     dialog = page.get_by_role("dialog", name="Compare glossy with")
-    expect(dialog.get_by_role("option")).to_contain_text(["rough"])
+    expect(dialog.get_by_role("option")).to_contain_text(["rough", ", comes with dsbrdf"])
     dialog.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Compare with").click()
     dialog.get_by_role("button", name="Compare", exact=True).click()
@@ -281,6 +281,13 @@ def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
     expect(names).to_have_text([f"b {'b' * 98}", "a"])
     page.get_by_label("Sort by").select_option("name")
     expect(names).to_have_text(["a", f"b {'b' * 98}"])
+    for card in page.locator("#fits .card").all():
+        card.locator(".menu summary").click()
+        card.get_by_role("button", name="Delete").click()
+    expect(names).to_have_count(1)  # Only the last deletion can be taken back.
+    page.get_by_role("button", name="Undo").click()
+    (kept,) = guarded.server.http.get("/v1/fits", headers=header).json()["items"]
+    assert kept["name"].startswith("b b")
 
 
 def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic_file: Path) -> None:

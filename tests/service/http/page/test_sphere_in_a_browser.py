@@ -105,6 +105,7 @@ def test_light_line_and_exposure_are_under_mouse_and_keyboard(visit: Visit, site
     assert np.abs(dragged - first).mean() > 0.01
     canvas.focus()
     assert not np.array_equal(repaint(page, lambda: page.keyboard.press("ArrowLeft")), dragged)
+    page.keyboard.press("Control+-")  # The browser's zoom changes nothing here.
     darker = repaint(page, lambda: page.keyboard.press("-"))
     expect(page.locator("#controls")).to_contain_text("-0.5 EV")
     assert darker.mean() < dragged.mean()
@@ -176,6 +177,9 @@ def test_values_under_the_pointer_are_the_fits(visit: Visit, site: Site) -> None
     assert diff == pytest.approx(20.0, abs=0.1)
     near = site.model(site.fits["glossy"]).evaluate(np.radians(half), np.radians(diff))
     assert red == pytest.approx(near[0], rel=0.1)  # phi_diff is another, the lobe hardly depends on it there
+    choose(page, "show", "half")
+    with page.expect_request("**/v1/measurements/*/brdf"):
+        page.locator(SPHERE).hover(position={"x": 150, "y": 181})  # left of the line
 
 
 def test_components_are_hidden_and_shown(visit: Visit, site: Site) -> None:
