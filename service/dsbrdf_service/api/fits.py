@@ -240,13 +240,24 @@ async def get_fit(request: Request, context: TheContext, caller: TheCaller, fit:
     return tagged_reply(request, await _document(context, row), headers=headers)
 
 
+async def _own_fit(fit: TheFit) -> FitKey:
+    """Return the key of a fit; refuse a fit that comes with the service, which nobody can change."""
+    if fit.id in ATLAS:
+        detail = "The fit comes with the service; it cannot be renamed or deleted."
+        raise ProblemError("method-not-allowed", detail, {"Allow": "GET, HEAD"})
+    return fit
+
+
+_TheOwnFit = Annotated[FitKey, Depends(_own_fit)]
+
+
 @router.patch(
     "/{fit_id}",
     response_model=FitDocument,
-    responses=openapi.problems("not-found", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
+    responses=openapi.problems("not-found", "method-not-allowed", "too-large", "disk-full", *openapi.BODY_PROBLEMS),
     openapi_extra=openapi.body("The new name.", {JSON: {"schema": openapi.reference(NewName)}}),
 )
-async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Response:
+async def rename_fit(request: Request, context: TheContext, fit: _TheOwnFit) -> Response:
     """Rename a fit, or remove its name; nothing else of a fit can be changed."""
     media_type_of(request, JSON)
     async with context.bodies.received(request, _MAX_JSON_BYTES) as body:
@@ -256,8 +267,11 @@ async def rename_fit(request: Request, context: TheContext, fit: TheFit) -> Resp
     return Response(await _document(context, row), media_type=JSON)
 
 
-@router.delete("/{fit_id}", responses=openapi.problems("not-found", "fit-ended", "fit-not-finished", "disk-full"))
-async def delete_fit(context: TheContext, fit: TheFit, only: _Only = None) -> RemovedFit:
+@router.delete(
+    "/{fit_id}",
+    responses=openapi.problems("not-found", "method-not-allowed", "fit-ended", "fit-not-finished", "disk-full"),
+)
+async def delete_fit(context: TheContext, fit: _TheOwnFit, only: _Only = None) -> RemovedFit:
     """Cancel an unfinished fit, which stays in the list, or delete a fit that has ended; the answer says which.
 
     With `only=cancel`, a fit that ends just before the request is not deleted. With `only=delete`, no fit is cancelled.
