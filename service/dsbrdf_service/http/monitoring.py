@@ -17,6 +17,7 @@ from dsbrdf.engines.engine import Engine
 
 from ..queue import FitMeters
 from ..settings import Settings
+from ..storage.health import check_rows, check_space, fits_by_status, measurement_bytes
 from ..storage.schema import Status
 from ..storage.store import Store
 
@@ -55,10 +56,10 @@ class Metrics:
 
     def exposition(self, store: Store) -> bytes:
         """Return all metrics in Prometheus' text format, with the present counts of the store."""
-        numbers = store.fits_by_status()
+        numbers = fits_by_status(store.database)
         for state in get_args(Status):
             self._fits.labels(state).set(numbers.get(state, 0))
-        self._stored_bytes.set(store.measurement_bytes())
+        self._stored_bytes.set(measurement_bytes(store.database))
         return generate_latest(self._registry)
 
 
@@ -73,9 +74,9 @@ class Readiness:
     def __init__(self, store: Store, engine: Engine, settings: Settings) -> None:
         self._stopping = False
         self._checks: dict[str, Callable[[], None]] = {
-            "The database": store.check,
+            "The database": partial(check_rows, store.database),
             "The folder of measurements": store.blobs.check,
-            "The disk": partial(store.check_space, settings.min_free_mb),
+            "The disk": partial(check_space, store.folder, settings.min_free_mb),
             "The engine": engine.check,
         }
         self._thread = CapacityLimiter(1)  # Checks have their own thread, so that they never wait for requests.

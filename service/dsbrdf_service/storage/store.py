@@ -40,7 +40,6 @@ from .schema import (
 logger = logging.getLogger(__name__)
 
 _RESERVE_BYTES = 1 << 22
-_NOBODY = Caller("nobody")  # No API key has this id.
 _SELECT_FIT = f"SELECT {columns(FitRow)} FROM fits"  # noqa: S608 (constants only)
 _SELECT_MEASUREMENT = f"SELECT {columns(MeasurementRow)} FROM measurements"  # noqa: S608
 _WHERE_FIT = "WHERE owner = ? AND id = ?"
@@ -48,11 +47,11 @@ _WHERE_MEASUREMENT = "WHERE owner = ? AND sha256 = ?"
 _SELECT_THE_FIT = f"{_SELECT_FIT} {_WHERE_FIT}"
 _NEXT = "(SELECT coalesce(max(seq), 0) + 1 FROM {} WHERE owner = ?)"
 # A repeated fit gets a new row, so that it comes first in lists.
-_ADD_FIT = (
+ADD_FIT = (
     "REPLACE INTO fits (seq, owner, id, name, measurement, options, algorithm, library, status, created)"  # noqa: S608
     f" VALUES ({_NEXT.format('fits')}, ?, ?, ?, ?, ?, ?, ?, 'accepted', ?) RETURNING {columns(FitRow)}"
 )
-_ADD_MEASUREMENT = (
+ADD_MEASUREMENT = (
     "INSERT INTO measurements (seq, owner, sha256, name, size, valid_nodes, created)"  # noqa: S608
     f" VALUES ({_NEXT.format('measurements')}, ?, ?, ?, ?, ?, ?) ON CONFLICT (owner, sha256) DO UPDATE"
     f" SET name = coalesce(excluded.name, name) RETURNING {columns(MeasurementRow)}"
@@ -115,7 +114,7 @@ class Store:
             if new:
                 check_storage(db, caller, incoming.size, "the measurement has")
             values = (caller.owner, caller.owner, sha256, name, incoming.size, incoming.valid_nodes, time.time())
-            (row,) = db.execute(_ADD_MEASUREMENT, values).fetchall()
+            (row,) = db.execute(ADD_MEASUREMENT, values).fetchall()
             # An existing file is replaced too, which repairs damage and does not reveal that another key has the file.
             self.blobs.place(incoming)
         return MeasurementRow.from_values(row), new
@@ -213,7 +212,7 @@ class Store:
                 raise ProblemError("queue-full", detail)
             versions = dsbrdf.ALGORITHM_VERSION, dsbrdf.__version__
             new = (caller.owner, *key, name, sha256, json.dumps(options), *versions, time.time())
-            (row,) = db.execute(_ADD_FIT, new).fetchall()
+            (row,) = db.execute(ADD_FIT, new).fetchall()
         return FitRow.from_values(row), True
 
     def fit(self, key: FitKey) -> FitRow:
@@ -285,7 +284,8 @@ class Store:
     def result_stamp(self, key: FitKey) -> int | None:
         """Return the checksum of a fit's result, None without a result; the query suits the event loop."""
         row = self.database.row_now(f"SELECT checksum FROM fits {_WHERE_FIT} AND status = 'succeeded'", *key)  # noqa: S608
-        return int(row[0]) if row is not None else 0 if key.id in ATLAS else None
+        stamp: int | None = row[0] if row is not None else 0 if key.id in ATLAS else None
+        return stamp
 
     def start_fit(self, key: FitKey) -> FitRow | None:
         """Mark a fit as running, also after the loss of its process; return None if the fit has ended already."""
@@ -333,35 +333,6 @@ class Store:
             db.execute("UPDATE fits SET status = 'accepted', started = NULL, attempts = 0 WHERE status = 'running'")
             rows = db.execute("SELECT owner, id FROM fits WHERE status = 'accepted' ORDER BY rowid")
             return [FitKey(*row) for row in rows]
-
-    def fits_by_status(self) -> dict[Status, int]:
-        """Return the number of fits of all owners by status."""
-        return dict(self.database.rows("SELECT status, count(*) FROM fits GROUP BY status"))
-
-    def measurement_bytes(self) -> int:
-        """Return the bytes of all files of measurements, each counted once."""
-        files = "SELECT coalesce(sum(size), 0) FROM (SELECT DISTINCT sha256, size FROM measurements)"
-        ((size,),) = self.database.rows(files)
-        return int(size)
-
-    def check_space(self, min_free_mb: int) -> None:
-        """Raise RuntimeError if less than `min_free_mb` MB of the disk is free."""
-        free = shutil.disk_usage(self.folder).free >> 20
-        if free < min_free_mb:
-            raise RuntimeError(f"only {free} MB are free; the service needs {min_free_mb} MB")
-
-    def check(self) -> None:
-        """Raise sqlite3.Error or OSError unless rows can be read, and those of an upload and a fit can be written."""
-
-        def attempt(db: sqlite3.Connection) -> None:
-            check_key(db, _NOBODY)
-            check_storage(db, _NOBODY, 0, "")
-            db.execute(_ADD_MEASUREMENT, (*[_NOBODY.owner] * 3, None, 0, 0, 0.0)).fetchall()
-            db.execute(_ADD_FIT, (*[_NOBODY.owner] * 3, None, "", "{}", "", "", 0.0)).fetchall()
-
-        for table in ("fits", "measurements", "keys"):
-            self.database.rows(f"SELECT * FROM {table} ORDER BY rowid DESC LIMIT 1")  # noqa: S608
-        self.database.check_writing(attempt)
 
     def _advance(
         self, change: str, values: tuple[object, ...], key: FitKey, condition: str = IS_UNFINISHED

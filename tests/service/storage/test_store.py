@@ -1,5 +1,6 @@
 """The store on its own: what a fit may become, what owners share, and what a fault of a row, file or folder leaves."""
 
+import asyncio
 import errno
 import os
 import shutil
@@ -16,8 +17,10 @@ import pytest
 
 import dsbrdf
 from dsbrdf_service import errors
+from dsbrdf_service.compute.computations import ModelCache
 from dsbrdf_service.errors import DataFolderError, MeasurementDamagedError, ProblemError
 from dsbrdf_service.storage.database import FILE_NAME, Database
+from dsbrdf_service.storage.health import check_rows, check_space
 from dsbrdf_service.storage.maintenance import check_database, check_measurements, purge_folder, remove_files
 from dsbrdf_service.storage.schema import ROW_DAMAGED, ROW_SIZE, UNFINISHED_SIZE, Caller, FitKey
 from dsbrdf_service.storage.store import Store, fit_identity
@@ -84,14 +87,15 @@ def test_owners_share_only_the_file_of_a_measurement(store: Store) -> None:
     assert store.result(of_b) == b"of b"
 
 
-def test_damaged_result_is_not_returned(store: Store) -> None:
+@pytest.mark.parametrize("damage", ["result = 'docunent'", "checksum = NULL"])
+def test_damaged_result_is_not_returned(store: Store, damage: str) -> None:
     key = store.add_fit(LOCAL, add(store), OPTIONS, 10)[0].key
     store.start_fit(key)
     store.complete_fit(key, "document", {"male": 0.5})
     with store.database.transaction() as db:
-        db.execute("UPDATE fits SET result = 'docunent'")
+        db.execute(f"UPDATE fits SET {damage}")
     with pytest.raises(ProblemError, match="result of the fit is damaged; delete the fit and fit the measurement"):
-        store.result(key)
+        asyncio.run(ModelCache(store, 1).get(key))
 
 
 def test_database_with_other_tables_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
@@ -221,13 +225,13 @@ def test_damaged_result_and_measurement_are_examined(store: Store, tmp_path: Pat
     ["DROP TABLE keys", "CREATE TRIGGER t BEFORE INSERT ON measurements BEGIN SELECT RAISE(ABORT, 'no'); END"],
 )
 def test_check_tries_what_an_upload_needs_and_leaves_nothing(store: Store, tmp_path: Path, harm: str) -> None:
-    store.check()
+    check_rows(store.database)
     store.blobs.check()
     assert (store.measurements("nobody", 1, None), store.fits("nobody", 1, None)) == ([], [])
     assert [path for part in ("blobs", "tmp") for path in (tmp_path / part).iterdir()] == []
     change(tmp_path, harm)
     with pytest.raises(sqlite3.Error):
-        store.check()
+        check_rows(store.database)
 
 
 def test_folder_that_is_away_is_no_damage_of_its_files(store: Store, tmp_path: Path) -> None:
@@ -257,7 +261,7 @@ def test_folders_need_no_fsync_but_files_do(store: Store, monkeypatch: pytest.Mo
         fsync(descriptor)
 
     monkeypatch.setattr(os, "fsync", refuse)
-    store.check()
+    check_rows(store.database)
     assert store.sound_file(add(store)).read_bytes() == b"content"
     are_folders = False
     with pytest.raises(OSError, match="Invalid argument"):
@@ -300,9 +304,9 @@ def test_fit_of_another_owner_does_not_keep_an_old_measurement(store: Store, tmp
 
 def test_space_is_enough_if_it_is_what_the_settings_ask_for(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=256 << 20))
-    store.check_space(256)
+    check_space(store.folder, 256)
     with pytest.raises(RuntimeError, match=r"^only 256 MB are free; the service needs 257 MB$"):
-        store.check_space(257)
+        check_space(store.folder, 257)
 
 
 @contextmanager

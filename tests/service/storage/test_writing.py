@@ -18,6 +18,7 @@ from dsbrdf_service.settings import Settings
 from dsbrdf_service.storage import files
 from dsbrdf_service.storage.database import RESERVE, Database
 from dsbrdf_service.storage.files import Incoming
+from dsbrdf_service.storage.health import check_rows
 from dsbrdf_service.storage.keys import add_key, revoke_key
 from dsbrdf_service.storage.maintenance import purge_folder
 from dsbrdf_service.storage.schema import Caller
@@ -104,13 +105,13 @@ def test_unfinished_fit_of_another_algorithm_fails_and_says_so(store: Store, mon
 def test_check_of_the_database_waits_for_nobody_who_writes(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     add(store, b"content")
     with store.database.transaction():
-        checked = threading.Thread(target=store.check)
+        checked = threading.Thread(target=check_rows, args=(store.database,))
         checked.start()
         checked.join(2.0)
         assert not checked.is_alive()
         monkeypatch.setattr("dsbrdf_service.storage.database.monotonic", lambda: 1e12)
         with pytest.raises(sqlite3.OperationalError, match="a transaction takes too long"):
-            store.check()
+            check_rows(store.database)
 
 
 def test_reserve_gives_its_room_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
