@@ -111,7 +111,7 @@ class LineFormatter(logging.Formatter):
             line["exception"] = _shown(exception, _MAX_TRACEBACK_LENGTH)
         if not self._in_words:
             return json.dumps(line)
-        texts = {name: json.dumps(value).strip('"') for name, value in line.items()}  # JSON escapes line breaks.
+        texts = {name: json.dumps(str(value))[1:-1] for name, value in line.items()}  # JSON escapes line breaks.
         first = [texts.pop(name) for name in ("time", "level", "event")]
         return " ".join([*first, *(f"{name}={text}" for name, text in texts.items())])
 

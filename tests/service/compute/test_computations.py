@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import signal
+import sqlite3
 import tempfile
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future
@@ -19,6 +20,7 @@ from dsbrdf.engines.engine import MEMORY_LIMIT
 from dsbrdf_service.api import measurements, pictures, results, values
 from dsbrdf_service.compute import steps
 from dsbrdf_service.http.messages import PIECE_BYTES
+from dsbrdf_service.storage.health import measurement_bytes
 from dsbrdf_service.storage.schema import Caller
 from tests.support.application import FIT, Application, Blocked, application, until
 from tests.support.processes import wait_until
@@ -150,10 +152,17 @@ async def test_a_stop_cancels_what_is_being_computed(
     assert endless.cancelled()
 
 
-async def test_full_disk_at_an_export_is_507(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_full_disk_is_507(running: Application, key: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        with closing(sqlite3.connect(":memory:")) as database:
+            database.executescript("PRAGMA max_page_count = 1; CREATE TABLE more (a)")
+
     monkeypatch.setattr(results, "export_step", lambda *_: Path("/dev/full").write_bytes(b"a table"))
-    answer = await running.ask(f"{FIT_PATH}/export?format=merl", key).end()
-    assert (answer.status, json.loads(answer.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
+    monkeypatch.setattr(running.store, "rename_fit", full)
+    renaming = running.ask(FIT_PATH, key, "PATCH", b'{"name": "a"}')
+    for request in (running.ask(f"{FIT_PATH}/export?format=merl", key), renaming):
+        answer = await request.end()
+        assert (answer.status, json.loads(answer.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
 
 
 async def test_export_without_a_folder_for_its_file_is_a_problem(running: Application, key: str) -> None:
@@ -181,7 +190,7 @@ async def test_without_inodes_what_writes_is_507_and_what_reads_works(
     for place, name in ((Path, "mkdir"), (tempfile, "TemporaryFile"), (tempfile, "mkstemp")):
         monkeypatch.setattr(place, name, full)
         assert await status("/v1/measurements", "POST", data) == 507
-        assert running.store.measurement_bytes() == 0
+        assert measurement_bytes(running.store.database) == 0
         paths = running.store.folder.rglob("*")
         assert not [path for path in paths if path.suffix == ".binary" or "upload" in path.name]
     assert await status("/v1/fits", "POST", data) == 507

@@ -274,6 +274,6 @@ def test_lines_that_are_dropped_are_counted() -> None:
 
 
 def test_line_at_a_terminal_is_one_line_of_words() -> None:
-    record = logging.makeLogRecord({"msg": "two\nlines", "levelname": "INFO", "name": "dsbrdf", "route": "a\x1bb"})
+    record = logging.makeLogRecord({"msg": 'two\nlines "x"', "levelname": "INFO", "name": "dsbrdf", "route": "a\x1bb"})
     line = LineFormatter(in_words=True).format(record)
-    assert re.fullmatch(r"[\dT:.-]+Z info two\\nlines logger=dsbrdf .*route=a\\u001bb", line)
+    assert re.fullmatch(r'[\dT:.-]+Z info two\\nlines \\"x\\" logger=dsbrdf .*route=a\\u001bb', line)
