@@ -112,19 +112,23 @@ class MixtureProblem:
         The next call overwrites the matrix, whose memory is reused.
         """
         k, count = self.structure.n_lobes, self._lobe_of.size
-        products, columns_of_blocks, weighted_of_blocks = self._buffers
+        products, *buffers = self._buffers
         for block, curves, kinds, residual in at.parts:
             # The columns are the derivatives of the values in the parameters of the lobes, then the residual.
-            shape = len(curves), count + 1, curves.shape[2]
-            columns = columns_of_blocks[: math.prod(shape)].reshape(shape)
-            weighted = weighted_of_blocks[: columns[:, :count].size].reshape(columns[:, :count].shape)
-            columns[:, :k] = curves
+            rows, _, samples = curves.shape
+            shapes = (rows, count, samples), (rows, count, samples), (rows, samples, count + 1)
+            derivatives, weighted, columns = (
+                buffer[: math.prod(shape)].reshape(shape) for buffer, shape in zip(buffers, shapes, strict=True)
+            )
+            derivatives[:, :k] = curves
             for place, values in (column for kind in kinds for column in self._slopes(block, kind)):
-                columns[:, place] = values
+                derivatives[:, place] = values
+            # Products of small matrices take half the time if the samples are the first axis of the second matrix.
+            columns[..., :count] = derivatives.transpose(0, 2, 1)
             for channel in range(3):
-                columns[:, count] = residual[:, channel]
-                np.multiply(columns[:, :count], block.weight[:, channel, None], out=weighted)
-                np.matmul(weighted, columns.transpose(0, 2, 1), out=products[block.rows, channel])
+                columns[..., count] = residual[:, channel]
+                np.multiply(derivatives, block.weight[:, channel, None], out=weighted)
+                np.matmul(weighted, columns, out=products[block.rows, channel])
         matrix, gradient = self._assemble(products, at.amplitude[:, :, self._lobe_of])
         self.structure.chain(at.unknowns, matrix, gradient)
         for part, pull in zip(self.structure.parts, self._pulls, strict=True):
@@ -134,16 +138,17 @@ class MixtureProblem:
         return matrix, gradient + at.pull
 
     @cached_property
-    def _buffers(self) -> tuple[Array, Array, Array]:
+    def _buffers(self) -> tuple[Array, Array, Array, Array]:
         """Arrays that `linearize` reuses, so that they stay in a processor's cache.
 
         The first array is for the products of M derivatives with each other and with the residual (rows, 3, M, M + 1).
-        The other arrays are for the columns of a block, and for these columns times the weights.
+        The other arrays are for a block: its derivatives, these times the weights, and derivatives and residual.
         """
         count, dtype = self._lobe_of.size, self.data.mean.dtype
         size = max(block.along.size for block in self.data.blocks)
         products = np.empty((len(self.data.theta_diff), 3, count, count + 1), dtype)
-        return products, np.empty(size * (count + 1), dtype), np.empty(size * count, dtype)
+        derivatives, weighted, columns = (np.empty(size * width, dtype) for width in (count, count, count + 1))
+        return products, derivatives, weighted, columns
 
     def _assemble(self, products: Array, scale: Array) -> tuple[Array, Array]:
         """Return the matrix and the gradient in the control values, from products in the parameters of each row.
