@@ -34,7 +34,7 @@ _COORDINATES = (THETA_HALF, np.arange(float(GRID_SHAPE[0])))  # the angle, or it
 
 def used_nodes(measurement: Measurement, i: int, horizon_cutoff: float | None) -> NDArray[np.bool_]:
     """Nodes of the theta_half row ``i`` that count in every channel, shape (90 theta_diff, 180 phi_diff)."""
-    return np.asarray(used_samples(measurement, i, horizon_cutoff))
+    return np.asarray(used_samples(measurement, horizon_cutoff)[i])
 
 
 def thinned(measurement: Measurement, factor: int) -> Measurement:

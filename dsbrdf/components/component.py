@@ -67,7 +67,7 @@ class Component(ReflectanceModel):
         return self.whole.split_unmasked(theta_half, theta_diff, phi_diff)[self._index]
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
+        """Yield for each theta_diff the values (3, H, P) [1/sr] at all pairs of theta_half (H,) and phi_diff (P,)."""
         for parts in self.whole.split_grid(theta_half, theta_diff, phi_diff):
             yield parts[self._index]
 
@@ -257,7 +257,7 @@ class Decomposition:
         return self._split(values.T, Points.at(theta_half, theta_diff, phi_diff)).transpose(0, 2, 1)
 
     def split_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_half the values (components, 3, D, P) at all theta_diff (D,) and phi_diff (P,)."""
+        """Yield for each theta_diff the values (components, 3, H, P) at all theta_half (H,) and phi_diff (P,)."""
         axes = theta_half, theta_diff, phi_diff
         for points, values in zip(grid_points(*axes), self.model.evaluate_grid(*axes), strict=True):
             yield self._split(values.reshape(3, -1), points).reshape(-1, *values.shape)

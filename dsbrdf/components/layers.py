@@ -344,6 +344,6 @@ class LayeredModel(RenderableModel):
         return self.layer_values(Points.at(theta_half, theta_diff, phi_diff)).sum(axis=0).T
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
+        """Yield for each theta_diff the values (3, H, P) [1/sr] at all pairs of theta_half (H,) and phi_diff (P,)."""
         for points in grid_points(theta_half, theta_diff, phi_diff):
-            yield self.layer_values(points).sum(axis=0).reshape(3, theta_diff.size, phi_diff.size)
+            yield self.layer_values(points).sum(axis=0).reshape(3, theta_half.size, phi_diff.size)

@@ -84,10 +84,10 @@ class Points(NamedTuple):
 
 
 def grid_points(theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Points]:
-    """Yield for each theta_half the points at all pairs of theta_diff (D,) and phi_diff (P,), phi_diff fastest."""
-    diff, phi = (angle.ravel() for angle in np.meshgrid(theta_diff, phi_diff, indexing="ij"))
-    for angle in theta_half:
-        yield Points.at(np.full(diff.size, angle), diff, phi)
+    """Yield for each theta_diff the points at all pairs of theta_half (H,) and phi_diff (P,), phi_diff fastest."""
+    half, phi = (angle.ravel() for angle in np.meshgrid(theta_half, phi_diff, indexing="ij"))
+    for angle in theta_diff:
+        yield Points.at(half, np.full(half.size, angle), phi)
 
 
 def fresnel_rise(cosine: Array) -> Array:

@@ -186,12 +186,13 @@ class Measurement:
             raise InvalidArgumentError("a measurement without a valid node cannot be interpolated")
         return InterpolatedMeasurement(self, *_nearest_valid(self.valid))
 
-    def values_at(self, i: int, phi_step: int = 1) -> Array:
-        """Return values (3, 90, n) [1/sr] at the theta_half with index ``i``, none of which is negative.
+    def values_at(self, *nodes: int | slice) -> Array:
+        """Return values (3, ...) [1/sr], none negative, at indices or slices of theta_half, theta_diff and phi_diff.
 
-        Every ``phi_step``-th phi_diff is returned, by default all 180.
+        An axis for which there is neither an index nor a slice is returned whole.
         """
-        values = self.stored[:, i, :, ::phi_step] * self.scale[:, np.newaxis, np.newaxis]
+        stored = self.stored[:, *nodes]
+        values = stored * self.scale.reshape(3, *[1] * (stored.ndim - 1))
         return np.maximum(values, 0.0, out=values)
 
     @property

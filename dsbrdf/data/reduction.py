@@ -157,8 +157,9 @@ def profiles(
     shape = (3, THETA_DIFF.size, THETA_HALF.size)
     mean, weight, within = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     folded = FoldedProfiles(np.zeros((*shape, N_BINS)), np.zeros((*shape, N_BINS)), np.zeros((*shape[1:], N_BINS)))
+    used_anywhere = used_samples(measurement, horizon_cutoff)
     for i, theta_half in enumerate(THETA_HALF):
-        used, samples = used_samples(measurement, i, horizon_cutoff), measurement.values_at(i)
+        used, samples = used_anywhere[i], measurement.values_at(i)
         _fold(folded, i, samples, measurement.valid[i], robust=robust)
         weights = used.astype(float)
         if robust:
@@ -172,10 +173,9 @@ def profiles(
     return Profiles(mean, weight, within, folded, horizon_cutoff, weighting, robust, name, sha256)
 
 
-def used_samples(measurement: Measurement, i: int, horizon_cutoff: float | None) -> Mask:
-    """Return the mask (90 theta_diff, 180 phi_diff) of the used samples at the theta_half with index ``i``."""
-    cutoff = np.pi / 2 if horizon_cutoff is None else horizon_cutoff
-    return measurement.valid[i] & nodes_above_horizon(cutoff)[i]
+def used_samples(measurement: Measurement, horizon_cutoff: float | None) -> Mask:
+    """Return the mask (90, 90, 180) of the samples whose directions are within the cutoff of the normal [rad]."""
+    return measurement.valid & nodes_above_horizon(np.pi / 2 if horizon_cutoff is None else horizon_cutoff)
 
 
 def _fold(folded: FoldedProfiles, i: int, samples: Array, valid: Mask, *, robust: bool) -> None:

@@ -47,7 +47,7 @@ MIN_FLOOR = 1e-6
 MIN_ALBEDO = 1e-9
 """A channel with a smaller albedo is black up to rounding, so its relative albedo error counts as 0."""
 SPHERE_PIXELS = 64
-COLUMN_GROUPS = 9
+ROW_GROUPS = 9
 SINGLE: Any = np.float32
 PHI_STEP = 2
 """Every second phi_diff is enough: total errors of 71 materials differ by less than 1 % from those of all phi_diff."""
@@ -132,19 +132,22 @@ def sample_errors(model: ReflectanceModel, measurement: Measurement, horizon_cut
     Raises InvalidArgumentError if there is nothing but zeros to compare with.
     """
     sums, phi_diff = np.zeros((6, 3, THETA_DIFF.size)), PHI_DIFF[::PHI_STEP].astype(SINGLE)
-    for columns in np.array_split(np.flatnonzero(OUTSIDE_CENTER), COLUMN_GROUPS):
-        masks = [used_samples(measurement, i, horizon_cutoff)[..., ::PHI_STEP] for i in columns.tolist()]
-        # Rows of theta_diff beyond the last used sample are skipped, which saves evaluations of the model.
-        rows = slice(0, 1 + int(np.flatnonzero(np.any(masks, axis=(0, 2))).max(initial=-1)))
-        cos_diff, sin_diff = (part(THETA_DIFF[rows, None]).astype(SINGLE) for part in (np.cos, np.sin))
+    first, every_phi = int(OUTSIDE_CENTER.argmax()), slice(None, None, PHI_STEP)
+    used = used_samples(measurement, horizon_cutoff)[:, :, every_phi]
+    for rows in np.array_split(np.arange(THETA_DIFF.size), ROW_GROUPS):
+        # Columns of theta_half beyond the last used sample are skipped, which saves evaluations of the model.
+        last = np.flatnonzero(np.any(used[:, rows], axis=(1, 2))).max(initial=-1)
+        columns = slice(first, 1 + int(last))
+        along, swing = (part(THETA_HALF[columns, None]).astype(SINGLE) for part in (np.cos, np.sin))
+        across = swing * np.cos(phi_diff)
         grid = model.evaluate_grid(THETA_HALF[columns], THETA_DIFF[rows], phi_diff[: phi_diff.size // 2 + 1])
-        for i, used, values in zip(columns.tolist(), masks, grid, strict=True):
+        for row, values in zip(rows.tolist(), grid, strict=True):
             # Only the cosine of omega_in to the normal is needed; `incident_cosines` computes both cosines.
-            cosine = math.cos(THETA_HALF[i]) * cos_diff - (math.sin(THETA_HALF[i]) * sin_diff) * np.cos(phi_diff)
+            cosine = math.cos(THETA_DIFF[row]) * along - math.sin(THETA_DIFF[row]) * across
             # The model has equal values at phi_diff and at 180 degrees - phi_diff.
             fit = np.concatenate([values, values[:, :, -2:0:-1]], axis=2)
-            samples = measurement.values_at(i, PHI_STEP)[:, rows].astype(SINGLE)
-            sums[:, :, rows] += _column_sums(samples, fit, used[rows].astype(SINGLE), cosine)
+            samples = measurement.values_at(columns, row, every_phi).astype(SINGLE)
+            sums[:, :, row] = _row_sums(samples, fit, used[columns, row].astype(SINGLE), cosine)
     if not sums[0].any():
         raise InvalidArgumentError(
             f"there are no data to compare with: from theta_half = {math.degrees(CENTER_CUTOFF):.2g} degrees on, every "
@@ -153,8 +156,8 @@ def sample_errors(model: ReflectanceModel, measurement: Measurement, horizon_cut
     return sums
 
 
-def _column_sums(samples: Array, fit: Array, counted: Array, cosine: Array) -> Array:
-    """Return the six sums over phi_diff of `sample_errors` for one theta_half, (6, 3, rows).
+def _row_sums(samples: Array, fit: Array, counted: Array, cosine: Array) -> Array:
+    """Return the six sums of `sample_errors` over theta_half and phi_diff at one theta_diff, (6, 3).
 
     `counted` is 1 for samples that are used, and otherwise 0.
     """
@@ -169,12 +172,12 @@ def _column_sums(samples: Array, fit: Array, counted: Array, cosine: Array) -> A
     step *= math.sqrt(0.5) * counted[..., one] * counted[..., partner]
     error = samples - fit
     error *= counted
-    squares = [np.einsum("crp,crp->cr", part, part) for part in (samples, error, deviation, step)]
+    squares = [np.einsum("chp,chp->ch", part, part) for part in (samples, error, deviation, step)]
     # The difference of logarithms is log(1 + (f - fit) cos_in / (1 + fit cos_in)), which is accurate for small errors.
     error *= cosine
     error /= 1.0 + fit * cosine
     log_error = np.sum(np.abs(np.log1p(error, out=error), out=error), axis=2)
-    return np.stack([*squares, log_error, np.broadcast_to(count, mean.shape)])
+    return np.stack([*squares, log_error, np.broadcast_to(count, mean.shape)]).sum(axis=2, dtype=float)
 
 
 def relative_errors(sums: Array, channels: slice = slice(None), rows: slice = slice(None)) -> RelativeErrors | None:

@@ -198,10 +198,10 @@ class DSBRDF(RenderableModel):
         return values
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
-        delta = self._delta_at(theta_diff).T[..., None]
-        for angle, values in zip(theta_half, self._evaluator.grid(theta_half, theta_diff, phi_diff), strict=True):
-            yield values + delta if angle < CENTER_CUTOFF else values
+        """Yield for each theta_diff the values (3, H, P) [1/sr] at all pairs of theta_half (H,) and phi_diff (P,)."""
+        delta = (self._delta_at(theta_diff)[..., None] * (theta_half < CENTER_CUTOFF)).astype(phi_diff.dtype)
+        for added, values in zip(delta, self._evaluator.grid(theta_half, theta_diff, phi_diff), strict=True):
+            yield values + added[..., None] if self._has_delta else values
 
     def parameters_at(self, theta_diff: ArrayLike) -> dict[str, Array]:
         """Return the interpolated parameters at angles theta_diff.

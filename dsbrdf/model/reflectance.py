@@ -45,7 +45,7 @@ class ReflectanceModel(ABC):
 
     @abstractmethod
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
+        """Yield for each theta_diff the values (3, H, P) [1/sr] at all pairs of theta_half (H,) and phi_diff (P,)."""
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return RGB values (..., 3) [1/sr] at half and difference angles (...) that broadcast.
@@ -100,8 +100,8 @@ class ReflectanceModel(ABC):
         """
         grid = np.empty((3, THETA_HALF.size, THETA_DIFF.size, PHI_DIFF.size))
         for row, values in enumerate(self.evaluate_grid(THETA_HALF, THETA_DIFF, PHI_DIFF[:QUARTER])):
-            grid[:, row, :, :QUARTER] = values
-            grid[:, row, :, QUARTER:] = values[:, :, -2:0:-1]
+            grid[:, :, row, :QUARTER] = values
+            grid[:, :, row, QUARTER:] = values[:, :, -2:0:-1]
         return grid
 
 
@@ -207,7 +207,7 @@ class Blend(RenderableModel):
         return self._mean(self.first.evaluate_unmasked(*angles), self.second.evaluate_unmasked(*angles))
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
+        """Yield for each theta_diff the values (3, H, P) [1/sr] at all pairs of theta_half (H,) and phi_diff (P,)."""
         axes = theta_half, theta_diff, phi_diff
         return map(self._mean, self.first.evaluate_grid(*axes), self.second.evaluate_grid(*axes))
 
@@ -269,11 +269,11 @@ class FunctionModel(RenderableModel):
         return values
 
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_half the values (3, D, P) [1/sr] at all pairs of theta_diff (D,) and phi_diff (P,)."""
-        for half in theta_half.tolist():
-            angles = np.meshgrid(half, theta_diff, phi_diff, indexing="ij")
+        """Yield for each theta_diff the values (3, H, P) [1/sr] at all pairs of theta_half (H,) and phi_diff (P,)."""
+        for diff in theta_diff.tolist():
+            angles = np.meshgrid(theta_half, diff, phi_diff, indexing="ij")
             values = self.evaluate_unmasked(*(one.ravel() for one in angles))
-            yield values.T.reshape(3, theta_diff.size, phi_diff.size)
+            yield values.T.reshape(3, theta_half.size, phi_diff.size)
 
     def _values(self, first: Array, second: Array) -> Array:
         values = np.asarray(self.function(first, second), dtype=float)

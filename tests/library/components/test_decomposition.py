@@ -68,7 +68,7 @@ def test_values_on_a_grid_and_of_directions_are_those_at_angles(paint_model: DSB
     half, diff, phi = THETA_HALF[[0, 9, 40]], THETA_DIFF[[0, 45]], PHI_DIFF[[0, 30, 90]]
     pair, sums = ([0.6, 0.0, 0.8], [-0.48, 0.36, 0.8]), np.zeros(3)
     for component in decompose(paint_model):
-        grid = np.moveaxis(np.stack(list(component.evaluate_grid(half, diff, phi))), 1, -1)
+        grid = np.stack(list(component.evaluate_grid(half, diff, phi))).transpose(2, 0, 3, 1)
         np.testing.assert_allclose(grid, component.evaluate(half[:, None, None], diff[:, None], phi), rtol=1e-12)
         sums += component.evaluate_directions(*pair)
     np.testing.assert_allclose(sums, paint_model.evaluate_directions(*pair), rtol=1e-12)

@@ -83,7 +83,7 @@ def test_a_layered_model_is_reciprocal_and_the_sum_of_its_layers() -> None:
     assert model.n_numbers == 44
     grid = np.stack(list(model.evaluate_grid(at[0][:2], at[1][:3], at[2][:4])))
     expected = model.evaluate(at[0][:2, None, None], at[1][:3, None], at[2][:4])
-    np.testing.assert_allclose(np.moveaxis(grid, 1, -1), expected, rtol=1e-12)
+    np.testing.assert_allclose(grid.transpose(2, 0, 3, 1), expected, rtol=1e-12)
 
 
 def test_albedo_is_the_mean_weight_of_samples() -> None:

@@ -268,7 +268,7 @@ def test_tiny_data(plastic_profiles: Profiles, rows: Any, columns: Any) -> None:
     result = fit(thin)
     assert calm_ratio(result.model, plastic_profiles) < 100.0
     grid = np.stack(list(result.model.evaluate_grid(THETA_HALF, THETA_DIFF, np.arccos(np.sqrt(np.full(1, 0.5))))))
-    values, weight = np.moveaxis(grid[..., 0], 0, -1), thin.folded.weight.sum(axis=3)
+    values, weight = grid[..., 0].swapaxes(0, 1), thin.folded.weight.sum(axis=3)
     mean = np.sum(thin.folded.weight * folded.mean, axis=3) / np.where(weight > 0, weight, 1.0)
     error = np.sqrt(np.sum(weight * (values - mean) ** 2) / np.sum(weight * mean**2))
     assert error < 0.3
