@@ -10,6 +10,7 @@ from dsbrdf import Finding, FitResult, Measurement, decompose, fit, profiles, re
 from dsbrdf.data import THETA_DIFF, THETA_HALF, nodes_above_horizon, synthetic_measurement
 from dsbrdf.fitting import DirectionalAlbedo, KnotReport, Metrics
 from dsbrdf.result import accuracy_findings, fit_findings, verdict
+from tests.support.reproduced import assert_reproduced, of_fit
 
 pytestmark = pytest.mark.slow
 
@@ -50,7 +51,9 @@ def test_model_that_reflects_more_than_it_receives(matte: Measurement) -> None:
 
 
 def test_noisy_measurement() -> None:
-    report = fit(synthetic_measurement(roughness=0.3, noise=0.3), n_lobes=2, ring_lobes=0).report
+    result = fit(synthetic_measurement(roughness=0.3, noise=0.3), n_lobes=2, ring_lobes=0)
+    assert_reproduced("fit/noisy", of_fit(result), 0.02)
+    report = result.report
     (found,) = report.findings_of_fit
     said = f"{ASYMMETRIC_SAMPLES} {report.metrics.symmetric_floor:.1%}"
     assert found.sentence.startswith(said)

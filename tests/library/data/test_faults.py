@@ -1,7 +1,7 @@
 """Synthetic materials, and faults of measurements: noticed, while good measurements are not blamed."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from typing import Any
 
@@ -18,6 +18,7 @@ from dsbrdf.data.geometry import incident_cosines, nodes_above_horizon
 from dsbrdf.fitting import relative_errors, sample_errors
 from dsbrdf.model import directional_albedo
 from tests.support.models import random_model
+from tests.support.reproduced import assert_reproduced
 
 CUTOFF = float(np.radians(80.0))
 
@@ -42,38 +43,17 @@ def with_garbage(values: Array) -> Array:
     return np.where(beyond_cutoff(), values * factors, values)
 
 
-FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
-    "clipped-highlight": (clipped, "44.8% of the samples equal the largest value in red and green and blue, 0.0878/sr"),
-    "sudden-zeros coarse-values": (
-        lambda values: np.round(values / values.max() * 255.0) / 255.0 * values.max(),
-        "right beside bright ones: the fit takes them for black. Write -1 where nothing was measured",
-    ),
-    "constant-floor": (lambda values: values + 0.05, "the values are 0.051/sr at all theta_half and theta_diff"),
-    "bad-horizon": (with_garbage, "a direction further than 80 degrees from the normal disagree"),
-    "outside-gamut": (
-        lambda values: values - np.array([0.0, 0.0, 0.02])[:, None, None, None],
-        "In 43.4% of the samples blue is below 0, as in colours outside of sRGB",
-    ),
-    "constant-channel": (
-        lambda values: np.concatenate([values[:2], np.full_like(values[2:], 0.02)]),
-        "All values of blue are 0.02/sr, and other channels vary: check the measurement of blue.",
-    ),
-    "uneven-sweeps": (
-        lambda values: values * np.where(np.arange(90) < 30, 1.0, 1.1)[:, None],
-        "At theta_diff = 30 degrees values jump by 7% to 10%. The lamp may have drifted",
-    ),
-    "repeated-samples": (
-        lambda values: np.repeat(values[:, ::2], 2, axis=1),
-        "At 50% of the angles the values are exactly those at the next smaller theta_half",
-    ),
-    "sudden-zeros": (
-        lambda values: np.where(THETA_DIFF[:, None] > np.radians(60.0), 0.0, values),
-        "22.0% of the samples are 0 in all channels",
-    ),
-    "hollow-highlight": (
-        lambda values: np.where(values > 2.0, values - 1.9, values),
-        "degrees of theta_half, the highlight falls suddenly by more than half towards its centre",
-    ),
+FAULTS: dict[str, Callable[[Array], Array]] = {
+    "clipped-highlight": clipped,
+    "sudden-zeros coarse-values": lambda values: np.round(values / values.max() * 255.0) / 255.0 * values.max(),
+    "constant-floor": lambda values: values + 0.05,
+    "bad-horizon": with_garbage,
+    "outside-gamut": lambda values: values - np.array([0.0, 0.0, 0.02])[:, None, None, None],
+    "constant-channel": lambda values: np.concatenate([values[:2], np.full_like(values[2:], 0.02)]),
+    "uneven-sweeps": lambda values: values * np.where(np.arange(90) < 30, 1.0, 1.1)[:, None],
+    "repeated-samples": lambda values: np.repeat(values[:, ::2], 2, axis=1),
+    "sudden-zeros": lambda values: np.where(THETA_DIFF[:, None] > np.radians(60.0), 0.0, values),
+    "hollow-highlight": lambda values: np.where(values > 2.0, values - 1.9, values),
 }
 LAYOUTS: dict[str, Callable[[Array], Array]] = {
     "theta_half descends": lambda values: values[:, ::-1],
@@ -97,11 +77,10 @@ def codes(measurement: Measurement) -> list[str]:
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_noticed(paint: Measurement, fault: str) -> None:
-    change, words = FAULTS[fault]
-    spoiled = changed(paint, change)
+    spoiled = changed(paint, FAULTS[fault])
     found = [*profile_findings(profiles(spoiled)), *value_findings(spoiled)]
     assert " ".join(one.code for one in found) == fault
-    assert words in found[0].sentence
+    assert_reproduced(f"faults/{fault}", [asdict(one) for one in found])
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -14,6 +14,7 @@ from dsbrdf.fitting import OUTSIDE_CENTER
 from dsbrdf.paper import WilliamsRow, em, williams_critical_value, williams_test
 from dsbrdf.paper.paper_method import UNIFORM_FRACTION, choose_n_lobes, expected_negative_log_probability
 from tests.support.models import plain_lobe
+from tests.support.reproduced import assert_reproduced, of_fit
 
 ANGLES = THETA_HALF[OUTSIDE_CENTER]
 LOBES = np.array([[4.0, 1500.0], [1.5, 40.0], [0.3, 1.0]])
@@ -81,6 +82,7 @@ def test_papers_method_chooses_and_says_so(plastic_profiles: Profiles) -> None:
     chosen = fit(plastic_profiles, options, progress=shares.append)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
+    assert_reproduced("fit/paper", of_fit(chosen), 1e-3)
     report = chosen.report
     assert [row.n_lobes for row in report.selection] == [1, 2, 3, 4, 5]
     assert report.options.n_lobes == "auto"

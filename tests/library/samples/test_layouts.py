@@ -11,7 +11,9 @@ from dsbrdf import MeasurementFormatError, TableOptions, read_measurement, read_
 from dsbrdf.arrays import Array
 from dsbrdf.data import half_difference, spherical
 from dsbrdf.samples import layouts
+from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.reading import parse_samples, read_table
+from tests.support.reproduced import assert_reproduced
 
 MIRROR_60 = 0.48
 """The truth at 60 degrees, in the mirror direction [1/sr]."""
@@ -50,7 +52,10 @@ def test_files_are_read_or_refused_with_what_helps(path: Path) -> None:
             read_samples(path)
         if path.name not in OPTIONS:
             return
-    samples = read_samples(path, OPTIONS.get(path.name, TableOptions()))
+    found = read_table(path.read_bytes(), options=OPTIONS.get(path.name, TableOptions()))
+    samples, columns = found.samples, "; ".join(" ".join(column) for column in found.columns)
+    said = [*samples.notes, *sample_doubts(samples).sentences]
+    assert_reproduced(f"tables/{path.name}", [f"{found.n_rows} rows, {len(samples.values)} samples", columns, *said])
     assert len(samples.values) >= 54
     assert np.ptp(samples.values) > 0.2
     np.testing.assert_allclose(samples.values, truth(samples.omega_in, samples.omega_out), rtol=1e-4, atol=1e-5)

@@ -1,0 +1,196 @@
+"""What the library makes of inputs of many kinds is what it has made of them before."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, astuple
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+import dsbrdf
+from dsbrdf import EnvironmentMap, Measurement, ScatteredSamples, decompose, plot, render_sphere
+from dsbrdf.arrays import Array
+from dsbrdf.data import CHANNELS, half_difference, spherical
+from dsbrdf.output import to_json
+from dsbrdf.output.atlas import load_material
+from dsbrdf.output.figures import parameters_figure, residual_figure
+from dsbrdf.output.sphere_panels import compare_spheres
+from dsbrdf.samples.doubts import sample_doubts
+from dsbrdf.samples.prediction import SamplePrediction
+from dsbrdf.samples.reading import parse_samples
+from dsbrdf.samples.scattered_fit import (
+    expected_error,
+    left_out_errors,
+    left_out_values,
+    pairs_to_measure,
+    unconfirmed_sample,
+)
+from tests.library.samples.test_reading import DIRECTION, table
+from tests.library.samples.test_reading import spherical as spherical_deg
+from tests.library.samples.test_tables_as_people_have_them import GRID, TRUE
+from tests.support.command_line import load_fit, run
+from tests.support.models import LAYERS, MODELS, mixture, samples_table, scattered_directions, scattered_samples
+from tests.support.reproduced import assert_reproduced, digest
+
+pytestmark = pytest.mark.slow
+MODEL_FILE = Path(__file__).parents[1] / "project/stored/1.0/plastic.json"
+STORED_FIT = load_fit(MODEL_FILE)
+ATLAS = ("acrylic_felt_pink", "aurora_white", "chm_mint", "colodur_azure_4e", "cg_sunflower")
+
+
+@pytest.mark.parametrize("name", [*ATLAS, "layers", "mixture"])
+def test_components(name: str) -> None:
+    known: dict[str, Any] = {"layers": LAYERS, "mixture": mixture(3, 0)}
+    document = json.loads(to_json(MODELS["mixture"], None, decompose(known.get(name) or load_material(name))))
+    for part in document["components"]:
+        part["lobe"] = digest(part["lobe"]["height"])
+        part["layers"] = [digest(np.hstack([*layer.values()])) for layer in part["layers"]]
+    document["structures"] = {one["name"]: one["weight"] for one in document["structures"]}
+    kept = ("findings", "components", "structures", "diffuse_range", "alternatives")
+    assert_reproduced(f"components/{name}", {key: document[key] for key in kept}, 1e-3)
+
+
+def drawing(figure: Figure) -> list[dict[str, Any]]:
+    """What a figure shows: its curves, points, pictures and words."""
+    return [
+        {
+            "words": [text.get_text() for text in ax.findobj(Text) if isinstance(text, Text) and text.get_text()],
+            "lines": [f"{line.get_label()} {line.get_linestyle()} {line.get_color()}" for line in ax.lines],
+            "curves": [digest(line.get_ydata()) for line in ax.lines],
+            "places": digest(np.concatenate([line.get_xdata() for line in ax.lines] or [[]])),
+            "pictures": [digest(np.asarray(image.get_array())) for image in ax.images],
+            "points": [digest(points.get_offsets()) for points in ax.collections],
+        }
+        for ax in figure.findobj(Axes)
+        if isinstance(ax, Axes)
+    ]
+
+
+@pytest.fixture(scope="module")
+def in_plane() -> ScatteredSamples:
+    """Two angles of incidence, 10 % noise."""
+    light, viewer = np.repeat([20.0, 50.0], 40), np.tile(np.linspace(-80.0, 80.0, 40), 2)
+    pair = spherical(np.radians(light), np.pi), spherical(np.radians(viewer), 0.0)
+    noise = 1.0 + 0.1 * np.random.default_rng(0).standard_normal((80, 3))
+    return ScatteredSamples.from_arrays(*pair, noise * STORED_FIT.model.evaluate_directions(*pair))
+
+
+def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
+    data = dsbrdf.profiles(plastic)
+    figures = {
+        "fit": plot(STORED_FIT, plastic),
+        "samples": plot(STORED_FIT, in_plane),
+        "components": plot(STORED_FIT),
+        "lobes": parameters_figure(MODELS["elongated rings and cusps"], title="rings", model_lobes=True),
+        "residual": residual_figure(data, STORED_FIT.model),
+    }
+    for name, figure in figures.items():
+        assert_reproduced(f"figures/{name}", drawing(figure), 1e-3)
+
+
+def test_spheres(plastic: Measurement) -> None:
+    pixels = np.random.default_rng(0).uniform(0.0, 1.0, (16, 32, 3)) ** 4
+    pixels[3, 20] = 900.0
+    environment = EnvironmentMap.from_pixels(pixels)
+    found: dict[str, Any] = {"lights": [[*light.direction, *light.irradiance] for light in environment.lights]}
+    for lighting in ("three_lights", "environment", environment):
+        for name in ("elongated rings and cusps", "paper"):
+            found[f"{name} {lighting}"] = digest(render_sphere(MODELS[name], lighting=lighting, size=24))
+    panels = compare_spheres(plastic, MODELS["mixture"], size=24)
+    found |= {name: digest(panel) for name, panel in panels.panels.items()}
+    found["likeness"] = [panels.psnr, panels.ssim, panels.exposure]
+    assert_reproduced("spheres/all", found, 1e-4)
+
+
+HALF = half_difference(*spherical_deg(GRID))[0]
+NINTH = np.arange(len(GRID)) % 9 == 0
+BANDS = np.arange(400.0, 701.0, 20.0)
+LASER = np.exp(-(((BANDS - 520.0) / 12.0) ** 2))
+TABLES: dict[str, tuple[Array, Array, Sequence[str]]] = {
+    "clipped": (GRID, np.minimum(TRUE, np.quantile(TRUE, 0.9)), ["value"]),
+    "one sample in each highlight": (GRID, np.where(HALF < 1e-4, 90.0, TRUE), ["value"]),
+    "per cent": (GRID, 100.0 * np.pi * TRUE, ["value"]),
+    "integers": (GRID, np.rint(3e4 * TRUE), ["value"]),
+    "bytes": (GRID, np.rint(255.0 * (TRUE / TRUE.max()) ** 0.45), ["value"]),
+    "times cosine": (GRID, TRUE * np.cos(np.radians(GRID[:, 2])), ["value"]),
+    "noise": (GRID, TRUE + 2e-3 * np.random.default_rng(2).standard_normal(len(TRUE)), ["value"]),
+    "zeros": (GRID, np.where(GRID[:, 2] > 70.0, 0.0, TRUE), ["value"]),
+    "a code": (GRID, np.where(NINTH, 99999.0, TRUE), ["value"]),
+    "negative code": (GRID, np.where(NINTH, -9999.0, TRUE), ["value"]),
+    "no numbers": (GRID, np.where(NINTH, np.nan, TRUE), ["value"]),
+    "two levels": (GRID, np.where(GRID[:, 0] < 30.0, 4.0, 1.0) * TRUE, ["value"]),
+    "back to the light": (GRID * [1.0, 0.0, 1.0, 1.0], TRUE, ["value"]),
+    "below the horizon": (GRID + np.array([12.0, 0.0, 12.0, 0.0]), TRUE, ["value"]),
+    "twice": (np.vstack([GRID, GRID[:9]]), np.append(TRUE, 2.0 * TRUE[:9]), ["value"]),
+    "a laser": (GRID, TRUE[:, None] * LASER, [f"{band:g} nm" for band in BANDS]),
+    "dark": (GRID, 1e-5 * TRUE[:, None] * [1.0, 1.0, 0.0], CHANNELS),
+}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_what_is_said_of_a_table(kind: str) -> None:
+    grid, values, names = TABLES[kind]
+    samples = parse_samples(table([*DIRECTION, *names], np.column_stack([grid, values])))
+    doubts = sample_doubts(samples)
+    said = [*samples.notes, *(asdict(one) for one in doubts.findings), digest(samples.values), doubts.factor]
+    assert_reproduced(f"doubts/{kind}", said)
+
+
+def test_stages_of_a_fit_of_samples() -> None:
+    directions, random = scattered_directions(mixture(2, 1), 80, 3), np.random.default_rng(1)
+    values = LAYERS.evaluate_directions(*directions) * (1.0 + 0.02 * random.standard_normal((80, 3)))
+    values[7] *= 9.0
+    samples = ScatteredSamples.from_arrays(*directions, values, random.uniform(0.5, 1.5, 80))
+    prediction, model = SamplePrediction.fit(samples), MODELS["mixture"]
+    without = left_out_values(samples, prediction, model)
+    total, rows = left_out_errors(samples, without, 1.3)
+    found = {
+        "structures": {one.structure.name: one.evidence for one in prediction.layers.found},
+        "prediction": digest(prediction.evaluate_unmasked(*random.uniform(0.0, 1.2, (3, 50)))),
+        "spread": [prediction.variance, prediction.noise, *prediction.reach],
+        "left out": [digest(without), total, *map(asdict, rows)],
+        "expected": expected_error(prediction, model, samples),
+        "next": [astuple(pair) for pair in pairs_to_measure(prediction, model)[:5]],
+        "doubted": [*unconfirmed_sample(samples, without)],
+    }
+    assert_reproduced("stages/prediction", found, 1e-3)
+
+
+COMMANDS = (
+    "show model.json",
+    "decompose model.json --csv a.csv --latex a.tex",
+    "eval model.json --theta-in 30 --theta-out 0 60 --phi-out 20",
+    "table samples.csv",
+    "table samples.csv plane.csv model.json",
+    "render model.json -o a.png --size 16",
+    "compare plastic.binary model.json -o a.png --size 16",
+    "export model.json -o model.csv",
+    "export model.json -o layers.csv --component layers",
+    "materials",
+    "convert samples.csv converted.csv",
+)
+
+
+def test_commands(
+    plastic_file: Path, in_plane: ScatteredSamples, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    Path("model.json").symlink_to(MODEL_FILE)
+    Path("plastic.binary").symlink_to(plastic_file)
+    Path("plane.csv").write_bytes(samples_table(in_plane))
+    Path("samples.csv").write_bytes(samples_table(scattered_samples(mixture(2, 1), 60).take(np.arange(60) < 52)))
+    for command in COMMANDS:
+        written = {*tmp_path.iterdir()}
+        answer = run(*command.split(), code=2 if "plane.csv" in command else 0)
+        new = [
+            path.read_text().splitlines()[:12]
+            for path in sorted({*tmp_path.iterdir()} - written)
+            if path.suffix != ".png"
+        ]
+        assert_reproduced(f"commands/{command}", [*answer.stdout.splitlines(), answer.stderr, *new], 1e-3)
