@@ -112,9 +112,11 @@ def test_key_is_sent_and_refusals_are_raised(guarded: Guarded, data: bytes, monk
 def test_client_tells_the_progress_and_gives_names(client: Client, plastic: dsbrdf.Measurement, tmp_path: Path) -> None:
     other = tmp_path / "other plastic.binary"
     dsbrdf.write_merl(other, plastic.values * 0.5)
-    seen: list[float] = []
+    seen, waits = list[float](), set[str]()
+    client._http.event_hooks = {"request": [lambda request: waits.add(request.url.params.get("wait", ""))]}
     with client:
         client.fit(other, OPTIONS, progress=seen.append)
+        assert waits == {"", "0.5"}  # It tells the progress twice a second.
         assert client.submit(other, OPTIONS)["name"] == "other plastic"
         named = client.submit(plastic, replace(OPTIONS, mask=0.5), name="a name of its own")  # it is known, unnamed
         assert named["name"] == client.get(named["id"])["name"] == "a name of its own"
@@ -191,7 +193,7 @@ def test_address_without_any_answer_is_a_connection_error() -> None:
 
     client = Client()
     client._http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(silence))
-    with pytest.raises(ConnectionError, match="nothing answers at http://service"):
+    with pytest.raises(ConnectionError, match="nothing answers at http://service: is a service running there"):
         client.get("0" * 32)
 
 

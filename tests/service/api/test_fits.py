@@ -80,7 +80,7 @@ def test_request_that_may_not_wait_long_gets_202_and_a_location(server: Server, 
     assert url == f"/v1/fits/{fit['id']}"
     assert int(answer.headers["retry-after"]) >= 1
     assert fit["status"] in ("accepted", "running")
-    assert (fit["components"], fit["metrics"], fit["warnings"]) == (None, None, [])
+    assert [fit[name] for name in ("components", "metrics", "warnings", "findings")] == [None, None, [], []]
 
     start = time.monotonic()
     same = server.submit(stored, prefer="wait=0.2, handling=lenient", mask=0.11, **ENDLESS)

@@ -78,13 +78,16 @@ def test_figures_are_drawn_and_names_are_no_formulas(server: Server, data: bytes
         assert (answer.status_code, answer.headers["content-type"]) == (200, "image/svg+xml")
         assert answer.content.startswith(b"<?xml")
         first[figure] = answer.content
-        assert server.http.get(url, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+        tag = answer.headers["etag"]
+        assert server.http.get(url, headers={"If-None-Match": tag}).status_code == 304
     url = f"/v1/fits/{fit}/figures/residual.svg"
     dark, light = server.http.get(f"{url}?dark=true").content, server.http.get(url).content
     assert light == first["residual"]  # one tag, the same bytes
     assert b"#000000" in light
     assert b"#000000" not in dark  # no black marks
     assert b'z\n"/>' not in dark  # no areas without a colour, which are black
+    server.http.patch(f"/v1/fits/{fit}", json={"name": "the title of the figure"})
+    assert server.http.get(url, headers={"If-None-Match": tag}).status_code == 200
     for other in ("parameters.png", "profiles.svg", "sphere.svg"):
         assert_problem(server.http.get(f"/v1/fits/{fit}/figures/{other}"), 404, "not-found")
 

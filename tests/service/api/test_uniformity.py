@@ -40,10 +40,11 @@ def test_what_the_client_has_is_not_sent_again(server: Server, stored: str, fitt
 
 def test_unknown_query_parameters_are_refused_everywhere(server: Server, stored: str, fitted: str) -> None:
     fit, measurement = f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"
-    parts = [f"{fit}/{part}" for part in ("events", "components", "export", "brdf")]
-    parts += [fit, measurement, "/v1/fits", "/v1/measurements", "/health/live", "/health/ready", "/metrics"]
+    parts = [f"{fit}/{part}" for part in ("events", "components", "export", "brdf", "figures/thumbnail.png")]
+    parts += [fit, measurement, f"{measurement}/brdf", "/v1/fits", "/v1/materials", "/v1/measurements"]
+    parts += ["/health/live", "/health/ready", "/metrics"]
     requests = [("GET", path) for path in parts] + [("DELETE", path) for path in (fit, measurement)]
-    requests += [("POST", f"{fit}/brdf"), ("POST", "/v1/measurements")]
+    requests += [("POST", f"{fit}/brdf"), ("POST", "/v1/measurements"), ("POST", "/v1/tables")]
     for method, path in requests:
         answer = server.http.request(method, path, params={"nonsense": "1"})
         assert "'nonsense'" in assert_problem(answer, 422, "invalid-argument"), (method, path)

@@ -9,6 +9,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
@@ -137,7 +138,7 @@ def test_internal_error_is_logged_once(own_server: StartServer, data: bytes) -> 
     with closing(sqlite3.connect(server.data_dir / FILE_NAME)) as database, database:
         database.execute("UPDATE fits SET result = '5', metrics = NULL, checksum = ?", (checksum(None, b"5"),))
     answer = server.http.get(f"/v1/fits/{fit}/components", headers={"X-Request-ID": "broken"})
-    assert_problem(answer, 500, "internal")
+    assert assert_problem(answer, 500, "internal") == "The service failed at this request; its log says why."
     assert answer.headers["x-request-id"] == "broken"
     with_reason, request = lines_of(server, "broken")
     assert (with_reason["level"], request["level"]) == ("error", "error")
@@ -174,7 +175,7 @@ def metrics(server: Server) -> dict[tuple[str, ...], float]:
 def test_requests_are_counted_by_route(watched: Server, data: bytes) -> None:
     document = watched.http.post("/v1/fits", params=QUICK, content=data).json()
     fit, sha256 = document["id"], document["measurement"]
-    before = metrics(watched)
+    before, begin = metrics(watched), time.monotonic()
     for theta in range(5):
         watched.http.get(f"/v1/fits/{fit}/brdf?theta_half_deg={theta}&theta_diff_deg=1")
     watched.http.get(f"/v1/fits/{fit}/brdf?theta_half_deg=100&theta_diff_deg=1")
@@ -187,6 +188,7 @@ def test_requests_are_counted_by_route(watched: Server, data: bytes) -> None:
     assert more("dsbrdf_requests_total", "GET", route, "200") == 5
     assert more("dsbrdf_requests_total", "GET", route, "422") == 1
     assert more("dsbrdf_request_seconds_count", "GET", route) == 6
+    assert more("dsbrdf_request_seconds_sum", "GET", route) < time.monotonic() - begin
     assert not [sample for sample in after if any(fit in part or sha256 in part for part in sample)]
 
 

@@ -12,6 +12,7 @@ from typing import cast
 
 import pytest
 
+import dsbrdf
 from dsbrdf.engines import Engine
 from dsbrdf_service.http import monitoring
 from dsbrdf_service.http.monitoring import Readiness
@@ -64,7 +65,7 @@ def test_missing_data_folder_is_not_ready_until_it_is_back(own_server: StartServ
     assert not server.files()
     shutil.rmtree(server.data_dir)
     elsewhere.rename(server.data_dir)
-    wait_until(lambda: server.http.get("/health/ready").status_code == 200)
+    wait_until(lambda: server.http.get("/health/ready").json()["status"] == "ready")
     assert server.submit(sha256, **QUICK).json()["status"] == "succeeded"
 
 
@@ -75,7 +76,7 @@ def test_removed_socket_of_fork_server_is_not_ready_until_next_start(own_server:
     wait_until(lambda: server.http.get("/health/ready").status_code == 503)
     detail = assert_problem(server.http.get("/health/ready"), 503, "not-ready")
     assert "socket has been removed; start this program again" in detail
-    assert server.http.get("/health/live").status_code == 200
+    assert server.http.get("/health/live").json() == {"status": "live", "version": dsbrdf.__version__}
     fit = server.submit(sha256, prefer="respond-async", **QUICK).json()["id"]
     server.stop()
     server.start()

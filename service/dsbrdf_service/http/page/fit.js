@@ -8,7 +8,7 @@ import { running } from "./sphere.js";
 const FAULTS = {
   input: "The measurement or the options do not allow a fit.",
   compute: "The computation failed or met a limit of the service.",
-  system: "The process of the fit ended unexpectedly. Fit the measurement again.",
+  system: "The service could not finish this fit.",
 };
 const STATES = /** @type {Record<string, string>} */ ({ accepted: "Waiting for its turn", running: "Fitting", cancelled: "This fit was cancelled.", failed: "This fit failed." });
 

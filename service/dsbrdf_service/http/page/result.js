@@ -23,8 +23,8 @@ const METRICS = [
 /** Makes a paragraph of each warning. @param {string[]} sentences */
 export const warningsOf = (sentences) => sentences.map((sentence) => make("p", { className: "warning" }, sentence));
 
-/** Returns the measurement of a fit, or null if it was deleted. @param {Fit} fit @returns {Promise<Measurement | null>} */
-export const storedOf = ({ measurement }) => json(`v1/measurements/${measurement}`).catch((error) => (error.status === 404 ? null : Promise.reject(error)));
+/** Returns the measurement of a fit, or null if it was deleted or the fit comes with the service. @param {Fit} fit @returns {Promise<Measurement | null>} */
+export const storedOf = async ({ measurement, started }) => (started ? json(`v1/measurements/${measurement}`).catch((error) => (error.status === 404 ? null : Promise.reject(error))) : null);
 
 /** Returns the subject of spheres and plots for a fit. @param {Fit} fit @param {Measurement | null} stored @returns {Subject} */
 export function subjectOf(fit, stored) {

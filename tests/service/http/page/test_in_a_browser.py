@@ -16,6 +16,14 @@ from tests.support.browser import PAINTED, SPHERE, Visit, expect
 from tests.support.server import ENDLESS, Guarded
 
 pytestmark = pytest.mark.slow
+LATER = """async () => {
+  const { progressOf } = await import("/page/app.js"), { now } = performance;
+  const [words, begun] = [progressOf("Fitting"), performance.now()];
+  words(0.5);
+  performance.now = () => begun + 10_000;
+  try { return words(0.75); } finally { performance.now = now; }
+}"""
+"""The words for a progress of 75 % that was 50 % ten seconds ago."""
 
 
 def test_key_is_asked_for_kept_in_the_tab_and_forgotten(visit: Visit, site: Site) -> None:
@@ -135,6 +143,10 @@ def test_plots_follow_their_sliders_and_a_picture_stands_where_webgl_is_missing(
         expect(plot.locator(".legend")).to_contain_text("diffuse")
         plot.locator("[name$=axis]").select_option("linear")
         expect(picture).to_have_attribute("aria-label", re.compile("linear axis"))
+    places = [
+        float(x) for x in re.findall(r"[ML]([\d.]+) ", page.locator("#profiles .curve").first.get_attribute("d") or "")
+    ]
+    assert places[9] - places[0] < 0.02 * (places[-1] - places[0])  # Points are dense at the peak.
     page.locator("#profiles [name=range]").select_option("peak")
     expect(page.locator("#profiles .plot")).not_to_contain_text("90°")
 
@@ -293,6 +305,7 @@ def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
 def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic_file: Path) -> None:
     visitor = visit("/", webgl=False, offline=False)
     page = visitor.page
+    assert page.evaluate(LATER) == "Fitting: 75 %, about 10 s left"
     expect(page.locator("#fits .card").nth(1)).to_be_visible()
     cards = page.locator("#fits .card").count()
     visitor.context.set_offline(True)

@@ -37,7 +37,11 @@ def test_newcomer_tries_an_example_and_sees_its_samples(visit: Visit, guarded: G
     page.locator("#plots").scroll_into_view_if_needed()
     expect(page.locator("#profiles .legend")).to_contain_text("red, samples within 3°")
     expect(page.locator("#profiles .plot .point")).to_have_count(3)
-    expect(page.locator("#plane .plot .point").first).to_have_attribute("d", re.compile("M.*M"))
+    samples = page.locator("#plane .plot .point").first
+    expect(samples).to_have_attribute("d", re.compile("M.*M"))
+    marks = re.findall(r"M([\d.]+) ([\d.]+)h", samples.get_attribute("d") or "")
+    highest = min(marks, key=lambda mark: float(mark[1]))
+    assert float(highest[0]) > 800  # The highlight is opposite to the light, which comes from the left.
     page.get_by_label("theta_diff in degrees").fill("89")
     expect(page.locator("#profiles")).to_contain_text(re.compile(r"There are no samples here; most are at \d+°"))
     page.locator("#figures summary").click()
