@@ -114,6 +114,8 @@ LASER = np.exp(-(((BANDS - 520.0) / 12.0) ** 2))
 TABLES: dict[str, tuple[Array, Array, Sequence[str]]] = {
     "clipped": (GRID, np.minimum(TRUE, np.quantile(TRUE, 0.9)), ["value"]),
     "one sample in each highlight": (GRID, np.where(HALF < 1e-4, 90.0, TRUE), ["value"]),
+    "reflectance factors": (GRID, np.pi * np.minimum(9.0 * TRUE, 0.3), ["value"]),
+    "per cent times cosine": (GRID, 100.0 * np.pi * TRUE * np.cos(np.radians(GRID[:, 0])), ["value"]),
     "per cent": (GRID, 100.0 * np.pi * TRUE, ["value"]),
     "integers": (GRID, np.rint(3e4 * TRUE), ["value"]),
     "bytes": (GRID, np.rint(255.0 * (TRUE / TRUE.max()) ** 0.45), ["value"]),
@@ -142,10 +144,10 @@ def test_what_is_said_of_a_table(kind: str) -> None:
 
 
 def test_stages_of_a_fit_of_samples() -> None:
-    directions, random = scattered_directions(mixture(2, 1), 80, 3), np.random.default_rng(1)
-    values = LAYERS.evaluate_directions(*directions) * (1.0 + 0.02 * random.standard_normal((80, 3)))
+    directions, random = scattered_directions(mixture(2, 1), 50, 3), np.random.default_rng(1)
+    values = LAYERS.evaluate_directions(*directions) * (1.0 + 0.02 * random.standard_normal((50, 3)))
     values[7] *= 9.0
-    samples = ScatteredSamples.from_arrays(*directions, values, random.uniform(0.5, 1.5, 80))
+    samples = ScatteredSamples.from_arrays(*directions, values, random.uniform(0.5, 1.5, 50))
     prediction, model = SamplePrediction.fit(samples), MODELS["mixture"]
     without = left_out_values(samples, prediction, model)
     total, rows = left_out_errors(samples, without, 1.3)
@@ -159,6 +161,42 @@ def test_stages_of_a_fit_of_samples() -> None:
         "doubted": [*unconfirmed_sample(samples, without)],
     }
     assert_reproduced("stages/prediction", found, 1e-3)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.usefixtures("coarse_sampling")
+def test_values_of_models(name: str) -> None:
+    model, random = MODELS[name], np.random.default_rng(4)
+    theta, phi = random.uniform(0.0, 1.5, (2, 60)), random.uniform(0.0, 6.0, (2, 60))
+    pairs = spherical(theta[0], phi[0]), spherical(theta[1], phi[1])
+    drawn = model.sample(pairs[0], random)
+    found = {
+        "values": digest(model.evaluate_directions(*pairs)),
+        "albedo": model.albedo([0.0, 0.7, 1.4]),
+        "drawn": [digest(drawn.omega_in), digest(drawn.weight)],
+        "density": digest(model.pdf(*pairs)),
+        "parameters": {key: digest(values) for key, values in model.parameters_at([0.1, 0.9, 1.5]).items()},
+        "n_numbers": model.n_numbers,
+    }
+    assert_reproduced(f"models/{name}", found, 1e-5)
+
+
+@pytest.fixture(scope="module")
+def spoiled(plastic: Measurement) -> Measurement:
+    """With noise, a hole, outliers, and negative values."""
+    random = np.random.default_rng(0)
+    values = plastic.values * (1.0 + 0.1 * random.standard_normal(plastic.values.shape[1:]))
+    values[:, 20, 30, ::7] *= 9.0
+    values[2, 60:] -= 0.01
+    return Measurement.from_values(values, plastic.valid & (random.uniform(size=plastic.valid.shape) > 0.1))
+
+
+@pytest.mark.parametrize(("weighting", "robust"), [("plain", False), ("cosine", False), ("log", True)])
+def test_reductions(weighting: str, robust: bool, spoiled: Measurement) -> None:
+    data = dsbrdf.profiles(spoiled, weighting=weighting, robust=robust)
+    found = {name: digest(getattr(data, name)) for name in ("mean", "weight", "within")}
+    found |= {f"folded {name}": digest(getattr(data.folded, name)) for name in ("mean", "weight", "cos2_phi")}
+    assert_reproduced(f"models/reduction {weighting}", found)
 
 
 COMMANDS = (

@@ -260,32 +260,6 @@ def test_outliers_of_a_robust_fit_do_not_count() -> None:
     assert median_error(found.model, truth) < 0.015  # The fit that is not robust misses by 0.034.
 
 
-@pytest.mark.parametrize(
-    ("factor", "side", "words"),
-    [
-        (1.0, None, ()),
-        (1e-3, None, ()),
-        (1500.0, None, ("1/1500 (scale 0.0006667; are they the integers of a MERL file?)",)),
-        (100.0, None, ("1/100 (scale 0.01; are they per cent?)",)),
-        (np.pi, None, ("multiply the values by 1/pi (scale 0.3183; are they reflectance factors?)",)),
-        (1.0, "out", ('If so, set cosine to "out"',)),
-        (
-            100.0 * np.pi,
-            "in",
-            ("1/(100 pi) (scale 0.003183; are they reflectance factors in per cent?)", 'set cosine to "in"'),
-        ),
-    ],
-)
-def test_units_far_off_are_named(factor: float, side: str | None, words: tuple[str, ...], truth: dsbrdf.DSBRDF) -> None:
-    samples = scattered_samples(truth, 80)
-    samples = scaled(samples, factor if side is None else factor * getattr(samples, f"omega_{side}")[:, 2:])
-    if factor == 1500.0:
-        samples = ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, np.rint(samples.values))
-    said = sample_doubts(samples).sentences
-    assert len(said) == bool(words), said
-    assert all(word in said[0] for word in words)
-
-
 def test_zeros_a_drift_and_samples_of_hardly_any_weight_are_no_cosine(truth: dsbrdf.DSBRDF) -> None:
     samples = scattered_samples(truth, 300)
     wrong = np.arange(300) % 10 > 0
