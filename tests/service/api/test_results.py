@@ -135,6 +135,7 @@ def test_materials_are_fits_that_everyone_has_and_nobody_changes(guarded: Guarde
         document = http.get(path, headers=key).json()
         result = dsbrdf.load_material(document["name"])
         assert document["warnings"] == list(result.report.warnings)
+        assert document["metrics"] == asdict(result.report.metrics)
         assert [part["label"] for part in document["components"]] == list(dsbrdf.decompose(result).labels)
         values = http.get(f"{path}/brdf?theta_half_deg=10&theta_diff_deg=30", headers=key).json()["values"]
         expected = result.model.evaluate(np.radians(10), np.radians(30))

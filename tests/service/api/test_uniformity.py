@@ -126,6 +126,7 @@ TARGETS += [
     ("{fit}/figures/sphere.png?size=1000", "256"),
     ("{fit}/figures/sphere.png?lighting=moon", "'environment'"),
     ("{fit}/figures/sphere.png?component=ring", "'diffuse'"),
+    ("/v1/fits?limit=%201", "limit"),
     ("/v1/fits?limit=1&limit=2", "'limit' & more than once"),
     ("{fit}?wait=0&wait=1", "'wait' & more than once"),
 ]

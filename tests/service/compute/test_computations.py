@@ -163,6 +163,7 @@ async def test_full_disk_is_507(running: Application, key: str, monkeypatch: pyt
     for request in (running.ask(f"{FIT_PATH}/export?format=merl", key), renaming):
         answer = await request.end()
         assert (answer.status, json.loads(answer.body)["type"]) == (507, "urn:dsbrdf:problem:disk-full")
+        assert "retry-after" in answer.headers
 
 
 async def test_export_without_a_folder_for_its_file_is_a_problem(running: Application, key: str) -> None:

@@ -22,7 +22,8 @@ FIT_PATIENCE_MS = 600_000  # A fit of a table takes seconds, and beyond a minute
 
 
 def test_newcomer_tries_an_example_and_sees_its_samples(visit: Visit, guarded: Guarded) -> None:
-    page = visit("/", header=guarded.new_key("newcomer"), webgl=False).page
+    header = guarded.new_key("newcomer")
+    page = visit("/", header=header, webgl=False).page
     page.get_by_text("Options").click()
     page.get_by_text("More for fits").click()
     for title, value in (("Number of lobes", "3"), ("Number of ring lobes", "0")):
@@ -32,6 +33,10 @@ def test_newcomer_tries_an_example_and_sees_its_samples(visit: Visit, guarded: G
     expect(page.get_by_role("heading", name="example paint")).to_be_visible()
     expect(page.locator(".components")).to_contain_text("diffuse", timeout=FIT_PATIENCE_MS)
     expect(page.locator(".surfaces tr")).not_to_have_count(1)
+    (fit,) = guarded.server.http.get("/v1/fits", headers=header).json()["items"]
+    said = re.search(r"error probably below ([\d.]+)\W%", page.get_by_role("heading", name="Result:").inner_text())
+    assert said is not None
+    assert float(said[1]) == pytest.approx(100 * fit["metrics"]["relative_rms_expected"], rel=0.05)
     alpha = page.locator(".surfaces td").first.inner_text()
     assert float(alpha.split()[0]) == pytest.approx(0.15, rel=0.1)
     page.locator("#plots").scroll_into_view_if_needed()

@@ -104,7 +104,11 @@ def test_light_line_and_exposure_are_under_mouse_and_keyboard(visit: Visit, site
     dragged = repaint(page, lambda: page.mouse.click(box["x"] + 0.6 * box["width"], middle - 0.1 * box["height"]))
     assert np.abs(dragged - first).mean() > 0.01
     canvas.focus()
+    light, wipe = (page.locator(f"[name={name}]") for name in ("highlight", "wipe"))
+    x, y = map(float, light.input_value().split(","))
+    page.keyboard.press("ArrowUp")
     assert not np.array_equal(repaint(page, lambda: page.keyboard.press("ArrowLeft")), dragged)
+    assert [*map(float, light.input_value().split(","))] == pytest.approx([x - 0.05, y + 0.05], abs=1e-3)
     page.keyboard.press("Control+-")  # The browser's zoom changes nothing here.
     darker = repaint(page, lambda: page.keyboard.press("-"))
     expect(page.locator("#controls")).to_contain_text("-0.5 EV")
@@ -116,7 +120,6 @@ def test_light_line_and_exposure_are_under_mouse_and_keyboard(visit: Visit, site
     assert not np.array_equal(sky, first)
     repaint(page, lambda: page.keyboard.press("ArrowLeft"))  # The sky does not move, so lights replace it.
     expect(page.locator("[name=lighting]")).to_have_value("three_lights")
-    light, wipe = (page.locator(f"[name={name}]") for name in ("highlight", "wipe"))
     before = light.input_value()
     choose(page, "show", "half")
     page.mouse.move(box["x"] + box["width"] / 2, middle)
