@@ -25,17 +25,20 @@ SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "bars", " ": 
 MAX_CELLS = 5_000_000
 """Tables with more cells are refused, because they would take 5 s and 1 GB to read."""
 MAX_COLUMNS = 4096
-_MISSING = {"", "nan", "na", "n/a", "n.a.", "null", "none", "missing", "-nan(ind)", "1.#qnan", "-1.#ind"}
+_MISSING = {"", "nan", "na", "n/a", "n.a.", "null", "none", "missing", "-nan(ind)"}
 _N_TRIED_BYTES = 64  # This number of bytes at the start of a text is enough to recognise UTF-16.
 _PRINTED = frozenset((*b"\t\r\n", *range(32, 127)))
-# Cells without a number are "#N/A" and "#DIV/0!" in spreadsheets, and hyphens below the head of a Markdown table.
-_NO_NUMBER = re.compile(r"#.*|:?-+:?")
+# Cells without a number are "#N/A" and "#DIV/0!" in spreadsheets, "1.#INF" and "-1.#IND" of programs for Windows, and
+# hyphens below the head of a Markdown table.
+_NO_NUMBER = re.compile(r"(?:-?1\.)?#.*|:?-+:?")
 # A tolerance, a degree sign or the mark of a footnote behind a number is ignored.
 _TOLERANCE = re.compile(r"(?:±.*|[\N{DEGREE SIGN}*]\s*)$")
 # Spreadsheets turn numbers such as 1.5 into dates, and show numbers as times.
 _DATE = re.compile(r"\d{4}-\d\d-\d\d.*|.*\d:\d\d(?:[:.].*)?")
 # A blank of normal width separates cells, not thousands.
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:(?:[\xa0\u2009\u202f'’]\d{3})+(?:[.,]\d*)?|(?:,\d{3})+\.\d*)")
+_DECIMAL_POINT = re.compile(r"\d\.\d+(?![\d,])")
+_COMMA_OF_THOUSANDS = re.compile(r"\s*[1-9]\d{0,2}(?:,\d{3})+\s*")
 _FORTRAN_EXPONENT = re.compile(r"(?<=[0-9.])[dD](?=[-+0-9])")
 
 Constants = dict[str, float]
@@ -91,6 +94,8 @@ class TextTable:
         with suppress(ValueError):
             if not any("_" in cell for cell in cells):
                 return np.array(cells, dtype=np.float64)
+        if self.separator != ",":
+            _refuse_commas_of_thousands(self.names[column], cells)
         return np.array([self._number(place, column) for place in range(len(cells))])
 
     def varies(self, column: int) -> bool:
@@ -124,6 +129,18 @@ class TextTable:
                 remedy = "it is a date or a time: write the number, and give its cell the format of a number"
             raise MeasurementFormatError(f"{where}; {remedy}.")
         return number
+
+
+def _refuse_commas_of_thousands(name: str, cells: Sequence[str]) -> None:
+    """Raise MeasurementFormatError if commas may separate thousands in a column whose other cells have no comma."""
+    commas = [cell for cell in cells if "," in cell and "." not in cell]
+    has_points = any(map(_DECIMAL_POINT.search, cells))
+    has_whole_numbers = any(cell.strip().isdigit() for cell in cells)
+    if commas and (has_points or (has_whole_numbers and all(map(_COMMA_OF_THOUSANDS.fullmatch, commas)))):
+        raise MeasurementFormatError(
+            f"In the column {name!r}, a comma or a point may separate thousands, as in {commas[0].strip()[:40]!r}: "
+            "write its numbers without separators of thousands."
+        )
 
 
 def decoded(data: bytes) -> str:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,7 +31,7 @@ FROM_MIRROR = ("theta_in", "theta_from_mirror")
 _DIRECTION_FORMS = (VECTORS, HALF_DIFFERENCE, THETAS, FROM_MIRROR)
 # Columns of these names are no values of a BRDF; the sentence says what would be.
 _OTHER_VALUES = {
-    r"(?i)btdf|transm": "light that a sample transmits is not read, only reflected light",
+    r"(?i)btdf|transm|absor|emissi?v": "transmitted, absorbed or emitted light is not read, only reflected light",
     r"(?i)\bL\*?\|a\b|\bx\|y\|Y\b": "colours must be linear sRGB or CIE XYZ",
     r"(?i)aspecular": "it is positive towards the light: write theta_out, which is theta_in minus it",
     r"(?i)normali[sz]ed|\brelative\b|intensity|signal|counts|voltage": (
@@ -154,9 +155,15 @@ def _places_of(table: TextTable, name: str) -> list[int]:
 
 def _bands(table: TextTable) -> dict[str, tuple[int, float]]:
     """Return index and wavelength [nm] of the columns named by wavelengths; a bare number alone is no wavelength."""
-    found = [(wavelength, place) for place, name in enumerate(table.names) if (wavelength := wavelength_of(name))]
+    found = sorted((wavelength, at) for at, name in enumerate(table.names) if (wavelength := wavelength_of(name)))
+    for (wavelength, first), (following, second) in pairwise(found):
+        if wavelength == following:
+            raise MeasurementFormatError(
+                f"The columns {table.names[first]!r} and {table.names[second]!r} both seem to be at {wavelength:g} nm: "
+                "leave one of them out."
+            )
     is_band = len(found) > 1 or (found and not table.names[found[0][1]].isdecimal())
-    return {f"{wavelength:g} nm": (place, wavelength) for wavelength, place in sorted(found)} if is_band else {}
+    return {f"{wavelength:g} nm": (place, wavelength) for wavelength, place in found} if is_band else {}
 
 
 def _chosen(table: TextTable, places: dict[str, list[int]], bands: Iterable[str]) -> tuple[tuple[str, ...], ...]:

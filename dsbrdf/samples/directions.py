@@ -8,6 +8,7 @@ If the table has no phi, both directions lie in one plane, on opposite sides of 
 mirror direction. A negative angle lies on the other side of the normal.
 """
 
+import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -41,8 +42,13 @@ from dsbrdf.samples.values import (
     written_values,
 )
 
+_SIDE_NAME = re.compile(r"(?i)(?:scatter(?:ed|ing)?[ _]?)?(?:side|hemisphere)")
+# Words of a column for light that is transmitted or comes from the back of the sample.
+_OTHER_SIDE = re.compile(r"(?i)t|btdf|trans\w*|back(?:ward|side)?|rear|rück\w*")
 _MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
 _MAX_THETA_RAD = 1.6  # A table without a larger theta and without units is refused: its angles look like radians.
+_MAX_SCAN_DEG = 100.0  # Instruments move the viewer a little beyond the horizon, but no further.
+_HALF_TURN_GON = 200.0
 _MIN_AZIMUTHS = 3  # A table with fewer azimuths gives no sign of its unit.
 _WHOLE_DEG = 0.05  # This difference from a whole number of degrees is rounding.
 # If more than this fraction of the rows is at or below the horizon, the columns theta and phi may be exchanged.
@@ -84,6 +90,7 @@ def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
     table = table.with_columns({name: np.full(table.n_rows, number) for name, number in options.held().items()})
     found = find_columns(table, options)
     columns = found.columns
+    _refuse_other_side(table, {column.written for column in columns.values()})
     notes = list(table.notes)
     written = written_values(found, options, notes)
     weight = columns["weight"].numbers if "weight" in columns else np.ones(table.n_rows)
@@ -219,16 +226,29 @@ def _check_not_exchanged(angles: dict[str, Array], columns: dict[str, Column]) -
 
 
 def _check_sizes(angles: dict[str, Array], columns: dict[str, Column]) -> None:
-    """Raise MeasurementFormatError if an angle is too large, or if angles without a unit look like radians."""
+    """Raise MeasurementFormatError if an angle is too large, or angles without a unit look like radians or gradians."""
+    azimuths = [name for name in PHIS if name in angles]
     for name, angle in angles.items():
         bound, largest = 180.0 if name.startswith("theta") else 360.0, np.degrees(largest_of(angle))
+        column = columns[name].written
         if largest > bound + 1e-4:
             raise MeasurementFormatError(
-                f"The column {name!r} has an angle of {largest:.6g} degrees; {bound:.0f} is the largest that there is."
+                f"The column {column!r} has an angle of {largest:.6g} degrees; {bound:.0f} is the largest that there "
+                f"is. If it has another unit, name it {name}_rad or {name}_gon."
+            )
+        if name == "theta_out" and "scatter" in column.lower() and not azimuths and largest > _MAX_SCAN_DEG:
+            raise MeasurementFormatError(
+                f"The column {column!r} has angles up to {largest:.4g} degrees, as between light and viewer: write "
+                "theta_out, between the normal and the viewer, and leave out the rows of transmitted light."
             )
     bare = {name: columns[name].numbers for name in angles if not columns[name].unit}
     thetas = {name: largest_of(numbers) for name, numbers in bare.items() if name.startswith("theta")}
-    phis = {name: largest_of(bare[name]) for name in PHIS if name in bare and _are_radians(bare[name])}
+    for name in azimuths:
+        if name in bare and largest_of(bare[name]) == _HALF_TURN_GON:
+            raise MeasurementFormatError(
+                f"The largest {name} is 200, half a turn in gradians: name the column {name}_gon, or {name}_deg."
+            )
+    phis = {name: largest_of(bare[name]) for name in azimuths if name in bare and _are_radians(bare[name])}
     is_small = 0.0 < max(thetas.values(), default=0.0) < _MAX_THETA_RAD
     if wrong := thetas if is_small else phis:
         raise MeasurementFormatError(
@@ -259,6 +279,18 @@ def _about_directions(found: FoundColumns, *, is_turned: bool) -> Iterator[str]:
         yield f"The table has no phi_in: the mirror direction is taken to have phi_out = {0 if is_turned else 180}."
     elevations = [name for name, column in found.columns.items() if column.is_elevation]
     yield from (f"The elevation is from the horizon: {name} is 90 degrees minus it." for name in elevations)
+
+
+def _refuse_other_side(table: TextTable, read: Collection[str]) -> None:
+    """Raise MeasurementFormatError if a column that is not read divides the rows among both sides of the sample."""
+    for at, name in enumerate(table.names):
+        other = next(filter(_OTHER_SIDE.fullmatch, table.words(at) if name not in read else ()), "")
+        if other or (_SIDE_NAME.fullmatch(name) and name not in read and table.varies(at)):
+            such = f", such as {other!r}" if other else ""
+            raise MeasurementFormatError(
+                f"The column {name!r} divides the rows among both sides of the sample{such}: leave out the rows of "
+                "transmitted light and of the other side, and then the column."
+            )
 
 
 def _about_unread(table: TextTable, read: Collection[str]) -> Iterator[str]:

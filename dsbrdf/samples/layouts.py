@@ -13,7 +13,7 @@ project BiRD.
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,6 +33,7 @@ from dsbrdf.samples.names import (
     VECTORS,
     matrix_names,
     meaning_of,
+    name_and_unit,
 )
 from dsbrdf.samples.table_options import TableOptions
 from dsbrdf.samples.text_table import parse_text_table
@@ -42,6 +43,8 @@ _NOT_NUMBERS = re.compile(rb"[^-+0-9.eE\s]")
 _RAMI = re.compile(rb"\s*([1-9][0-9]{0,6})[ \t]+5[ \t]+[-+.0-9eE]+[ \t]*\r?\n")
 _KERNELS = re.compile(rb"BRDF[ \t]+([1-9][0-9]{0,6})[ \t]+[0-9]+((?:[ \t]+[0-9.]+)+)[ \t]*\r?\n")
 _JSON_START_BYTES = 100
+_HEAD_BYTES = 4096  # The name of the unit is searched only in this part at the beginning of a file.
+_GRADIANS = re.compile(rb"(?i)\b(?:gon|gradians?)\b")
 # Parametrisations of ALTA: L is the light, V the viewer, T theta, P phi; H and D are the half and difference angles.
 # The angles x and y are theta_out times the cosine and the sine of phi_out.
 _ALTA = {
@@ -280,6 +283,7 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
             data = re.sub(rb"(?m)^(#format:.*\s)\S+[ \t]*\r?$", rb"\1cie_x cie_y cie_z", data, count=1)
         table = parse_text_table(plain_astm(data), named, by_position=any(positions))
         if not standard or table.names[0] != "1" or options.columns:
+            _refuse_unnamed_gradians(data, (*table.names, *options.named_columns()))
             return _unfolded(table, options)
     except MeasurementFormatError:
         if not standard:
@@ -288,6 +292,15 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
         f"The file is of ASTM E{standard[1].decode()}, without the names of its columns: write a line with them above "
         "the rows, such as theta_in,phi_in,theta_out,phi_out,value."
     )
+
+
+def _refuse_unnamed_gradians(data: bytes, names: Sequence[str]) -> None:
+    """Raise MeasurementFormatError if the head of a file names gradians, and no column has this unit."""
+    found = _GRADIANS.search(data, 0, _HEAD_BYTES)
+    if found and not any(name_and_unit(name)[1] == "gon" for name in names):
+        raise MeasurementFormatError(
+            f"The file names {found[0].decode()}, but no column has this unit: name each angle as in theta_in_gon."
+        )
 
 
 def _unfolded(table: TextTable, options: TableOptions) -> TextTable:

@@ -70,7 +70,7 @@ COSINE = "cosine"
 ANGLE_UNITS = {"deg": pi / 180.0, "degree": pi / 180.0, "degrees": pi / 180.0, "°": pi / 180.0}
 ANGLE_UNITS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0, "gon": pi / 200.0}
 """Factors that convert units of angles to radians."""
-WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9}
+WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3, "m": 1e9, "å": 0.1}
 """Factors that convert units of wavelengths to nanometres."""
 RECIPROCAL_UNITS = dict.fromkeys(("1/cm", "cm-1", "cm^-1", "cm**-1"), 1e7) | {"thz": 299792.458, "ev": 1239.84198}
 """Numerators [nm] that units of wavenumbers, frequencies and photon energies divide to give wavelengths."""

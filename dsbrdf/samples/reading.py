@@ -74,7 +74,7 @@ def kind_of_file(path: str | os.PathLike[str]) -> MeasurementKind:
     """Return the kind of a file; raise OSError if the file cannot be read, and MeasurementFormatError for a pipe."""
     source = Path(path)
     if source.exists() and not (source.is_file() or source.is_dir()):
-        # What is read here from a pipe would be missing when the measurement is read.
+        # The bytes that are read here would be missing when the measurement is read from the pipe.
         raise MeasurementFormatError("A pipe or a device can be read only once: save the measurement in a file first.")
     with source.open("rb") as file:
         return measurement_kind(file.read(START_BYTES))

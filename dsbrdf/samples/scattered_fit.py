@@ -180,7 +180,8 @@ def left_out_errors(
 ) -> tuple[float | None, tuple[LeftOutErrors, ...]]:
     """Return the errors of the `left_out_values`: in total within the cutoff, and separately for groups of samples."""
     theta_half = np.degrees(half_difference(samples.omega_in, samples.omega_out)[0])
-    theta_out = np.degrees(np.arccos(samples.omega_out[:, 2]))
+    # The cosine of 30 degrees is inexact: without rounding, this angle would be in the band below.
+    theta_out = np.degrees(np.arccos(samples.omega_out[:, 2])).round(6)
     places = [
         (f"theta_out from {low} to {high} degrees", (theta_out >= low) & (theta_out < high))
         for low, high in itertools.pairwise(_THETA_OUT_EDGES_DEG)

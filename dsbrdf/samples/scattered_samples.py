@@ -66,7 +66,9 @@ class ScatteredSamples:
         table = np.column_stack([degrees, self.values, self.weight])
         notes = "".join(f"# {' '.join(note.split())}\n" for note in self.notes)
         rows = "\n".join(",".join(map(repr, row)) for row in table.tolist())
-        return CANONICAL + f"{notes}{_NAMES}\n{rows}\n".replace(".0,", ",").replace(".0\n", "\n").encode()
+        return CANONICAL + f"{notes}{_NAMES}\n{rows}\n".replace(".0,", ",").replace(".0\n", "\n").encode(
+            errors="backslashreplace"
+        )
 
     @classmethod
     def decode(cls, content: bytes, name: str = "samples") -> ScatteredSamples:

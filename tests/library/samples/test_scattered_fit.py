@@ -136,7 +136,7 @@ def test_metrics_of_samples_are_those_of_a_loop(cutoff: float | None) -> None:
 
 
 def test_errors_are_told_for_bands_that_begin_at_their_first_angle() -> None:
-    theta_out = np.repeat(np.radians([0.0, 29.0, 31.0, 61.0, 76.0]), 20)
+    theta_out = np.repeat(np.radians([0.0, 29.0, 30.0, 61.0, 76.0]), 20)
     samples = ScatteredSamples.from_arrays(
         spherical(np.full(100, 0.5), np.full(100, np.pi)), spherical(theta_out, np.zeros(100)), np.ones((100, 3))
     )

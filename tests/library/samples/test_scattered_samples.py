@@ -37,12 +37,12 @@ def test_a_file_of_samples_restores_every_bit_and_is_its_own_identity(tmp_path: 
 def test_a_file_of_samples_is_a_table_in_degrees_with_notes() -> None:
     up = np.tile([0.0, 0.0, 1.0], (60, 1))
     aside = np.tile([0.0, -0.5, np.sqrt(0.75)], (60, 1))
-    samples = ScatteredSamples.from_arrays(up, aside, np.full((60, 3), [1.0, 2.5, 0.1]), notes=("A note.", "Two."))
+    samples = ScatteredSamples.from_arrays(up, aside, np.full((60, 3), [1.0, 2.5, 0.1]), notes=("A note.", "\udce4."))
     lines = samples.encode().decode().splitlines()
     names = "theta_in,phi_in,theta_out,phi_out,red,green,blue,weight"
-    assert lines[:4] == ["# dsbrdf samples 1", "# A note.", "# Two.", names]
+    assert lines[:4] == ["# dsbrdf samples 1", "# A note.", "# \\udce4.", names]
     assert lines[4:] == ["0,0,30,270,1,2.5,0.1,1"] * 60
-    assert ScatteredSamples.decode(samples.encode()).notes == samples.notes
+    assert ScatteredSamples.decode(samples.encode()).notes == ("A note.", "\\udce4.")
 
 
 def test_a_file_of_samples_says_everything_itself(tmp_path: Path) -> None:

@@ -229,7 +229,7 @@ def test_wavelengths_as_columns(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "unit"), [("wavelength", 1.0), ("λ (nm)", 1.0), ("Wavelength [µm]", 1e-3), ("wl", 1e-3)]
+    ("name", "unit"), [("wavelength", 1.0), ("λ (nm)", 1.0), ("Wavelength [µm]", 1e-3), ("wl [Å]", 10.0)]
 )
 def test_wavelengths_as_rows(name: str, unit: float) -> None:
     nanometres = np.tile([450.0, 500.0, 550.0, 600.0, 650.0], COUNT)[:, None]

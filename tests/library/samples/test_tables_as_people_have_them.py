@@ -206,8 +206,45 @@ def test_no_example_is_given_that_does_not_read_the_table() -> None:
 @pytest.mark.parametrize("names", ["theta_i,phi_i,theta_t,phi_t,BTDF", "theta_i,phi_i,theta_r,phi_r,L*,a*,b*"])
 def test_what_is_no_reflection_or_no_linear_colour_is_told(names: str) -> None:
     content = table(names, np.column_stack([GRID, TRUE, TRUE, TRUE])[:, : names.count(",") + 1])
-    with pytest.raises(MeasurementFormatError, match=r"transmits is not read|colours must be linear sRGB or CIE XYZ"):
+    with pytest.raises(MeasurementFormatError, match=r"light is not read|colours must be linear sRGB or CIE XYZ"):
         parse_samples(content)
+
+
+MISLEADING = (
+    ("theta_in;theta_out;BRDF;side", ("0.1;front", "0.2;back"), "among both sides of the sample, such as 'back'"),
+    ("theta_in;theta_out;BRDF;side", ("0.1;1", "0.2;-1"), "divides the rows among both sides of the sample"),
+    (
+        "theta_in;theta_out;BRDF;phi_out",
+        ("0.1;0", "0.2;200"),
+        "200, half a turn in gradians: name the column phi_out_gon",
+    ),
+    (
+        "theta_in;theta_out;BRDF;phi_out",
+        ("0.1;0", "0.2;400"),
+        "If it has another unit, name it phi_out_rad or phi_out_",
+    ),
+    (
+        "# angles in gradians\ntheta_in;theta_out;BRDF",
+        ("0.1", "0.2"),
+        "file names gradians, but no column has this unit",
+    ),
+    (
+        "theta_in;probe;BRDF;scatter angle",
+        ("0.1;20", "0.2;140"),
+        "angles up to 140 degrees, as between light and viewer",
+    ),
+    ("theta_in;theta_out;450 nm;0.45 um", ("0.1;0.1", "0.2;0.3"), "'450 nm' and '0.45 um' both seem to be at 450 nm"),
+    ("theta_in;theta_out;BRDF", ("1,234", "987.6"), "a comma or a point may separate thousands, as in '1,234'"),
+    ("theta_in;theta_out;BRDF", ("1,234", "987"), "a comma or a point may separate thousands, as in '1,234'"),
+    ("theta_in;theta_out;absorptance", ("0.1", "0.2"), "emitted light is not read, only reflected light"),
+)
+
+
+@pytest.mark.parametrize(("names", "cells", "said"), MISLEADING)
+def test_a_column_that_could_be_misread_is_refused(names: str, cells: tuple[str, str], said: str) -> None:
+    rows = [f"{a:g};{b:g};{cells[at % 2]}" for at, (a, _, b, _) in enumerate(GRID)]
+    with pytest.raises(MeasurementFormatError, match=said):
+        parse_samples("\n".join([names, *rows]).encode())
 
 
 def test_files_of_one_material_are_told_of_together(tmp_path: Path) -> None:
@@ -226,7 +263,7 @@ def test_files_of_one_material_are_told_of_together(tmp_path: Path) -> None:
         read_samples(paths)
 
 
-@pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "missing", "n.a.", "---"])
+@pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "-nan(ind)", "1.#INF", "missing", "n.a.", "---"])
 def test_words_for_no_number_leave_out_their_row(word: str) -> None:
     samples = parse_samples(changed(5, word))
     assert len(samples.values) == COUNT - 1
