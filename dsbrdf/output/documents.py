@@ -99,7 +99,7 @@ def table_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMN
     table = csv.DictWriter(text, columns, lineterminator="\n")
     table.writeheader()
     table.writerows(rows)
-    return text.getvalue().encode()
+    return text.getvalue().encode(errors="backslashreplace")  # The name of a file need not be Unicode.
 
 
 _LATEX_HEADS = (
@@ -129,7 +129,7 @@ def table_latex(rows: Iterable[Mapping[str, Any]]) -> bytes:
         cells += [_latex_range(row, "alpha", "{:.3g}", 1.0), _number(row.get("tail_exponent"))]
         cells += [_rgb(row, "f0"), _rgb(row, "f70"), _shared(materials, index, _number(row["psnr"]))]
         lines.append(" & ".join(cells) + r" \\")
-    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""]).encode()
+    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""]).encode(errors="backslashreplace")
 
 
 def _shared(keys: Sequence[object], index: int, text: str) -> str:

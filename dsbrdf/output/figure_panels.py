@@ -80,7 +80,9 @@ def draw_legend(
 ) -> None:
     """Draw one legend under the panels, which names each label of the lines in ``axes`` once."""
     lines = {str(line.get_label()): line for ax in axes for line in ax.get_legend_handles_labels()[0]}
-    figure.legend(list(lines.values()), list(lines), loc=place, ncols=columns, fontsize=8, frameon=False)
+    legend = figure.legend(list(lines.values()), list(lines), loc=place, ncols=columns, fontsize=8, frameon=False)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
 
 
 def set_ticks(ax: Axes) -> None:

@@ -216,7 +216,7 @@ def _spheres_row(figure: FigureBase, panels: dict[str, Array]) -> None:
     figure.subplots_adjust(left=0.02, right=0.98, bottom=0.02, top=0.82, wspace=0.1)
     for ax, (title, picture) in zip(axes, panels.items(), strict=True):
         ax.imshow(cut_out(picture), interpolation="antialiased")
-        ax.set_title(title, fontsize=9)
+        ax.set_title(title, fontsize=9, parse_math=False)
         ax.set_axis_off()
 
 

@@ -271,6 +271,6 @@ def example(path: Path, file_format: str, content: bytes, name: str) -> tuple[Pa
     end, file = EXAMPLES[file_format]
     beside = path.with_name(path.stem + end)
     words = {"SELF": beside.name, "STEM": path.stem, "FILE": path.name}
-    quoted = {word: escape(one) if end in (".html", ".xml") else dumps(one)[1:-1] for word, one in words.items()}
-    shader = content.decode() if file_format == "glsl" else ""
+    is_markup, shader = end in (".html", ".xml"), content.decode() if file_format == "glsl" else ""
+    quoted = {w: escape(one) if is_markup else dumps(one, ensure_ascii=False)[1:-1] for w, one in words.items()}
     return beside, filled(template(file), quoted | {"FUNCTION": name, "SHADER": shader}).encode()

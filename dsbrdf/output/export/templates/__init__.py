@@ -1,5 +1,6 @@
 """Read and fill the templates of exported files, each in a file of its own language."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,6 +18,5 @@ def sections(file: str) -> dict[str, str]:
 
 def filled(text: str, words: Mapping[str, str | int]) -> str:
     """Return a template in which words in capitals are replaced by values."""
-    for word, value in words.items():
-        text = text.replace(word, str(value))
-    return text
+    # One pass keeps words in the values, such as FILE in the name of a file.
+    return re.sub("|".join(words), lambda found: str(words[found[0]]), text)

@@ -236,10 +236,11 @@ def test_mitsuba_draws_the_scene(tmp_path: Path) -> None:
 
 
 def test_the_scene_of_pbrt_has_the_table_as_its_material(tmp_path: Path) -> None:
-    words = shlex.split(written(tmp_path, "a.bsdf", "bsdf-spectral", b"").read_text(), comments=True)
+    words = shlex.split(written(tmp_path, "FILE grün.bsdf", "bsdf-spectral", b"").read_text("utf-8"), comments=True)
     camera, world, light, material = map(words.index, ("Camera", "WorldBegin", "LightSource", "Material"))
     assert camera < world < light < material
-    assert words[material : material + 4] == ["Material", "measured", "string filename", "a.bsdf"]
+    assert words[material : material + 4] == ["Material", "measured", "string filename", "FILE grün.bsdf"]
+    assert "FILE grün.exr" in words
 
 
 def test_the_script_for_blender_sets_the_inputs(tmp_path: Path) -> None:
