@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -87,11 +88,16 @@ def entry_point(group: str, name: str) -> EntryPoint:
     return found
 
 
-def open_closed_output() -> None:
-    """Replace a closed stdout or stderr by the null device, because a file opened later could get its descriptor."""
+def prepare_output() -> None:
+    """Replace a closed stdout or stderr by the null device, and escape characters that stdout cannot encode.
+
+    Without a replacement, a file that is opened later could get the descriptor.
+    """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 (until the end)
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def run_service_command(command: str, words: Sequence[str]) -> int:

@@ -162,6 +162,8 @@ def fit(
     """
     keep_freed_memory()
     if together is not None:
+        if Path(together).name != together or together.startswith("."):
+            raise InvalidArgumentError(f"--together: must be a name without a folder, not {together!r}")
         with TemporaryDirectory() as folder:
             joined = Path(folder) / f"{together}.csv"
             joined.write_bytes(read_samples(files, table.options()).encode())

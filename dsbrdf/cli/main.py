@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from dsbrdf.cli.arguments import BAD_INPUT, SERVICE_COMMANDS, open_closed_output, print_error, run_service_command
+from dsbrdf.cli.arguments import BAD_INPUT, SERVICE_COMMANDS, prepare_output, print_error, run_service_command
 from dsbrdf.errors import WRONG_PATH_ERRORS, DSBRDFError
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.process_settings import ONE_BLAS_THREAD
@@ -21,7 +21,7 @@ INTERRUPTED = 130
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; `argv` are the arguments after ``dsbrdf``. Return the exit code."""
-    open_closed_output()
+    prepare_output()
     try:
         code = _run(list(sys.argv[1:] if argv is None else argv))
         sys.stdout.flush()

@@ -50,7 +50,7 @@ def _list(files: Sequence[Path], options: TableOptions, *, json: bool) -> int:
         try:
             document |= summary_of_table(read_table(file.read_bytes(), file.stem, options))
         except (DSBRDFError, OSError) as error:
-            document["error"] = str(error)
+            document["error"] = error.strerror if isinstance(error, OSError) else str(error)
         documents.append(document)
         if not json:
             print(f"{file!s:<{width}}{_line(document)}", flush=True)

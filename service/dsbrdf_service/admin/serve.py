@@ -19,7 +19,7 @@ from cyclopts import Parameter
 from fastapi import FastAPI
 from pydantic import ValidationError
 
-from dsbrdf.cli.arguments import open_closed_output, print_error
+from dsbrdf.cli.arguments import prepare_output, print_error
 from dsbrdf.cli.commands import new_application, run_words
 from dsbrdf.extras import MissingExtraError
 from dsbrdf.process_settings import return_freed_memory, trim_memory
@@ -99,7 +99,7 @@ def serve(
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command with its arguments until the service is stopped; return the exit code."""
-    open_closed_output()
+    prepare_output()
     app = new_application("dsbrdf serve", _PURPOSE)
     app.default(serve)
     return run_words(app, sys.argv[1:] if words is None else words)

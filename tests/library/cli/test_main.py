@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,14 @@ def test_a_closed_output_is_no_fault() -> None:
     command = ["sh", "-c", 'exec "$0" -m dsbrdf.cli.main fit none.binary --json 1>&-', sys.executable]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ("Traceback" in done.stderr, done.returncode) == (False, 2)
+
+
+def test_characters_that_an_output_cannot_encode_are_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
+    output = BytesIO()
+    monkeypatch.setattr(sys, "stdout", TextIOWrapper(output, "ascii"))
+    cli.main(["--version"])
+    print("30\N{DEGREE SIGN}", flush=True)
+    assert output.getvalue().endswith(b"30\\xb0\n")
 
 
 def test_version_is_printed() -> None:
@@ -126,6 +135,7 @@ MISTAKES = {
     "fit nickel.binary": "dsbrdf: nickel.binary: The data has only 112 bytes",
     "fit photo.png": "dsbrdf: photo.png: The file is a PNG image; a picture has no directions of light and viewer",
     "fit plastic.binary -o plastic.json": "must be a folder, in which NAME.json is saved, not a file such as",
+    "fit felt.csv --together a/b": "dsbrdf: --together: must be a name without a folder, not 'a/b'",
     # models
     "show nickel.binary": "nickel.binary: this command reads models, not measurements; fit it first with dsbrdf fit",
     "show photo.json": "dsbrdf: photo.json: the file is a PNG image; a stored model is a .json file",

@@ -1,6 +1,7 @@
 """Commands of stored models: values, reports, components, exports, pictures."""
 
 import re
+import shutil
 import struct
 import subprocess
 import sys
@@ -223,7 +224,8 @@ def test_plot_draws_profiles_and_lobes_on_request(model_file: Path, plastic_file
         pictures.append(output.read_bytes())
         assert about == {"output": str(output), "format": "png", "bytes": len(pictures[-1])}
     assert struct.unpack(">II", pictures[0][16:24]) < struct.unpack(">II", pictures[1][16:24])
-    assert "2 materials compared" in printed("plot", model_file, model_file, "-o", output)
+    other = Path(shutil.copy(model_file, tmp_path / r"$\bad$.json"))  # Matplotlib shall not read a name as a formula.
+    assert "2 materials compared" in printed("plot", model_file, other, "-o", output)
 
 
 def test_compare_with_its_fit(model_file: Path, plastic_file: Path, two_lobe_fit: FitResult, tmp_path: Path) -> None:

@@ -91,9 +91,10 @@ def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:
         assert words in text
     (tmp_path / "tile.binary").write_bytes(HEADER + bytes(99))
     assert "is a MERL file, a measurement on a grid, and no" in run("table", tmp_path / "tile.binary", code=2).stderr
-    lines = run("table", path, tmp_path / "tile.binary", *flags, code=2).stdout.splitlines()
+    lines = run("table", path, tmp_path / "tile.binary", tmp_path / "none", *flags, code=2).stdout.splitlines()
     assert "62 samples, theta_in 0, 30, 60, theta_out 0 to 80, up to" in lines[0]
     assert "not read: The file is a MERL file, a measurement on a grid" in lines[1]
+    assert lines[2].endswith("not read: No such file or directory")
 
 
 def test_no_measurement_is_replaced_or_half_read(tmp_path: Path) -> None:
