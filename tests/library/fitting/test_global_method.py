@@ -20,6 +20,7 @@ from dsbrdf.model import half_width
 from dsbrdf.pipeline import profiles_for
 from dsbrdf.version import versions
 from tests.support.models import NOISE, deviations, found_by_fit, mixture, numbers_of_lobes, single_lobe
+from tests.support.reproduced import assert_reproduced, digest
 
 pytestmark = pytest.mark.slow
 
@@ -33,6 +34,8 @@ def test_number_and_parameters_of_known_mixtures_come_back(n_lobes: int, seed: i
     assert numbers_of_lobes(model) == (n_lobes, 0)
     found = deviations(model, truth)
     assert max(found[name] for name in ("amplitude", "half width", "elongation")) < 0.02, found
+    parameters = {name: digest(values) for name, values in model.parameters_at([0.1, 0.7, 1.3]).items()}
+    assert_reproduced(f"fit/{n_lobes} lobes", parameters, 5e-3)
 
 
 def test_what_bins_hide_of_elongated_lobes_is_what_their_means_differ_by() -> None:

@@ -271,3 +271,13 @@ def test_a_long_cell_is_no_name_at_once(cell: str) -> None:
     assert meaning_of(cell) is None
     with pytest.raises(MeasurementFormatError):
         parse_samples(cell.encode() + b"\n1\n")
+
+
+NAMES = [line.split(": ", 1) for line in (Path(__file__).parent / "column_names.txt").read_text().splitlines()]
+
+
+@pytest.mark.parametrize(("meaning", "names"), NAMES, ids=[meaning for meaning, _ in NAMES])
+def test_columns_are_understood_by_the_names_that_people_give(meaning: str, names: str) -> None:
+    assert {name: meaning_of(name) or "nothing" for name in names.split(" | ")} == dict.fromkeys(
+        names.split(" | "), meaning
+    )

@@ -50,6 +50,7 @@ def test_a_prediction_is_reciprocal_and_returns_no_more_light_than_it_gets(predi
     half, diff, phi = np.random.default_rng(0).uniform(0.0, (0.7, 0.7, np.pi), (50, 3)).T
     values = bright.evaluate_unmasked(half, diff, phi)
     np.testing.assert_allclose(bright.evaluate_unmasked(half, diff, phi + np.pi), values, rtol=1e-9)
+    assert_reproduced("stages/bounded by energy", digest(bright.evaluate_unmasked(half, diff + 0.6, phi)), 1e-3)
 
 
 @pytest.fixture(scope="module")
