@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 from dsbrdf.arrays import Array
 from dsbrdf.data import THETA_DIFF, THETA_HALF
@@ -144,6 +145,32 @@ def test_optimum_at_bounds_is_that_of_scipy() -> None:
     free = (solution.unknowns > low) & (solution.unknowns < high)
     assert np.abs(gradient[free] / np.sqrt(np.diag(matrix)[free] * solution.cost)).max() < 1e-4
     assert np.all(gradient[solution.unknowns == high] <= 0.0)
+
+
+class Quadratic:
+    """The square of a linear function of unknowns that are at most 0.1 away from 0."""
+
+    precision = np.dtype(float)
+
+    def __init__(self, seed: int) -> None:
+        self.matrix, self.goal = np.split(np.random.default_rng(seed).standard_normal((9, 9)), [8], axis=1)
+
+    def limit(self, unknowns: Array) -> Array:
+        return np.clip(unknowns, -0.1, 0.1)
+
+    def evaluate(self, unknowns: Array) -> SimpleNamespace:
+        return SimpleNamespace(unknowns=unknowns, cost=float(np.sum((self.matrix @ unknowns - self.goal[:, 0]) ** 2)))
+
+    def linearize(self, at: SimpleNamespace) -> tuple[Array, Array]:
+        return self.matrix.T @ self.matrix, self.matrix.T @ (self.matrix @ at.unknowns - self.goal[:, 0])
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_few_steps_reach_the_least_squares_within_bounds(seed: int) -> None:
+    problem: Any = Quadratic(seed)
+    best = lsq_linear(problem.matrix, problem.goal[:, 0], (-0.1, 0.1))
+    found = minimize(problem, np.zeros(8), iterations=4)
+    assert found.cost == pytest.approx(2.0 * best.cost, rel=1e-4)
 
 
 def test_flags_are_honest_and_the_cost_never_rises() -> None:
