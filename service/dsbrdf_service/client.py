@@ -127,7 +127,7 @@ class Client:
         ServiceError
             If the service failed, or the fit was cancelled.
         ConnectionError
-            If no service answers at the address.
+            If no service answers at the address, or the connection is lost.
         """
         submitted = self.submit(measurement, options, table=table, name=name)
         return self.result(self.wait(submitted, progress)["id"])
@@ -221,10 +221,12 @@ class Client:
                     break
                 left -= pause
                 time.sleep(pause)
-        except (httpx.ConnectError, httpx.ConnectTimeout) as error:
+        except httpx.TransportError as error:
             address = str(self._http.base_url).rstrip("/")
-            advice = "is a service running there? dsbrdf serve starts one"
-            raise ConnectionError(f"nothing answers at {address}: {advice} ({error})") from error
+            if isinstance(error, httpx.ConnectError | httpx.ConnectTimeout):
+                advice = "is a service running there? dsbrdf serve starts one"
+                raise ConnectionError(f"nothing answers at {address}: {advice} ({error})") from error
+            raise ConnectionError(f"the request to {address} failed: {str(error) or type(error).__name__}") from error
         if answer.status_code < 400:
             return answer
         title = f"{answer.status_code} {answer.reason_phrase}"
@@ -270,8 +272,8 @@ class ClientEngine:
             return FitDocument(self._client.document(fit["id"]), fit["metrics"])
         except DSBRDFError as error:
             return Fault("input", type(error).__name__, str(error))
-        except (ServiceError, httpx.TransportError) as error:
-            if isinstance(error, ServiceError) and error.problem.get("status") == 401:
+        except ServiceError as error:
+            if error.problem.get("status") == 401:
                 advice = "the environment variable DSBRDF_KEY gives the key"
                 raise InvalidArgumentError(f"{self._url}: {error}; {advice}") from error
             raise ConnectionError(f"{self._url}: {error}") from error

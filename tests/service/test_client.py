@@ -187,13 +187,20 @@ def test_answers_of_a_proxy_become_service_errors(content: bytes) -> None:
         client.get("0" * 32)
 
 
-def test_address_without_any_answer_is_a_connection_error() -> None:
-    def silence(request: httpx.Request) -> httpx.Response:
-        raise httpx.ConnectTimeout("timed out", request=request)
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (httpx.ConnectTimeout("timed out"), "nothing answers at http://service: is a service running there"),
+        (httpx.ReadError(""), "the request to http://service failed: ReadError"),
+    ],
+)
+def test_lost_connection_is_a_connection_error(error: Exception, said: str) -> None:
+    def silence(_: httpx.Request) -> httpx.Response:
+        raise error
 
     client = Client()
     client._http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(silence))
-    with pytest.raises(ConnectionError, match="nothing answers at http://service: is a service running there"):
+    with pytest.raises(ConnectionError, match=said):
         client.get("0" * 32)
 
 

@@ -61,6 +61,7 @@ def test_answers_that_nobody_reads_count_as_uploads_do(store: Store, tmp_path: P
         second = await store.writing.answer_with(caller, b"2" * 500)
         assert (first.read(9, 995), second.size) == (b"11111", 500)
         del first
+        assert ["upload-" in str(path.resolve()) for path in Path("/proc/self/fd").iterdir()].count(True) == 1
         await store.writing.answer_with(caller, b"3" * 1000)
         with pytest.raises(ZeroDivisionError):
             async with store.writing.answer(caller, 1000) as (_, path):
