@@ -169,8 +169,8 @@ def _plateau_finding(folded: FoldedProfiles) -> Iterator[Finding]:
             continue
         largest = float(np.partition(values, -_OUTLYING_BINS)[-_OUTLYING_BINS])
         above, below = (int(np.count_nonzero(values >= fraction * largest)) for fraction in (0.93, 0.86))
-        is_highlight = above >= MIN_CLIPPED_BINS and largest > MIN_HIGHLIGHT_RATIO * np.median(values)
-        if is_highlight and above > _MIN_PLATEAU_RATIO * (below - above + 3):
+        is_flat = above >= MIN_CLIPPED_BINS and above > _MIN_PLATEAU_RATIO * (below - above + 3)
+        if is_flat and largest > MIN_HIGHLIGHT_RATIO * np.median(values):
             names.append(channel)
     if names:
         yield Finding(
@@ -205,8 +205,10 @@ def _dark_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
     filled = (folded.weight > 0.0).all(axis=0)
     # The mean of the channels is positive where only one of them is outside of sRGB and counts as 0.
     mean = np.where(filled, folded.mean.mean(axis=0), 0.0)
-    zero, bright = filled & (mean == 0.0), mean > _BRIGHT_FRACTION * np.median(mean[mean > 0.0])
-    if np.count_nonzero(zero & binary_dilation(bright)) > _MIN_EDGE_FRACTION * np.count_nonzero(filled):
+    zero, fewest = filled & (mean == 0.0), _MIN_EDGE_FRACTION * np.count_nonzero(filled)
+    is_dark = np.count_nonzero(zero) > fewest
+    bright = mean > _BRIGHT_FRACTION * np.median(mean[mean > 0.0]) if is_dark else zero
+    if is_dark and np.count_nonzero(zero & binary_dilation(bright)) > fewest:
         share = float(folded.weight[:, zero].sum() / folded.weight.sum())
         yield Finding(
             "sudden-zeros",
@@ -250,8 +252,9 @@ def _sweep_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
             {"jump": float(np.expm1(jump)), "theta_diff_deg": angle},
         )
     same = folded.mean[:, :, 1:] == folded.mean[:, :, :-1]
-    pairs = (same[:, :, 1:] & ~same[:, :, :-1])[:, usable[:, 2:]] if usable.any() else same
-    if (share := float(pairs.mean())) > _MAX_REPEATED:
+    repeated = same[:, :, 1:] & ~same[:, :, :-1] & usable[:, 2:]
+    share = np.count_nonzero(repeated) / max(3 * np.count_nonzero(usable[:, 2:]), 1)
+    if share > _MAX_REPEATED:
         yield Finding(
             "repeated-samples",
             f"At {share:.0%} of the angles the values are exactly those at the next smaller theta_half: samples seem "
@@ -305,7 +308,7 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
     yield from _layout_finding(measurement.stored)
     nodes = np.flatnonzero(measurement.valid)
     nodes = nodes[:: max(nodes.size // _SAMPLED_NODES, 1)]
-    values = measurement.stored.reshape(3, -1)[:, nodes] * measurement.scale[:, np.newaxis]
+    values = np.multiply(measurement.stored.reshape(3, -1)[:, nodes], measurement.scale[:, np.newaxis], order="C")
     yield from channel_findings(values)
     first, second = np.split(measurement.stored[:, 4::9, 4::9], 2, axis=-1)
     varied = (np.abs(np.diff(first)) > 1e-6 * first[..., 1:]) & (first[..., 1:] >= 0.0)  # Less is rounding.
@@ -332,6 +335,8 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
             {"fraction": share},
         )
     for channel in values:
+        if np.unique(channel[: 2 * _MAX_LEVELS]).size > _MAX_LEVELS:
+            continue
         levels = np.unique(channel)
         if not 1 < levels.size <= min(_MAX_LEVELS, channel.size // 4):
             continue

@@ -67,6 +67,7 @@ WEIGHTINGS = ("plain", "cosine", "log")
 _BIN_OF = np.minimum(np.arange(180), 180 - np.arange(180)) // 10
 IN_BIN = (_BIN_OF[:, None] == np.arange(N_BINS)).astype(float)
 """1 if a phi_diff of the grid belongs to a bin, otherwise 0, shape (180, 10)."""
+_COUNT_AND_COS2 = np.hstack([IN_BIN, IN_BIN * np.cos(PHI_DIFF[:, None]) ** 2])
 SAMPLES_IN_BIN = IN_BIN[:QUARTER] * np.where(np.arange(QUARTER) % (QUARTER - 1) == 0, 1.0, 2.0)[:, None]
 """Number of nodes of the grid that fold onto each phi_diff up to 90 degrees, in the column of its bin, (91, 10)."""
 FIRST_PHI = np.radians(10.0 * np.arange(N_BINS))
@@ -184,8 +185,8 @@ def _fold(folded: FoldedProfiles, i: int, samples: Array, valid: Mask, *, robust
     total = weights @ IN_BIN
     folded.weight[:, :, i] = total
     folded.mean[:, :, i] = (weights * samples) @ IN_BIN / np.where(total > 0.0, total, 1.0)
-    count = valid.astype(float) @ IN_BIN
-    folded.cos2_phi[:, i] = (valid * np.cos(PHI_DIFF) ** 2) @ IN_BIN / np.where(count > 0.0, count, 1.0)
+    count, cos2_phi = np.split(valid.astype(float) @ _COUNT_AND_COS2, 2, axis=1)
+    folded.cos2_phi[:, i] = cos2_phi / np.where(count > 0.0, count, 1.0)
 
 
 def _trusted_in_bins(samples: Array, valid: Mask) -> Array:
