@@ -7,7 +7,7 @@ rows and columns.
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +15,16 @@ from scipy.ndimage import median_filter
 
 from dsbrdf.arrays import Array, Indices, Mask
 from dsbrdf.data.faults import clip_levels, horizon_disagreement
-from dsbrdf.data.geometry import PHI_DIFF, QUARTER, THETA_DIFF, THETA_HALF, above_horizon
-from dsbrdf.data.reduction import DARK_VALUE_FRACTION, OUTLIER_FACTOR, SAMPLES_IN_BIN, TINY, Profiles, bin_weights
+from dsbrdf.data.geometry import PHI_DIFF, THETA_DIFF, THETA_HALF, above_horizon
+from dsbrdf.data.reduction import (
+    DARK_VALUE_FRACTION,
+    N_BINS,
+    OUTLIER_FACTOR,
+    SAMPLES_IN_BIN,
+    TINY,
+    Profiles,
+    bin_weights,
+)
 from dsbrdf.errors import FitError
 from dsbrdf.fitting.fit_data import FitData
 from dsbrdf.fitting.least_squares import COST_TOLERANCE, Solution, minimize
@@ -254,12 +262,14 @@ def _refine(
         if bounded.any():
             values = MixtureProblem(data, mixture.structure).values(unknowns)
             data = replace(data, weight=np.where(bounded & (values > data.mean), CLIPPED_WEIGHT, 1.0) * weight)
-        problem = MixtureProblem((data if number else data.take_bins(SEARCH_BINS)).single(), mixture.structure)
+        chosen = data.take_bins(SEARCH_BINS)
         if number > 0:
-            exact = _exact(data, Mixture(mixture.structure, unknowns))
+            latest, trusted = Mixture(mixture.structure, unknowns), data
             if options.robust:
-                exact = replace(exact, weight=data.weight * _trust(problem.values(unknowns), exact))
-            problem = MixtureProblem(exact.take_bins(REFINE_BINS).single(), mixture.structure)
+                values = MixtureProblem(data.single(), mixture.structure).values(unknowns)
+                trusted = replace(data, weight=data.weight * _trust(values, _exact(data, latest)))
+            chosen = _exact(trusted, latest, REFINE_BINS)
+        problem = MixtureProblem(chosen.single(), mixture.structure)
         done = number / rounds
         solution = minimize(
             problem,
@@ -290,24 +300,27 @@ def _trust(values: Array, data: FitData) -> Array:
     return np.clip(2.0 - alone / (OUTLIER_FACTOR * usual + MIN_OUTLIER_RESIDUAL), 0.0, 1.0)
 
 
-def _exact(data: FitData, mixture: Mixture) -> FitData:
-    """Subtract from the data the errors that averaging a mixture over the bins of phi_diff causes."""
-    problem = MixtureProblem(data.single(), mixture.structure)
-    return replace(data, mean=data.mean - _lost_in_bins(problem, mixture.unknowns))
+def _exact(data: FitData, mixture: Mixture, bins: Sequence[int] = range(N_BINS)) -> FitData:
+    """Take some bins of phi_diff, and subtract the errors that averaging a mixture over these bins causes."""
+    taken = data.take_bins(bins)
+    taken.mean[...] -= _lost_in_bins(MixtureProblem(taken.single(), mixture.structure), mixture.unknowns, bins)
+    return taken
 
 
-def _lost_in_bins(problem: MixtureProblem, unknowns: Array) -> Array:
+def _lost_in_bins(problem: MixtureProblem, unknowns: Array, bins: Sequence[int]) -> Array:
     """Return the mean of a mixture over each bin's samples, minus its value at the mean cos(phi_diff)**2.
 
     The difference matters for elongated lobes, which change fast within a bin.
     """
-    data = problem.data
+    data, samples = problem.data, SAMPLES_IN_BIN[:, bins]
+    nodes = np.flatnonzero(samples.any(axis=1))
+    samples, phi_diff = samples[nodes], PHI_DIFF[nodes]
     theta_half, theta_diff = data.theta_half[:, None], data.theta_diff[:, None, None]
-    count = above_horizon(theta_half, theta_diff, PHI_DIFF[:QUARTER]) * SAMPLES_IN_BIN.sum(axis=1)
-    nodes = np.broadcast_to(np.cos(PHI_DIFF[:QUARTER]) ** 2, count.shape).astype(data.cos2_phi.dtype)
-    values = MixtureProblem(replace(data, cos2_phi=nodes), problem.structure).values(unknowns)
-    total = count @ (SAMPLES_IN_BIN > 0)
-    mean = (values * count) @ (SAMPLES_IN_BIN > 0) / np.maximum(total, 1.0)
+    count = above_horizon(theta_half, theta_diff, phi_diff) * samples.sum(axis=1)
+    cos2_phi = np.broadcast_to(np.cos(phi_diff) ** 2, count.shape).astype(data.cos2_phi.dtype)
+    values = MixtureProblem(replace(data, cos2_phi=cos2_phi), problem.structure).values(unknowns)
+    total = count @ (samples > 0)
+    mean = (values * count) @ (samples > 0) / np.maximum(total, 1.0)
     return np.where(total > 0, mean - problem.values(unknowns), 0.0)
 
 

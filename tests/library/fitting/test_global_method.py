@@ -48,7 +48,7 @@ def test_what_bins_hide_of_elongated_lobes_is_what_their_means_differ_by() -> No
     lobe = np.array([[0.0, np.log(40.0)]])
     unknowns = structure.join(np.full((1, 3), np.log(30.0)), lobe, np.ones((1, 1)))
     problem = MixtureProblem(data, structure)
-    hidden = global_method._lost_in_bins(problem, unknowns)
+    hidden = global_method._lost_in_bins(problem, unknowns, range(data.mean.shape[-1]))
     seen = data.weight > 0
     assert np.max(np.abs(hidden[seen]) / data.mean[seen]) > 0.05
     np.testing.assert_allclose((problem.values(unknowns) + hidden)[seen], data.mean[seen], rtol=1e-6, atol=1e-12)
