@@ -79,7 +79,8 @@ class InterpolatedMeasurement:
         logarithm = np.zeros((3, theta_half.size))
         for weight, (row, diff, column) in _corners(theta_half, theta_diff, phi_diff):
             node = self.start[row, column] + np.int32(GRID_SHAPE[2]) * self.diff[row, diff, column]
-            logarithm += weight * np.log(np.maximum(stored[:, node] * scale, 0.0) + LOG_OFFSET_PER_SR)
+            values = np.multiply(stored[:, node], scale, order="C")  # Indexing makes the channels the fastest axis.
+            logarithm += weight * np.log(np.maximum(values, 0.0) + LOG_OFFSET_PER_SR)
         return np.maximum(np.exp(logarithm) - LOG_OFFSET_PER_SR, 0.0)
 
 

@@ -128,7 +128,7 @@ def _step(
         return np.zeros_like(gradient)
     potrf, trtrs = (spotrf, strtrs) if problem.precision == np.float32 else (dpotrf, dtrtrs)
     damped, diagonal = matrix.astype(problem.precision), matrix.diagonal()
-    damped.flat[:: len(matrix) + 1] += damping * (diagonal + 1e-12 * diagonal[~held].max())
+    np.einsum("nn->n", damped)[...] += damping * (diagonal + 1e-12 * diagonal[~held].max())
     places = np.flatnonzero(held)
     damped[places], damped[:, places] = 0.0, 0.0
     damped[places, places] = 1.0

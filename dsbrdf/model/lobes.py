@@ -104,7 +104,8 @@ def _hemi_epd_curve(square: Array, kappa: Array, gamma: Array, top: Array | None
         per_value = largest * (scale + 1.0)
         by_log_kappa = value * -per_value
         by_log_kappa += by_fall
-        by_log_gamma, by_square = by_fall * fall, by_fall * (per_log / (1.0 + square))
+        by_log_gamma, by_square = by_fall * fall, per_log / (1.0 + square)
+        by_square *= by_fall
         if top is None:
             return by_log_kappa, by_log_gamma, by_square, np.zeros(())
         by_log_gamma += by_log_kappa * fall_to_top
@@ -229,12 +230,16 @@ def lobe_curves(
 
     def about_center() -> LobeSlopes:
         by_log_kappa, by_log_gamma, by_square, by_top = slopes()
-        by_offset = 2.0 * offset * by_square * (offset < known.largest_tangent)
-        by_offset /= below * below
+        half_by_offset = offset * by_square
+        half_by_offset[offset >= known.largest_tangent] = 0.0
+        half_by_offset /= below * below
         # At theta' = 0, the derivative in tan(theta')**2 is infinite, so the tangent that divides it is bounded.
         least = np.sqrt(np.finfo(root.dtype).tiny)
-        by_squared_tangent = by_offset * (0.5 + 0.5 * of_ring**2) / np.maximum(root, least)
-        by_tangent = 2.0 * of_cusp * by_top - by_offset * (1.0 + squared_tangent * (tangent > 0.0))
-        return LobeSlopes(by_log_kappa, by_log_gamma, (1.0 + tangent**2) * by_tangent, by_squared_tangent)
+        by_squared_tangent = half_by_offset * (1.0 + of_ring**2) / np.maximum(root, least)
+        half_by_offset *= 1.0 + squared_tangent * np.sign(of_ring)
+        by_center = of_cusp * by_top
+        by_center -= half_by_offset
+        by_center *= 2.0 + 2.0 * tangent**2
+        return LobeSlopes(by_log_kappa, by_log_gamma, by_center, by_squared_tangent)
 
     return values, about_center
