@@ -206,16 +206,16 @@ def _dark_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
     # The mean of the channels is positive where only one of them is outside of sRGB and counts as 0.
     mean = np.where(filled, folded.mean.mean(axis=0), 0.0)
     zero, fewest = filled & (mean == 0.0), _MIN_EDGE_FRACTION * np.count_nonzero(filled)
-    is_dark = np.count_nonzero(zero) > fewest
-    bright = mean > _BRIGHT_FRACTION * np.median(mean[mean > 0.0]) if is_dark else zero
-    if is_dark and np.count_nonzero(zero & binary_dilation(bright)) > fewest:
-        share = float(folded.weight[:, zero].sum() / folded.weight.sum())
-        yield Finding(
-            "sudden-zeros",
-            f"{share:.1%} of the samples are 0 in all channels, right beside bright ones: the fit takes "
-            "them for black. Write -1 where nothing was measured, and keep the digits of dark values.",
-            {"fraction": share},
-        )
+    if np.count_nonzero(zero) > fewest:
+        bright = mean > _BRIGHT_FRACTION * np.median(mean[mean > 0.0])
+        if np.count_nonzero(zero & binary_dilation(bright)) > fewest:
+            share = float(folded.weight[:, zero].sum() / folded.weight.sum())
+            yield Finding(
+                "sudden-zeros",
+                f"{share:.1%} of the samples are 0 in all channels, right beside bright ones: the fit takes "
+                "them for black. Write -1 where nothing was measured, and keep the digits of dark values.",
+                {"fraction": share},
+            )
     mean, usable = mean[..., :-1], usable[..., :-1]  # The last bin has a single sample, which may be noise.
     inner, outer, top = mean[:, :-1], mean[:, 1:], mean.max(axis=1, keepdims=True)
     falls = (outer > 2.0 * inner) & (inner > 0.0) & (outer > _BRIGHT_FRACTION * top) & usable[:, :-1]
@@ -253,7 +253,7 @@ def _sweep_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
         )
     same = folded.mean[:, :, 1:] == folded.mean[:, :, :-1]
     repeated = same[:, :, 1:] & ~same[:, :, :-1] & usable[:, 2:]
-    share = np.count_nonzero(repeated) / max(3 * np.count_nonzero(usable[:, 2:]), 1)
+    share = float(np.count_nonzero(repeated)) / max(3 * int(np.count_nonzero(usable[:, 2:])), 1)
     if share > _MAX_REPEATED:
         yield Finding(
             "repeated-samples",
