@@ -1,6 +1,7 @@
 """What the library makes of inputs of many kinds is what it has made of them before."""
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, astuple
 from pathlib import Path
@@ -15,6 +16,7 @@ from matplotlib.text import Text
 import dsbrdf
 from dsbrdf import EnvironmentMap, Measurement, ScatteredSamples, decompose, plot, render_sphere
 from dsbrdf.arrays import Array
+from dsbrdf.cli.commands import command_names
 from dsbrdf.data import CHANNELS, half_difference, spherical
 from dsbrdf.output import to_json
 from dsbrdf.output.atlas import load_material
@@ -206,6 +208,7 @@ COMMANDS = (
     "table samples.csv",
     "table samples.csv plane.csv model.json",
     "render model.json -o a.png --size 16",
+    "render model.json -o a.png --size 16 --component diffuse",
     "compare plastic.binary model.json -o a.png --size 16",
     "export model.json -o model.csv",
     "export model.json -o layers.csv --component layers",
@@ -232,3 +235,9 @@ def test_commands(
             if path.suffix != ".png"
         ]
         assert_reproduced(f"commands/{command}", [*answer.stdout.splitlines(), answer.stderr, *new], 1e-3)
+
+
+@pytest.mark.parametrize("command", command_names())
+def test_flags_and_defaults(command: str) -> None:
+    text = re.sub(r"\s+", " ", run(command, "--help").stdout)
+    assert_reproduced(f"flags/{command}", " ".join(re.findall(r"--\w[\w-]*|\[(?:default|choices): [^\]]*\]", text)))

@@ -26,13 +26,6 @@ from tests.support.command_line import FEW_LOBES, document, load_fit, printed, r
 pytestmark = pytest.mark.slow
 
 
-def test_eval_by_angles_as_a_table(model_file: Path) -> None:
-    rows = printed("eval", model_file, "--theta-half", "0", "10", "--theta-diff", "30").splitlines()
-    assert rows[0].split() == ["theta_half", "theta_diff", "phi_diff", "red", "green", "blue"]
-    expected = load_fit(model_file).model.evaluate(np.radians(10.0), np.radians(30.0))
-    np.testing.assert_allclose([float(word) for word in rows[2].split()], [10, 30, 90, *expected], rtol=1e-5)
-
-
 @pytest.mark.parametrize(
     ("words", "degrees"),
     [

@@ -20,7 +20,7 @@ from dsbrdf import FitResult, InvalidArgumentError, Measurement, Profiles, Scatt
 from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon, half_difference, spherical
 from dsbrdf.output import encode_figure
 from dsbrdf.output.figures import overview_figure, parameters_figure, profiles_figure
-from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure, samples_residual_figure
+from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, SphereComparison, compare_spheres, encode_png, side_by_side
 from dsbrdf.rendering import displayed, sphere_likeness, sphere_normals
 from tests.support.models import mixture, papers_model
@@ -95,17 +95,6 @@ def test_parameters_figure_draws_height_and_albedo_of_each_component() -> None:
         seen = np.radians(np.asarray(albedos.lines[3 * number].get_xdata(), float))
         drawn = [y_of(line) for line in albedos.lines[3 * number : 3 * number + 3]]
         np.testing.assert_allclose(drawn, component.directional_albedo(seen).T, rtol=1e-9)
-
-
-def test_parameters_figure_draws_the_lobes_of_the_model_on_request() -> None:
-    heights, widths, kappas, elongations = parameters_figure(ELONGATED, model_lobes=True).axes
-    at = np.radians(np.asarray(heights.lines[0].get_xdata(), float))
-    expected = ELONGATED.parameters_at(at)
-    drawn = [y_of(line) for line in heights.lines]
-    np.testing.assert_allclose(drawn, expected["amplitude"].mean(axis=1).T, rtol=1e-9)
-    assert sorted(float(y_of(line)[0]) for line in elongations.lines) == [-0.5, 0.5, 1.5]
-    np.testing.assert_allclose([y_of(line) for line in kappas.lines], expected["kappa"][:, 1].T)
-    assert [line.get_label() for line in widths.lines] == ["lobe 0", "lobe 1", "lobe 2"]
 
 
 def test_drawn_parts_sum_to_the_fit_in_the_red_channel(overview: Figure, lobes: Figure) -> None:
@@ -215,14 +204,6 @@ def test_samples_near_slices_and_planes_are_drawn_beside_it(samples: ScatteredSa
         np.testing.assert_allclose(np.asarray(ax.lines[0].get_xydata()), expected)
         drawn = np.interp(VIEWER[near], *np.transpose(ax.lines[1].get_xydata()))
         np.testing.assert_allclose(drawn, 0.8 * samples.values[near, 0], rtol=0.01)
-
-
-def test_residual_is_drawn_at_every_sample(samples: ScatteredSamples, two_lobe_fit: FitResult) -> None:
-    axes = axes_of(samples_residual_figure(samples, two_lobe_fit.model))
-    for ax, angles in zip(axes, half_difference(samples.omega_in, samples.omega_out)[:2], strict=True):
-        for line in ax.lines[1:]:
-            expected = [np.degrees(angles), np.full(len(LIGHT), -20.0)]
-            np.testing.assert_allclose(np.transpose(line.get_xydata()), expected)
 
 
 def test_black_samples_and_those_off_their_plane_are_drawn(samples: ScatteredSamples, two_lobe_fit: FitResult) -> None:
