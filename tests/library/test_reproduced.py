@@ -89,6 +89,7 @@ def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
         "samples": plot(STORED_FIT, in_plane),
         "components": plot(STORED_FIT),
         "lobes": parameters_figure(MODELS["elongated rings and cusps"], title="rings", model_lobes=True),
+        "lobes of each channel": parameters_figure(MODELS["paper"], model_lobes=True),
         "residual": residual_figure(data, STORED_FIT.model),
     }
     for name, figure in figures.items():

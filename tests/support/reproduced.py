@@ -106,5 +106,5 @@ def _is_same_number(stored: str, found: str, tolerance: float) -> bool:
     if "." not in stored + found and stored[-1].isdigit():
         return stored == found
     pair = [Decimal(text.rstrip("%° ")) for text in (stored, found)]
-    last_digit = max(Decimal((0, (1,), int(one.as_tuple().exponent))) for one in pair)
+    last_digit = min(Decimal((0, (1,), int(one.as_tuple().exponent))) for one in pair)
     return abs(pair[0] - pair[1]) <= max(last_digit, Decimal(tolerance) * abs(pair[0]))
