@@ -337,7 +337,7 @@ class LayeredModel(RenderableModel):
     def layer_values(self, points: Points) -> Array:
         """Return the values (layers, 3, N) of each layer [1/sr]."""
         values = [one.linearize(points, one.unknowns).values for one in self.layers]
-        return np.array(values).reshape(-1, 3, points.fresnel.size)
+        return np.array(values).reshape(len(self.layers), 3, points.fresnel.size)
 
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""
