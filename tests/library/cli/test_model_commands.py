@@ -78,8 +78,8 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
             assert stated["alpha"] == surface.alpha
             assert tuple(stated["f0"]) == surface.f0
             assert f"  surface {number}   alpha     {surface.alpha:<9.3g}(" in "\n".join(lines)
-        heights = component.layers.evaluate(0.0, np.radians(item["lobe"]["theta_diff_deg"]))
-        np.testing.assert_allclose(item["lobe"]["height"], heights, rtol=1e-9)
+        heights = component.layers.evaluate(0.0, np.radians(item["heights"]["theta_diff_deg"]))
+        np.testing.assert_allclose(item["heights"]["height"], heights, rtol=1e-9)
 
 
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:
