@@ -37,15 +37,18 @@ _MIN_COSINE_ABOVE_HORIZON = -1e-12
 
 
 class ReflectanceModel(ABC):
-    """Evaluate RGB values at angles and directions; a subclass defines `evaluate_unmasked` and `evaluate_grid`."""
+    """Evaluate RGB values at angles and directions; a subclass defines `evaluate_unmasked`."""
 
     @abstractmethod
     def evaluate_unmasked(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Array:
         """Return values (n, 3) [1/sr] at angles (n,) that are not checked, also for directions below the horizon."""
 
-    @abstractmethod
     def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
         """Yield for each theta_diff the values (3, H, P) [1/sr] at all pairs of theta_half (H,) and phi_diff (P,)."""
+        for diff in theta_diff.tolist():
+            angles = np.meshgrid(theta_half, diff, phi_diff, indexing="ij")
+            values = self.evaluate_unmasked(*(one.ravel() for one in angles))
+            yield values.T.reshape(3, theta_half.size, phi_diff.size)
 
     def evaluate(self, theta_half: ArrayLike, theta_diff: ArrayLike, phi_diff: ArrayLike = np.pi / 2) -> Array:
         """Return RGB values (..., 3) [1/sr] at half and difference angles (...) that broadcast.
@@ -267,13 +270,6 @@ class FunctionModel(RenderableModel):
         values = np.zeros((above.size, 3))
         values[above] = 0.5 * (self._values(first[above], second[above]) + self._values(second[above], first[above]))
         return values
-
-    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        """Yield for each theta_diff the values (3, H, P) [1/sr] at all pairs of theta_half (H,) and phi_diff (P,)."""
-        for diff in theta_diff.tolist():
-            angles = np.meshgrid(theta_half, diff, phi_diff, indexing="ij")
-            values = self.evaluate_unmasked(*(one.ravel() for one in angles))
-            yield values.T.reshape(3, theta_half.size, phi_diff.size)
 
     def _values(self, first: Array, second: Array) -> Array:
         values = np.asarray(self.function(first, second), dtype=float)

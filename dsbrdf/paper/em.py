@@ -15,8 +15,8 @@ mirror.
 
 Because q_k depends on theta_half only, sums of squares over all samples and over their means differ by a constant, so
 that fits of `Profiles` equal fits of all samples. All slices, channels and lobes are iterated together. Each
-Levenberg-Marquardt step solves a 2 x 2 system in (log kappa, log gamma) for each lobe. `dsbrdf.model.lobes` is not
-used, because lobes of height 1 would need four more derivatives.
+Levenberg-Marquardt step solves a 2 x 2 system in (log kappa, log gamma) for each lobe. The lobes of height 1 in
+`dsbrdf.model.lobes` are not used, because they would need four more derivatives.
 """
 
 from collections.abc import Callable
@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dsbrdf.arrays import Array, Mask
+from dsbrdf.model.lobes import gamma_of_half_width
 
 EM_KAPPA_BOUNDS = (1e-9, 40.0)
 """Bounds of kappa: values up to 1e8/sr need at most log(1 + 1e8) = 18.4; twice this number allows extrapolation."""
@@ -111,20 +112,10 @@ def initialize(theta_half: Array, mean: Array, weight: Array, n_lobes: int) -> A
     above = (data >= 0.5 * peak[:, None]) & (weight > 0)
     last = np.where(above.any(axis=1), above.shape[1] - 1 - np.argmax(above[:, ::-1], axis=1), 0)
     width = theta_half[np.minimum(last + 1, theta_half.size - 1)]
-    # The log-cosine of a lobe's half width is proportional to 1 / gamma, and `_half_width` assumes gamma = 1.
-    gamma = np.log(np.cos(_half_width(kappa))) / np.log(np.cos(width))
+    gamma = gamma_of_half_width(width, kappa, "hemi_epd")
     halving = 0.5 ** np.arange(n_lobes)
     start = np.log(np.stack([kappa, np.clip(gamma, *EM_GAMMA_BOUNDS)], axis=-1)[:, None, :] * halving[:, None])
     return np.clip(start, _LOWER_LOG_BOUNDS, _UPPER_LOG_BOUNDS)
-
-
-def _half_width(kappa: Array) -> Array:
-    """Solve ``exp(kappa cos(theta)) - 1 = (exp(kappa) - 1) / 2`` for theta [rad]."""
-    # This is log(log1p(expm1(kappa) / 2) / kappa), without overflow for a large kappa.
-    log_cos = np.log((kappa + np.log1p(np.exp(-kappa)) - np.log(2.0)) / kappa)
-    log_cos = np.where(kappa < 1e-3, np.log(0.5) + np.log1p(kappa / 4.0), log_cos)
-    # This is arccos(exp(log_cos)), computed with the sine because arccos loses digits of small angles.
-    return np.arctan2(np.sqrt(-np.expm1(2.0 * log_cos)), np.exp(log_cos))
 
 
 def lobe_curves(log_cos: Array, parameters: Array) -> Array:

@@ -106,15 +106,8 @@ class EnvironmentMap:
         up = np.arccos(np.clip(direction[..., 1], -1.0, 1.0))
         turn = np.arctan2(direction[..., 0], -direction[..., 2])
         row = np.clip(up * height / np.pi - 0.5, 0.0, height - 1.0)
-        column = (turn / (2.0 * np.pi) + 0.5) * width - 0.5
-        above, left = row.astype(np.intp), np.floor(column).astype(np.intp)
-        down, right = (row - above)[..., np.newaxis], (column - left)[..., np.newaxis]
-        below = np.minimum(above + 1, height - 1)
-        upper, lower = (
-            (1.0 - right) * self.pixels[at, left % width] + right * self.pixels[at, (left + 1) % width]
-            for at in (above, below)
-        )
-        return np.asarray((1.0 - down) * upper + down * lower)
+        cells, shares = _bilinear(row, (turn / (2.0 * np.pi) + 0.5) * width - 0.5, (height, width))
+        return np.sum(shares[..., np.newaxis] * self.pixels.reshape(-1, 3)[cells], axis=0)
 
 
 def read_environment(path: str | os.PathLike[str]) -> EnvironmentMap:
@@ -296,8 +289,8 @@ def _ring_nodes(tilt: float) -> Array:
 
 
 def _bilinear(row: Array, column: Array, shape: tuple[int, int]) -> tuple[Indices, Array]:
-    """Return flat indices and weights (4, points) of the four nodes around each point; the columns are periodic."""
-    low = np.clip(row.astype(np.intp), 0, shape[0] - 2)
+    """Return flat indices and weights (4, ...) of the four nodes around each point (...); the columns are periodic."""
+    low = np.clip(row.astype(np.intp), 0, max(shape[0] - 2, 0))
     left = np.floor(column).astype(np.intp)
     down, right = row - low, column - left
     cells = [(low + i) * shape[1] + (left + j) % shape[1] for i in (0, 1) for j in (0, 1)]

@@ -1,6 +1,5 @@
 """What a component says describes it: its surfaces are those of its own values, or are withheld."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import cast
 
@@ -93,9 +92,6 @@ class Rings(ReflectanceModel):
         off = np.degrees(theta_half)[:, np.newaxis] - (15.0, 25.0, 40.0)
         rings = np.exp(-((off / 2.0) ** 2)).sum(axis=1, keepdims=True)
         return np.asarray(0.02 + peak[:, np.newaxis] * (0.01, 1.0, 0.7) + 0.05 * rings)
-
-    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        raise NotImplementedError
 
 
 def test_a_mirror_highlight_that_no_layer_has_is_a_spike_and_not_diffuse() -> None:

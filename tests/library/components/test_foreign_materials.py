@@ -3,7 +3,6 @@
 Their own values are decomposed: that a fit has them is asked of fits.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import cast
@@ -63,9 +62,6 @@ class Light(ReflectanceModel):
         for part in self.parts:
             values[above] += part(*pair[:, above])
         return values
-
-    def evaluate_grid(self, theta_half: Array, theta_diff: Array, phi_diff: Array) -> Iterator[Array]:
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
