@@ -157,6 +157,7 @@ def upload(timeout: float, *answers: tuple[int, str | None]) -> list[str]:
         return httpx.Response(status, headers=headers, json={"detail": f"refused with {status}"})
 
     client = Client(timeout=timeout)
+    assert (client._http.timeout.read or 0.0) >= 20.0  # A request waits for a fit as long as this.
     client._http = httpx.Client(base_url="http://service", transport=httpx.MockTransport(answer))
     assert client.upload(b"measurement") == hashlib.sha256(b"measurement").hexdigest()
     return asked

@@ -123,6 +123,7 @@ def test_settings_that_are_mentioned_exist() -> None:
 
 def test_every_metric_is_explained(server: Server) -> None:
     text = server.http.get("/metrics").text
+    assert "\nprocess_resident_memory_bytes " in text
     exposed = set(re.findall(r"^# TYPE (dsbrdf_\w+) (?:counter|gauge|histogram)$", text, re.MULTILINE))
     explained = set(re.findall(r"^\| `(dsbrdf_\w+)", PAGE, re.MULTILINE))
     assert {name for name in exposed if not name.endswith("_created")} == explained

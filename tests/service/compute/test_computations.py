@@ -178,6 +178,11 @@ async def test_export_without_a_folder_for_its_file_is_a_problem(running: Applic
     assert not list(folder.iterdir())
 
 
+async def test_head_of_a_stream_ends_once(running: Application, key: str) -> None:
+    exchange = await running.ask(f"{FIT_PATH}/events", key, "HEAD").end()
+    assert [message["type"] for message in exchange.messages] == ["http.response.start", "http.response.body"]
+
+
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
 async def test_without_inodes_what_writes_is_507_and_what_reads_works(
     running: Application, key: str, data: bytes, monkeypatch: pytest.MonkeyPatch, code: int

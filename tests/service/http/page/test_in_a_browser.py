@@ -101,6 +101,9 @@ def test_fit_without_a_result_says_why_and_is_deleted(visit: Visit, site: Site, 
     visitor.faults.clear()  # The browser reports each request without a connection.
     page.get_by_role("button", name="Cancel the fit").click()
     expect(page.get_by_text("This fit was cancelled.")).to_be_visible()
+    page.get_by_role("button", name="Fit again").click()
+    page.get_by_role("button", name="Cancel the fit").click()
+    expect(page.get_by_text("This fit was cancelled.")).to_be_visible()
     page.goto(f"/fits/{failing}")
     expect(page.locator(".fault:visible")).to_have_text(own.read(f"/v1/fits/{failing}").json()["error"]["message"])
     expect(page.get_by_text("The measurement or the options do not allow a fit.")).to_be_visible()
@@ -215,6 +218,11 @@ def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visi
     expect(part.get_by_text("No fits found for “glossy” on this page.")).to_be_visible()
     part.get_by_role("link", name="Search all fits for this name").click()
     expect(part.locator("#fits .card-name")).to_have_text(["glossy"])
+    part.goto("/?limit=1")
+    newest = part.locator("#fits .card-name").inner_text()
+    part.get_by_role("link", name="Older fits").click()
+    expect(part.locator("#fits .card-name")).not_to_have_text(newest)
+    expect(part.locator("#fits .card")).to_have_count(1)
     page = visit("/").page
     cards = page.locator("#fits .card:visible")
     cards.nth(1).wait_for()
@@ -269,6 +277,14 @@ def test_fit_asks_with_what_it_is_compared(visit: Visit, site: Site) -> None:
     page.get_by_role("button", name="Compare with").click()
     dialog.get_by_role("button", name="Compare", exact=True).click()
     expect(page.get_by_role("heading", level=1)).to_have_text("glossy and rough")
+    page.goto("/")
+    material = page.locator("#atlas .card a").first
+    material.evaluate("link => link.click()")  # Its list is folded.
+    expect(page.get_by_text("A measured material that comes with dsbrdf.")).to_be_visible()
+    page.get_by_text("More", exact=True).click()
+    expect(page.get_by_role("button", name="Copy the link")).to_be_visible()
+    for name in ("Rename", "Delete"):
+        expect(page.get_by_role("button", name=name)).to_be_hidden()
 
 
 def test_list_takes_several_files_names_wrong_ones_and_is_sorted(

@@ -58,6 +58,11 @@ def test_newcomer_tries_an_example_and_sees_its_samples(visit: Visit, guarded: G
     expect(page.locator("#profiles .plot .point")).to_have_count(3)
     expect(page.locator("#profiles .plot .curve")).to_have_count(0)
     expect(page.locator(".samples tr").filter(has_text="Largest")).to_be_visible()
+    page.locator("#fit-it summary").first.click()
+    for title, value in (("Number of lobes", "3"), ("Number of ring lobes", "0")):
+        page.get_by_label(title).evaluate("(field, value) => { field.value = value; }", value)
+    page.get_by_role("button", name="Fit this measurement").click()
+    page.wait_for_url(f"**/fits/{fit['id']}")  # An equal fit is not computed again.
     page.get_by_role("link", name="Fits").click()
     expect(page.locator("#fits .card")).to_have_count(1)
     expect(page.get_by_role("button", name="Try an example")).to_be_hidden()
