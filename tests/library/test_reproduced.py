@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, astuple
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +12,18 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.text import Text
 
 import dsbrdf
-from dsbrdf import EnvironmentMap, Measurement, ScatteredSamples, decompose, plot, render_sphere
+from dsbrdf import EnvironmentMap, Measurement, ScatteredSamples, decompose, plot, render_sphere, space
 from dsbrdf.arrays import Array
 from dsbrdf.cli.commands import command_names
 from dsbrdf.data import CHANNELS, half_difference, spherical
 from dsbrdf.output import to_json
 from dsbrdf.output.atlas import load_material
 from dsbrdf.output.figures import parameters_figure, residual_figure
-from dsbrdf.output.sphere_panels import compare_spheres
+from dsbrdf.output.sphere_panels import compare_spheres, thumbnail
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction
 from dsbrdf.samples.reading import parse_samples
@@ -97,8 +99,8 @@ def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
 
 
 def test_spheres(plastic: Measurement) -> None:
-    pixels = np.random.default_rng(0).uniform(0.0, 1.0, (16, 32, 3)) ** 4
-    pixels[3, 20] = 900.0
+    pixels = np.random.default_rng(0).uniform(0.0, 1.0, (64, 128, 3)) ** 4
+    pixels[20, 5::11] = np.linspace(3e3, 9e3, 12)[:, None]
     environment = EnvironmentMap.from_pixels(pixels)
     found: dict[str, Any] = {"lights": [[*light.direction, *light.irradiance] for light in environment.lights]}
     for lighting in ("three_lights", "environment", environment):
@@ -107,6 +109,9 @@ def test_spheres(plastic: Measurement) -> None:
     panels = compare_spheres(plastic, MODELS["mixture"], size=24)
     found |= {name: digest(panel) for name, panel in panels.panels.items()}
     found["likeness"] = [panels.psnr, panels.ssim, panels.exposure]
+    found["thumbnail"] = digest(imread(BytesIO(thumbnail(MODELS["mixture"], plastic))))
+    found_space = space(MODELS)
+    found["space"] = [digest(found_space.distance), digest(found_space.places), found_space.nearest("paper")]
     assert_reproduced("spheres/all", found, 1e-4)
 
 
