@@ -205,17 +205,16 @@ def _dark_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
     filled = (folded.weight > 0.0).all(axis=0)
     # The mean of the channels is positive where only one of them is outside of sRGB and counts as 0.
     mean = np.where(filled, folded.mean.mean(axis=0), 0.0)
-    zero, fewest = filled & (mean == 0.0), _MIN_EDGE_FRACTION * np.count_nonzero(filled)
-    if np.count_nonzero(zero) > fewest:
-        bright = mean > _BRIGHT_FRACTION * np.median(mean[mean > 0.0])
-        if np.count_nonzero(zero & binary_dilation(bright)) > fewest:
-            share = float(folded.weight[:, zero].sum() / folded.weight.sum())
-            yield Finding(
-                "sudden-zeros",
-                f"{share:.1%} of the samples are 0 in all channels, right beside bright ones: the fit takes "
-                "them for black. Write -1 where nothing was measured, and keep the digits of dark values.",
-                {"fraction": share},
-            )
+    zero, bright = filled & (mean == 0.0), mean > _BRIGHT_FRACTION * np.median(mean[mean > 0.0])
+    edge = zero & binary_dilation(bright) if zero.any() else zero
+    if np.count_nonzero(edge) > _MIN_EDGE_FRACTION * np.count_nonzero(filled):
+        share = float(folded.weight[:, zero].sum() / folded.weight.sum())
+        yield Finding(
+            "sudden-zeros",
+            f"{share:.1%} of the samples are 0 in all channels, right beside bright ones: the fit takes "
+            "them for black. Write -1 where nothing was measured, and keep the digits of dark values.",
+            {"fraction": share},
+        )
     mean, usable = mean[..., :-1], usable[..., :-1]  # The last bin has a single sample, which may be noise.
     inner, outer, top = mean[:, :-1], mean[:, 1:], mean.max(axis=1, keepdims=True)
     falls = (outer > 2.0 * inner) & (inner > 0.0) & (outer > _BRIGHT_FRACTION * top) & usable[:, :-1]
@@ -252,9 +251,8 @@ def _sweep_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
             {"jump": float(np.expm1(jump)), "theta_diff_deg": angle},
         )
     same = folded.mean[:, :, 1:] == folded.mean[:, :, :-1]
-    repeated = same[:, :, 1:] & ~same[:, :, :-1] & usable[:, 2:]
-    share = float(np.count_nonzero(repeated)) / max(3 * int(np.count_nonzero(usable[:, 2:])), 1)
-    if share > _MAX_REPEATED:
+    repeated = float(np.count_nonzero(same[:, :, 1:] & ~same[:, :, :-1] & usable[:, 2:]))
+    if (share := repeated / max(3 * int(np.count_nonzero(usable[:, 2:])), 1)) > _MAX_REPEATED:
         yield Finding(
             "repeated-samples",
             f"At {share:.0%} of the angles the values are exactly those at the next smaller theta_half: samples seem "
@@ -335,9 +333,8 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
             {"fraction": share},
         )
     for channel in values:
-        if np.unique(channel[: 2 * _MAX_LEVELS]).size > _MAX_LEVELS:
-            continue
-        levels = np.unique(channel)
+        levels = np.unique(channel[: 2 * _MAX_LEVELS])
+        levels = np.unique(channel) if levels.size <= _MAX_LEVELS else levels
         if not 1 < levels.size <= min(_MAX_LEVELS, channel.size // 4):
             continue
         median = float(np.median(channel))

@@ -155,8 +155,9 @@ def solved_amplitudes(gram: Array, right: Array, start: Array | None = None) -> 
     lobes; the other lobes start from 0.
     """
     k, count = right.shape[-1], right[..., 0].size
-    start = right[..., :0] if start is None else start
-    amplitudes = np.pad(start, ((0, 0), (0, 0), (0, k - start.shape[2]))).reshape(count, k)
+    amplitudes = np.zeros((count, k))
+    if start is not None:
+        amplitudes[:, : start.shape[2]] = start.reshape(count, -1)
     rows = gram.reshape(count, k, k).transpose(1, 0, 2).copy()
     goals, squares = right.reshape(count, k).T.copy(), np.diagonal(gram, axis1=2, axis2=3).reshape(count, k).T
     squares = np.maximum(squares, MIN_RELATIVE_SQUARE * squares.max(axis=0, initial=0.0)) + TINY
