@@ -134,7 +134,7 @@ def sample_errors(model: ReflectanceModel, measurement: Measurement, horizon_cut
     sums, phi_diff = np.zeros((6, 3, THETA_DIFF.size)), PHI_DIFF[::PHI_STEP].astype(SINGLE)
     first, every_phi = int(OUTSIDE_CENTER.argmax()), slice(None, None, PHI_STEP)
     used = used_samples(measurement, horizon_cutoff)[:, :, every_phi]
-    is_used = used.any(axis=2)
+    is_used = np.asarray(used.any(axis=2))
     for rows in np.array_split(np.arange(THETA_DIFF.size), ROW_GROUPS):
         # Columns of theta_half beyond the last used sample are skipped, which saves evaluations of the model.
         last = np.flatnonzero(is_used[:, rows].any(axis=1)).max(initial=-1)
