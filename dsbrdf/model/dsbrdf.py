@@ -94,7 +94,7 @@ class DSBRDF(RenderableModel):
         for name in arrays:
             value: ArrayLike | None = getattr(self, name)
             try:
-                array = np.array(defaults[name]() if value is None else value, dtype=float)
+                array = np.array(defaults[name]() if value is None and name in defaults else value, dtype=float)
             except (TypeError, ValueError):
                 raise InvalidArgumentError(f"{name} must be an array of numbers") from None
             array.flags.writeable = False

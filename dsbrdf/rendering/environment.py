@@ -290,9 +290,8 @@ def _ring_nodes(tilt: float) -> Array:
 
 def _bilinear(row: Array, column: Array, shape: tuple[int, int]) -> tuple[Indices, Array]:
     """Return flat indices and weights (4, ...) of the four nodes around each point (...); the columns are periodic."""
-    low = np.clip(row.astype(np.intp), 0, max(shape[0] - 2, 0))
-    left = np.floor(column).astype(np.intp)
+    low, left = row.astype(np.intp), np.floor(column).astype(np.intp)
     down, right = row - low, column - left
-    cells = [(low + i) * shape[1] + (left + j) % shape[1] for i in (0, 1) for j in (0, 1)]
+    cells = [np.minimum(low + i, shape[0] - 1) * shape[1] + (left + j) % shape[1] for i in (0, 1) for j in (0, 1)]
     shares = [(down if i else 1.0 - down) * (right if j else 1.0 - right) for i in (0, 1) for j in (0, 1)]
     return np.array(cells), np.array(shares)

@@ -24,7 +24,7 @@ from dsbrdf.data.geometry import GRID_SHAPE
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.merl import map_merl, read_merl
 from dsbrdf.data.rgl import read_rgl
-from dsbrdf.errors import MeasurementFormatError
+from dsbrdf.errors import InvalidArgumentError, MeasurementFormatError
 from dsbrdf.samples.cells import OLD_WORKBOOK, TextTable, is_spreadsheet, spreadsheet_text, utf_16_of
 from dsbrdf.samples.columns import Description
 from dsbrdf.samples.directions import LOWEST_COSINE, SampleRows, read_columns
@@ -184,6 +184,8 @@ def read_samples(
     """
     options = TableOptions.chosen(options, choices)
     paths = [Path(one) for one in ([path] if isinstance(path, str | os.PathLike) else path)]
+    if not paths:
+        raise InvalidArgumentError("name at least one file with a table of samples")
     if any(source.stat().st_size > _MAX_FILE_BYTES for source in paths):
         raise MeasurementFormatError(f"The table is longer than {_MAX_FILE_BYTES} bytes.")
     return _joined([(source.name, _read(source.read_bytes(), options)) for source in paths], paths[0].stem, options)

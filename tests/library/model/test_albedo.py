@@ -113,6 +113,7 @@ def test_angles_of_any_shape_equal_a_loop() -> None:
     ("albedo", "words"),
     [
         (0.8, "no direction returns more than is received; the largest albedo is 0.800"),
+        (1.0, "no direction returns more than is received; the largest albedo is 1.000"),
         (1.1, "some directions return more than is received"),
     ],
 )

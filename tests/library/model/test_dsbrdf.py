@@ -154,7 +154,7 @@ VALID |= {"interpolation": "linear"}
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"theta_diff": []}, "theta_diff must be a sequence of at least one knot"),
+        ({"theta_diff": None}, "theta_diff must be a sequence of at least one knot"),
         ({"theta_diff": "many"}, "theta_diff must be an array of numbers"),
         ({"theta_diff": [0.5, 0.5]}, "knots theta_diff must increase from 0 or more to at most pi/2"),
         ({"elongation_theta_diff": [0.0, np.nan]}, "knots elongation_theta_diff must increase from 0 or more"),

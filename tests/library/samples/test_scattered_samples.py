@@ -64,6 +64,8 @@ def test_files_of_one_material_are_one_measurement(tmp_path: Path) -> None:
     assert joined.sha256 == whole.sha256
     few = [_written(tmp_path, table(columns=columns[at : at + 30]), f"few{at}.txt") for at in (0, 30)]
     assert len(dsbrdf.read_samples(few).values) == 60
+    with pytest.raises(InvalidArgumentError, match="name at least one file"):
+        dsbrdf.read_samples([])
 
 
 UP = np.tile([0.0, 0.0, 1.0], (200, 1))
