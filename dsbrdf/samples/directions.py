@@ -232,9 +232,10 @@ def _check_sizes(angles: dict[str, Array], columns: dict[str, Column]) -> None:
         bound, largest = 180.0 if name.startswith("theta") else 360.0, np.degrees(largest_of(angle))
         column = columns[name].written
         if largest > bound + 1e-4:
+            unit = "" if columns[name].unit else f" If it has another unit, name it {name}_rad or {name}_gon."
             raise MeasurementFormatError(
                 f"The column {column!r} has an angle of {largest:.6g} degrees; {bound:.0f} is the largest that there "
-                f"is. If it has another unit, name it {name}_rad or {name}_gon."
+                f"is.{unit}"
             )
         if name == "theta_out" and "scatter" in column.lower() and not azimuths and largest > _MAX_SCAN_DEG:
             raise MeasurementFormatError(

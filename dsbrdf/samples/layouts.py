@@ -176,7 +176,13 @@ def json_table(data: bytes) -> TextTable | None:
     places = [document, *document.values()] if isinstance(document, dict) else [document]
     columns = max((dict(_number_columns(place)) for place in places), key=len)
     length = max(map(len, columns.values()), default=0)
-    columns = {name: numbers for name, numbers in columns.items() if len(numbers) == length}
+    for name in [name for name, numbers in columns.items() if len(numbers) != length]:
+        if meaning_of(name) not in (None, "wavelength"):
+            raise MeasurementFormatError(
+                f"The list {name!r} in the JSON has the length {len(columns[name])}, and the longest list {length}: "
+                "give each sample a number in each list."
+            )
+        del columns[name]
     if not length:
         raise MeasurementFormatError(
             "The JSON has no lists of numbers by name, such as theta_in, phi_in, theta_out, phi_out and value, in its "

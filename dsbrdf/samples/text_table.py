@@ -34,6 +34,7 @@ _N_TRIED_LINES = 50  # If a table does not name its columns, the separator is fo
 _COMMENT = re.compile(r"^\s*(#+|%+|//|!)")
 _BEGINS_NUMBER = tuple("+-.0123456789")
 _NUMBERS = re.compile(r"[-+.,;\s\deE]*")
+_NUMBER_WITH_UNIT = re.compile(r"[-+]?\d*\.?\d+ ?[a-zA-Z\N{DEGREE SIGN}%]")
 _MAX_LINES_BEFORE_NAMES = 500
 _MAX_LINES_OF_UNITS = 20
 _MAX_LINE_LENGTH = 1 << 17  # A longer line is refused; a line of 4096 numbers with all digits is shorter [characters].
@@ -97,7 +98,8 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
         separator = _separator_of_row(number, line, len(names))
         cells = [cell.strip(" []()") for cell in _cells(line, separator)]
         numbers = [as_number(cell, separator) for cell in cells]
-        if None not in numbers or not all(number is None or np.isnan(number) for number in numbers):
+        are_words = all(number is None or np.isnan(number) for number in numbers)
+        if None not in numbers or not are_words or any(map(_NUMBER_WITH_UNIT.match, cells)):
             break
         first += 1
         if count_names(cells) < _MIN_NAMES:

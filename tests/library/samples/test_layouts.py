@@ -104,6 +104,9 @@ REFUSED_TEXTS = {
     ),
     "The file is a stored model of dsbrdf, not a measurement": '{"format": "dsbrdf", "model": {"kappa": [1, 2]}}',
     "The JSON has no lists of numbers by name, such as theta_in": '{"data": {"theta_i": [], "brdf": "dark"}}',
+    "The list 'phi_out' in the JSON has the length 1, and the longest list 2": (
+        '{"theta_in": [10, 20], "theta_out": [20, 30], "phi_out": [0], "value": [1, 2]}'
+    ),
     "is a label of the Planetary Data System; take the file that it describes": "PDS_VERSION_ID = PDS3\n",
     "begins with 'ScatterAzimuth 1', as tabular BSDF of Zemax, text of LightTools": (
         "ScatterAzimuth 1\n0\nScatterRadial 1\n0\nDataBegin\nAOI 0\n1e\n"
