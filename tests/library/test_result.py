@@ -86,6 +86,9 @@ def test_the_verdict_knows_of_a_missed_highlight() -> None:
     (found,) = accuracy_findings(missed)
     assert "A lit sphere hardly shows it" in found.sentence
     assert verdict(Metrics()) is None
+    words = ("hard to tell apart", "very close", "close", "visibly different", "strongly different")
+    for psnr, said in zip((45.0, 38.0, 32.0, 26.0, 25.9), words, strict=True):
+        assert verdict(replace(good, psnr=psnr)) == f"{said} ({psnr:.1f} dB)"
 
 
 @pytest.fixture(scope="module")

@@ -146,6 +146,7 @@ def test_models_that_differ_in_anything_are_not_equal() -> None:
 
 
 ONE = np.ones((1, 2, 1))
+SECOND = np.array([[[0.0], [1.0]]])  # One wrong value is enough.
 AMPLITUDE = np.ones((3, 2, 1))
 VALID: dict[str, Any] = {"theta_diff": [0.0, 0.5], "amplitude": AMPLITUDE, "kappa": ONE, "gamma": ONE}
 VALID |= {"interpolation": "linear"}
@@ -163,13 +164,13 @@ VALID |= {"interpolation": "linear"}
         ({"kappa": np.ones((2, 2, 1))}, r"kappa must have shape \(3, 2, 1\), not \(2, 2, 1\)"),
         ({"center": np.ones((3, 2, 1))}, r"center must have shape \(1, 2, 1\), not \(3, 2, 1\)"),
         ({"delta": np.ones((3, 1))}, r"delta must have shape \(3, 2\), not \(3, 1\)"),
-        ({"kappa": 0.0 * ONE}, "every kappa must be positive"),
-        ({"kappa": 701.0 * ONE}, "every kappa must be at most 700: values of a larger one overflow"),
-        ({"gamma": -ONE}, "every gamma must be zero or positive"),
+        ({"kappa": ONE - SECOND}, "every kappa must be positive"),
+        ({"kappa": ONE + 700.0 * SECOND}, "every kappa must be at most 700: values of a larger one overflow"),
+        ({"gamma": ONE - 2.0 * SECOND}, "every gamma must be zero or positive"),
         ({"gamma": np.nan * ONE}, "every gamma must be finite"),
-        ({"gamma": 2e100 * ONE}, r"every gamma must be at most 1e\+100"),
+        ({"gamma": ONE + 2e100 * SECOND}, r"every gamma must be at most 1e\+100"),
         ({"amplitude": -np.ones((3, 2, 1))}, "every amplitude must be zero or positive"),
-        ({"center": 1.7 * ONE}, r"every center must lie between -1\.57 and 1\.57 radians"),
+        ({"center": 1.7 * SECOND}, r"every center must lie between -1\.57 and 1\.57 radians"),
         ({"elongation": np.full((1, 1), 11.0)}, "every elongation must be at most 10 in size"),
         ({"interpolation": "magic"}, "interpolation must be one of linear, spline, not 'magic'"),
         ({"lobe": "gauss"}, "lobe must be one of hemi_epd, student, not 'gauss'"),
