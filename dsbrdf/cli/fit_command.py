@@ -24,6 +24,7 @@ from dsbrdf.cli.parameters import (
     Flags,
     Json,
     RequiredFiles,
+    check_output,
     read_model,
 )
 from dsbrdf.data.files import write_atomically
@@ -161,16 +162,18 @@ def fit(
         Fit all files, tables of one material, as one measurement with this name.
     """
     keep_freed_memory()
+    for output in filter(None, (csv, plan.measure_next)):
+        check_output(output, files)
     if together is not None:
         if Path(together).name != together or together.startswith("."):
             raise InvalidArgumentError(f"--together: must be a name without a folder, not {together!r}")
+        work = replace(work, output=work.output or files[0].parent)
         with TemporaryDirectory() as folder:
             joined = Path(folder) / f"{together}.csv"
             joined.write_bytes(read_samples(files, table.options()).encode())
-            work = replace(work, output=work.output or files[0].parent)
             if code := fit(joined, work=work, csv=csv, plot=plot, json=json, flags=flags):
                 return code
-        plan.write(files, table.options(), read_model((work.output or files[0].parent) / f"{together}.json")[0])
+        plan.write(files, table.options(), read_model(Path(work.output or "") / f"{together}.json")[0])
         return 0
     paths = measurement_files(files)
     if plan.measure_next is not None and len(paths) > 1:

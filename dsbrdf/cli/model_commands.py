@@ -18,6 +18,7 @@ from dsbrdf.cli.parameters import (
     OutputFile,
     Points,
     RequiredFiles,
+    check_output,
     named_in_errors,
     named_part,
     read_model,
@@ -165,7 +166,9 @@ def print_components(
     for model, (_, report) in stored.items():
         rows += component_rows(model.stem, parts[model], None if report is None else report.metrics.psnr)
     if csv is not None:
-        write_atomically(csv, [table_csv(rows)])
+        content = table_csv(rows)
+        check_output(csv, models, content)
+        write_atomically(csv, [content])
     if json:
         items = [{"file": str(model), "items": own} for model, own in parts.items()]
         print_json({"items": parts[models[0]]} if len(models) == 1 else {"items": items})
@@ -206,6 +209,7 @@ def export(
     part = named_part(model, stored, component)
     stored_report = report if component is None else None
     content = export_model(part, kind, stored_report, name=name, sampling=sampling, title=output.stem)
+    check_output(output, [model], content)
     shown = [example_of(output, kind, content, name or NAME)] if example else []
     for file, what in ((output, content), *shown):
         write_atomically(file, [what])
@@ -243,8 +247,7 @@ def convert(
     source = sources[0]
     # In "dsbrdf convert *.csv" the last table would be the file to write.
     is_table = suffix == ".csv" and target.is_file() and not target.read_bytes().startswith(CANONICAL)
-    if is_table or (target.exists() and any(map(target.samefile, sources))):
-        raise InvalidArgumentError(f"{target} may be a measurement, and is not replaced: name another file to write")
+    check_output(target, [*sources, *([target] if is_table else [])])
     with named_in_errors(source):
         content, sentences, about = _converted(sources, suffix, table.options(), spectral=spectral)
     write_atomically(target, [content])

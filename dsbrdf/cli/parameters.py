@@ -1,5 +1,7 @@
 """Define the parameters of commands: files, options of fits and of tables, and points in degrees."""
 
+import errno
+import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -200,6 +202,30 @@ def _direction(text: str) -> list[float]:
 def is_measurement(path: Path) -> bool:
     """Return whether a path names a measurement and not a model, which is a ``.json`` file."""
     return path.suffix.lower() != ".json"
+
+
+_SUFFIXES_OF_MEASUREMENTS = (".binary", ".bsdf", ".csv")
+_N_COMPARED_BYTES = 64  # Exports of one kind begin with equal bytes, which differ from those of a measurement.
+
+
+def check_output(output: Path, inputs: Sequence[Path], content: bytes = b"") -> None:
+    """Raise an error if a file cannot be written, or if it is an input or the measurement beside an input model.
+
+    A file that begins as `content` does is an earlier output. The error is FileNotFoundError if there is no folder, and
+    InvalidArgumentError otherwise.
+    """
+    if not output.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(output))
+    if not output.is_file():
+        return
+    beside = [path.with_suffix(output.suffix) for path in inputs if not is_measurement(path)]
+    kept = [*inputs, *(beside if output.suffix.lower() in _SUFFIXES_OF_MEASUREMENTS else ())]
+    with output.open("rb") as file:
+        is_earlier = content != b"" and file.read(_N_COMPARED_BYTES) == content[:_N_COMPARED_BYTES]
+    if not is_earlier and any(path.exists() and output.samefile(path) for path in kept):
+        raise InvalidArgumentError(
+            f"{output} may be a measurement or a model, and is not replaced: name another file to write"
+        )
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsbrdf import TableOptions, read_merl, read_samples
+from dsbrdf import TableOptions, read_merl, read_samples, save
 from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.engines import batch
 from dsbrdf.samples.names import VECTORS
@@ -101,13 +101,25 @@ def test_no_measurement_is_replaced_or_half_read(tmp_path: Path) -> None:
     first, last, made = (tmp_path / name for name in ("a.csv", "b.csv", "made.csv"))
     for path in (first, last):
         shutil.copy(LAYOUTS / "vectors.csv", path)
-    content = last.read_bytes()
-    assert "b.csv may be a measurement, and is not replaced" in run("convert", first, last, code=2).stderr
-    assert last.read_bytes() == content
     for _ in range(2):
         run("convert", first, made)
-    content = made.read_bytes()
-    assert "made.csv may be a measurement" in run("convert", first, made, made, code=2).stderr
-    assert made.read_bytes() == content
+    model = tmp_path / "a.json"
+    save(mixture(1, 0), model)
+    before = [path.read_bytes() for path in (first, last, made, model)]
+    for words in (
+        ("convert", first, last),
+        ("convert", first, made, made),
+        ("fit", first, "--csv", first),
+        ("fit", first, "--measure-next", first),
+        ("export", model, "--component", "layers", "-o", model),
+        ("export", model, "-o", first),
+        ("decompose", model, "--csv", first),
+    ):
+        assert f"{words[-1]} may be a measurement or a model, and is not replaced" in run(*words, code=2).stderr
+    assert [path.read_bytes() for path in (first, last, made, model)] == before
+    assert "none/all.csv: No such file" in run("fit", first, "--csv", tmp_path / "none/all.csv", code=2).stderr
+    model.rename(tmp_path / "c.json")
+    for _ in range(2):
+        run("export", tmp_path / "c.json", "-o", tmp_path / "c.csv")
     os.mkfifo(tmp_path / "pipe")
     assert "A pipe or a device can be read only once" in run("fit", tmp_path / "pipe", code=2).stderr
