@@ -47,7 +47,7 @@ def test_keys_are_added_listed_and_revoked_beside_a_running_server(guarded: Guar
     limits = {"requests_per_second": 7.0, "stored_mb": 80, "queued_fits": None, "metrics": False}
     assert document == {"id": key_id, "name": "carol's laptop", "revoked": None} | limits
     assert type(document["metrics"]) is bool
-    assert "carol's laptop" in keys_command("list", *there).stdout
+    assert re.search(r" 7 +80 +default  carol's laptop\n", keys_command("list", *there).stdout)
 
     before = listed(server)
     for wrong in ("*", "%", "' OR 1=1 --", "", key_id[:-1], f"{key_id} ", key):

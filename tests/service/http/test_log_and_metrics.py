@@ -111,7 +111,7 @@ def test_request_cannot_inject_log_lines(watched: Server) -> None:
 def test_api_key_is_never_logged(watched: Server) -> None:
     headers = {"X-Request-ID": "with-key"}
     watched.http.get(f"/v1/{KEY}?key={KEY}", headers={**headers, "Authorization": f"Bearer {KEY}"})
-    watched.http.get(f"/v1/fits/Bearer%20{KEY}", headers=headers)
+    watched.http.get(f"/v1/fits/Bearer%20{SECRET}%20Basic%20{SECRET}", headers=headers)
     watched.http.get(f"/v1/{KEY}", headers={"X-Request-ID": KEY})
     watched.http.get(f"/v1/x{KEY}/_{KEY}", headers=headers)
     for length in range(440, 500, 3):  # cut somewhere in the key
