@@ -34,6 +34,7 @@ def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_
     assert fit["options"]["n_lobes"] == 2
     assert fit["error"] is None
     assert fit["created"] <= fit["started"] <= fit["finished"]
+    assert fit["created"].endswith("Z")
 
     expected = dsbrdf.fit(dsbrdf.read_merl(plastic_file), dsbrdf.FitOptions(method="paper", n_lobes=2, em_iterations=7))
     assert fit["metrics"] == asdict(expected.report.metrics)

@@ -13,8 +13,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from dsbrdf.samples.table_options import TableOptions
 from dsbrdf_service.admin.commands import doctor
 from dsbrdf_service.admin.serve import main
+from dsbrdf_service.compute.steps import conversion_step
 from dsbrdf_service.errors import DataFolderError, MeasurementDamagedError
 from dsbrdf_service.storage.database import FILE_NAME, Database
 from dsbrdf_service.storage.files import Incoming
@@ -301,6 +303,12 @@ def test_file_comes_before_its_row_and_goes_after_it(
         f"fsync {folders[1]}",
         "commit of 1 rows",
     ]
+    steps.clear()
+    table = tmp_path / "table"
+    rows = [f"{light},{seen},1" for light in (0, 40) for seen in range(-75, 76, 5)]
+    table.write_text("\n".join(["theta_in,theta_out,value", *rows]))
+    conversion_step(table, TableOptions(), lambda _: None)  # An upload that is converted is written once more.
+    assert f"fsync {table}" in steps
     steps.clear()
     assert store.remove_measurement("", incoming.sha256)
     assert steps == ["commit of 0 rows", f"os.remove {path}", "commit of 0 rows"]

@@ -138,11 +138,11 @@ def test_cancelled_fits_and_results_count_as_stored_bytes(store: Store) -> None:
     def submit(mask: int, most: int) -> FitKey:
         return store.add_fit(Caller("a", stored_bytes=most), sha256, {"mask": mask}, 10)[0].key
 
-    first, stored = submit(0, 5 + UNFINISHED_SIZE), 5 + ROW_SIZE + 2 + UNFINISHED_SIZE
+    first, stored = submit(0, 5 + UNFINISHED_SIZE), 5 + ROW_SIZE + len("é".encode()) + len(b"PNG") + UNFINISHED_SIZE
     with pytest.raises(ProblemError, match=r"has stored 0\.1 of 0\.2 MB and the fit may take 0\.1 MB"):
         submit(1, 4 + 2 * UNFINISHED_SIZE)  # The result of the first fit has its room.
     store.start_fit(first)
-    store.complete_fit(first, "é", {})
+    store.complete_fit(first, "é", {}, b"PNG")
     with pytest.raises(ProblemError):
         submit(1, stored - 1)
     store.cancel_fit(submit(1, stored))
