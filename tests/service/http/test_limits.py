@@ -124,7 +124,7 @@ def test_no_caller_can_take_all_places(own_server: StartServer, data: bytes) -> 
         assert server.http.get("/v1/fits", headers=bob).status_code == 200
     sha256 = server.http.post("/v1/measurements", content=data, headers=alice).json()["sha256"]
     wanted = {"measurement": sha256, "options": ENDLESS}
-    begun = server.http.post("/v1/fits", json=wanted, headers={**alice, "Prefer": "respond-async"})
+    begun = server.http.post("/v1/fits", json=wanted, headers={**alice, "Prefer": "wait=600"}, timeout=20)
     path = f"/v1/fits/{begun.json()['id']}"
     assert server.http.get(f"{path}?wait=600", headers=alice, timeout=60).json()["status"] in ("accepted", "running")
     with ExitStack() as stack:

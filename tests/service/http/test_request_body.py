@@ -59,9 +59,11 @@ def test_uploads_take_little_memory(own_server: StartServer, data: bytes, plasti
     assert server.memory("VmHWM") - before < 24
 
 
-def test_wrong_length_is_refused_by_the_first_bytes(server: Server, data: bytes) -> None:
+def test_wrong_length_is_refused_by_the_first_bytes_or_at_the_end(server: Server, data: bytes) -> None:
     with server.connection(head_of_upload(FILE_SIZE - 8) + data[:12]) as connection:
         assert b" 422 " in connection.recv(20)
+    cut_off = server.http.post("/v1/measurements", content=iter([data[:-8]]))  # Its length is not declared.
+    assert f"has only {FILE_SIZE - 8} bytes" in assert_problem(cut_off, 422, "measurement-format")
 
 
 def test_interrupted_upload_stores_nothing(server: Server, data: bytes) -> None:
