@@ -15,12 +15,11 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image
 
-import dsbrdf
 from dsbrdf import FitResult, InvalidArgumentError, Measurement, Profiles, ScatteredSamples, decompose, render_sphere
-from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon, half_difference, spherical
+from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon, spherical
 from dsbrdf.output import encode_figure
 from dsbrdf.output.figures import overview_figure, parameters_figure, profiles_figure
-from dsbrdf.output.plots import MAX_DRAWN_DISTANCE_DEG, samples_figure
+from dsbrdf.output.plots import samples_figure
 from dsbrdf.output.sphere_panels import DIFFERENCE_GAIN, SphereComparison, compare_spheres, encode_png, side_by_side
 from dsbrdf.rendering import displayed, sphere_likeness, sphere_normals
 from tests.support.models import mixture, papers_model
@@ -80,21 +79,6 @@ def test_elongated_fit_is_drawn_as_the_mean_over_the_directions_that_were_measur
         assert used.any()
         expected = ELONGATED.evaluate(theta_half, THETA_DIFF[45], phi_diff[used])[:, 0].mean()
         assert np.interp(theta_half, angles, values) == pytest.approx(expected, rel=5e-3)
-
-
-def test_parameters_figure_draws_height_and_albedo_of_each_component() -> None:
-    heights, albedos = parameters_figure(PAINT, title="paint").axes
-    components = list(decompose(PAINT))
-    labels = [str(line.get_label()) for line in heights.lines if not str(line.get_label()).startswith("_")]
-    assert labels == [part.label.replace("_", " ") for part in components]
-    curves = [line for line in heights.lines if str(line.get_label()).startswith("_")]
-    for number, component in enumerate(components):
-        at = np.radians(np.asarray(curves[3 * number].get_xdata(), float))
-        drawn = [y_of(line) for line in curves[3 * number : 3 * number + 3]]
-        np.testing.assert_allclose(drawn, component.layers.evaluate(0.0, at).T, rtol=1e-9)
-        seen = np.radians(np.asarray(albedos.lines[3 * number].get_xdata(), float))
-        drawn = [y_of(line) for line in albedos.lines[3 * number : 3 * number + 3]]
-        np.testing.assert_allclose(drawn, component.directional_albedo(seen).T, rtol=1e-9)
 
 
 def test_drawn_parts_sum_to_the_fit_in_the_red_channel(overview: Figure, lobes: Figure) -> None:
@@ -183,27 +167,6 @@ def samples(two_lobe_fit: FitResult) -> ScatteredSamples:
     """Of a goniometer in one plane, a quarter brighter than the fit."""
     directions = spherical(np.radians(LIGHT), np.pi), spherical(np.radians(VIEWER), 0.0)
     return ScatteredSamples.from_arrays(*directions, 1.25 * two_lobe_fit.model.evaluate_directions(*directions))
-
-
-def axes_of(figure: Figure) -> list[Axes]:
-    return [ax for ax in figure.findobj(Axes) if isinstance(ax, Axes)]
-
-
-def test_samples_near_slices_and_planes_are_drawn_beside_it(samples: ScatteredSamples, two_lobe_fit: FitResult) -> None:
-    *slices, first, second, _, _ = axes_of(dsbrdf.plot(two_lobe_fit, samples))
-    theta_half, theta_diff, _ = np.degrees(half_difference(samples.omega_in, samples.omega_out))
-    for ax in slices:
-        place = float(ax.get_title().partition(" = ")[2].partition("°")[0])
-        near = np.abs(theta_diff - place) <= MAX_DRAWN_DISTANCE_DEG
-        assert near.sum() > 10
-        expected = np.stack([theta_half, samples.values[:, 0]], axis=1)[near]
-        np.testing.assert_allclose(np.asarray(ax.lines[0].get_xydata()), expected)
-    for ax, theta_in in ((first, 20.0), (second, 50.0)):
-        near = LIGHT == theta_in
-        expected = np.stack([VIEWER, samples.values[:, 0]], axis=1)[near]
-        np.testing.assert_allclose(np.asarray(ax.lines[0].get_xydata()), expected)
-        drawn = np.interp(VIEWER[near], *np.transpose(ax.lines[1].get_xydata()))
-        np.testing.assert_allclose(drawn, 0.8 * samples.values[near, 0], rtol=0.01)
 
 
 def test_black_samples_and_those_off_their_plane_are_drawn(samples: ScatteredSamples, two_lobe_fit: FitResult) -> None:
