@@ -1,10 +1,12 @@
 """Fixtures shared by all tests: measurements, clusters and services."""
 
 import ctypes
+import fcntl
 import gc
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from itertools import count
 from pathlib import Path
@@ -15,11 +17,15 @@ import pytest
 from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
 
-from dsbrdf import Measurement, write_merl
-from dsbrdf.data import synthetic_measurement
+import examples
+from dsbrdf import Measurement, read_merl, write_merl
+from dsbrdf.data import read_rgl, synthetic_measurement
+from dsbrdf.model import sampling
+from dsbrdf.output.export import glsl, mitsuba
 from tests.support import launcher
 from tests.support.dask_cluster import DaskCluster
 from tests.support.merl_files import glossy_plastic
+from tests.support.models import COARSE_ANGLES
 from tests.support.processes import short_folder
 from tests.support.server import Guarded, Server, StartServer, new_key
 from tests.support.soak import SOAK
@@ -55,27 +61,85 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+def scope_of(nodeid: str) -> str:
+    """Return the file of a test, or the folder of the page, whose tests share a browser and fits."""
+    file = nodeid.partition("::")[0]
+    return file.rpartition("/")[0] if "/http/page/" in file else file
+
+
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Run the tests of a file in one process, and those of all files of the page, which share a browser and fits."""
+    """Run the tests of a scope in one process."""
     scheduler = LoadFileScheduling(config, log)
-    file_of = scheduler._split_scope
-    scheduler._split_scope = lambda nodeid: "page" if "/http/page/" in nodeid else file_of(nodeid)
+    scheduler._split_scope = scope_of
     return scheduler
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with files that have slow tests, so that the quick ones fill the end of all workers."""
+    """Begin with files that have slow tests, so that the quick ones fill the end of all workers.
+
+    Tests of the service wait half of their time, and those of the library compute: the folders take turns.
+    """
     if not SOAK and (left := [item for item in items if item.get_closest_marker("soak")]):
         config.hook.pytest_deselected(items=left)
         items[:] = [item for item in items if item not in left]
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    slow = {scope_of(item.nodeid) for item in items if item.get_closest_marker("slow")}
+    folders = defaultdict[tuple[bool, str], list[str]](list)
+    for scope in dict.fromkeys(scope_of(item.nodeid) for item in items):
+        folders[scope not in slow, scope.split("/")[1]].append(scope)
+    places = {
+        scope: (is_quick, place / len(scopes))
+        for (is_quick, _), scopes in folders.items()
+        for place, scope in enumerate(scopes)
+    }
+    items.sort(key=lambda item: places[scope_of(item.nodeid)])
+
+
+Made = Callable[[str, Callable[[Path], object]], Path]
 
 
 @pytest.fixture(scope="session")
-def plastic() -> Measurement:
-    return glossy_plastic()
+def made_once(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Made:
+    """Make a file in the first process of this run that asks for its name; tests must not change it."""
+    own = tmp_path_factory.getbasetemp()
+    folder = own if worker_id == "master" else own.parent
+
+    def make_unless_there(name: str, make: Callable[[Path], object]) -> Path:
+        path = folder / name
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                make(path)
+        return path
+
+    return make_unless_there
+
+
+@pytest.fixture(scope="session")
+def plastic_file(made_once: Made) -> Path:
+    """The plastic as a MERL file."""
+    return made_once("plastic.binary", lambda path: write_merl(path, glossy_plastic()))
+
+
+@pytest.fixture(scope="session")
+def satin_purple_file(made_once: Made) -> Path:
+    """The example as a MERL file: its values at the nodes take a second."""
+    example = Path(examples.__file__).with_name("satin_purple.bsdf")
+    return made_once("satin_purple.binary", lambda path: write_merl(path, read_rgl(example).measurement()))
+
+
+@pytest.fixture(scope="session")
+def plastic(plastic_file: Path) -> Measurement:
+    return read_merl(plastic_file)
+
+
+@pytest.fixture(scope="module")
+def coarse_sampling() -> Iterator[None]:
+    """Tabulate densities coarsely, for modules with models of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (sampling, glsl, mitsuba):
+            patch.setattr(module, "ANGLES", COARSE_ANGLES)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -86,14 +150,6 @@ def metal() -> Measurement:
 @pytest.fixture(scope="session")
 def matte() -> Measurement:
     return synthetic_measurement(roughness=0.7, diffuse=(0.6, 0.5, 0.4), specular=(0.02, 0.02, 0.02), name="matte")
-
-
-@pytest.fixture(scope="session")
-def plastic_file(plastic: Measurement, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The plastic as a MERL file; tests must not change it."""
-    path = tmp_path_factory.mktemp("measurements") / "plastic.binary"
-    write_merl(path, plastic)
-    return path
 
 
 @pytest.fixture(scope="session")

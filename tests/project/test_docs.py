@@ -1,6 +1,7 @@
 """The documentation cannot drift: every block of README and pages is run, every name they promise exists."""
 
 import os
+import pty
 import re
 import runpy
 import shlex
@@ -24,17 +25,19 @@ from PIL import Image
 import dsbrdf
 from dsbrdf.cli import compare_command
 from dsbrdf.cli import main as cli
-from dsbrdf.data.rgl import RglMaterial, read_rgl
+from dsbrdf.data.rgl import RglMaterial
 from dsbrdf.fitting import METRICS
 from dsbrdf.output.export import materialx
 from dsbrdf.output.export.openpbr import OpenPBR
 from dsbrdf.output.sphere_panels import compare_spheres
 from dsbrdf_service.settings import Settings
 from examples import demo
-from examples.demo import address_when_ready, stop
+from examples.demo import stop
 from tests.support.command_line import FEW_LOBES, Capture, run_main
 from tests.support.renderers import mitsuba_variant
 from tests.support.soak import SOAK
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -79,9 +82,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def read_once(folder: Path) -> Iterator[None]:
+def read_once(satin_purple_file: Path, coarse_sampling: None) -> Iterator[None]:
     """Read the file of the examples only once: that takes most of their time."""
-    measured = read_rgl(folder / "examples" / "satin_purple.bsdf").measurement()
+    measured = dsbrdf.read_merl(satin_purple_file)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RglMaterial, "measurement", lambda _: measured)
         yield
@@ -102,22 +105,25 @@ def python_quick_start(folder: Path, read_once: None) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of the service that the pages start, which ends with its command."""
+    """The address, told at a terminal, of the service that the pages start, which ends with its command."""
     (line,) = [line for text in blocks("sh", http=False) for line in commands(text) if line.startswith("dsbrdf serve")]
     words, folder = line.split(), tmp_path_factory.mktemp("served")
     words[words.index("--port") + 1] = "0"
     command = [sys.executable, "-m", "dsbrdf.cli.main", *words[1:]]
-    with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(command, cwd=folder, stdout=log, stderr=subprocess.STDOUT)
-    try:
-        url = address_when_ready(process, folder / "log")
-        assert url, (folder / "log").read_text()
-        assert (folder / Settings().data_dir).is_dir()
-        yield url
-    finally:
-        stop(process)
+    leader, follower = pty.openpty()
+    with (folder / "log").open("wb") as log, os.fdopen(leader) as told:
+        process = subprocess.Popen(command, cwd=folder, stdout=follower, stderr=log)
+        os.close(follower)
+        try:
+            address = re.search(r"dsbrdf serves at (http://127\.0\.0\.1:\d+); Ctrl-C stops it\.", told.readline())
+            assert address
+            assert (folder / Settings().data_dir).is_dir()
+            yield address[1]
+        finally:
+            stop(process)
+    assert process.returncode == 0
     with pytest.raises(httpx.TransportError):
-        httpx.get(f"{url}/health/live", timeout=5)
+        httpx.get(f"{address[1]}/health/live", timeout=5)
 
 
 def test_every_block_is_run() -> None:

@@ -14,6 +14,8 @@ import pytest
 import dsbrdf
 from tests.support.soak import SOAK
 
+pytestmark = pytest.mark.slow
+
 DOCS = Path(__file__).parents[2] / "docs"
 
 

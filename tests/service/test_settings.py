@@ -1,8 +1,6 @@
 """Settings: each is described, and a wrong one is refused in one sentence; the page on operations says what is so."""
 
-import os
 import platform
-import pty
 import re
 import runpy
 import shutil
@@ -13,7 +11,6 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
-import httpx
 import pytest
 from pydantic import ValidationError
 
@@ -56,20 +53,6 @@ def test_number_with_too_many_digits_is_refused_for_each_setting() -> None:
     for name in numbers:
         with pytest.raises(ValidationError, match=f"{name}\n  Input should be less than "):
             Settings.model_validate({name: "9" * 400})
-
-
-def test_address_is_told_at_a_terminal(tmp_path: Path) -> None:
-    leader, follower = pty.openpty()
-    run = [sys.executable, "-m", "dsbrdf.cli.main", "serve", "--port", "0", "--data-dir", str(tmp_path / "data")]
-    with subprocess.Popen(run, stdout=follower, stderr=subprocess.DEVNULL) as process, os.fdopen(leader) as told:
-        try:
-            os.close(follower)
-            address = re.search(r"dsbrdf serves at (http://127\.0\.0\.1:\d+); Ctrl-C stops it\.", told.readline())
-            assert address
-            assert httpx.get(f"{address[1]}/health/live").status_code == 200
-        finally:
-            process.terminate()
-    assert process.returncode == 0
 
 
 @pytest.mark.parametrize(

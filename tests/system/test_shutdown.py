@@ -5,12 +5,16 @@ import os
 import re
 import resource
 import signal
+import socket
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from itertools import cycle
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -19,9 +23,11 @@ import pytest
 from dsbrdf_service.admin import serve
 from tests.support.command_line import run_main
 from tests.support.dask_cluster import DaskCluster
-from tests.support.processes import alive, command, until, wait_until
+from tests.support.processes import alive, command, free_port, until, wait_until
 from tests.support.server import ENDLESS, QUICK, Server, StartServer, head_of_upload
 from tests.support.soak import repeats
+
+pytestmark = pytest.mark.slow
 
 SOON = 10.0  # seconds; what is asked for, on a machine that does much else
 
@@ -198,20 +204,34 @@ def test_ctrl_c_while_the_service_starts_prints_no_traceback(tmp_path: Path, mon
         server.close()
 
 
-def test_service_heeds_what_it_inherits(own_server: StartServer) -> None:
-    limit, hangup = resource.getrlimit(resource.RLIMIT_NOFILE), signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup
-    resource.setrlimit(resource.RLIMIT_NOFILE, (256, limit[1]))
-    try:
-        server = own_server(own_interpreter=True)
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
-        signal.signal(signal.SIGHUP, hangup)
-    server.process.send_signal(signal.SIGHUP)
-    with ExitStack() as stack:
-        for _ in range(400):  # idle connections, which leave descriptors for others
-            stack.enter_context(closing(server.connection()))
-        assert httpx.get(f"{server.http.base_url}/health/live", timeout=60).status_code == 200
-    assert server.stop() == 0
+def test_service_heeds_what_it_inherits(tmp_path: Path) -> None:
+    """A closed output, a log that nobody reads, few open files, and SIGHUP ignored as by nohup."""
+    port, (read, write) = free_port(), os.pipe()
+    command = [sys.executable, "-m", "dsbrdf_service", "--port", str(port), "--data-dir", str(tmp_path / "data")]
+    shell = ["sh", "-c", 'trap "" HUP; ulimit -Sn 256; exec "$@" 1>&-', "sh"]
+    environment = {**os.environ, "DSBRDF_LOG_LEVEL": "debug"}
+    with (
+        subprocess.Popen([*shell, *command], stderr=write, env=environment) as process,
+        closing(SimpleNamespace(close=process.kill)),
+        httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20) as client,
+    ):
+        os.close(write)
+
+        def answers() -> bool:
+            with suppress(httpx.ConnectError):
+                return client.get("/health/live").status_code == 200
+            return False
+
+        wait_until(answers, 60)
+        process.send_signal(signal.SIGHUP)
+        with ExitStack() as stack:
+            for _ in range(400):  # idle connections, which leave descriptors for others
+                stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+            for _ in range(300):  # a pipe takes 64 kB, some 200 lines
+                assert client.get("/health/live", headers={"X-Request-ID": "x" * 64}).status_code == 200
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=30) == 0
+    os.close(read)
 
 
 def test_accepted_fits_finish_after_a_kill(own_server: StartServer, data: bytes) -> None:

@@ -13,7 +13,7 @@ import pytest
 import dsbrdf
 import examples
 from dsbrdf import TableOptions
-from dsbrdf.data import FILE_SIZE, encode_merl, parse_rgl
+from dsbrdf.data import FILE_SIZE
 from dsbrdf.output import from_json
 from dsbrdf.output.documents import summary_of_table
 from dsbrdf.samples.reading import parse_samples, read_table
@@ -89,8 +89,8 @@ def post(server: Server, content: bytes, name: str, kind: str = "application/oct
     return server.http.post("/v1/measurements", params={"name": name}, content=content, headers={"Content-Type": kind})
 
 
-def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server) -> None:
-    merl = encode_merl(parse_rgl(EXAMPLE.read_bytes()).measurement())
+def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, satin_purple_file: Path) -> None:
+    merl = satin_purple_file.read_bytes()
     answer = post(server, EXAMPLE.read_bytes(), "paint.BSDF", "text/csv")  # The content decides.
     assert answer.status_code == 201, answer.text
     document = answer.json()

@@ -7,16 +7,11 @@ import os
 import re
 import signal
 import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing, suppress
-from pathlib import Path
-from types import SimpleNamespace
+from contextlib import closing
 from typing import Any
 
-import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -24,7 +19,7 @@ from dsbrdf.engines import Fault, FitLimits, Processes
 from dsbrdf_service.log import LineFormatter, LogWriter, bind
 from dsbrdf_service.storage.database import FILE_NAME
 from dsbrdf_service.storage.schema import checksum
-from tests.support.processes import free_port, wait_until
+from tests.support.processes import wait_until
 from tests.support.server import ENDLESS, QUICK, Server, StartServer, assert_problem
 
 pytestmark = pytest.mark.slow
@@ -230,30 +225,6 @@ def test_fits_and_uploads_are_counted_and_timed(own_server: StartServer, data: b
     assert after["dsbrdf_stage_seconds_count", "waiting"] == 2
     assert after["dsbrdf_stage_seconds_count", "fitting"] == 3  # one of them was lost, and one cancelled
     assert after["dsbrdf_requests_in_progress",] == 1
-
-
-def test_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
-    port, (read, write) = free_port(), os.pipe()
-    command = [sys.executable, "-m", "dsbrdf_service", "--port", str(port), "--data-dir", str(tmp_path / "data")]
-    environment = {**os.environ, "DSBRDF_LOG_LEVEL": "debug"}
-    with (
-        subprocess.Popen(["sh", "-c", 'exec "$@" 1>&-', "sh", *command], stderr=write, env=environment) as process,
-        closing(SimpleNamespace(close=process.kill)),
-    ):
-        os.close(write)
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20) as client:
-
-            def answers() -> bool:
-                with suppress(httpx.ConnectError):
-                    return client.get("/health/live").status_code == 200
-                return False
-
-            wait_until(answers, 60)
-            for _ in range(300):  # a pipe takes 64 kB, some 200 lines
-                assert client.get("/health/live", headers={"X-Request-ID": "x" * 64}).status_code == 200
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(timeout=30) == 0
-    os.close(read)
 
 
 def test_lines_that_are_dropped_are_counted() -> None:

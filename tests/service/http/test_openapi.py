@@ -139,7 +139,7 @@ def test_service_conforms_to_its_openapi_document(own_server: StartServer, data:
     text = Template(CONFIG.read_text()).substitute(fit=fit["id"], measurement=measurement, key=header["Authorization"])
     if SOAK:
         text = text.replace("max-examples = 1", "max-examples = 200")
-        text = text.replace("phases.coverage.enabled = false", "phases.coverage.enabled = true")
+        text = re.sub(r"(phases\.\w+\.enabled) = false", r"\1 = true", text)
     config.write_text(text)
     seed = os.environ.get("DSBRDF_SCHEMA_SEED", "1")
     (tmp_path / "hooks.py").write_text(HOOKS)
