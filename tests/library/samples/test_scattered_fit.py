@@ -33,7 +33,7 @@ def test_parameters_of_a_known_model_are_found() -> None:
     # kappa and gamma can make up for each other.
     assert max(found[name] for name in ("amplitude", "half width", "elongation")) < 0.03
     metrics = result.report.metrics
-    assert 0.0 < (metrics.relative_rms or 0.0) < 3e-3
+    assert 0.0 < (metrics.relative_rms or 0.0) < 1.3e-3  # After one refinement instead of three it is 1.7e-3.
     assert (metrics.male is None, metrics.psnr is None) == (False, True)
     assert not any("held out of a fit" in sentence for sentence in result.report.warnings)
 
@@ -50,7 +50,7 @@ def test_a_prediction_is_reciprocal_and_returns_no_more_light_than_it_gets(predi
     half, diff, phi = np.random.default_rng(0).uniform(0.0, (0.7, 0.7, np.pi), (50, 3)).T
     values = bright.evaluate_unmasked(half, diff, phi)
     np.testing.assert_allclose(bright.evaluate_unmasked(half, diff, phi + np.pi), values, rtol=1e-9)
-    assert_reproduced("stages/bounded by energy", digest(bright.evaluate_unmasked(half, diff + 0.6, phi)), 1e-3)
+    assert_reproduced("stages/bounded by energy", digest(bright.evaluate_unmasked(0.3 * half, diff + 0.8, phi)), 1e-3)
 
 
 @pytest.fixture(scope="module")
