@@ -36,8 +36,8 @@ def print_json(document: Any) -> None:
 
 def print_error(error: BaseException | str) -> None:
     """Print one sentence to stderr; for a system error with a file, the sentence names this file."""
-    if isinstance(error, OSError) and error.filename is not None:
-        error = f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:
+        error = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
     sys.stderr.write(f"dsbrdf: {error}\n")
 
 

@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from secrets import token_hex
 from typing import NamedTuple
@@ -18,17 +19,15 @@ def write_atomically(path: str | os.PathLike[str], parts: Iterable[bytes | memor
     # Fifty characters of UTF-8 have at most 200 bytes, so that the temporary name stays below the limit of 255 bytes.
     temporary = target.parent / f".{target.name[:50]}.{token_hex(8)}.part"
     try:
-        file = temporary.open("xb")
-    except OSError as error:
-        error.filename = str(target)  # The caller does not know the name of the temporary file.
-        raise
-    try:
-        with file:
+        with temporary.open("xb") as file:
             for part in parts:
                 file.write(part)
         temporary.replace(target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError):
+            error.filename, error.filename2 = str(target), None  # The caller does not know the temporary file.
         raise
 
 

@@ -44,7 +44,7 @@ from dsbrdf.samples.values import (
 
 _SIDE_NAME = re.compile(r"(?i)(?:scatter(?:ed|ing)?[ _]?)?(?:side|hemisphere)")
 # Words of a column for light that is transmitted or comes from the back of the sample.
-_OTHER_SIDE = re.compile(r"(?i)t|btdf|trans\w*|back(?:ward|side)?|rear|rück\w*")
+_OTHER_SIDE = re.compile(r"(?i)btdf|trans(?:m\w*)?|back(?:ward|side)?|rear|rück\w*")
 _MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
 _MAX_THETA_RAD = 1.6  # A table without a larger theta and without units is refused: its angles look like radians.
 _MAX_SCAN_DEG = 100.0  # Instruments move the viewer a little beyond the horizon, but no further.
@@ -285,7 +285,8 @@ def _about_directions(found: FoundColumns, *, is_turned: bool) -> Iterator[str]:
 def _refuse_other_side(table: TextTable, read: Collection[str]) -> None:
     """Raise MeasurementFormatError if a column that is not read divides the rows among both sides of the sample."""
     for at, name in enumerate(table.names):
-        other = next(filter(_OTHER_SIDE.fullmatch, table.words(at) if name not in read else ()), "")
+        words = table.words(at) if name not in read else []
+        other = next(filter(_OTHER_SIDE.fullmatch, words), "T" if {*words} == {"R", "T"} else "")
         if other or (_SIDE_NAME.fullmatch(name) and name not in read and table.varies(at)):
             such = f", such as {other!r}" if other else ""
             raise MeasurementFormatError(

@@ -44,6 +44,13 @@ def test_a_closed_output_is_no_fault() -> None:
     assert ("Traceback" in done.stderr, done.returncode) == (False, 2)
 
 
+def test_a_full_output_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    with Path("/dev/full").open("wb", 0) as disk:
+        monkeypatch.setattr(sys, "stdout", TextIOWrapper(disk, write_through=True))
+        assert cli.main(["--version"]) == 1
+    assert capsys.readouterr().err == "dsbrdf: No space left on device\n"
+
+
 def test_characters_that_an_output_cannot_encode_are_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
     output = BytesIO()
     monkeypatch.setattr(sys, "stdout", TextIOWrapper(output, "ascii"))

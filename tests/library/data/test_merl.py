@@ -69,6 +69,8 @@ def test_failed_write_keeps_the_existing_file(tmp_path: Path) -> None:
         write_merl(path, np.full((3, *GRID_SHAPE), np.nan))
     with pytest.raises(TypeError):
         write_atomically(path, [b"half", None])  # type: ignore[list-item]
+    with Path("/dev/full").open("wb", 0) as disk, pytest.raises(OSError, match=r"kept\.binary"):
+        write_atomically(path, (disk.write(b"half").to_bytes() for _ in range(2)))
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
     old = tmp_path / "old"

@@ -212,6 +212,7 @@ def test_what_is_no_reflection_or_no_linear_colour_is_told(names: str) -> None:
 
 MISLEADING = (
     ("theta_in;theta_out;BRDF;side", ("0.1;front", "0.2;back"), "among both sides of the sample, such as 'back'"),
+    ("theta_in;theta_out;BRDF;mode", ("0.1;R", "0.2;T"), "among both sides of the sample, such as 'T'"),
     ("theta_in;theta_out;BRDF;side", ("0.1;1", "0.2;-1"), "divides the rows among both sides of the sample"),
     (
         "theta_in;theta_out;BRDF;phi_out",
