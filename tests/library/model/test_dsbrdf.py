@@ -157,6 +157,7 @@ VALID |= {"interpolation": "linear"}
     [
         ({"theta_diff": None}, "theta_diff must be a sequence of at least one knot"),
         ({"theta_diff": "many"}, "theta_diff must be an array of numbers"),
+        ({"theta_diff": [0.0, 1.6]}, "knots theta_diff must increase from 0 or more to at most pi/2"),
         ({"theta_diff": [0.5, 0.5]}, "knots theta_diff must increase from 0 or more to at most pi/2"),
         ({"elongation_theta_diff": [0.0, np.nan]}, "knots elongation_theta_diff must increase from 0 or more"),
         ({"amplitude": np.ones((3, 3, 1))}, r"amplitude must have shape \(3, 2, 1\), not \(3, 3, 1\)"),
