@@ -60,7 +60,7 @@ WEIGHTED = ("part of mixture", "only part")
 SAMPLED = ("mixture",)
 PAIRS = models.pairs_of_directions(128 * 16, lowest=0.05, spread=0.03)
 """Pairs in single precision, in 16 rows of 128 pixels; the directions are not quite of length 1."""
-BELOW = np.array([[0.6, 0.0, 0.8], [0.6, 0.0, -0.8]])
+BELOW = np.array([[0.0, 0.0, 1.0], [0.8, 0.0, -0.6]])  # Their half vector is above the horizon.
 TOWARDS = np.array([0.5, 0.0, np.sqrt(0.75)])
 WEIGHTS = {"specular_spike": 3.0, "specular_lobe": 2.0, "diffuse": 0.5}
 FRAME = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
