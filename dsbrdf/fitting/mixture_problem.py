@@ -153,7 +153,7 @@ class MixtureProblem:
     def _assemble(self, products: Array, scale: Array) -> tuple[Array, Array]:
         """Return the matrix and the gradient in the control values, from products in the parameters of each row.
 
-        The products (rows, 3, M, M + 1) are the products of M derivatives with each other and with the residual. The
+        The products (rows, 3, M, M + 1) of M derivatives with each other and with the residual are overwritten. The
         derivatives are of lobes with height 1, and `scale` (rows, 3, M) has the amplitudes of these lobes.
         """
         k, (first, *_), bases = self.structure.n_lobes, self.structure.parts, self.bases
@@ -168,7 +168,8 @@ class MixtureProblem:
         into = matrix[first, first].reshape(len(own), 3, k, len(own), 3, k)
         for channel in range(3):
             into[:, channel, :, :, channel] = own[:, :, channel].transpose(0, 2, 1, 3)
-        below = products[:, :, k:] * scale[:, :, k:, None]
+        below = products[:, :, k:]
+        below *= scale[:, :, k:, None]
         mixed = np.empty((len(below), below.shape[2], 3 * k), precision)
         by_channel = mixed.reshape(*mixed.shape[:2], 3, k).transpose(0, 2, 1, 3)
         np.multiply(below[..., :k], scale[:, :, None, :k], out=by_channel)

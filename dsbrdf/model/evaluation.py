@@ -19,6 +19,8 @@ from dsbrdf.model.splines import pieces_of
 
 _MAX_LOOKED_UP_POINTS = 512
 """For more points, sorting by interval between knots is faster than looking up coefficients."""
+_MAX_POINTS_OF_RUNS = 2048
+"""For more points, single lobes are faster than runs of lobes of one kind, whose arrays would not fit in the cache."""
 _SORTED_POINTS = 65536
 """Many points are evaluated in blocks of this size, so that the arrays of a block stay in the cache."""
 _MAX_TANGENT = 1e15  # tan(theta_half) is clipped to this value, because the tangent of pi/2 is infinite.
@@ -151,7 +153,7 @@ class Evaluator:
             stretched = squared * _stretch(elongation, theta_diff, phi_diff)
         amplitude, total = amplitude.reshape(3, k, -1), np.zeros((3, squared.size))
         kappa, gamma, center = [part.reshape(n_shapes, k, -1) for part in (kappa, gamma, center)]
-        for lobes in self._runs if squared.size <= _MAX_LOOKED_UP_POINTS else self._single_lobes:
+        for lobes in self._runs if squared.size <= _MAX_POINTS_OF_RUNS else self._single_lobes:
             ring = center[:, lobes] if self._is_ring[lobes.start] else None
             values = lobe_values(stretched[lobes], kappa[:, lobes], gamma[:, lobes], ring, self._family)
             total += (amplitude[:, lobes] * values).sum(axis=1)
