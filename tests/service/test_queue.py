@@ -269,6 +269,7 @@ async def test_fit_whose_process_is_lost_while_the_service_stops_is_left_to_its_
 
 
 async def test_who_follows_a_fit_is_told_that_it_begins(place: Race) -> None:
+    assert [row async for row in place.queue.watch(FitKey("", "0" * 32))] == []  # It was deleted.
     first = await place.submit()
     await place.until_it_runs()
     followed = place.queue.watch(await place.submit(options=dsbrdf.FitOptions(mask=0.1)))

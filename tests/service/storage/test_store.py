@@ -262,7 +262,9 @@ def test_folders_need_no_fsync_but_files_do(store: Store, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(os, "fsync", refuse)
     check_rows(store.database)
-    assert store.sound_file(add(store)).read_bytes() == b"content"
+    path = store.sound_file(add(store))
+    assert path.read_bytes() == b"content"
+    assert path.parent not in [opened.resolve() for opened in Path("/proc/self/fd").iterdir()]  # It is closed again.
     are_folders = False
     with pytest.raises(OSError, match="Invalid argument"):
         store.blobs.check()

@@ -193,6 +193,7 @@ def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visi
     expect(page.locator("#profiles .plot .curve")).to_have_count(2)
     expect(page.locator("#profiles .legend")).to_contain_text("glossy, measured")
     size = painted.evaluate("canvas => canvas.width")
+    expect(page.locator("#between canvas")).to_have_js_property("width", size)
     fits = [site.fits[name] for name in ("glossy", "rough")]
     views = [site.exposure(fit) for fit in fits]
     assert max(views) > 1.1 * min(views)  # both have the lower one
