@@ -94,7 +94,7 @@ class Evaluator:
         squared = np.square(np.minimum(np.tan(theta_half), _MAX_TANGENT)).astype(phi_diff.dtype)[:, None]
         values = np.empty((self._n_shapes, self._n_lobes, theta_half.size * phi_diff.size), phi_diff.dtype)
         for row in range(theta_diff.size):
-            at = (squared * factors[row, :, None]).reshape(self._n_lobes, -1)
+            at = (squared * factors[row, :, None]).reshape(values.shape[1:])
             for lobes, channel in itertools.product(self._runs, range(self._n_shapes)):
                 ring = center[row, channel, lobes, None] if self._is_ring[lobes.start] else None
                 values[channel, lobes] = lobe_values(

@@ -23,6 +23,7 @@ from dsbrdf.model.reflectance import ReflectanceModel
 from dsbrdf.output.figure_panels import CHANNEL_COLOURS, ROW_HEIGHT_IN, draw_legend, figure_of_rows, set_ticks
 from dsbrdf.output.figures import components_figure, materials_figure, overview_figure, profiles_figure
 from dsbrdf.result import FitResult
+from dsbrdf.samples.prediction import thinned
 from dsbrdf.samples.scattered_samples import ScatteredSamples
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
     slices.suptitle(rf"(a) {near} of $\theta_\mathrm{{diff}}$; {over_phi}", fontsize=10)
     planes.suptitle(f"(b) {near} of the plane of incidence; fit (lines)", fontsize=10)
     below.suptitle("(c) difference of fit and samples", fontsize=10)
-    shown = _thinned(samples)
+    shown = thinned(samples, _MAX_DRAWN_SAMPLES)
     angles = _angles(shown)
     _slice_row(slices, shown, model, angles)
     _plane_row(planes, shown, model)
@@ -134,13 +135,9 @@ def samples_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
 def samples_residual_figure(samples: ScatteredSamples, model: DSBRDF) -> Figure:
     """Draw row (c) of `samples_figure` alone: relative differences over theta_half and theta_diff."""
     figure, (row,) = figure_of_rows(samples.name, [ROW_HEIGHT_IN])
-    shown = _thinned(samples)
+    shown = thinned(samples, _MAX_DRAWN_SAMPLES)
     _residual_row(row, shown, model, _angles(shown))
     return figure
-
-
-def _thinned(samples: ScatteredSamples) -> ScatteredSamples:
-    return samples.take(np.random.default_rng(0).permutation(len(samples.values)) < _MAX_DRAWN_SAMPLES)
 
 
 def _angles(samples: ScatteredSamples) -> Array:

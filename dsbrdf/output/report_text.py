@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
+from dsbrdf.components.decomposition import decompose
 from dsbrdf.components.layers import LayeredModel
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.fitting.metrics import Metrics, RelativeErrors
@@ -172,16 +173,9 @@ def _percent(error: float) -> str:
 
 def result_document(model: DSBRDF, report: FitReport | None) -> dict[str, Any]:
     """Return a JSON document of metrics, warnings, findings and components, followed by the stored model and report."""
-    found = model if report is None else FitResult(model, report)
-    findings = found.report.findings if isinstance(found, FitResult) else ()
-    about = {
-        "metrics": None if report is None else asdict(report.metrics),
-        "warnings": [finding.sentence for finding in findings],
-        "findings": [asdict(finding) for finding in findings],
-        "components": component_documents(found),
-    }
-    stored: dict[str, Any] = json.loads(to_json(model, report))
-    return about | stored
+    parts = decompose(model if report is None else FitResult(model, report))
+    stored: dict[str, Any] = json.loads(to_json(model, report, parts))
+    return {"metrics": None if report is None else asdict(report.metrics)} | stored
 
 
 def parameters_csv(model: DSBRDF) -> str:

@@ -82,6 +82,8 @@ def test_table_holds_the_values_at_the_nodes_those_below_the_horizon_too(make: C
     for i, j, k in ((0, 0, 0), (9, 30, 17), (10, 89, 179), (89, 45, 90), (40, 60, 91), (88, 88, 0)):
         angles = (np.array([axis[n]]) for axis, n in ((THETA_HALF, i), (THETA_DIFF, j), (PHI_DIFF, k)))
         np.testing.assert_allclose(table[:, i, j, k], model.evaluate_unmasked(*angles)[0], rtol=1e-12)
+    (black,) = model.select((), with_delta=False).evaluate_grid(THETA_HALF, THETA_DIFF[:1], PHI_DIFF)
+    assert not black.any()
 
 
 def test_extreme_lobes_are_finite() -> None:
