@@ -32,7 +32,7 @@ from dsbrdf.errors import InvalidArgumentError, one_of
 from dsbrdf.fitting.options import FitOptions
 from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.output.atlas import load_material, materials
-from dsbrdf.output.documents import component_documents, component_rows, table_csv
+from dsbrdf.output.documents import component_documents, component_rows, table_csv, table_latex
 from dsbrdf.output.export import FORMATS, export_model, format_of
 from dsbrdf.output.export import example as example_of
 from dsbrdf.output.export.glsl import NAME
@@ -149,6 +149,7 @@ def print_materials(
 def print_components(
     *models: RequiredFiles,
     csv: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    latex: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     json: Json = False,
 ) -> None:
     """Print the components of models and their surfaces.
@@ -159,16 +160,19 @@ def print_components(
         A .json file from dsbrdf fit, or several.
     csv
         Write a table with a row for each surface and each diffuse part.
+    latex
+        Write the same table for LaTeX, with the package booktabs.
     """
     stored = {model: read_model(model) for model in models}
     parts = {model: component_documents(found) for model, (found, _) in stored.items()}
     rows: list[dict[str, Any]] = []
     for model, (_, report) in stored.items():
         rows += component_rows(model.stem, parts[model], None if report is None else report.metrics.psnr)
-    if csv is not None:
-        content = table_csv(rows)
-        check_output(csv, models, content)
-        write_atomically(csv, [content])
+    for file, encode in ((csv, table_csv), (latex, table_latex)):
+        if file is not None:
+            content = encode(rows)
+            check_output(file, models, content)
+            write_atomically(file, [content])
     if json:
         items = [{"file": str(model), "items": own} for model, own in parts.items()]
         print_json({"items": parts[models[0]]} if len(models) == 1 else {"items": items})

@@ -1,4 +1,4 @@
-"""Convert components to JSON documents and CSV, and summarise a table of samples.
+"""Convert components to JSON documents, CSV and LaTeX, and summarise a table of samples.
 
 The command line, stored fits and the HTTP service have the same documents; their angles are in degrees. A table of
 components has a row for each surface, and for each component without surfaces.
@@ -6,6 +6,7 @@ components has a row for each surface, and for each component without surfaces.
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -19,8 +20,8 @@ from dsbrdf.model.dsbrdf import DSBRDF
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.reading import ReadTable
 
-HEIGHT_THETA_DIFF_DEG = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
-"""Angles theta_diff for which a document lists the component's values at theta_half = 0."""
+LOBE_THETA_DIFF = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
+"""Angles theta_diff [degrees] for which a document lists the component's values at theta_half = 0."""
 
 
 def component_documents(model: DSBRDF | Fitted) -> list[dict[str, Any]]:
@@ -42,9 +43,9 @@ def component_document(component: Component) -> dict[str, Any]:
         "surfaces": [asdict(surface) for surface in component.surfaces],
         "misfit": asdict(component.misfit),
         "remarks": list(component.remarks),
-        "heights": {
-            "theta_diff_deg": list(HEIGHT_THETA_DIFF_DEG),
-            "height": component.height(np.radians(HEIGHT_THETA_DIFF_DEG)).tolist(),
+        "lobe": {
+            "theta_diff_deg": list(LOBE_THETA_DIFF),
+            "height": component.height(np.radians(LOBE_THETA_DIFF)).tolist(),
         },
         "ranges": asdict(component.ranges),
     }
@@ -99,6 +100,60 @@ def table_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMN
     table.writeheader()
     table.writerows(rows)
     return text.getvalue().encode(errors="backslashreplace")  # The name of a file need not be Unicode.
+
+
+_LATEX_HEADS = (
+    *("material", "part", "light [\\%]", "albedo (r, g, b)", "surface", "$\\alpha$", "tail"),
+    *("$F_0$ (r, g, b)", "$F_{70}$ (r, g, b)", "dB"),
+)
+
+
+def table_latex(rows: Iterable[Mapping[str, Any]]) -> bytes:
+    """Return rows as a LaTeX table for the packages booktabs and multirow.
+
+    Subscript and superscript of a value give its range. A cell that several rows share is written once.
+    """
+    rows = list(rows)
+    materials = [row["material"] for row in rows]
+    parts = [(row["material"], row["component"]) for row in rows]
+    lines = [f"\\begin{{tabular}}{{ll{'r' * (len(_LATEX_HEADS) - 2)}}}", "\\toprule"]
+    lines += [" & ".join(_LATEX_HEADS) + r" \\", "\\midrule"]
+    for index, row in enumerate(rows):
+        if index and materials[index] != materials[index - 1]:
+            lines.append("\\addlinespace")
+        texts = row["material"], row["component"].replace("_", " ")
+        name, part = (re.sub(r"([&%#$_{}])", r"\\\1", text) for text in texts)
+        cells = [_shared(materials, index, name), _shared(parts, index, part)]
+        cells += [_shared(parts, index, _latex_range(row, "light_share", "{:.0f}", 100.0))]
+        cells += [_shared(parts, index, _rgb(row, "albedo")), _number(row.get("surface"))]
+        cells += [_latex_range(row, "alpha", "{:.3g}", 1.0), _number(row.get("tail_exponent"))]
+        cells += [_rgb(row, "f0"), _rgb(row, "f70"), _shared(materials, index, _number(row["psnr"]))]
+        lines.append(" & ".join(cells) + r" \\")
+    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""]).encode(errors="backslashreplace")
+
+
+def _shared(keys: Sequence[object], index: int, text: str) -> str:
+    """Return the text of a cell that spans all rows with one key, which is empty in all rows but the first."""
+    count = keys.count(keys[index])
+    if index and keys[index - 1] == keys[index]:
+        return ""
+    return text if count == 1 or not text else f"\\multirow{{{count}}}{{*}}{{{text}}}"
+
+
+def _latex_range(row: Mapping[str, Any], name: str, form: str, factor: float) -> str:
+    if row.get(name) is None:
+        return ""
+    value, low, high = (form.format(factor * row[f"{name}{end}"]) for end in _RANGES)
+    return f"${value}_{{{low}}}^{{{high}}}$"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
+
+
+def _rgb(row: Mapping[str, Any], name: str) -> str:
+    values = [row.get(f"{name}_{channel}") for channel in CHANNELS]
+    return "" if values[0] is None else ", ".join(map(_number, values))
 
 
 ANGLE_NAMES = ("theta_in_deg", "theta_out_deg", "phi_deg")

@@ -52,7 +52,7 @@ def test_components(name: str) -> None:
     known: dict[str, Any] = {"layers": LAYERS, "mixture": mixture(3, 0)}
     document = json.loads(to_json(MODELS["mixture"], None, decompose(known.get(name) or load_material(name))))
     for part in document["components"]:
-        part["heights"] = digest(part["heights"]["height"])
+        part["lobe"] = digest(part["lobe"]["height"])
         part["layers"] = [digest(np.hstack([*layer.values()])) for layer in part["layers"]]
     document["structures"] = {one["name"]: one["weight"] for one in document["structures"]}
     kept = ("findings", "components", "structures", "diffuse_range", "alternatives")
@@ -209,7 +209,7 @@ def test_reductions(weighting: str, robust: bool, spoiled: Measurement) -> None:
 
 COMMANDS = (
     "show model.json",
-    "decompose model.json --csv a.csv",
+    "decompose model.json --csv a.csv --latex a.tex",
     "eval model.json --theta-in 30 --theta-out 0 60 --phi-out 20",
     "table samples.csv",
     "table samples.csv plane.csv model.json",

@@ -32,7 +32,7 @@ from .context import CHECKED_QUERY, TheContext, TheFit, TheRow
 from .fields import Document, Input, Label, Range, Rgb, Share
 
 
-class ComponentHeights(Document):
+class ComponentLobe(Document):
     """Values of a component's layers at theta_half = 0, one entry in each list for each angle theta_diff."""
 
     theta_diff_deg: Annotated[list[float], Field(description="The angles.")]
@@ -76,7 +76,7 @@ class ComponentDocument(Document):
     misfit: Misfit
     remarks: list[str]
     """Sentences about parameters that are null, because they do not describe the component."""
-    heights: ComponentHeights
+    lobe: ComponentLobe
     ranges: ComponentRanges
     """Intervals that contain light, albedo and colour with a probability of 90 %."""
 

@@ -70,8 +70,8 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
     items, components = document("decompose", model_file, "--json")["items"], [*decompose(load_fit(model_file).model)]
     assert items == json.loads(json.dumps([component_document(component) for component in components]))
     for item, component in zip(items, components, strict=True):
-        heights = component.layers.evaluate(0.0, np.radians(item["heights"]["theta_diff_deg"]))
-        np.testing.assert_allclose(item["heights"]["height"], heights, rtol=1e-9)
+        heights = component.layers.evaluate(0.0, np.radians(item["lobe"]["theta_diff_deg"]))
+        np.testing.assert_allclose(item["lobe"]["height"], heights, rtol=1e-9)
 
 
 def test_a_model_without_light_has_no_components(model_file: Path, tmp_path: Path) -> None:

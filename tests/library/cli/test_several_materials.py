@@ -37,8 +37,8 @@ def test_map_of_a_folder_and_what_it_refuses(tmp_path: Path) -> None:
 def test_several_models_at_once_and_their_components_as_tables(model_file: Path, tmp_path: Path) -> None:
     other = tmp_path / "50%_gloss.json"
     dsbrdf.save(random_model(1), other)
-    table = tmp_path / "all.csv"
-    text = printed("decompose", model_file, other, "--csv", table)
+    table, latex = tmp_path / "all.csv", tmp_path / "all.tex"
+    text = printed("decompose", model_file, other, "--csv", table, "--latex", latex)
     assert f"{model_file.stem}:" in text.splitlines()
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert {row["material"] for row in rows} == {model_file.stem, "50%_gloss"}
@@ -46,6 +46,12 @@ def test_several_models_at_once_and_their_components_as_tables(model_file: Path,
     assert {row["component"] for row in rows if row["material"] == "50%_gloss"} == {*parts.labels}
     psnr = load_fit(model_file).report.metrics.psnr
     assert {row["psnr"] for row in rows} == {str(psnr), ""}
+    lines = latex.read_text().splitlines()
+    body = [line for line in lines[4:-2] if line != r"\addlinespace"]
+    assert len(body) == len(rows)
+    assert {line.count("&") for line in body} == {9}
+    count = sum(row["material"] == "50%_gloss" for row in rows)
+    assert sum(rf"\multirow{{{count}}}{{*}}{{50\%\_gloss}} & " in line for line in body) == 1
     answer = document("show", model_file, other, "--json")["items"]
     assert [item["file"] for item in answer] == [str(model_file), str(other)]
     assert printed("show", model_file, other).startswith(printed("show", model_file))

@@ -118,7 +118,7 @@ export function showComponents(box, fits) {
     return make("span", {}, name, ...(fits.length > 1 ? [make("small", {}, nameOf(fit))] : []));
   };
   const [components, surfaces] = [find(box, ".components"), find(box, ".surfaces")];
-  const rows = OF_COMPONENTS.map(([property, title, write]) => [title, ...shown.map(({ part }) => cellOf(part && { ...part, height: part.heights.height[0] }, property, write))]);
+  const rows = OF_COMPONENTS.map(([property, title, write]) => [title, ...shown.map(({ part }) => cellOf(part && { ...part, height: part.lobe.height[0] }, property, write))]);
   if (shown.length) components.append(tableRow(["", ...shown.map((one) => headOf(one))], true), ...rows.map((cells) => tableRow(cells)));
   else components.append(tableRow(["There are no components: the fit is black."]));
   const all = shown.flatMap((one) => (one.part?.surfaces ?? []).map((surface, i) => {
@@ -129,8 +129,8 @@ export function showComponents(box, fits) {
   find(box, ".of-surfaces").hidden = !all.length;
   const meanings = find(box, ".meanings");
   whenOpened(meanings, async () => {
-    const { ComponentDocument, ComponentHeights, SurfaceDocument } = (await openapi()).components.schemas;
-    const described = { ...ComponentDocument.properties, ...ComponentHeights.properties, ...SurfaceDocument.properties };
+    const { ComponentDocument, ComponentLobe, SurfaceDocument } = (await openapi()).components.schemas;
+    const described = { ...ComponentDocument.properties, ...ComponentLobe.properties, ...SurfaceDocument.properties };
     meanings.replaceChildren(...[...OF_COMPONENTS, ...OF_SURFACES].map(([property, title]) => row(title, "", described[property].description)));
   });
 }

@@ -6,7 +6,7 @@ type Format = (value: number, largest: number) => string;
 interface Component {
   label: string; light_share: number; albedo: Rgb; color: Rgb; remarks: string[];
   half_width_deg: number | null; surfaces: Surface[];
-  heights: { theta_diff_deg: number[]; height: Rgb[] };
+  lobe: { theta_diff_deg: number[]; height: Rgb[] };
   ranges: { light_share: Interval; albedo: Interval[]; color: Interval[] };
 }
 
