@@ -101,8 +101,9 @@ def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
 def test_spheres(plastic: Measurement) -> None:
     pixels = np.random.default_rng(0).uniform(0.0, 1.0, (64, 128, 3)) ** 4
     pixels[20, 5::11] = np.linspace(3e3, 9e3, 12)[:, None]
-    environment = EnvironmentMap.from_pixels(pixels)
+    environment, even = EnvironmentMap.from_pixels(pixels), EnvironmentMap.from_pixels(np.ones((2, 4, 3)))
     found: dict[str, Any] = {"lights": [[*light.direction, *light.irradiance] for light in environment.lights]}
+    found["even"] = repr(even)
     for lighting in ("three_lights", "environment", environment):
         for name in ("elongated rings and cusps", "paper"):
             found[f"{name} {lighting}"] = digest(render_sphere(MODELS[name], lighting=lighting, size=24))
