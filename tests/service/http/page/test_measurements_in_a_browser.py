@@ -28,6 +28,7 @@ def test_newcomer_tries_an_example_and_sees_its_samples(visit: Visit, guarded: G
     page.get_by_text("More for fits").click()
     for title, value in (("Number of lobes", "3"), ("Number of ring lobes", "0")):
         page.get_by_label(title).select_option(value)
+    expect(page.locator("#about-n_lobes")).to_contain_text("lobes")
     page.get_by_role("button", name="Try an example").click()
     page.wait_for_url("**/fits/*")
     expect(page.get_by_role("heading", name="example paint")).to_be_visible()
