@@ -34,6 +34,7 @@ from dsbrdf.samples.scattered_fit import (
     pairs_to_measure,
     unconfirmed_sample,
 )
+from tests.library.samples.test_layouts import truth
 from tests.library.samples.test_reading import DIRECTION, table
 from tests.library.samples.test_reading import spherical as spherical_deg
 from tests.library.samples.test_tables_as_people_have_them import GRID, TRUE
@@ -116,6 +117,8 @@ def test_spheres(plastic: Measurement) -> None:
     assert_reproduced("spheres/all", found, 1e-4)
 
 
+UNEVEN = GRID + np.random.default_rng(6).uniform(0.0, 3.0, GRID.shape)  # No two samples have one theta_half.
+COSINE_IN = np.cos(np.radians(UNEVEN[:, :1]))
 HALF = half_difference(*spherical_deg(GRID))[0]
 NINTH = np.arange(len(GRID)) % 9 == 0
 BANDS = np.arange(400.0, 701.0, 20.0)
@@ -124,7 +127,7 @@ TABLES: dict[str, tuple[Array, Array, Sequence[str]]] = {
     "clipped": (GRID, np.minimum(TRUE, np.quantile(TRUE, 0.9)), ["value"]),
     "one sample in each highlight": (GRID, np.where(HALF < 1e-4, 90.0, TRUE), ["value"]),
     "reflectance factors": (GRID, np.pi * np.minimum(9.0 * TRUE, 0.3), ["value"]),
-    "per cent times cosine": (GRID, 100.0 * np.pi * TRUE * np.cos(np.radians(GRID[:, 0])), ["value"]),
+    "per cent times cosine": (UNEVEN, 10.0 * np.pi * truth(*spherical_deg(UNEVEN)) * COSINE_IN, CHANNELS),
     "per cent": (GRID, 100.0 * np.pi * TRUE, ["value"]),
     "integers": (GRID, np.rint(3e4 * TRUE), ["value"]),
     "bytes": (GRID, np.rint(255.0 * (TRUE / TRUE.max()) ** 0.45), ["value"]),
