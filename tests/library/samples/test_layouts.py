@@ -104,6 +104,9 @@ REFUSED_TEXTS = {
     ),
     "The file is a stored model of dsbrdf, not a measurement": '{"format": "dsbrdf", "model": {"kappa": [1, 2]}}',
     "The JSON has no lists of numbers by name, such as theta_in": '{"data": {"theta_i": [], "brdf": "dark"}}',
+    "Line 2 of the table has '10 deg' in the column 'theta_in'": (
+        "theta_in;theta_out;brdf\n10 deg;20 deg;1 1/sr\n30 deg;20 deg;1 1/sr\n"
+    ),
     "The list 'phi_out' in the JSON has the length 1, and the longest list 2": (
         '{"theta_in": [10, 20], "theta_out": [20, 30], "phi_out": [0], "value": [1, 2]}'
     ),

@@ -237,7 +237,6 @@ MISLEADING = (
     ("theta_in;theta_out;450 nm;0.45 um", ("0.1;0.1", "0.2;0.3"), "'450 nm' and '0.45 um' both seem to be at 450 nm"),
     ("theta_in;theta_out;BRDF", ("1,234", "987.6"), "a comma or a point may separate thousands, as in '1,234'"),
     ("theta_in;theta_out;BRDF", ("1,234", "987"), "a comma or a point may separate thousands, as in '1,234'"),
-    ("theta_in;theta_out;BRDF", ("0.1 1/sr", "0.2 1/sr"), "Line 2 of the table has '0.1 1/sr' in the column 'BRDF'"),
     ("theta_in_rad;theta_out;BRDF", ("0.1", "0.2"), r"3724\.23 degrees; 180 is the largest that there is\.$"),
     ("theta_in;theta_out;absorptance", ("0.1", "0.2"), "emitted light is not read, only reflected light"),
 )
