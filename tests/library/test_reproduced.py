@@ -216,6 +216,7 @@ COMMANDS = (
     "decompose model.json --csv a.csv --latex a.tex",
     "eval model.json --theta-in 30 --theta-out 0 60 --phi-out 20",
     "table samples.csv",
+    "table clipped.csv",
     "table samples.csv plane.csv model.json",
     "render model.json -o a.png --size 16",
     "render model.json -o a.png --size 16 --component diffuse",
@@ -234,6 +235,7 @@ def test_commands(
     monkeypatch.setenv("COLUMNS", "100")
     Path("model.json").symlink_to(MODEL_FILE)
     Path("plastic.binary").symlink_to(plastic_file)
+    Path("clipped.csv").write_bytes(table([*DIRECTION, "value"], np.column_stack(TABLES["clipped"][:2])))
     Path("plane.csv").write_bytes(samples_table(in_plane))
     Path("samples.csv").write_bytes(samples_table(scattered_samples(mixture(2, 1), 60).take(np.arange(60) < 52)))
     for command in COMMANDS:
