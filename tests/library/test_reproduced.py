@@ -22,7 +22,7 @@ from dsbrdf.cli.commands import command_names
 from dsbrdf.data import CHANNELS, half_difference, spherical
 from dsbrdf.output import to_json
 from dsbrdf.output.atlas import load_material
-from dsbrdf.output.figures import parameters_figure, residual_figure
+from dsbrdf.output.figures import overview_figure, parameters_figure, residual_figure
 from dsbrdf.output.sphere_panels import compare_spheres, thumbnail
 from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction
@@ -93,6 +93,7 @@ def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
         "components": plot(STORED_FIT),
         "lobes": parameters_figure(MODELS["elongated rings and cusps"], title="rings", model_lobes=True),
         "lobes of each channel": parameters_figure(MODELS["paper"], model_lobes=True),
+        "overview of lobes": overview_figure(data, MODELS["elongated rings and cusps"], model_lobes=True),
         "residual": residual_figure(data, STORED_FIT.model),
     }
     for name, figure in figures.items():
