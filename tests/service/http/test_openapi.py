@@ -64,6 +64,7 @@ def test_every_operation_has_a_description_and_examples(document: dict[str, Any]
         assert operation["summary"], name
         assert operation["description"], name
         assert operation["operationId"], name
+        assert ("401" in operation["responses"]) is ("/health/" not in name), name
         if name.startswith("POST") and name.endswith("/brdf"):  # Points and values are JSON or arrays.
             assert operation["requestBody"]["content"].keys() == operation["responses"]["200"]["content"].keys()
     for name, media_type, entry in media(document):
