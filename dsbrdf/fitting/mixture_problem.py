@@ -30,6 +30,8 @@ from dsbrdf.fitting.mixture import Structure
 from dsbrdf.model.lobes import LobeSlopes, lobe_curves, log_cosine
 from dsbrdf.model.splines import roughness
 
+MIN_INTERLEAVED_DERIVATIVES = 40
+"""From this number of derivatives on, products take half the time if a row of memory has the columns of one sample."""
 SMOOTHING = (1e-8, 2e-7, 1e-7)
 """Weights of squared second differences of log amplitudes, shapes and elongations, relative to the squared data."""
 
@@ -116,14 +118,15 @@ class MixtureProblem:
         for block, curves, kinds, residual in at.parts:
             # The columns are the derivatives of the values in the parameters of the lobes, then the residual.
             rows, _, samples = curves.shape
-            shapes = (rows, count, samples), (rows, count, samples), (rows, samples, count + 1)
+            shapes = (rows, count, samples), (rows, count, samples), (rows, count + 1, samples)
             derivatives, weighted, columns = (
                 buffer[: math.prod(shape)].reshape(shape) for buffer, shape in zip(buffers, shapes, strict=True)
             )
+            is_interleaved = count >= MIN_INTERLEAVED_DERIVATIVES
+            columns = columns.reshape(rows, samples, -1) if is_interleaved else columns.transpose(0, 2, 1)
             derivatives[:, :k] = curves
             for place, values in (column for kind in kinds for column in self._slopes(block, kind)):
                 derivatives[:, place] = values
-            # Products of small matrices take half the time if the samples are the first axis of the second matrix.
             columns[..., :count] = derivatives.transpose(0, 2, 1)
             for channel in range(3):
                 columns[..., count] = residual[:, channel]
