@@ -43,8 +43,9 @@ from dsbrdf.samples.values import (
 )
 
 _SIDE_NAME = re.compile(r"(?i)(?:scatter(?:ed|ing)?[ _]?)?(?:side|hemisphere)")
-# Words of a column for light that is transmitted or comes from the back of the sample.
-_OTHER_SIDE = re.compile(r"(?i)btdf|trans(?:m\w*)?|back(?:ward|side)?|rear|rück\w*")
+# Words of a column for light that is transmitted, and for the back of the sample.
+_TRANSMITTED = re.compile(r"(?i)btdf|trans(?:m\w*)?")
+_BACK = re.compile(r"(?i)back(?:ward|side)?|rear|rück\w*")
 _MAX_MATERIALS = 20  # A column with more different words does not name materials, but samples or dates.
 _MAX_THETA_RAD = 1.6  # A table without a larger theta and without units is refused: its angles look like radians.
 _MAX_SCAN_DEG = 100.0  # Instruments move the viewer a little beyond the horizon, but no further.
@@ -286,7 +287,9 @@ def _refuse_other_side(table: TextTable, read: Collection[str]) -> None:
     """Raise MeasurementFormatError if a column that is not read divides the rows among both sides of the sample."""
     for at, name in enumerate(table.names):
         words = table.words(at) if name not in read else []
-        other = next(filter(_OTHER_SIDE.fullmatch, words), "T" if {*words} == {"R", "T"} else "")
+        # All rows may be of the back: nothing is divided then.
+        others = [one for one in words if _TRANSMITTED.fullmatch(one) or (len(words) > 1 and _BACK.fullmatch(one))]
+        other = "T" if {*words} == {"R", "T"} else next(iter(others), "")
         if other or (_SIDE_NAME.fullmatch(name) and name not in read and table.varies(at)):
             such = f", such as {other!r}" if other else ""
             raise MeasurementFormatError(

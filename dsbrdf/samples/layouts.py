@@ -26,6 +26,7 @@ from dsbrdf.samples import optics
 from dsbrdf.samples.cells import TextTable, check_size
 from dsbrdf.samples.columns import SPHERICAL
 from dsbrdf.samples.names import (
+    ANGLE_UNITS,
     HALF_DIFFERENCE,
     MAX_BAND_NM,
     MIN_BAND_NM,
@@ -44,7 +45,7 @@ _RAMI = re.compile(rb"\s*([1-9][0-9]{0,6})[ \t]+5[ \t]+[-+.0-9eE]+[ \t]*\r?\n")
 _KERNELS = re.compile(rb"BRDF[ \t]+([1-9][0-9]{0,6})[ \t]+[0-9]+((?:[ \t]+[0-9.]+)+)[ \t]*\r?\n")
 _JSON_START_BYTES = 100
 _HEAD_BYTES = 4096  # The name of the unit is searched only in this part at the beginning of a file.
-_GRADIANS = re.compile(rb"(?i)\b(?:gon|gradians?)\b")
+_GRADIANS = re.compile(rb"\bgon\b|(?i:\bgradians?\b)")  # An instrument may be called GON.
 # Parametrisations of ALTA: L is the light, V the viewer, T theta, P phi; H and D are the half and difference angles.
 # The angles x and y are theta_out times the cosine and the sine of phi_out.
 _ALTA = {
@@ -301,9 +302,9 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
 
 
 def _refuse_unnamed_gradians(data: bytes, names: Sequence[str]) -> None:
-    """Raise MeasurementFormatError if the head of a file names gradians, and no column has this unit."""
+    """Raise MeasurementFormatError if the head of a file names gradians, and no column has a unit of angles."""
     found = _GRADIANS.search(data, 0, _HEAD_BYTES)
-    if found and not any(name_and_unit(name)[1] == "gon" for name in names):
+    if found and not any(name_and_unit(name)[1] in ANGLE_UNITS for name in names):
         raise MeasurementFormatError(
             f"The file names {found[0].decode()}, but no column has this unit: name each angle as in theta_in_gon."
         )

@@ -249,6 +249,14 @@ def test_a_column_that_could_be_misread_is_refused(names: str, cells: tuple[str,
         parse_samples("\n".join([names, *rows]).encode())
 
 
+@pytest.mark.parametrize(
+    "names", ["# angles in gradians\ntheta_in_deg;theta_out_deg;BRDF", "# GON\ntheta_in;theta_out;BRDF"]
+)
+def test_a_comment_or_a_constant_side_changes_nothing(names: str) -> None:
+    rows = [f"{a:g};{b:g};{value:g};back" for (a, _, b, _), value in zip(GRID, TRUE, strict=True)]
+    assert len(parse_samples("\n".join([f"{names};side", *rows]).encode()).values) > 0
+
+
 def test_files_of_one_material_are_told_of_together(tmp_path: Path) -> None:
     paths = [tmp_path / f"at{angle:g}.txt" for angle in (15.0, 40.0)]
     for path, angle in zip(paths, (15.0, 40.0), strict=True):
