@@ -44,17 +44,20 @@ PRELOADED = (
 """Packages that take most of the time of a run's start; forks have imported them."""
 OWN_PACKAGES = ("benchmarks", "dsbrdf", "dsbrdf_service", "tests")
 """Packages that a run with a fault imports anew, from the copy."""
+REPRODUCED = "tests/library/test_reproduced.py"
 FURTHER_TESTS = {
     "access": ["tests/service/test_client.py", "tests/service/http/test_limits.py"],
     "compute": ["tests/service/test_queue.py", "tests/service/api/test_pictures.py"],
     "queue": ["tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
-    "fitting": ["tests/library/test_result.py"],
+    "fitting": ["tests/library/test_result.py", REPRODUCED],
+    "components": [REPRODUCED],
+    "samples": [REPRODUCED],
     "storage": [
         "tests/service/api/test_results.py",
         "tests/service/api/test_measurements.py",
         "tests/service/admin/test_commands.py",
     ],
-    "model": ["tests/library/output/test_comparison.py"],
+    "model": ["tests/library/output/test_comparison.py", REPRODUCED],
 }
 MAX_TEST_SECONDS = 200.0  # A fault that survives the quickest tests of this time counts as not noticed.
 MAX_RUN_SECONDS = 200.0  # A fault may cause an endless loop, which counts as noticed.
