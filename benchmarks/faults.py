@@ -50,8 +50,7 @@ FURTHER_TESTS = {
     "compute": ["tests/service/test_queue.py", "tests/service/api/test_pictures.py"],
     "queue": ["tests/service/api/test_fits.py", "tests/service/http/test_limits.py"],
     "fitting": ["tests/library/test_result.py", REPRODUCED],
-    "components": [REPRODUCED],
-    "samples": [REPRODUCED],
+    **{wing: [REPRODUCED] for wing in ("components", "samples")},
     "storage": [
         "tests/service/api/test_results.py",
         "tests/service/api/test_measurements.py",

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -162,11 +162,8 @@ def fit(
         Fit all files, tables of one material, as one measurement with this name.
     """
     keep_freed_memory()
-    for output in filter(None, (csv, plan.measure_next)):
-        check_output(output, files)
+    _check_outputs(files, filter(None, (csv, plan.measure_next)), together)
     if together is not None:
-        if Path(together).name != together or together.startswith("."):
-            raise InvalidArgumentError(f"--together: must be a name without a folder, not {together!r}")
         work = replace(work, output=work.output or files[0].parent)
         with TemporaryDirectory() as folder:
             joined = Path(folder) / f"{together}.csv"
@@ -197,6 +194,14 @@ def fit(
     if any(item.lost for item in done):
         return 1
     return BAD_INPUT if any(item.error is not None for item in done) else 0
+
+
+def _check_outputs(files: Sequence[Path], outputs: Iterable[Path], together: str | None) -> None:
+    """Raise an error if an output would replace an input, or if the name of a joined measurement has a folder."""
+    for output in outputs:
+        check_output(output, files)
+    if together is not None and (Path(together).name != together or together.startswith(".")):
+        raise InvalidArgumentError(f"--together: must be a name without a folder, not {together!r}")
 
 
 def _fit(files: list[Path], options: FitOptions, table: TableOptions, work: Work, *, quiet: bool) -> list[FileFit]:
