@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.description import Description, renderer_layers
-from dsbrdf.components.layer_data import data_points
+from dsbrdf.components.layer_data import data_points, half_of_peak
 from dsbrdf.components.layers import LayeredModel, RetroLayer, SheenLayer
 from dsbrdf.components.points import NORMAL, LightRule, Points, grid_points
 from dsbrdf.components.shares import LABELS, ComponentRanges, Range, WeightedLayers
-from dsbrdf.components.surfaces import PROFILE, Misfit, OwnValues, Surface
+from dsbrdf.components.surfaces import PROFILE, WIDTH_THETA_HALF, Misfit, OwnValues, Surface
 from dsbrdf.errors import InvalidArgumentError
 from dsbrdf.findings import Finding
 from dsbrdf.model.albedo import directional_albedo
@@ -33,6 +33,10 @@ _MAX_CERTAIN_WIDTH = 0.1
 """If the range of the diffuse fraction is wider, that is about 5 % of the light to both sides, a remark says so."""
 _MAX_CERTAIN_ABSENT_LIGHT = 0.05
 """Without a diffuse part, a remark says that there may be one with more than this fraction of the light."""
+_MIN_ELONGATION = 1.25
+"""A remark names a highlight that is wider across the plane of incidence by this factor; round ones reach 1.15."""
+_MAX_ELONGATED_HALF_WIDTH = np.radians(10.0)
+"""A highlight with a larger half width has no such remark: shadows and the horizon give it another shape."""
 _RECEIVERS = {"specular_spike": (1, 2), "specular_lobe": (0, 2), "diffuse": (1, 0)}
 """Indices in `LABELS`, in order of preference, of the component that receives the values of an absent component."""
 
@@ -219,9 +223,10 @@ class Decomposition:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings about an undetermined diffuse fraction, withheld alpha or F0, sheen and retro-reflection."""
+        """Findings about an undetermined diffuse fraction, withheld parameters, an elongated highlight, other light."""
         own = (remark for component in self for remark in component.description.misfit_remarks(component.label))
-        return (*self._open_split(), *(Finding("withheld", remark) for remark in own), *self._other_light())
+        withheld = (Finding("withheld", remark) for remark in own)
+        return (*self._open_split(), *withheld, *self._elongated(), *self._other_light())
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -290,6 +295,24 @@ class Decomposition:
                 f"{high:.0%}. Probable structures: {names}."
                 + "".join(f" A material of another structure looks alike: {name}." for name in self.alternatives),
                 {"low": low, "high": high},
+            )
+
+    def _elongated(self) -> Iterator[Finding]:
+        """Yield a finding if the highlights together are wider across the plane of incidence than along it."""
+        highlights = [place for place, label in enumerate(self.labels) if label != LABELS[2]]
+        theta_half, theta_diff = WIDTH_THETA_HALF, np.full(WIDTH_THETA_HALF.size, np.radians(30.0))
+        along, across = (
+            half_of_peak(self.split_unmasked(theta_half, theta_diff, phi)[highlights].sum(axis=(0, 2)), theta_half)
+            for phi in (np.zeros(theta_diff.size), np.full(theta_diff.size, np.pi / 2))
+        )
+        ratio = across / along
+        if along < _MAX_ELONGATED_HALF_WIDTH and ratio > _MIN_ELONGATION:
+            yield Finding(
+                "elongated-highlight",
+                f"The highlight is {ratio:.1f} times as wide across the plane of incidence as along it, as if the "
+                "surface had a grain: alpha and the half width lie between both. Turn the sample by 90 degrees and "
+                "measure it again; an isotropic material stays the same.",
+                {"ratio": ratio},
             )
 
     def _other_light(self) -> Iterator[Finding]:

@@ -27,11 +27,11 @@ _MAX_LOG_FACTOR = 200.0  # A factor between a value and an end of its range is a
 _N_COMPARED_ALBEDOS = 2  # The error of the albedo at the third angle of `light_rules` widens ranges only.
 _PEAK_THETA_DIFF = np.radians([0.0, 15.0, 30.0, 45.0])
 _WIDTH_THETA_DIFF = np.radians(15.0)
-_WIDTH_THETA_HALF = np.radians(np.geomspace(0.05, 70.0, 90))
+WIDTH_THETA_HALF = np.radians(np.geomspace(0.05, 70.0, 90))
 PROFILE: tuple[Array, Array, Array] = (
-    np.concatenate([np.zeros(_PEAK_THETA_DIFF.size), _WIDTH_THETA_HALF]),
-    np.concatenate([_PEAK_THETA_DIFF, np.full(_WIDTH_THETA_HALF.size, _WIDTH_THETA_DIFF)]),
-    np.full(_PEAK_THETA_DIFF.size + _WIDTH_THETA_HALF.size, np.pi / 2),
+    np.concatenate([np.zeros(_PEAK_THETA_DIFF.size), WIDTH_THETA_HALF]),
+    np.concatenate([_PEAK_THETA_DIFF, np.full(WIDTH_THETA_HALF.size, _WIDTH_THETA_DIFF)]),
+    np.full(_PEAK_THETA_DIFF.size + WIDTH_THETA_HALF.size, np.pi / 2),
 )
 """Angles theta_half, theta_diff and phi_diff [rad] at which layers are compared with a component's peak and width."""
 _PROFILE_POINTS = Points.at(*PROFILE)
@@ -90,7 +90,7 @@ class Misfit:
         profiles = model.layer_values(_PROFILE_POINTS).sum(axis=0), own.profile
         peaks = [values[:, : _PEAK_THETA_DIFF.size].mean(axis=1) for values in profiles]
         wide = [values[:, _PEAK_THETA_DIFF.size :].sum(axis=0) for values in profiles]
-        widths = [half_of_peak(values, _WIDTH_THETA_HALF) for values in wide]
+        widths = [half_of_peak(values, WIDTH_THETA_HALF) for values in wide]
         return cls(_factor(*(peak.sum() for peak in peaks)), _color_difference(*peaks), _factor(*widths), of_albedo)
 
     @property

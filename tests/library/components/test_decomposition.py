@@ -5,6 +5,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.optimize import brentq
 
 import dsbrdf
 from dsbrdf import DSBRDF, InvalidArgumentError, Measurement, decompose
@@ -206,6 +207,21 @@ def test_an_open_split_is_said_from_a_tenth_or_where_a_part_may_be_missing(
         parts, descriptions=decompose(paint_model).descriptions[:1], ranges=decompose(paint_model).ranges[:1]
     )
     assert any(found.code == "open-split" for found in alone.findings) == is_said
+
+
+@pytest.mark.parametrize(
+    ("elongation", "gamma", "is_said"), [(2.0, 500.0, True), (0.0, 500.0, False), (2.0, 20.0, False)]
+)
+def test_a_narrow_highlight_that_is_not_round_is_told(elongation: float, gamma: float, is_said: bool) -> None:
+    model = single_lobe(1.0, gamma, 5.0, elongation=elongation)
+    found = [one for one in decompose(model).findings if one.code == "elongated-highlight"]
+    assert bool(found) == is_said
+    if is_said:
+        along, across = (
+            brentq(lambda angle, phi=phi: model.evaluate(angle, np.pi / 6, phi)[0] - 2.5, 0.0, 1.0)
+            for phi in (0.0, np.pi / 2)
+        )
+        assert found[0].numbers["ratio"] == pytest.approx(across / along, rel=0.02)
 
 
 def test_layers_belong_to_the_nearest_component_and_a_component_to_a_structure_that_has_it(paint_model: DSBRDF) -> None:
