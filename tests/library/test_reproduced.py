@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Sequence
 from dataclasses import asdict, astuple
 from io import BytesIO
 from pathlib import Path
@@ -17,16 +16,13 @@ from matplotlib.text import Text
 
 import dsbrdf
 from dsbrdf import EnvironmentMap, Measurement, ScatteredSamples, decompose, plot, render_sphere, space
-from dsbrdf.arrays import Array
 from dsbrdf.cli.commands import command_names
-from dsbrdf.data import CHANNELS, half_difference, spherical
+from dsbrdf.data import spherical
 from dsbrdf.output import to_json
 from dsbrdf.output.atlas import load_material
 from dsbrdf.output.figures import overview_figure, parameters_figure, residual_figure
 from dsbrdf.output.sphere_panels import compare_spheres, thumbnail
-from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction
-from dsbrdf.samples.reading import parse_samples
 from dsbrdf.samples.scattered_fit import (
     expected_error,
     left_out_errors,
@@ -34,10 +30,8 @@ from dsbrdf.samples.scattered_fit import (
     pairs_to_measure,
     unconfirmed_sample,
 )
-from tests.library.samples.test_layouts import truth
 from tests.library.samples.test_reading import DIRECTION, table
-from tests.library.samples.test_reading import spherical as spherical_deg
-from tests.library.samples.test_tables_as_people_have_them import GRID, TRUE
+from tests.library.samples.test_tables_as_people_have_them import CLIPPED, GRID
 from tests.support.command_line import load_fit, run
 from tests.support.models import LAYERS, MODELS, mixture, samples_table, scattered_directions, scattered_samples
 from tests.support.reproduced import assert_reproduced, digest
@@ -116,44 +110,6 @@ def test_spheres(plastic: Measurement) -> None:
     found_space = space(MODELS)
     found["space"] = [digest(found_space.distance), digest(found_space.places), found_space.nearest("paper")]
     assert_reproduced("spheres/all", found, 1e-4)
-
-
-UNEVEN = GRID + np.random.default_rng(6).uniform(0.0, 3.0, GRID.shape)  # No two samples have one theta_half.
-COSINE_IN = np.cos(np.radians(UNEVEN[:, :1]))
-HALF = half_difference(*spherical_deg(GRID))[0]
-NINTH = np.arange(len(GRID)) % 9 == 0
-BANDS = np.arange(400.0, 701.0, 20.0)
-LASER = np.exp(-(((BANDS - 520.0) / 12.0) ** 2))
-TABLES: dict[str, tuple[Array, Array, Sequence[str]]] = {
-    "clipped": (GRID, np.minimum(TRUE, np.quantile(TRUE, 0.9)), ["value"]),
-    "one sample in each highlight": (GRID, np.where(HALF < 1e-4, 90.0, TRUE), ["value"]),
-    "reflectance factors": (GRID, np.pi * np.minimum(9.0 * TRUE, 0.3), ["value"]),
-    "per cent times cosine": (UNEVEN, 10.0 * np.pi * truth(*spherical_deg(UNEVEN)) * COSINE_IN, CHANNELS),
-    "per cent": (GRID, 100.0 * np.pi * TRUE, ["value"]),
-    "integers": (GRID, np.rint(3e4 * TRUE), ["value"]),
-    "bytes": (GRID, np.rint(255.0 * (TRUE / TRUE.max()) ** 0.45), ["value"]),
-    "times cosine": (GRID, TRUE * np.cos(np.radians(GRID[:, 2])), ["value"]),
-    "noise": (GRID, TRUE + 2e-3 * np.random.default_rng(2).standard_normal(len(TRUE)), ["value"]),
-    "zeros": (GRID, np.where(GRID[:, 2] > 70.0, 0.0, TRUE), ["value"]),
-    "a code": (GRID, np.where(NINTH, 99999.0, TRUE), ["value"]),
-    "negative code": (GRID, np.where(NINTH, -9999.0, TRUE), ["value"]),
-    "no numbers": (GRID, np.where(NINTH, np.nan, TRUE), ["value"]),
-    "two levels": (GRID, np.where(GRID[:, 0] < 30.0, 4.0, 1.0) * TRUE, ["value"]),
-    "back to the light": (GRID * [1.0, 0.0, 1.0, 1.0], TRUE, ["value"]),
-    "below the horizon": (GRID + np.array([12.0, 0.0, 12.0, 0.0]), TRUE, ["value"]),
-    "twice": (np.vstack([GRID, GRID[:9]]), np.append(TRUE, 2.0 * TRUE[:9]), ["value"]),
-    "a laser": (GRID, TRUE[:, None] * LASER, [f"{band:g} nm" for band in BANDS]),
-    "dark": (GRID, 1e-5 * TRUE[:, None] * [1.0, 1.0, 0.0], CHANNELS),
-}
-
-
-@pytest.mark.parametrize("kind", TABLES)
-def test_what_is_said_of_a_table(kind: str) -> None:
-    grid, values, names = TABLES[kind]
-    samples = parse_samples(table([*DIRECTION, *names], np.column_stack([grid, values])))
-    doubts = sample_doubts(samples)
-    said = [*samples.notes, *(asdict(one) for one in doubts.findings), digest(samples.values), doubts.factor]
-    assert_reproduced(f"doubts/{kind}", said)
 
 
 def test_stages_of_a_fit_of_samples() -> None:
@@ -236,7 +192,7 @@ def test_commands(
     monkeypatch.setenv("COLUMNS", "100")
     Path("model.json").symlink_to(MODEL_FILE)
     Path("plastic.binary").symlink_to(plastic_file)
-    Path("clipped.csv").write_bytes(table([*DIRECTION, "value"], np.column_stack(TABLES["clipped"][:2])))
+    Path("clipped.csv").write_bytes(table([*DIRECTION, "value"], np.column_stack([GRID, CLIPPED])))
     Path("plane.csv").write_bytes(samples_table(in_plane))
     Path("samples.csv").write_bytes(samples_table(scattered_samples(mixture(2, 1), 60).take(np.arange(60) < 52)))
     for command in COMMANDS:

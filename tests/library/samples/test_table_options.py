@@ -99,31 +99,6 @@ def test_options_are_checked_when_they_are_made(choice: dict[str, object], words
     assert words in str(caught.value)
 
 
-OF_INSTRUMENTS = {
-    "AOI, AOR": ("AOI", "phi_i", "AOR", "phi_r"),
-    "in French": ("Angle d’incidence", "Azimut incident", "Angle de réflexion", "Azimut réfléchi"),
-    "in Japanese": ("入射角 [°]", "入射方位角", "受光角 [°]", "方位角"),
-    "in words": ("Angle of incidence", "Incident azimuth", "Angle of reflection", "Azimuth"),
-    "zenith angles": ("Illumination zenith angle (deg)", "Illumination azimuth", "View zenith (deg)", "View azimuth"),
-    "of remote sensing": ("SZA", "SAA", "VZA", "VAA"),
-    "Greek letters": ("θi [°]", "φi [°]", "θr [°]", "φr [°]"),
-    "Greek letters and subscripts": ("Θ_i", "ϕᵢ", "Θ_r", "ϕᵣ"),
-    "incident angle": ("incident angle", "phi_incident", "viewing angle", "phi"),
-    "angles of a direction": ("Zenith angle of incidence (deg)", "Azimuth of incidence", "Emission angle", "phi_obs"),
-    "camel case": ("incidentAngle", "lightAzimuth", "angleOut", "relativeAzimuth"),
-    "shortened": ("Inc (deg)", "SunAzm", "Obs_deg", "ViewAzm"),
-    "LaTeX": (r"$\theta_i$", r"$\phi_{i}$", r"$\theta_r$", r"$\phi_{r}$"),
-    "glued": ("solz", "sola", "senz", "sena"),
-    "of the ISO": ("θ_inc / °", "φ_inc / deg", "theta_ref / deg", "phi_ref"),
-    "receiver": ("source polar", "source azimuth", "receiver polar", "receiver azimuth"),
-}
-
-
-@pytest.mark.parametrize("names", OF_INSTRUMENTS.values(), ids=OF_INSTRUMENTS.keys())
-def test_names_of_instruments_are_known(names: tuple[str, ...]) -> None:
-    check_same(parse_samples(table((*names, "BSDF (sr⁻¹)"), np.hstack([ANGLES, GREY[:, :1]]))), ANGLES, GREY)
-
-
 def test_numbers_in_names_and_lines_are_wavelengths_and_angles_where_they_can_be() -> None:
     names = ("450 nm", "0.45um", "brdf_450nm", "199 nm", "3001 nm")
     assert [wavelength_of(name) for name in names] == [450.0, 450.0, 450.0, None, None]
@@ -138,18 +113,6 @@ def test_numbers_in_names_and_lines_are_wavelengths_and_angles_where_they_can_be
 def test_values_named_as_a_product_are_divided_by_the_cosine(name: str) -> None:
     values = GREY[:, :1] * np.cos(np.radians(ANGLES[:, 2:3]))
     check_same(parse_samples(table((*DIRECTION, name), np.hstack([ANGLES, values]))), ANGLES, GREY)
-
-
-def test_an_elevation_is_from_the_horizon() -> None:
-    columns = np.hstack([np.abs([90.0, 0.0, 90.0, 0.0] - ANGLES), GREY[:, :1]])
-    samples = parse_samples(table(("light grazing angle", "phi_in", "elevation", "azimuth", "value"), columns))
-    check_same(samples, ANGLES, GREY)
-    assert any("theta_out is 90 degrees minus it" in note for note in samples.notes)
-    both = table(("elevation", *DIRECTION, "value"), np.hstack([0.5 * ANGLES[:, :1], ANGLES, GREY[:, :1]]))
-    check_same(parse_samples(both), ANGLES, GREY)
-    # An elevation without a side is the light's where only the viewer has an angle.
-    alone = np.hstack([90.0 - ANGLES[:, :1], ANGLES[:, 1:], GREY[:, :1]])
-    check_same(parse_samples(table(("grazing angle", *DIRECTION[1:], "value"), alone)), ANGLES, GREY)
 
 
 @pytest.mark.parametrize(("missing", "which"), [(0.0, "smallest"), (9999.0, "largest")])
@@ -239,19 +202,3 @@ def test_wavelengths_as_rows(name: str, unit: float) -> None:
     place = {tuple(np.round(row, 6)): i for i, row in enumerate(np.hstack(spherical(ANGLES)))}
     at = [place[tuple(row)] for row in np.round(np.hstack([samples.omega_in, samples.omega_out]), 6)]
     check_same(samples, ANGLES[at], EXPECTED[at])
-
-
-def test_one_wavelength_is_grey() -> None:
-    columns = np.hstack([ANGLES, np.full((COUNT, 1), 632.8), GREY[:, :1]])
-    samples = parse_samples(table((*DIRECTION, "wavelength", "value"), columns))
-    assert np.ptp(samples.values, axis=1).max() == 0.0
-    assert samples.notes == ("All values are at 632.8 nm: the material is taken to be grey.",)
-
-
-def test_wavelengths_that_cannot_be_a_color_are_told() -> None:
-    infrared = table((*DIRECTION, "900 nm", "1000 nm"), np.hstack([ANGLES, GREY[:, :2]]))
-    with pytest.raises(MeasurementFormatError, match="wavelengths from 900 to 1000 nm are not visible"):
-        parse_samples(infrared)
-    columns = np.hstack([ANGLES, np.linspace(400.0, 700.0, COUNT)[:, None], GREY[:, :1]])
-    with pytest.raises(MeasurementFormatError, match="have different wavelengths; all need the same ones"):
-        parse_samples(table((*DIRECTION, "wavelength", "value"), columns))
