@@ -19,6 +19,8 @@ _SCALES = Bounds(1e-12, 1e12)
 class TableOptions:
     """Choose how a table of scattered samples is read; every choice is checked.
 
+    `columns` and `constants` may also be dicts.
+
     Raises
     ------
     InvalidArgumentError
@@ -28,10 +30,10 @@ class TableOptions:
     columns: tuple[str, ...] | str = option(
         (),
         'Meanings of columns whose names are not understood: "theta_in=AOI,value=3" reads theta_in from the column AOI '
-        "and the values from the third column. In Python, a dict is allowed too.",
+        "and the values from the third column.",
     )
     constants: tuple[str, ...] | str = option(
-        (), 'Angles [degrees] that are equal in all rows: "theta_in=30,phi_in=0". In Python, a dict is allowed too.'
+        (), 'Angles [degrees] that are equal in all rows: "theta_in=30,phi_in=0".'
     )
     missing: tuple[float, ...] | float = option(
         (), "Numbers that stand for a missing value, such as 0 or -999: their rows are left out."

@@ -12,7 +12,7 @@ const UNREACHABLE = "The service cannot be reached. Check the connection, then t
 export class Problem extends Error {
   /** @param {string} detail @param {string} [title] @param {number} [status] */
   constructor(detail, title = "The service does not answer", status = 0) {
-    super(detail.replace(/; GET [^;]*\.$/, ".")); // The remedy is for programs.
+    super(detail.replace(/; GET [^;]*\.$/, ".").replace(/--(\w+)( (?=\S*=))?/g, (_, option, space) => `“${titleOf(option)}”${space ? ": " : ""}`)); // The remedy is for programs, or has the words of the command line.
     this.title = title;
     this.status = status;
   }
@@ -65,11 +65,11 @@ export const openapi = () => json("openapi.json");
 /** The schema of each option of a fit. @param {any} document @returns {Record<string, any>} */
 export const optionsOf = (document) => document.components.schemas.FitRequest.properties.options.properties;
 /** Replaces API words in a description by words of the form. @param {string} description */
-export const sentenceOf = (description) => description.replaceAll("`", "").replaceAll("None", "none");
+export const sentenceOf = (description) => description.replaceAll("`", "").replaceAll("None", "none").replaceAll('"auto"', `"${VALUES.auto}"`);
 
 /** Titles of options in forms and lists, in this order. */
 export const TITLES = /** @type {Record<string, string>} */ ({
-  columns: "Meaning of columns", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Weights of the samples", robust: "Give outliers less weight",
+  columns: "Meaning of columns", constants: "Angles equal in all rows", scale: "Multiply all values by", missing: "Numbers that mean “no value”", n_lobes: "Number of lobes", weighting: "Weights of the samples", robust: "Give outliers less weight",
   cosine: "Cosine contained in the values", phi: "Meaning of phi", ring_lobes: "Number of ring lobes", horizon_cutoff_deg: "Horizon cutoff",
   variation: "Variation with theta_diff", lobe: "Family of the lobes", method: "Method", knots_deg: "Knots", mask: "Mask of the paper", em_iterations: "Iterations of the paper's method",
 });
@@ -224,7 +224,7 @@ export function progressOf(lead) {
   return (done) => {
     if (Number.isNaN(first)) [first, begun] = [done, performance.now()];
     const left = Math.ceil(((performance.now() - begun) * (1 - done)) / (done - first) / 1000);
-    return `${lead}: ${Math.floor(100 * done)} %${done > first + 0.02 && done < 1 ? `, about ${left} s left` : ""}`;
+    return `${lead}: ${Math.floor(100 * done)}%${done > first + 0.02 && done < 1 ? `, about ${left} s left` : ""}`;
   };
 }
 
@@ -245,13 +245,15 @@ export async function* follow(fit) {
   }
 }
 
+/** Lets a name break after each underscore. @param {string} name */
+export const breakable = (name) => name.split(/(?<=_)/).flatMap((part) => [part, make("wbr")]);
 export const nameOf = (/** @type {{name: string | null, measurement: string}} */ fit) => fit.name ?? `${fit.measurement.slice(0, 8)}\u2060…`; // The ellipsis stays on the line of the name.
 const STATES = /** @type {Record<string, string>} */ ({ accepted: "waiting", running: "fitting", failed: "failed", cancelled: "cancelled", succeeded: "fitted" });
 /** Describes the state of a fit in one or two words. @param {Fit} fit */
 export function stateOf({ status, progress, likeness, metrics }) {
   const error = 100 * (metrics?.relative_rms_expected ?? 0); // Only fits of tables have this error.
-  const text = likeness ?? (error ? `error probably below ${error < 10 ? error.toPrecision(2) : Math.round(error)} %` : `${STATES[status]}${status === "running" ? `, ${Math.floor(100 * progress)} %` : ""}`);
-  return text.replace(/ (?=dB|%)/g, "\u00a0");
+  const text = likeness ?? (error ? `error probably below ${error < 10 ? error.toPrecision(2) : Math.round(error)}%` : `${STATES[status]}${status === "running" ? `, ${Math.floor(100 * progress)}%` : ""}`);
+  return text.replaceAll(" dB", "\u00a0dB");
 }
 export const sizeOf = (/** @type {{size: number}} */ { size }) => (size < 1e6 ? `${(size / 1e3).toPrecision(3)} kB` : `${(size / 1e6).toPrecision(3)} MB`);
 /** Labels of components, in the order of the weights in GLSL. */

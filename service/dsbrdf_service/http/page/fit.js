@@ -143,7 +143,7 @@ function showDifference([first, second]) {
     const { data } = picture;
     const seen = data.filter((_, i) => i % 4 < 3 && data[i - (i % 4) + 3] === 255);
     const sum = seen.reduce((total, value) => total + value * value, 0);
-    const text = sum ? `${(10 * Math.log10((255 * 255 * seen.length) / sum)).toFixed(1)} dB` : "no difference";
+    const text = sum ? `${(10 * Math.log10((255 * 255 * seen.length) / sum)).toFixed(1)}\u00a0dB` : "no difference";
     find(document, "#likeness").textContent = `Difference of the two spheres above: ${text}${sum ? " peak signal-to-noise ratio" : ""}.`;
     for (let i = 0; i < data.length; i += 4) data.set(COLOURS[Math.max(data[i], data[i + 1], data[i + 2])], i);
     context.putImageData(picture, 0, 0);

@@ -1,5 +1,5 @@
 // Shows the list of all fits and the area where files are dropped, and sends the files.
-import { act, fill, find, follow, json, make, nameOf, progressOf, removeFit, request, root, say, showPicture, sizeOf, stateOf, template, titleOf, valueOf, whenOpened, whenSeen } from "./app.js";
+import { act, breakable, fill, find, follow, json, nameOf, progressOf, removeFit, request, root, say, showPicture, sizeOf, stateOf, template, titleOf, valueOf, whenOpened, whenSeen } from "./app.js";
 import { chosen, fitStored, showForm, showTable, typedOptions } from "./options.js";
 import { cosines } from "./plots.js";
 
@@ -49,7 +49,7 @@ function card(fit, place, same, picture = "thumbnail.png") {
   const differing = Object.entries(fit.options).filter(([name, value]) => same.some((other) => String(other.options[name]) !== String(value)));
   const options = differing.map(([name, value]) => `${titleOf(name)}: ${valueOf(value)}`).join(", ");
   const item = find(template("card", { name: ` ${nameOf(fit)}`, options }, { fit: `fits/${fit.id}` }), "li");
-  find(item, ".card-name").append(...nameOf(fit).split(/(?<=_)/).flatMap((part) => [part, make("wbr")]));
+  find(item, ".card-name").append(...breakable(nameOf(fit)));
   Object.assign(item.dataset, { name: nameOf(fit), newest: place });
   find(item, "input", HTMLInputElement).value = fit.id;
   item.draggable = true;
@@ -71,7 +71,7 @@ async function update(item, fit, picture) {
     fill(item, { state: stateOf(now) });
     item.dataset.likeness = (1000 - (metrics?.psnr ?? 0)).toFixed(6); // Sorting puts the best fit first.
     for (const part of item.querySelectorAll(".pick")) part.toggleAttribute("hidden", status !== "succeeded");
-    for (const part of item.querySelectorAll("[data-act=delete]")) part.toggleAttribute("hidden", status === "accepted" || status === "running");
+    for (const part of item.querySelectorAll(".menu")) part.toggleAttribute("hidden", status === "accepted" || status === "running");
     const image = find(item, "img", HTMLImageElement);
     if (status === "succeeded") whenSeen(image, () => showPicture(image, `v1/fits/${id}/figures/${picture}`).catch(() => undefined));
   }
@@ -174,7 +174,7 @@ async function sendAll(main, files, options) {
   if (!faults.length) return location.assign(new URL(files.length > 1 ? "." : `fits/${fits[0]}`, root));
   tell(main, "");
   find(main, "#file", HTMLInputElement).value = "";
-  return say([...faults, ...(fits.length ? [`Sent: ${fits.length} of ${files.length}.`] : [])].join(" "), true);
+  return say([...faults, ...(fits.length ? [`Sent: ${fits.length} of ${files.length}; reload the page to see ${fits.length > 1 ? "them" : "it"}.`] : [])].join("\n"), true);
 }
 
 /** @param {HTMLElement} main @param {File} file @param {HTMLElement} options the form @param {AbortSignal} signal @returns {Promise<Fit>} */

@@ -132,7 +132,7 @@ function showColumns(box, options, columns, otherwise) {
 /** @param {HTMLElement} box @param {Table} table */
 function describe(box, table) {
   const light = table.angles_of_incidence_deg ? `The angles of incidence are ${table.angles_of_incidence_deg.join("°, ")}°.` : "";
-  const plane = `${Math.round(100 * table.in_plane_of_incidence)} % of the samples lie in the plane of incidence.`;
+  const plane = `${Math.round(100 * table.in_plane_of_incidence)}% of the samples lie in the plane of incidence.`;
   fill(box, { about: `${table.n_rows} rows, ${table.n_samples} samples. ${light} ${plane}` });
   find(box, ".warnings").replaceChildren(...warningsOf(table.warnings));
   const ranges = Object.entries(table.ranges);

@@ -24,10 +24,13 @@ function svg(name, attributes, ...content) {
   return made;
 }
 
+/** Whether all channels are equal, as of a table with one column of values. @param {Values} values */
+const isGrey = ({ fit, measured }) => [fit, measured].every((channels) => !channels || channels.every((one) => String(one) === String(channels[0])));
+
 /** Returns the points and curves of a plot. In one channel, a component has its own colour, and a band for the range of its albedo. @param {Drawing} drawing @returns {Curve[]} */
 function curvesOf({ all, subjects, channel }) {
   const several = all.length > 1;
-  const shown = channel === "all" ? [0, 1, 2] : [Number(channel)];
+  const shown = channel !== "all" ? [Number(channel)] : all.every(isGrey) ? [0] : [0, 1, 2];
   const alone = shown.length === 1;
   return all.flatMap(({ x, at, fit, measured, parts }, i) => shown.flatMap((c) => {
     const lead = several ? `${subjects[i].name}, ` : alone ? "" : `${CHANNELS[c]}, `;
@@ -185,8 +188,9 @@ function followSlider(panel, subjects, read) {
 export function showPlots(main, subjects) {
   const box = find(main, "#plots");
   box.replaceChildren();
+  const bands = subjects.length < 2 && subjects[0].parts.length ? "With a single channel, bands show the ranges of the components." : "";
   for (const { id, name, lead, title, axis, line, slider } of PLOTS.slice(0, 3 - subjects.length)) {
-    const panel = find(template("plot", { title, axis, line }), "section");
+    const panel = find(template("plot", { title, axis, line, bands }), "section");
     panel.id = id;
     Object.assign(find(panel, "input", HTMLInputElement), { ...slider, name, ariaLabel: `${name.replace("-", "_")} in degrees` });
     for (const choice of panel.querySelectorAll("select")) choice.name = lead + choice.name;

@@ -1,10 +1,10 @@
 // Describes a fit: verdict, limits, metrics and options beside its sphere, and tables of components and surfaces; and
 // inserts spheres with their controls and plots into views.
-import { find, json, LABELS, make, nameOf, openapi, optionsOf, sentenceOf, showPicture, stateOf, template, titleOf, valueOf, whenOpened, words } from "./app.js";
+import { breakable, find, json, LABELS, make, nameOf, openapi, optionsOf, sentenceOf, showPicture, stateOf, template, titleOf, valueOf, whenOpened, words } from "./app.js";
 import { showPlots } from "./plots.js";
 import { Sphere, startSpheres } from "./sphere.js";
 
-const percent = (/** @type {number} */ share) => `${Number((100 * share).toPrecision(3))} %`;
+const percent = (/** @type {number} */ share) => `${Number((100 * share).toPrecision(3))}%`;
 // Name, format and meaning of each metric, the most important first.
 /** @type {[string, (value: number) => string, string][]} */
 const METRICS = [
@@ -77,7 +77,7 @@ const thousandths = (/** @type {number} */ value) => value.toFixed(3);
 // Rows of the table of components, then columns of the table of surfaces: property, title, format of a value.
 /** @type {[string, string, Format][]} */
 const OF_COMPONENTS = [
-  ["light_share", "light", (value) => `${Math.round(100 * value)} %`],
+  ["light_share", "light", (value) => `${Math.round(100 * value)}%`],
   ["color", "colour", (value) => value.toFixed(2)],
   ["albedo", "albedo", thousandths],
   ["half_width_deg", "half width in °", three],
@@ -102,7 +102,7 @@ function cellOf(owner, property, write) {
   const cells = values.map((value, i) => {
     if (value === null) return "–";
     const text = ranges[i] ? `${write(ranges[i][0], largest)} to ${write(ranges[i][1], largest)}` : "";
-    return make("span", { title: text && `${text} with a probability of 90 %` }, write(value, largest), ...(text && values.length === 1 ? [make("small", {}, text)] : []));
+    return make("span", { title: text && `${text} with a probability of 90%` }, write(value, largest), ...(text && values.length === 1 ? [make("small", {}, text)] : []));
   });
   const swatch = property === "color" && owner ? [make("span", { className: "swatch", style: `background: color(srgb-linear ${owner.color.join(" ")})` })] : [];
   return make("span", {}, ...swatch, ...cells.flatMap((cell, i) => (i ? [" ", cell] : [cell])));
@@ -137,5 +137,5 @@ export function showComponents(box, fits) {
 
 /** @param {string} title @param {string} value @param {string} meaning */
 function row(title, value, meaning) {
-  return make("div", {}, make("dt", {}, make("span", {}, title), make("strong", {}, value)), make("dd", {}, meaning));
+  return make("div", {}, make("dt", {}, make("span", {}, ...breakable(title)), make("strong", {}, value)), make("dd", {}, meaning));
 }

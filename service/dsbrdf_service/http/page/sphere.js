@@ -1,6 +1,6 @@
 // Draws lit spheres of a fit, of its measurement, or of both, under a light that pointer and keyboard move; shows the
 // values at the point below the pointer. The form of controls applies to all spheres of a view.
-import { askArray, find, LABELS, make, request, say, showPicture, words } from "./app.js";
+import { askArray, find, LABELS, make, request, showPicture, words } from "./app.js";
 import { exposureOf, finished, MEASURED, programOf, setTexture } from "./shader.js";
 
 const SHOWN = ["fit", "measured", "half", "difference"];
@@ -334,7 +334,7 @@ function control() {
   own.oninput = (event) => event.stopPropagation(); // Spheres are drawn after the file has been read.
   own.onchange = async (event) => {
     event.stopPropagation();
-    panorama.file = (own.files?.length && await readPanorama(own.files[0])) || null;
+    panorama.file = (own.files?.length && await (await import("./panorama.js")).readPanorama(own.files[0])) || null;
     panorama.number += 1;
     if (!panorama.file) own.value = "";
     change(false);
@@ -344,19 +344,4 @@ function control() {
   find(form, "#show").hidden = !hasBoth;
   form.hidden = false;
   change(false);
-}
-
-const [WIDTH, HEIGHT] = [256, 128]; // Size of the sent picture in pixels.
-const HEAD = `{'descr': '<f4', 'fortran_order': False, 'shape': (${HEIGHT}, ${WIDTH}, 3)}\n`; // This is the header of a .npy file.
-
-/** Converts a picture to linear RGB in a .npy file for the service; throws if it is not a panorama. @param {File} file */
-async function readPanorama(file) {
-  const { width, height } = await createImageBitmap(file).catch(() => ({ width: 0, height: 0 }));
-  if (!width || width !== 2 * height) return say(`${file.name} is no panorama: choose a .png or .jpg picture twice as wide as high, 360 by 180 degrees.`, true);
-  const small = await createImageBitmap(file, { resizeWidth: WIDTH, resizeHeight: HEIGHT, resizeQuality: "high" });
-  const context = /** @type {OffscreenCanvasRenderingContext2D} */ (new OffscreenCanvas(WIDTH, HEIGHT).getContext("2d"));
-  context.drawImage(small, 0, 0);
-  const levels = context.getImageData(0, 0, WIDTH, HEIGHT).data.filter((_, i) => i % 4 < 3);
-  const linear = Float32Array.from(levels, (level) => (level > 10 ? ((level / 255 + 0.055) / 1.055) ** 2.4 : level / 255 / 12.92));
-  return new Blob([Uint8Array.of(0x93), `NUMPY\x01\0${String.fromCharCode(HEAD.length)}\0${HEAD}`, linear]);
 }

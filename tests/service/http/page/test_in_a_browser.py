@@ -91,7 +91,7 @@ def test_fit_without_a_result_says_why_and_is_deleted(visit: Visit, site: Site, 
     running = own.read(f"/v1/fits/{endless}").json() | {"status": "running", "progress": 0.25}
     page.route("**/v1/fits/*?wait=1", lambda route: route.fulfill(json=running))
     expect(page.get_by_role("progressbar")).to_have_js_property("value", 0.25)
-    expect(page.locator("[data-text=state]")).to_contain_text("Fitting: 25 %")
+    expect(page.locator("[data-text=state]")).to_contain_text("Fitting: 25%")
     page.unroute_all()
     visitor.context.set_offline(True)
     expect(page.locator("#said")).to_contain_text("cannot be reached. This page waits for it.")
@@ -200,7 +200,7 @@ def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visi
     seen = [displayed(render_sphere(site.model(fit), size=size), min(views)) for fit in fits]
     expected = psnr(seen[0], seen[1], sphere_normals(size)[1])
     near = "|".join(f"{expected + more:.1f}" for more in (-0.05, 0.0, 0.05))
-    expect(page.locator("#likeness")).to_contain_text(re.compile(f"({near}) dB"))
+    expect(page.locator("#likeness")).to_contain_text(re.compile(rf"({near})\sdB"))
     before = painted.get_attribute("data-painted") or ""
     page.locator(SPHERE).first.click()
     expect(painted).not_to_have_attribute("data-painted", before)
@@ -255,10 +255,11 @@ def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
     page.locator("#option-n_lobes").select_option("1")
     page.locator("#file").set_input_files([tmp_path / name for name in contents])
     expect(page.locator("#said")).to_contain_text("bad.csv: The table lacks")
-    expect(page.locator("#said")).to_contain_text("Sent: 2 of 3.")
+    expect(page.locator("#said")).to_contain_text("Sent: 2 of 3; reload")
     page.goto("/")
     names = page.locator("#fits .card-name")
     names.nth(1).wait_for()
+    expect(page.locator("#fits .menu:visible")).to_have_count(0)  # Unfinished fits have no menu.
     for fit in guarded.server.http.get("/v1/fits", headers=header).json()["items"]:
         guarded.server.http.delete(f"/v1/fits/{fit['id']}?only=cancel", headers=header)
     expect(page.locator("#fits .card", has_text="cancelled")).to_have_count(2)  # The list follows its fits.
@@ -277,7 +278,7 @@ def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
 def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic_file: Path) -> None:
     visitor = visit("/", webgl=False, offline=False)
     page = visitor.page
-    assert page.evaluate(LATER) == "Fitting: 75 %, about 10 s left"
+    assert page.evaluate(LATER) == "Fitting: 75%, about 10 s left"
     expect(page.locator("#fits .card").nth(1)).to_be_visible()
     cards = page.locator("#fits .card").count()
     visitor.context.set_offline(True)
