@@ -6,21 +6,22 @@ a proxy that adds a prefix.
 
 import json
 from importlib.resources import files
+from mimetypes import guess_type
 from typing import Literal
 
 from fastapi import APIRouter
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
-from starlette.staticfiles import StaticFiles
 
 import dsbrdf
 
 from ..errors import ProblemError
 from ..http import openapi
-from ..http.messages import JSON, tagged_reply
+from ..http.messages import BINARY, JSON, tagged_reply
 from .context import CHECKED_QUERY, TheCaller, TheContext
 
 
@@ -38,10 +39,8 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
-_PACKAGE = "dsbrdf_service.http"
-_PAGE, _DOCS = ((files(_PACKAGE) / "page" / name).read_text() for name in ("index.html", "docs.html"))
-_PAGE_FILES = StaticFiles(packages=[(_PACKAGE, "page")])
-_DOCS_FILES = StaticFiles(packages=[("fastapi_offline", "static")])
+_FILES = {"page": files("dsbrdf_service.http") / "page", "docs": files("fastapi_offline") / "static"}
+_PAGE, _DOCS = ((_FILES["page"] / name).read_text() for name in ("index.html", "docs.html"))
 
 
 @router.get("/health/live", responses=openapi.problems(behind_a_key=False))
@@ -86,15 +85,13 @@ async def get_page(request: Request) -> Response:
 
 
 @page.get("/page/{name}")
-async def get_page_file(request: Request, name: str) -> Response:
-    """Return a script or the style sheet of the web page."""
-    return await _PAGE_FILES.get_response(name, request.scope)
-
-
 @page.get("/docs/{name}")
-async def get_docs_file(request: Request, name: str) -> Response:
-    """Return a file of Swagger UI, which shows the OpenAPI document."""
-    return await _DOCS_FILES.get_response(name, request.scope)
+def get_page_file(request: Request, name: str) -> Response:
+    """Return a script or a style sheet of the web page, or a file of Swagger UI, which shows the OpenAPI document."""
+    path = _FILES[request.scope["path"].split("/")[1]] / name
+    if not path.is_file():
+        raise HTTPException(404)
+    return tagged_reply(request, path.read_bytes(), guess_type(name)[0] or BINARY)
 
 
 @page.get("/openapi.json")

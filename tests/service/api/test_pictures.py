@@ -147,6 +147,7 @@ def test_static_files_are_small_guarded_and_cached(server: Server) -> None:
         assert (answer.status_code, answer.headers["x-content-type-options"]) == (200, "nosniff"), path
         assert kind in answer.headers["content-type"]
         assert server.http.get(path, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+        assert server.http.get(path, headers={"Range": "bytes=9-1"}).content == answer.content  # RFC 9110, 14.2
     assert sum((PAGE / path.rpartition("/")[2]).stat().st_size for path in paths) < 150_000
     for path in ("/page/none.js", "/page/..%2fopenapi.py", "/docs/..%2fcore.py", "/docs/", "/fits/", "/fits/a/b"):
         assert_problem(server.http.get(path), 404, "not-found")
