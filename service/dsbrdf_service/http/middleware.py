@@ -33,6 +33,7 @@ _LAST_READ_TIMEOUT_S = 0.05  # After a time limit, data that arrived while the p
 # A request may have each of these headers only once, because it would be unclear which one counts.
 _SINGLE_HEADERS = (b"host", b"origin", b"sec-fetch-site")
 _CLOSE_HEADERS = {"Connection": "close"}
+_NO_HTTP = "The request is not valid HTTP/1.1; send it with an HTTP client, without TLS unless a proxy adds it."
 _HEAD_TOO_LONG = (
     f"The address has more than {_MAX_LINE_BYTES} bytes, or there are more than {_MAX_HEADERS} headers, "
     f"of {_MAX_LINE_BYTES} bytes each and {_MAX_HEAD_BYTES} together; send many points with POST."
@@ -108,6 +109,13 @@ class Connection(HttpToolsProtocol, asyncio.BufferedProtocol):
         """End a request; the next bytes belong to another one."""
         super().on_message_complete()
         self._n_head_bytes = 0
+
+    def send_400_response(self, msg: str) -> None:  # noqa: ARG002 (uvicorn's signature)
+        """Answer bytes that are no HTTP, and close the connection."""
+        refusal = problem_response(ProblemError("bad-request", _NO_HTTP, _CLOSE_HEADERS), "")
+        head = b"".join(b"%b: %b\r\n" % pair for pair in (*refusal.raw_headers, *_SECURITY_HEADERS))
+        self.transport.write(b"HTTP/1.1 400 Bad Request\r\n%b\r\n%b" % (head, bytes(refusal.body)))
+        self.transport.close()
 
 
 def check_head(scope: Scope, headers: dict[bytes, bytes]) -> None:
