@@ -94,8 +94,7 @@ class TextTable:
         with suppress(ValueError):
             if not any("_" in cell for cell in cells):
                 return np.array(cells, dtype=np.float64)
-        if self.separator != ",":
-            _refuse_commas_of_thousands(self.names[column], cells)
+        _refuse_commas_of_thousands(self.names[column], cells, self.separator)
         return np.array([self._number(place, column) for place in range(len(cells))])
 
     def varies(self, column: int) -> bool:
@@ -108,7 +107,7 @@ class TextTable:
     def words(self, column: int) -> list[str]:
         """Return the different words in a column, in their order; an empty list for a column of numbers."""
         cells = dict.fromkeys(row[column].strip() for row in self.rows) if column < self.n_cells else {}
-        return [*cells] if any(as_number(cell, self.separator) is None for cell in cells) else []
+        return [*filter(None, cells)] if any(as_number(cell) is None for cell in cells) else []
 
     def with_columns(self, columns: dict[str, Array], *notes: str) -> "TextTable":
         """Return the table with additional columns of numbers, which are given by name."""
@@ -121,7 +120,7 @@ class TextTable:
 
     def _number(self, place: int, column: int) -> float:
         cell = self.rows[place][column].strip()
-        number = as_number(cell, self.separator)
+        number = as_number(cell)
         if number is None:
             where = f"Line {self.lines[place]} of the table has {cell[:40]!r} in the column {self.names[column]!r}"
             remedy = "write a number, or nan where there is none"
@@ -131,11 +130,14 @@ class TextTable:
         return number
 
 
-def _refuse_commas_of_thousands(name: str, cells: Sequence[str]) -> None:
-    """Raise MeasurementFormatError if commas may separate thousands in a column whose other cells have no comma."""
+def _refuse_commas_of_thousands(name: str, cells: Sequence[str], separator: str) -> None:
+    """Raise MeasurementFormatError if commas may separate thousands in a column whose other cells have no comma.
+
+    In a table separated by commas, cells with decimal commas are in quotation marks.
+    """
     commas = [cell for cell in cells if "," in cell and "." not in cell]
     has_points = any(map(_DECIMAL_POINT.search, cells))
-    has_whole_numbers = any(cell.strip().isdigit() for cell in cells)
+    has_whole_numbers = separator == "," or any(cell.strip().isdigit() for cell in cells)
     if commas and (has_points or (has_whole_numbers and all(map(_COMMA_OF_THOUSANDS.fullmatch, commas)))):
         raise MeasurementFormatError(
             f"In the column {name!r}, a comma or a point may separate thousands, as in {commas[0].strip()[:40]!r}: "
@@ -208,14 +210,14 @@ def about_foot(lines: Sequence[tuple[int, str]]) -> tuple[str, ...]:
     return (f"The last {kind} of the table, from {lines[0][1][:40]!r} on, and not read.",)
 
 
-def as_number(cell: str, separator: str) -> float | None:
+def as_number(cell: str) -> float | None:
     """Return the number in a cell, NaN for an empty cell or a word such as "n/a", or None for other words."""
     text = _TOLERANCE.sub("", cell).strip().lstrip("'").replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "-")
     if text.lower() in _MISSING or _NO_NUMBER.fullmatch(text):
         return float("nan")
     if _THOUSANDS.fullmatch(text):
         text = re.sub(r"[\xa0\u2009\u202f'’]|,(?=.*\.)", "", text)
-    if separator != "," and "," in text:
+    if "," in text:
         thousands = "." if text.rfind(",") > text.rfind(".") else ","
         text = text.replace(thousands, "").replace(",", ".")
     try:

@@ -1,9 +1,10 @@
 """Find the columns of a table that contain directions and values, by their names or the option ``columns``."""
 
 import re
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.cells import TextTable
 from dsbrdf.samples.names import (
     HALF_DIFFERENCE,
+    RECIPROCAL_UNITS,
     TRISTIMULUS,
     VECTORS,
     is_logarithm,
@@ -34,12 +36,16 @@ _OTHER_VALUES = {
     r"(?i)btdf|transm|absor|emissi?v": "transmitted, absorbed or emitted light is not read, only reflected light",
     r"(?i)\bL\*?\|a\b|\bx\|y\|Y\b": "colours must be linear sRGB or CIE XYZ",
     r"(?i)aspecular": "it is positive towards the light: write theta_out, which is theta_in minus it",
+    r"(?i)off.specular|bistatic|beta.?-|delta.theta|theta\S* ?- ?theta|depression|from.(?:the.)?(?:surface|horizon)": (
+        "it is no angle to the normal: write theta_in and theta_out, from the normal to the light and to the viewer"
+    ),
     r"(?i)normali[sz]ed|\brelative\b|intensity|signal|counts|voltage": (
         "name it with --columns, give the factor to 1/sr with --scale, and add --cosine out for a radiant intensity"
     ),
 }
 # A column of unknown meaning is refused if its name matches this, because it may be an azimuth that the samples need.
-_AZIMUTH = re.compile(r"phi|(?:^|_)az|azi|azm|[rv]aa|phase")
+_AZIMUTH = re.compile(r"phi|psi|(?:^|_)az|azi|azm|[rv]aa|phase|rotat|longitude|out_of_plane")
+_UNITS_OF_LIGHT = {"nm", *RECIPROCAL_UNITS}  # Lengths in other units may be places on the sample.
 _PLAIN = re.compile(r"[\w=.,/%:+-]+")  # A shell needs quotation marks around other texts.
 _MEANINGS = (
     "theta_in, phi_in, theta_out, phi_out [degrees], theta_half, theta_diff, phi_diff, omega_in_x to omega_out_z, red, "
@@ -104,7 +110,9 @@ def find_columns(table: TextTable, options: TableOptions) -> FoundColumns:
         columns[name] = Column(written, units.get(name) or unit, table.numbers(place), name in elevations)
     at = {places[name][0]: name for name in columns}
     if azimuths and not columns.keys() & {*azimuths}:
-        _refuse_unread_azimuth(table, at)
+        _refuse_unread(table, at, "phi_out", "an azimuth", lambda name: _AZIMUTH.search(name_and_unit(name)[0]))
+    if "wavelength" not in columns and not bands:
+        _refuse_unread(table, at, "wavelength", "a wavelength", lambda name: name_and_unit(name)[1] in _UNITS_OF_LIGHT)
     described = ((name, at.get(place, ""), name_and_unit(name)[1]) for place, name in enumerate(table.names) if name)
     wavelengths = np.array([wavelength for _, wavelength in bands.values()])
     return FoundColumns(columns, form, values, wavelengths, tuple(described))
@@ -134,13 +142,15 @@ def _places(table: TextTable, options: TableOptions) -> tuple[dict[str, list[int
     return places, {str(meaning_of(name)): unit for name in named if (unit := name_and_unit(name)[1])}
 
 
-def _refuse_unread_azimuth(table: TextTable, read: Container[int]) -> None:
-    """Raise MeasurementFormatError if a table without an azimuth has a varying column that may be the azimuth."""
+def _refuse_unread(
+    table: TextTable, read: Container[int], meaning: str, kind: str, is_alike: Callable[[str], Any]
+) -> None:
+    """Raise MeasurementFormatError if a varying column is alike, by name and unit, to one that the table lacks."""
     for at, name in enumerate(table.names):
-        if at not in read and _AZIMUTH.search(name_and_unit(name)[0]) and table.varies(at):
+        if at not in read and is_alike(name) and table.varies(at):
             raise MeasurementFormatError(
-                f"The column {name!r} is not understood, and may be an azimuth, which the table lacks otherwise: name "
-                f"it, as in {_option('phi_out', name)}, or leave it out."
+                f"The column {name!r} is not understood, and may be {kind}, which the table lacks otherwise: name "
+                f"it, as in {_option(meaning, name)}, or leave it out."
             )
 
 

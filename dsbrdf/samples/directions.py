@@ -105,7 +105,7 @@ def read_columns(table: TextTable, options: TableOptions) -> SampleRows:
         notes.append(f"The column {first!r} has the BRDF times the cosine of theta_out, and was divided by it.")
     notes += (
         *_about_directions(found, is_turned=options.phi == "mirror"),
-        *_about_unread(table, {column.written for column in columns.values()}),
+        *_about_unread(table, columns, found.values),
         *about_values(found, wavelengths, options),
         *(about_gamut(numbers[:, 6:9]) if wavelengths.size > 1 or found.values == TRISTIMULUS else ()),
     )
@@ -180,6 +180,12 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
     """Return omega_in and omega_out, (n, 3) each, from the columns that describe directions."""
     if form is VECTORS:
         first, second = (np.stack([columns[name].numbers for name in form[i : i + 3]], axis=-1) for i in (0, 3))
+        lowest = np.fmin.reduce(np.vstack([first, second]), axis=0, initial=1.0)
+        if lowest[2] < 0.0 < lowest[1]:
+            raise MeasurementFormatError(
+                "All vectors have y > 0, and some z < 0, as if the normal were y, but it is z: write (z, x, y) for "
+                "each (x, y, z)."
+            )
         return first, second
     angles = {name: in_radians(column) for name, column in columns.items() if name in (*form, *PHIS, "phase")}
     if angles.keys() >= {*PHIS}:
@@ -298,15 +304,22 @@ def _refuse_other_side(table: TextTable, read: Collection[str]) -> None:
             )
 
 
-def _about_unread(table: TextTable, read: Collection[str]) -> Iterator[str]:
+def _about_unread(table: TextTable, columns: dict[str, Column], values: Collection[str]) -> Iterator[str]:
+    read = {column.written for column in columns.values()}
     others = [name for name in table.names if name not in read and name]
+    angles = np.stack([column.numbers for name, column in columns.items() if name not in (*values, "weight")], axis=1)
+    n_pairs = len(np.unique(angles, axis=0)) if others else len(angles)
     if others:
         shown = ", ".join(repr(name) for name in others[:5]) + (" and others" if len(others) > 5 else "")
         yield f"The table has {'a column that was' if len(others) == 1 else 'columns that were'} not read: {shown}."
     for at, name in enumerate(table.names):
         words = table.words(at) if name in others else []
+        if name in others and not words and n_pairs < len(angles):  # Numbers may tell rows of equal directions apart.
+            numbers = table.numbers(at)
+            is_told_apart = len(np.unique(np.column_stack([angles, numbers]), axis=0)) > n_pairs
+            words = [f"{number:g}" for number in np.unique(numbers) if is_told_apart]
         if 1 < len(words) <= _MAX_MATERIALS:
             yield (
                 f"The column {name!r} has {len(words)} values, such as {words[0][:40]!r} and {words[1][:40]!r}: if "
-                "they are several materials, leave out all but one."
+                "they are several materials, leave out all but one; if they are channels, write a column for each."
             )

@@ -115,12 +115,15 @@ def _clipping(samples: ScatteredSamples) -> Iterator[Finding]:
     theta_half, theta_diff, _ = half_difference(samples.omega_in, samples.omega_out)
     # Samples that are equal by symmetry have one place.
     places = np.rint(np.degrees([theta_half, theta_diff]) / _PLACE_DEG)
+    thetas = np.sort(np.arccos(np.clip([samples.omega_in[:, 2], samples.omega_out[:, 2]], 0.0, 1.0)), axis=0)
     names, clipped = list[str](), np.zeros(samples.values.shape, dtype=bool)
     for channel, values in enumerate(samples.values.T):
         top, near = (values >= fraction * values.max() for fraction in (1.0 - 1e-9, 0.9))
         n_top, n_near = (np.unique(places[:, chosen], axis=1).shape[1] for chosen in (top, near))
-        # Peaks of equal height at several angles of incidence lie at one theta_half, and are not clipped.
-        is_wide, levels = np.ptp(places[0, top]) > 1.0, np.unique(values)
+        # Equal peaks at one theta_half or back to the light, and equal values at one pair of thetas are not clipped.
+        spread = np.degrees(np.ptp(thetas[:, top], axis=1).max())
+        is_wide = min(np.ptp(places[0, top]), places[1, top].max(), spread) > 1.0
+        levels = np.unique(values)
         # A largest value far above all others is a code, which `about_repeated` reports.
         is_reached = levels.size >= _MIN_LEVELS and levels[-1] < FAR_OFF_FACTOR * levels[-2]
         is_highlight = is_wide and is_reached and near.mean() < 0.5

@@ -23,7 +23,7 @@ from dsbrdf.data.files import known_kind
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples import optics
-from dsbrdf.samples.cells import TextTable, check_size
+from dsbrdf.samples.cells import TextTable, check_size, decoded
 from dsbrdf.samples.columns import SPHERICAL
 from dsbrdf.samples.names import (
     ANGLE_UNITS,
@@ -32,6 +32,7 @@ from dsbrdf.samples.names import (
     MIN_BAND_NM,
     TRISTIMULUS,
     VECTORS,
+    count_names,
     matrix_names,
     meaning_of,
     name_and_unit,
@@ -161,23 +162,27 @@ def json_table(data: bytes) -> TextTable | None:
 
     In the BiRD project's format, the object "data" has the values and the unit of each column.
     """
+    if decoded(data[:_JSON_START_BYTES]).strip()[:1] not in ("{", "["):
+        return None
+    text = decoded(data)
     try:
-        document: Any = json.loads(data) if data[:_JSON_START_BYTES].strip()[:1] in (b"{", b"[") else None
+        document: Any = json.loads(text)
     except (ValueError, RecursionError):
         try:
-            document = [json.loads(line) for line in data.splitlines() if line.strip()]
+            document = [json.loads(line) for line in text.splitlines() if line.strip()]
         except (ValueError, RecursionError):
             return None
-    if document is None:
-        return None
     if isinstance(document, dict) and str(document.get("format")).startswith("dsbrdf"):
         raise MeasurementFormatError("The file is a stored model of dsbrdf, not a measurement: dsbrdf show prints it.")
     if isinstance(document, dict) and "lookupTable" in (document.get("brdf") or ()):
         return _open_material_table(document["brdf"])
-    places = [document, *document.values()] if isinstance(document, dict) else [document]
-    columns = max((dict(_number_columns(place)) for place in places), key=len)
+    places = {"": document, **(document if isinstance(document, dict) else {})}
+    tables = {title: dict(_json_columns(place)) for title, place in places.items()}
+    n_names = {title: count_names([*columns]) for title, columns in tables.items()}
+    title = max(tables, key=lambda title: (n_names[title], len(tables[title])))
+    columns, alike = tables[title], [other for other in tables if n_names[other] == n_names[title]]
     length = max(map(len, columns.values()), default=0)
-    for name in [name for name, numbers in columns.items() if len(numbers) != length]:
+    for name in [name for name, cells in columns.items() if len(cells) != length]:
         if meaning_of(name) not in (None, "wavelength"):
             raise MeasurementFormatError(
                 f"The list {name!r} in the JSON has the length {len(columns[name])}, and the longest list {length}: "
@@ -189,21 +194,22 @@ def json_table(data: bytes) -> TextTable | None:
             "The JSON has no lists of numbers by name, such as theta_in, phi_in, theta_out, phi_out and value, in its "
             'object or in "data".'
         )
-    return TextTable.of_numbers([*columns], columns.values())
+    notes = (f"The JSON has {len(alike)} tables; the first was read, {title!r}.",) if len(alike) > 1 else ()
+    check_size(length, len(columns))
+    rows = [list(cells) for cells in zip(*columns.values(), strict=True)]
+    return TextTable((*columns,), rows, [*range(1, length + 1)], notes=notes)
 
 
-def _number_columns(held: Any) -> Iterator[tuple[str, Array]]:
-    """Yield name and numbers of each column in a dict of columns or in a list of records."""
+def _json_columns(held: Any) -> Iterator[tuple[str, list[str]]]:
+    """Yield name and cells of each column in a dict of columns or in a list of records, which may lack some."""
     if isinstance(held, list) and held and all(isinstance(record, dict) for record in held):
-        held = {name: [record.get(name) for record in held] for name in held[0]}
+        names = dict.fromkeys(name for record in held for name in record)
+        held = {name: [record.get(name) for record in held] for name in names}
     for name, values in held.items() if isinstance(held, dict) else ():
         unit = values.get("unit") if isinstance(values, dict) else None
-        try:
-            numbers = np.array(values.get("values") if isinstance(values, dict) else values, dtype=np.float64)
-        except (TypeError, ValueError):
-            continue
-        if numbers.ndim == 1:
-            yield (f"{name} [{unit}]" if unit else name), numbers
+        cells = values.get("values", [*values.values()]) if isinstance(values, dict) else values
+        if isinstance(cells, list):
+            yield (f"{name} [{unit}]" if unit else name), ["" if cell is None else str(cell) for cell in cells]
 
 
 def _open_material_table(brdf: Any) -> TextTable:
@@ -268,6 +274,8 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
 
     Raises MeasurementFormatError with a sentence that names the mistake, or the file's format if that is unsupported.
     """
+    if (kind := known_kind(data[:64])) is not None:  # An archive that is no spreadsheet comes this far.
+        raise MeasurementFormatError(f"The file is {kind}.")
     for layout in LAYOUTS:
         try:
             table = layout.reader(data) if layout.reader else None
@@ -281,8 +289,6 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
             ) from None
         if table is not None:
             return table
-    if (kind := known_kind(data[:64])) is not None:  # An archive that is no spreadsheet comes this far.
-        raise MeasurementFormatError(f"The file is {kind}.")
     standard, positions = _STANDARD.search(data), [name.isdecimal() for name in options.named_columns().values()]
     named = {column.lower() for column in options.named_columns().values() if not column.isdecimal()}
     try:

@@ -60,7 +60,17 @@ _OTHERS = {
     "theta_from_mirror": ("angle_from_specular", "degrees_from_specular"),
     "value": (*_VALUES, *_FACTORS, *_RADIANCE_FACTORS),
     "weight": ("weight",),
-    "wavelength": ("wavelength", "波长", "波長", "wavelength_i", "lambda", "wl", "wavenumber", "wave_number"),
+    "wavelength": (
+        "wavelength",
+        "wellenlänge",
+        "波长",
+        "波長",
+        "wavelength_i",
+        "lambda",
+        "wl",
+        "wavenumber",
+        "wave_number",
+    ),
 }
 TRISTIMULUS = ("cie_x", "cie_y", "cie_z")
 VECTORS = tuple(f"omega_{side}_{axis}" for side in _SIDE_WORDS for axis in "xyz")
@@ -87,7 +97,7 @@ _COSINE = re.compile(r"cos(?:ine)?(?:[_ ]?\((.+)\)|[_ ](.+))")
 _PRODUCT = re.compile(r"(?:brdf|bsdf|f_?r) ?[*×·x] ?cos(?:ine)?(?:[_ ]?\(?theta_?(?:out|[orsv])\)?)?")
 # A unit may follow a name without brackets, as in "theta / deg", "BRDF, 1/sr" or "brdf_sr-1".
 _UNIT_BEHIND = re.compile(
-    rf"(.+?)(?:(?: / |, ?| in )({'|'.join(map(re.escape, (*ANGLE_UNITS, *WAVELENGTH_UNITS, *VALUE_UNITS, '%')))})|"
+    rf"(.+?)(?:(?: ?/ ?|, ?| in )({'|'.join(map(re.escape, (*ANGLE_UNITS, *WAVELENGTH_UNITS, *VALUE_UNITS, '%')))})|"
     rf"_({'|'.join(map(re.escape, VALUE_UNITS))}))"
 )
 # A column is in decibels or another logarithm if its unit, or the first or the last word of its name, is one of these.
@@ -107,6 +117,7 @@ MIN_BAND_NM = 200.0
 MAX_BAND_NM = 3000.0
 _NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _CONSTANT = re.compile(rf"(.*?[^\s:=,;])[\s:=,;]+({_NUMBER}(?:[\s,;]+{_NUMBER})?)[\s,;]*([A-Za-zμ°]*)")
+_DECIMAL_COMMA = re.compile(r"(?<![,.\d])(\d+),(\d\d?)(?![,\d])")  # Behind a comma, numbers are separated by commas.
 # A line of a file can state one of these quantities for all rows below the line.
 _HELD = ("theta_in", "phi_in", "elevation_in", "theta_out", "phi_out", "wavelength")
 
@@ -277,7 +288,7 @@ def constants_in(line: str) -> dict[str, float]:
     if len(parts) > 1:
         each = [constants_in(part) for part in parts]
         return {name: number for part in each for name, number in part.items()} if all(each) else {}
-    found = _CONSTANT.fullmatch(line) if len(line) <= _MAX_NAME_LENGTH else None
+    found = _CONSTANT.fullmatch(_DECIMAL_COMMA.sub(r"\1.\2", line)) if len(line) <= _MAX_NAME_LENGTH else None
     if found is None:
         return {}
     name, unit = name_and_unit(found[1])
@@ -312,7 +323,7 @@ def _name_and_unit(cell: str) -> tuple[str, str]:
         return name, COSINE
     bracket = min((place for mark in "[(" if (place := text.find(mark)) >= 0), default=-1)
     if bracket >= 0 and text.endswith(("]", ")")):
-        text, unit = text[:bracket].rstrip(), text[bracket + 1 : -1].strip()
+        text, unit = text[:bracket].rstrip(" /"), text[bracket + 1 : -1].strip()
         if found := _BAND_IN_BRACKETS.fullmatch(unit):
             text, unit = f"{text}_{found[1]}", ""
     elif found := _UNIT_BEHIND.fullmatch(text):

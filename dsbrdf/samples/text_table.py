@@ -67,7 +67,7 @@ def parse_text_table(data: bytes, named: Collection[str] = (), *, by_position: b
     if transposed := _transposed(lines, named):
         return transposed
     place, names = _find_names(lines, named)
-    rows, held = _rows_and_constants(lines, place)
+    rows, held, titles = _rows_and_constants(lines, place)
     try:
         table = _named_table(rows, names) if names else unnamed_table(rows)
     except MeasurementFormatError:
@@ -79,7 +79,13 @@ def parse_text_table(data: bytes, named: Collection[str] = (), *, by_position: b
     constants = dict.fromkeys(name for block in {id(block): block for block in blocks}.values() for name in block)
     columns = {name: np.array([block.get(name, np.nan) for block in blocks]) for name in constants}
     same = " and ".join(name for name, column in columns.items() if np.ptp(column) == 0.0)
-    return table.with_columns(columns, *([f"The head of the file gives {same}."] if same else []))
+    notes = [f"The head of the file gives {same}."] if same else []
+    if titles:
+        notes.append(
+            f"The line {titles[0][:40]!r} between the rows was taken for a title: if another material or angle begins "
+            "below it, write each in a file of its own."
+        )
+    return table.with_columns(columns, *notes)
 
 
 def rows_of(lines: Sequence[str]) -> NumberedLines:
@@ -97,7 +103,7 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
     for number, line in lines[:_MAX_LINES_OF_UNITS]:
         separator = _separator_of_row(number, line, len(names))
         cells = [cell.strip(" []()") for cell in _cells(line, separator)]
-        numbers = [as_number(cell, separator) for cell in cells]
+        numbers = [as_number(cell) for cell in cells]
         are_words = all(number is None or np.isnan(number) for number in numbers)
         if None not in numbers or not are_words or any(map(_NUMBER_WITH_UNIT.match, cells)):
             break
@@ -108,7 +114,7 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
     at = [number for number, _ in lines[first:]]
     found = list(split_cells((line for _, line in lines[first:]), separator))
     n_rows = len(found)
-    while n_rows and not _fits(found[n_rows - 1], len(names)) and not _numbers(found[n_rows - 1], separator):
+    while n_rows and not _fits(found[n_rows - 1], len(names)) and not _numbers(found[n_rows - 1]):
         n_rows -= 1
     for number, cells in zip(at, found[:n_rows], strict=False):
         if not _fits(cells, len(names)):
@@ -117,22 +123,26 @@ def _named_table(lines: NumberedLines, names: tuple[str, ...]) -> TextTable:
     return TextTable(names, rows, at[:n_rows], separator, notes=about_foot(lines[first + n_rows :]))
 
 
-def _rows_and_constants(lines: Sequence[str], place: int) -> tuple[NumberedLines, dict[int, Constants]]:
-    """Return the rows below the column names with their line numbers, and by line number the constants of each row."""
-    rows, held, now = list[tuple[int, str]](), dict[int, Constants](), Constants()
+def _rows_and_constants(lines: Sequence[str], place: int) -> tuple[NumberedLines, dict[int, Constants], list[str]]:
+    """Return the rows below the column names with their line numbers, by line number the constants, and titles.
+
+    A title is a line of words between rows, above column names, without a constant that differs from the one before.
+    """
+    rows, held, now, titles = list[tuple[int, str]](), dict[int, Constants](), Constants(), list[str]()
     names = _without_comment(lines[place]) if place >= 0 else None
     for number, line in enumerate(lines, 1):
         text = line.strip(" ")
         bare = text if text[:1] in _BEGINS_NUMBER else _without_comment(text)
         found = constants_in(bare) if bare[:1].isalpha() and bare != names else {}
         if found or bare == names:
-            now = now | found
+            now, words = now | found, list[str]()
             while rows and rows[-1][1][0].isalpha() and not rows[0][1][0].isalpha():
-                rows.pop()  # This line of words is no row but a title, because constants or column names follow.
+                words.append(rows.pop()[1])  # This line is no row, because constants or column names follow.
+            titles += words if rows and bare == names and held[rows[-1][0]] == now else []
         elif bare and number > place + 1 and _is_row(text):
             rows.append((number, text))
             held[number] = now
-    return rows, held
+    return rows, held, titles
 
 
 def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tuple[str, ...]]:
@@ -159,7 +169,7 @@ def _find_names(lines: Sequence[str], named: Collection[str]) -> tuple[int, tupl
                 continue
             known = count_names(names, named)
             fits = any(_fits(cells, len(names)) for cells in splits)
-            has_numbers = any(name and not wavelength_of(name) and as_number(name, " ") is not None for name in names)
+            has_numbers = any(name and not wavelength_of(name) and as_number(name) is not None for name in names)
             if has_numbers and (known == 1 or not fits):
                 continue  # The line is no line of column names, but a constant, a transposed column or a title.
             score = known + _MATCHING_NAMES_BONUS * fits
@@ -219,7 +229,7 @@ def _transposed(lines: Sequence[str], named: Collection[str]) -> TextTable | Non
     for separator in SEPARATORS if kept else ():
         cells = [(number, _cells(line, separator)) for number, line in kept[:_MAX_LINES_BEFORE_NAMES]]
         begun = [(number, line) for number, line in cells if len(line) > 2 and count_names(line[:1], named) == 1]
-        found = [(number, line) for number, line in begun if as_number(line[1], separator) is not None]
+        found = [(number, line) for number, line in begun if as_number(line[1]) is not None]
         names = tuple(line[0].strip() for _, line in found)
         is_transposed = len(found) >= _MIN_TRANSPOSED_LINES and len({*names}) == len(found)
         if is_transposed and len({len(line) for _, line in found}) == 1:
@@ -268,7 +278,7 @@ def unnamed_table(numbered: NumberedLines) -> TextTable:
     lines = numbered[first:]
     check_size(len(lines), count)
     found = list(split_cells((line for _, line in lines), separator))
-    while found and not (_numbers(found[-1], separator) or _numbers(lines[len(found) - 1][1].split(), separator)):
+    while found and not (_numbers(found[-1]) or _numbers(lines[len(found) - 1][1].split())):
         found.pop()
     width = Counter(map(len, found)).most_common(1)[0][0] if found else 0
     if not found or count < 2:
@@ -287,7 +297,7 @@ def unnamed_table(numbered: NumberedLines) -> TextTable:
             at.append(number)
             blocks.append(block)
             continue
-        block = _numbers(cells, separator) or _numbers(line.split(), separator)
+        block = _numbers(cells) or _numbers(line.split())
         if not block:
             raise MeasurementFormatError(
                 f"Line {number} of the table has {line[:40]!r} between lines of numbers alone."
@@ -304,14 +314,14 @@ def _layout(numbered: NumberedLines) -> tuple[int, str, int]:
     for separator in SEPARATORS:
         cells = list(split_cells((line for _, line in numbered[:_N_TRIED_LINES]), separator))
         lines = zip(cells, numbered, strict=False)
-        widest = max((len(row) for row in cells if _numbers(row, separator)), default=0)
+        widest = max((len(row) for row in cells if _numbers(row)), default=0)
         if widest > best[0]:
-            begins = (bool(_numbers(row, separator) or _numbers(line.split(), separator)) for row, (_, line) in lines)
+            begins = (bool(_numbers(row) or _numbers(line.split())) for row, (_, line) in lines)
             best = (widest, separator, list(begins).index(True))
     return best
 
 
-def _numbers(cells: Sequence[str], separator: str) -> list[float]:
+def _numbers(cells: Sequence[str]) -> list[float]:
     """Return the numbers in cells; an empty list if any of the cells has words."""
-    numbers = [number for cell in cells if (number := as_number(cell, separator)) is not None]
+    numbers = [number for cell in cells if (number := as_number(cell)) is not None]
     return numbers if len(numbers) == len(cells) else []

@@ -17,7 +17,15 @@ from dsbrdf.arrays import Array, Mask
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples.columns import GREY, Column, FoundColumns
-from dsbrdf.samples.names import RECIPROCAL_UNITS, TRISTIMULUS, VALUE_UNITS, WAVELENGTH_UNITS, factor_of, wavelength_of
+from dsbrdf.samples.names import (
+    RECIPROCAL_UNITS,
+    TRISTIMULUS,
+    VALUE_UNITS,
+    WAVELENGTH_UNITS,
+    factor_of,
+    name_and_unit,
+    wavelength_of,
+)
 from dsbrdf.samples.table_options import TableOptions
 
 NO_UNIT = ("", "1", "-", "none")
@@ -188,11 +196,15 @@ def largest_of(numbers: Array) -> float:
 
 def about_values(found: FoundColumns, wavelengths: Array, options: TableOptions) -> Iterator[str]:
     """Yield sentences on the unit and the colour of the values."""
-    written, light = found.columns[found.values[0]].written, found.columns.get("theta_in")
+    column, light = found.columns[found.values[0]], found.columns.get("theta_in")
+    written = column.written
     is_red = found.values == CHANNELS and written in {"R", "r"}
-    factor = factor_of(written, light.written if light else "") if options.scale == 1.0 and not is_red else ""
+    may_be_factor = options.scale == 1.0 and not is_red and column.unit not in VALUE_UNITS
+    factor = factor_of(written, light.written if light else "") if may_be_factor else ""
     if factor:
         yield f"The names suggest that the column {written!r} has reflectance factors, which are {factor}."
+    if name_and_unit(written) == ("luminance", "") and options.scale == 1.0:
+        yield f"The column {written!r} is a BRDF only if it was divided by the illuminance of the sample."
     if found.values == TRISTIMULUS:
         yield "The colours were converted from CIE XYZ to linear sRGB."
     elif found.values == GREY and wavelengths.size == 0:

@@ -89,7 +89,7 @@ OF_OTHER_TABLES = {
     "one phi": (ANGLES * [1, 0, 1, 1], RGB, table(("theta_in", *ALL[2:]), np.hstack([ANGLES[:, [0, 2, 3]], RGB]))),
     **{
         name: (ANGLES, GREY, table((*DIRECTION, name), np.hstack([ANGLES, GREY[:, :1]])))
-        for name in ("value", "BRDF [sr^-1]", "luminance", "f_r", "Leuchtdichtekoeffizient")
+        for name in ("value", "BRDF [sr^-1]", "luminance / sr-1", "f_r", "Leuchtdichtekoeffizient")
     },
 }
 

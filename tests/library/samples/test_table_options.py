@@ -103,7 +103,7 @@ def test_numbers_in_names_and_lines_are_wavelengths_and_angles_where_they_can_be
     names = ("450 nm", "0.45um", "brdf_450nm", "199 nm", "3001 nm")
     assert [wavelength_of(name) for name in names] == [450.0, 450.0, 450.0, None, None]
     numbers = ("1,234.5", "1'234.5", "1\N{NARROW NO-BREAK SPACE}234,5", "1 234.5", "1,234")
-    assert [as_number(number, ";") for number in numbers] == [1234.5, 1234.5, 1234.5, None, 1.234]
+    assert [as_number(number) for number in numbers] == [1234.5, 1234.5, 1234.5, None, 1.234]
     assert constants_in("AOI [deg]: 30") == {"theta_in [deg]": 30.0}
     assert constants_in("incident_angle 30 180") == {"theta_in": 30.0, "phi_in": 180.0}
     assert [constants_in(line) for line in ("AOI 30 60", "temperature 20", "phi_in zero")] == [{}, {}, {}]

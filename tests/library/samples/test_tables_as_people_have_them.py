@@ -41,6 +41,7 @@ AT_15 = GRID[:, 0] == 15.0
 GRAZING = (GRID[:, 0] == 65.0) & (GRID[:, 2] >= 55.0)
 ANYWHERE = ANGLES * [1.0, 0.0, 1.0, 1.0] + [0.0, 180.0, 0.0, 0.0]
 CLOSE_INCIDENCES = np.vstack([GRID, np.add(GRID, [5.0, 0.0, 0.0, 0.0])])
+TOWARDS_LIGHT = np.sum(np.prod(spherical(CLOSE_INCIDENCES), axis=0), axis=1).clip(0.0)
 IN_PLANE = np.array([(a, 180.0, b, 0.0) for a in (20.0, 30.0) for b in np.arange(-80.0, 81.0, 2.5)])
 
 
@@ -51,6 +52,8 @@ def highlight(grid: Array, width: float) -> Array:
 TABLES: dict[str, tuple[Array, Array, Sequence[str]]] = {
     "good": (GRID, TRUE, ["value"]),
     "equal peaks": (CLOSE_INCIDENCES, 0.01 + 0.04 * highlight(CLOSE_INCIDENCES, 0.06), ["value"]),
+    "equal at grazing thetas": (GRID, 0.1 * np.prod(np.cos(np.radians(GRID[:, ::2])), axis=1) ** -0.3, ["value"]),
+    "equal towards the light": (CLOSE_INCIDENCES, 0.1 + TOWARDS_LIGHT**200.0, ["value"]),
     "clipped": (GRID, CLIPPED, ["value"]),
     "few levels": (GRID, CLIPPED.round(2), ["value"]),
     "one sample in each highlight": (GRID, np.where(IS_MIRROR, 90.0, TRUE), ["value"]),
