@@ -103,14 +103,13 @@ const COLOURS = Array.from({ length: 256 }, (_, level) => colourOf(level / 255).
 export async function compare(main) {
   const ids = new URLSearchParams(location.search).getAll("fit");
   if (ids.length !== 2) throw new Problem(`Two fits can be compared at a time, but this address names ${ids.length}. Tick two fits in the list.`, "Nothing to compare");
-  main.replaceChildren(template("compare", { names: "Two fits" }));
   /** @type {Fit[]} */
   const fits = await Promise.all(ids.map((id) => json(`v1/fits/${id}`)));
   const unfinished = fits.find((fit) => fit.status !== "succeeded");
   if (unfinished) throw new Problem(`The fit of ${nameOf(unfinished)} is ${unfinished.status}: there is nothing to compare yet.`, "Nothing to compare");
   const names = fits.map(nameOf).join(" and ");
   setTitle(names);
-  fill(main, { names });
+  main.replaceChildren(template("compare", { names }));
   const stored = await Promise.all(fits.map(storedOf));
   const figures = fits.map((fit) => {
     const made = find(template("compared", { name: nameOf(fit), about: madeOf(fit) }, { fit: `fits/${fit.id}` }), "section");
