@@ -206,6 +206,7 @@ export function remove(path, words, shown, then = () => location.assign(root)) {
   const finish = async () => {
     stop();
     await request(path, { method: "DELETE", keepalive: true }).then(then, (error) => {
+      if (error.status === 404) return then(); // Another tab has deleted it.
       hide(false);
       throw error;
     });

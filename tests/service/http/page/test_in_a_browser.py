@@ -273,6 +273,11 @@ def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
     page.get_by_role("button", name="Undo").click()
     (kept,) = guarded.server.http.get("/v1/fits", headers=header).json()["items"]
     assert kept["name"].startswith("b b")
+    guarded.server.http.delete(f"/v1/fits/{kept['id']}", headers=header)  # as in another tab
+    page.locator("#fits .menu summary").click()
+    page.locator("#fits").get_by_role("button", name="Delete").click()
+    page.locator("#said").get_by_role("button", name="Close").click()
+    expect(names).to_have_count(0)
 
 
 def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic_file: Path) -> None:
