@@ -2,7 +2,8 @@
 
 import json
 import re
-from dataclasses import asdict, astuple
+from base64 import b64decode
+from dataclasses import asdict, astuple, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,13 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 
 import dsbrdf
-from dsbrdf import EnvironmentMap, Measurement, ScatteredSamples, decompose, plot, render_sphere, space
+from dsbrdf import EnvironmentMap, Finding, Measurement, ScatteredSamples, decompose, plot, render_sphere, space
 from dsbrdf.cli.commands import command_names
 from dsbrdf.data import spherical
 from dsbrdf.output import to_json
 from dsbrdf.output.atlas import load_material
 from dsbrdf.output.figures import overview_figure, parameters_figure, residual_figure
+from dsbrdf.output.notebook import html
 from dsbrdf.output.sphere_panels import compare_spheres, thumbnail
 from dsbrdf.samples.prediction import SamplePrediction
 from dsbrdf.samples.scattered_fit import (
@@ -81,10 +83,15 @@ def in_plane() -> ScatteredSamples:
 
 def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
     data = dsbrdf.profiles(plastic)
+    aside = in_plane.take(in_plane.omega_out[:, 2] < 0.98)
+    dark = np.where(aside.values > np.median(aside.values), aside.values, 0.0)
+    aside = replace(aside, omega_out=aside.omega_out[:, [1, 0, 2]], values=dark)
     figures = {
         "fit": plot(STORED_FIT, plastic),
         "samples": plot(STORED_FIT, in_plane),
         "components": plot(STORED_FIT),
+        "component": plot(decompose(STORED_FIT)["diffuse"]),
+        "samples off their plane": plot(STORED_FIT, aside),
         "lobes": parameters_figure(MODELS["elongated rings and cusps"], title="rings", model_lobes=True),
         "lobes of each channel": parameters_figure(MODELS["paper"], model_lobes=True),
         "overview of lobes": overview_figure(data, MODELS["elongated rings and cusps"], model_lobes=True),
@@ -92,6 +99,22 @@ def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
     }
     for name, figure in figures.items():
         assert_reproduced(f"figures/{name}", drawing(figure), 1e-3)
+
+
+def test_what_notebooks_show(plastic: Measurement) -> None:
+    finding = Finding("less", "less than <1 %>")
+    warned = replace(STORED_FIT, report=replace(STORED_FIT.report, findings_of_fit=(finding,)))
+    diffuse, layers = decompose(STORED_FIT)["diffuse"], decompose(STORED_FIT).layers
+    shown: dict[str, Any] = {
+        "fit": warned,
+        "diffuse": diffuse,
+        "layers": layers,
+        "measurement": replace(plastic, name="<b>", sha256="0" * 64),
+    }
+    for name, one in shown.items():
+        text, encoded, rest = re.split(r"(?<=base64,)([^\"]+)", html(one))
+        picture = digest(imread(BytesIO(b64decode(encoded))))
+        assert_reproduced(f"notebooks/{name}", [*text.split("<tr>"), *rest.split("<tr>"), picture], 1e-3)
 
 
 def test_spheres(plastic: Measurement) -> None:

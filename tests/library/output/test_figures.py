@@ -11,15 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.lines import Line2D
-from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image
 
-from dsbrdf import FitResult, InvalidArgumentError, Measurement, Profiles, ScatteredSamples, decompose
-from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon, spherical
+from dsbrdf import InvalidArgumentError, Measurement, Profiles, decompose
+from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon
 from dsbrdf.output import encode_figure
 from dsbrdf.output.figures import overview_figure, parameters_figure, profiles_figure
-from dsbrdf.output.plots import samples_figure
 from dsbrdf.output.sphere_panels import SphereComparison, compare_spheres, encode_png, side_by_side
 from tests.support.models import mixture, papers_model
 
@@ -146,21 +144,3 @@ def test_pillow_reads_the_pixels_of_a_png(channels: int, mode: str) -> None:
     with Image.open(io.BytesIO(encode_png(values))) as image:
         assert image.mode == mode
         assert np.array_equal(np.asarray(image), levels)
-
-
-LIGHT = np.repeat([20.0, 50.0], 80)
-VIEWER = np.tile(np.linspace(-80.0, 80.0, 80), 2)  # negative on the side of the light
-
-
-@pytest.fixture(scope="module")
-def samples(two_lobe_fit: FitResult) -> ScatteredSamples:
-    """Of a goniometer in one plane, a quarter brighter than the fit."""
-    directions = spherical(np.radians(LIGHT), np.pi), spherical(np.radians(VIEWER), 0.0)
-    return ScatteredSamples.from_arrays(*directions, 1.25 * two_lobe_fit.model.evaluate_directions(*directions))
-
-
-def test_black_samples_and_those_off_their_plane_are_drawn(samples: ScatteredSamples, two_lobe_fit: FitResult) -> None:
-    aside = replace(samples, omega_out=spherical(np.radians(np.maximum(np.abs(VIEWER), 10.0)), np.pi / 2))
-    dark = replace(aside, values=np.where(samples.values > np.median(samples.values), samples.values, 0.0))
-    drawn = samples_figure(dark, two_lobe_fit.model).findobj(Text)
-    assert "no sample is near its plane of incidence" in [text.get_text() for text in drawn if isinstance(text, Text)]
