@@ -16,9 +16,22 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 
 import dsbrdf
-from dsbrdf import EnvironmentMap, Finding, Measurement, ScatteredSamples, decompose, plot, render_sphere, space
+from dsbrdf import (
+    DSBRDF,
+    EnvironmentMap,
+    Finding,
+    FitResult,
+    Measurement,
+    ScatteredSamples,
+    decompose,
+    plot,
+    render_sphere,
+    space,
+)
 from dsbrdf.cli.commands import command_names
 from dsbrdf.data import spherical
+from dsbrdf.fitting import SelectionStep
+from dsbrdf.fitting.lobe_search import SearchStep
 from dsbrdf.output import to_json
 from dsbrdf.output.atlas import load_material
 from dsbrdf.output.figures import overview_figure, parameters_figure, residual_figure
@@ -32,6 +45,7 @@ from dsbrdf.samples.scattered_fit import (
     pairs_to_measure,
     unconfirmed_sample,
 )
+from tests.library.samples.test_layouts import HABITS, PUBLISHED
 from tests.library.samples.test_reading import DIRECTION, table
 from tests.library.samples.test_tables_as_people_have_them import CLIPPED, GRID
 from tests.support.command_line import load_fit, run
@@ -191,42 +205,71 @@ def test_reductions(weighting: str, robust: bool, spoiled: Measurement) -> None:
     assert_reproduced(f"models/reduction {weighting}", found)
 
 
+PANEL = "table panel.csv --columns value=5 --missing 0.434114 --scale 0.5"
 COMMANDS = (
     "show model.json",
+    "show compared.json",
+    "show plain.json",
     "decompose model.json --csv a.csv --latex a.tex",
+    "decompose model.json 50%_gloss.json --csv all.csv --latex all.tex",
     "eval model.json --theta-in 30 --theta-out 0 60 --phi-out 20",
     "table samples.csv",
     "table clipped.csv",
-    "table samples.csv plane.csv model.json",
+    PANEL,
+    f"{PANEL} --json",
+    "table scatterometer.txt --json",
+    "table samples.csv plane.csv model.json plastic.binary none.csv",
     "render model.json -o a.png --size 16",
     "render model.json -o a.png --size 16 --component diffuse",
-    "compare plastic.binary model.json -o a.png --size 16",
+    "compare plastic.binary model.json -o b.png --size 16",
+    "compare rings.json mixture.json model.json -o c.png --size 16",
     "export model.json -o model.csv",
     "export model.json -o layers.csv --component layers",
+    "export model.json -o components.csv --format components",
     "materials",
     "convert samples.csv converted.csv",
 )
 
 
-def test_commands(
-    plastic_file: Path, in_plane: ScatteredSamples, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="module")
+def folder(plastic_file: Path, in_plane: ScatteredSamples, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files that the commands read."""
+    folder = tmp_path_factory.mktemp("commands")
+    for path in (plastic_file, HABITS / "panel.csv", PUBLISHED / "scatterometer.txt"):
+        (folder / path.name).symlink_to(path)
+    samples = scattered_samples(mixture(2, 1), 60).take(np.arange(60) < 52)
+    for name, content in {
+        "clipped": table([*DIRECTION, "value"], np.column_stack([GRID, CLIPPED])),
+        "plane": samples_table(in_plane),
+        "samples": samples_table(samples),
+    }.items():
+        (folder / f"{name}.csv").write_bytes(content)
+    better = SelectionStep(1, -0.25, 1.5, None, 4.0, 2.5, True), SelectionStep(2, -0.5, 1.25, None, None, None, False)
+    tried = SearchStep(n_lobes=2, ring_lobes=1, error=1.23e-3, kept=False)
+    models: dict[str, FitResult | DSBRDF] = {
+        "model": STORED_FIT,
+        "plain": STORED_FIT.model,
+        "compared": replace(STORED_FIT, report=replace(STORED_FIT.report, search=(tried,), selection=better)),
+        "rings": MODELS["elongated rings and cusps"],
+        "50%_gloss": MODELS["mixture"],
+        "mixture": MODELS["mixture"],
+    }
+    for name, model in models.items():
+        dsbrdf.save(model, folder / f"{name}.json")
+    return folder
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a command prints, and the beginning of the texts that it writes."""
+    monkeypatch.chdir(folder)
     monkeypatch.setenv("COLUMNS", "100")
-    Path("model.json").symlink_to(MODEL_FILE)
-    Path("plastic.binary").symlink_to(plastic_file)
-    Path("clipped.csv").write_bytes(table([*DIRECTION, "value"], np.column_stack([GRID, CLIPPED])))
-    Path("plane.csv").write_bytes(samples_table(in_plane))
-    Path("samples.csv").write_bytes(samples_table(scattered_samples(mixture(2, 1), 60).take(np.arange(60) < 52)))
-    for command in COMMANDS:
-        written = {*tmp_path.iterdir()}
-        answer = run(*command.split(), code=2 if "plane.csv" in command else 0)
-        new = [
-            path.read_text().splitlines()[:12]
-            for path in sorted({*tmp_path.iterdir()} - written)
-            if path.suffix != ".png"
-        ]
-        assert_reproduced(f"commands/{command}", [*answer.stdout.splitlines(), answer.stderr, *new], 1e-3)
+    before = {*folder.iterdir()}
+    answer = run(*command.split(), code=2 if "none.csv" in command else 0)
+    told = json.loads(answer.stdout) if "--json" in command else answer.stdout.splitlines()
+    new = [path for path in sorted({*folder.iterdir()} - before) if path.suffix != ".png"]
+    written = [path.read_text().splitlines()[:16] for path in new]
+    assert_reproduced(f"commands/{command}", [told, answer.stderr, *written], 1e-3)
 
 
 @pytest.mark.parametrize("command", command_names())

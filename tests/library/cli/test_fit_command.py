@@ -1,6 +1,5 @@
 """``dsbrdf fit``: options, what it prints and stores, fits on a server; and ``convert``, which may fit first."""
 
-import csv
 import errno
 import json
 import os
@@ -25,6 +24,7 @@ from dsbrdf.fitting.options import sentences_of
 from dsbrdf.output.export.rgl import rgl_bsdf
 from tests.support.command_line import QUICK, document, load_fit, printed, run, sentence
 from tests.support.models import single_lobe
+from tests.support.reproduced import assert_reproduced
 
 pytestmark = pytest.mark.slow
 
@@ -168,46 +168,26 @@ def test_full_disk_exits_with_1(plastic_file: Path, tmp_path: Path, monkeypatch:
     assert "No space left on device" in sentence("fit", plastic_file, "-o", tmp_path, *QUICK, code=1)
 
 
-def test_several_files_end_with_a_table_worst_first(
-    two_lobe_fit: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_several_files_end_with_a_table_worst_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    good = load_fit(Path(__file__).parents[2] / "project/stored/1.0/plastic.json")
+    metrics = replace(good.report.metrics, relative_rms=0.9)
+    worse = replace(good.report, metrics=metrics, findings_of_fit=(Finding("look", "Look at it."),))
+    bad = FitResult(single_lobe(5.0, 20.0, center=0.2), worse)
+
     def known(files: list[Path], *_: Any, **__: Any) -> Iterator[FileFit]:
-        metrics = replace(two_lobe_fit.report.metrics, relative_rms=0.9)
-        worse = replace(two_lobe_fit.report, metrics=metrics, findings_of_fit=(Finding("look", "Look at it."),))
-        yield FileFit(files[0], result=two_lobe_fit)
+        yield FileFit(files[0], result=good)
         yield FileFit(files[1], error="no measurement")
-        yield FileFit(files[2], result=FitResult(single_lobe(5.0, 20.0, center=0.2), worse))
+        yield FileFit(files[2], result=bad)
 
     monkeypatch.setattr(fit_command, "fit_files", known)
-    table = tmp_path / "fits.csv"
-    command = ["fit", "good.binary", "none.binary", "bad.binary"]
+    monkeypatch.setenv("COLUMNS", "100")
+    command, table = ["fit", "good.binary", "none.binary", "bad.binary"], tmp_path / "fits.csv"
     captured = run(*command, "--csv", table, code=2)
-    said = captured.stderr.splitlines()
-    assert said[:2] == ["dsbrdf: none.binary: no measurement", "dsbrdf: bad.binary: Look at it."]
-    assert all(line.startswith("dsbrdf: bad.binary: ") for line in said[2:])
-    first, second, _, head, *rows, failed = captured.stdout.splitlines()
-    assert (first[:6], second[:5], failed) == ("good: ", "bad: ", "1 file could not be fitted")
-    assert "but its highlight is off by 90%" in second
-    assert head.split() == ["relative_rms", "excess", "psnr", "lobes", "warnings", "worst", "first"]
-    assert [row.split()[-1] for row in rows] == ["bad", "good"]
-
-    written = list(csv.DictReader(table.read_text().splitlines()))
-    parts = decompose(two_lobe_fit)
-    surfaces = [(part.label, str(n)) for part in parts for n in range(1, len(part.surfaces) + 1)]
-    rows_of_good = [(row["component"], row["surface"]) for row in written if row["file"] == "good.binary"]
-    assert [row for row in rows_of_good if row[1]] == surfaces
-    assert ("diffuse", "") in rows_of_good
-    assert float(written[0]["alpha_high"]) > float(written[0]["alpha"]) > float(written[0]["alpha_low"])
-    assert float(written[0]["albedo_green"]) == next(iter(parts)).albedo[1]
-    written = [row for n, row in enumerate(written) if row["file"] not in {before["file"] for before in written[:n]}]
-    assert [row["file"] for row in written] == ["good.binary", "none.binary", "bad.binary"]
-    assert [row["status"] for row in written] == ["succeeded", "failed", "succeeded"]
-    assert float(written[0]["psnr"]) == two_lobe_fit.report.metrics.psnr
-    assert [(row["n_lobes"], row["ring_lobes"]) for row in (written[0], written[2])] == [("2", "0"), ("1", "1")]
-    assert (written[1]["error"], written[2]["findings"].split()[0]) == ("no measurement", "look")
-    assert written[2]["warnings"].startswith("Look at it.")
+    texts = (captured.stdout, captured.stderr, table.read_text())
+    assert_reproduced("commands/fit good.binary none.binary bad.binary", [text.splitlines() for text in texts], 1e-3)
     items = document(*command, "--json", code=2)["items"]
-    assert [(item["file"], item["status"]) for item in items] == [(row["file"], row["status"]) for row in written]
+    asked = [("good.binary", "succeeded"), ("none.binary", "failed"), ("bad.binary", "succeeded")]
+    assert [(item["file"], item["status"]) for item in items] == asked
     assert items[1]["error"] == "no measurement"
 
 

@@ -159,6 +159,7 @@ MISTAKES = {
     "eval model.json --theta-half 1 --omega-in 0,0,1": "either --theta-half and --theta-diff, --theta-in and",
     "eval model.json --omega-in 0,1 --omega-out 0,0,1": "a direction must be three numbers x,y,z, not '0,1'",
     "table paint.csv --scale bright": "--scale: must be a number, not 'bright'",
+    "table plastic.binary": "The file is a MERL file, a measurement on a grid, and no table of samples.",
     "convert paint.csv": "there is nothing to convert to paint.csv: name the measurement before it",
     "eval model.json --omega-in 0,0,1,0 --omega-out 0,0,1": "three numbers x,y,z, not '0,0,1,0'",
     f"{POINT} --component shiny": "--component: must be specular_spike or specular_lobe or diffuse or layers",

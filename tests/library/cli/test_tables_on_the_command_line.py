@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from dsbrdf import TableOptions, read_merl, read_samples, save
-from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.engines import batch
 from dsbrdf.samples.names import VECTORS
 from tests.library.samples.test_layouts import LAYOUTS, MIRROR_60
@@ -63,38 +62,6 @@ def test_layouts_of_instruments_are_fitted_to_their_truth(tmp_path: Path) -> Non
         model = load_fit(tmp_path / f"{path.stem}.json").model
         value = model.evaluate_directions(out * [-1.0, 1.0, 1.0], out)
         assert value == pytest.approx([MIRROR_60] * 3, rel=0.3), path.name
-
-
-def test_a_table_is_shown_before_it_is_fitted(tmp_path: Path) -> None:
-    angles = np.array([(a, b) for a in (0.0, 30.0, 60.0) for b in np.arange(-80.0, 81.0, 8.0)])
-    values = 20.0 + 300.0 * np.exp(-(((angles[:, 0] - angles[:, 1]) / 10.0) ** 2))
-    values[5] = -999.0
-    path = tmp_path / "tile.csv"
-    columns = np.column_stack([angles, values, np.arange(len(values))])
-    np.savetxt(path, columns, delimiter=",", header="AOI [deg],AOR,reflectance,probe", comments="")
-    flags = ("--columns", "value=reflectance", "--missing", "-999", "--scale", "0.003183")
-    found = document("table", path, *flags, "--json")
-    assert (found["n_rows"], found["n_samples"]) == (63, 62)
-    assert [tuple(column.values()) for column in found["columns"]] == [
-        ("AOI [deg]", "theta_in", "deg"),
-        ("AOR", "theta_out", ""),
-        ("reflectance", "value", ""),
-        ("probe", None, ""),
-    ]
-    assert found["ranges"]["theta_out_deg"] == pytest.approx([0.0, 80.0], abs=1e-6)
-    assert found["angles_of_incidence_deg"] == [0.0, 30.0, 60.0]
-    assert found["in_plane_of_incidence"] == 1.0
-    assert any("probe" in sentence for sentence in found["warnings"])
-    assert found["first"][0] == pytest.approx([0.0, 80.0, 180.0, *[20.0 * 0.003183] * 3], rel=1e-4, abs=1e-6)
-    text = printed("table", path, *flags)
-    for words in ("63 rows, 62 samples", "probe        not read", "angles of incidence: 0, 30, 60"):
-        assert words in text
-    (tmp_path / "tile.binary").write_bytes(HEADER + bytes(99))
-    assert "is a MERL file, a measurement on a grid, and no" in run("table", tmp_path / "tile.binary", code=2).stderr
-    lines = run("table", path, tmp_path / "tile.binary", tmp_path / "none", *flags, code=2).stdout.splitlines()
-    assert "62 samples, theta_in 0, 30, 60, theta_out 0 to 80, up to" in lines[0]
-    assert "not read: The file is a MERL file, a measurement on a grid" in lines[1]
-    assert lines[2].endswith("not read: No such file or directory")
 
 
 def test_no_measurement_is_replaced_or_half_read(tmp_path: Path) -> None:
