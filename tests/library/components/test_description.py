@@ -224,13 +224,6 @@ def test_reflectance_at_70_degrees_is_that_of_the_layer() -> None:
         assert low < 0.171 < high < 1.5 * low
 
 
-def test_an_uncertain_reflectance_at_70_degrees_is_left_out_with_a_sentence() -> None:
-    sure, unsure = (Surface(0.1, 2.0, (0.04,) * 3, f70, None, None, None) for f70 in ((0.17,) * 3, None))
-    found = Description(LayeredModel(()), (sure, unsure), Misfit(0.1, 0.1, 0.1, 0.1))
-    (said,) = found.remarks("specular_lobe")
-    assert said == "F70 of surface 2 of the specular lobe is left out: it is uncertain by more than a factor of 2."
-
-
 def test_a_black_channel_has_finite_ranges() -> None:
     """Nothing determines the blue F0; a standard deviation of its logarithm in the thousands must not overflow."""
     plain = mixture(3, 1)

@@ -1,5 +1,4 @@
 import dataclasses
-import re
 from typing import Any
 
 import numpy as np
@@ -7,44 +6,41 @@ import pytest
 
 from dsbrdf import FitOptions, InvalidArgumentError
 from dsbrdf.fitting.options import MAX_RING_LOBES, Bounds
+from tests.support.reproduced import assert_reproduced
 
-KNOTS = 'knots_deg must be at least two increasing whole numbers from 0 to 89 or "auto"'
-CUTOFF = "horizon_cutoff_deg must be a number above 0 and at most 90"
-LOBES = 'n_lobes must be an integer from 1 to 10 or "auto"'
-RINGS = f'ring_lobes must be an integer from 0 to {MAX_RING_LOBES} or "auto"'
-MASK = 'mask must be a number from 0 to 10 or "auto"'
-ITERATIONS = "em_iterations must be an integer from 1 to 10000"
-BAD_KNOTS = ([9], [9, 9], [0.0, 0.5], [0, 90], [-1, 9], [0.0, np.nan], [0, True], [0, "9"], 5)
-
-REFUSED: list[tuple[dict[str, Any], str]] = [
-    *(({"n_lobes": bad}, f"{LOBES}, not {bad!r}") for bad in (0, 11, 2.0, True, "many")),
-    *(({"ring_lobes": bad}, f"{RINGS}, not {bad!r}") for bad in (-1, MAX_RING_LOBES + 1, 1.0, False, None)),
-    ({"method": "best"}, "method must be one of global, paper, not 'best'"),
-    ({"weighting": "area"}, "weighting must be one of auto, balanced, plain, cosine, log, not 'area'"),
-    ({"variation": "cubic"}, "variation must be one of full, parametric, not 'cubic'"),
-    ({"lobe": "gauss"}, "lobe must be one of hemi_epd, student, not 'gauss'"),
-    *(
-        ({"method": "paper", name: value}, f'the method "paper" {why}')
-        for name, value, why in (
-            ("ring_lobes", 1, 'has no ring lobes: use ring_lobes 0 or "auto"'),
-            ("knots_deg", (0, 10), "has its slices every 5 degrees: leave the knots out"),
-            ("weighting", "balanced", 'has no weighting "balanced": use "plain", "cosine" or "log"'),
-            ("variation", "parametric", 'has values at every slice: use the variation "full"'),
-            ("lobe", "student", 'has the lobe "hemi_epd" only'),
-        )
-    ),
-    *(({"knots_deg": bad}, f"{KNOTS}, not {bad}") for bad in BAD_KNOTS),
-    *(({"horizon_cutoff_deg": bad}, f"{CUTOFF}, not {bad!r}") for bad in (0.0, 91, np.nan, 1e-11, True, "80")),
-    *(({"mask": bad}, f"{MASK}, not {bad!r}") for bad in (-0.1, 10.5, float("nan"), "1", None)),
-    *(({"robust": bad}, f"robust must be true or false, not {bad!r}") for bad in (1, "yes", None)),
-    *(({"em_iterations": bad}, f"{ITERATIONS}, not {bad!r}") for bad in (0, 10_001, 5.0, True)),
+REFUSED: dict[str, tuple[Any, ...]] = {
+    "n_lobes": (0, 11, 2.0, True, "many"),
+    "ring_lobes": (-1, MAX_RING_LOBES + 1, 1.0, False, None),
+    "method": ("best",),
+    "weighting": ("area",),
+    "variation": ("cubic",),
+    "lobe": ("gauss",),
+    "knots_deg": ([9], [9, 9], [0.0, 0.5], [0, 90], [-1, 9], [0.0, np.nan], [0, True], [0, "9"], 5),
+    "horizon_cutoff_deg": (0.0, 91, np.nan, 1e-11, True, "80"),
+    "mask": (-0.1, 10.5, float("nan"), "1", None),
+    "robust": (1, "yes", None),
+    "em_iterations": (0, 10_001, 5.0, True),
+    "weigthing": (3,),
+    "zzz": (3,),
+}
+OF_THE_PAPER = {
+    "ring_lobes": 1,
+    "knots_deg": (0, 10),
+    "weighting": "balanced",
+    "variation": "parametric",
+    "lobe": "student",
+}
+CHOICES: list[dict[str, Any]] = [
+    *({name: bad} for name, all_bad in REFUSED.items() for bad in all_bad),
+    *({"method": "paper", name: value} for name, value in OF_THE_PAPER.items()),
 ]
 
 
-@pytest.mark.parametrize(("chosen", "sentence"), REFUSED)
-def test_a_wrong_choice_is_refused_in_one_sentence(chosen: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(InvalidArgumentError, match=f"^{re.escape(sentence)}$"):
+@pytest.mark.parametrize("chosen", CHOICES, ids=repr)
+def test_a_wrong_choice_is_refused_in_one_sentence(chosen: dict[str, Any]) -> None:
+    with pytest.raises(InvalidArgumentError) as caught:
         FitOptions(**chosen)
+    assert_reproduced(f"options/{chosen}", str(caught.value))
 
 
 def test_what_lies_at_a_bound_is_a_right_choice() -> None:
@@ -90,11 +86,3 @@ def test_bounds_are_those_of_the_schema() -> None:
     assert knots["items"] == {"type": "integer", "minimum": 0, "maximum": 89}
     assert (knots["minItems"], knots["maxItems"], knots["uniqueItems"]) == (2, 90, True)
     assert cutoff == {"type": "number", "exclusiveMinimum": 0, "maximum": 90}
-
-
-@pytest.mark.parametrize(
-    ("name", "hint"), [("weigthing", "did you mean weighting?"), ("zzz", "the options are n_lobes, method, ")]
-)
-def test_wrong_name_is_told_the_right_one(name: str, hint: str) -> None:
-    with pytest.raises(InvalidArgumentError, match=f"^{re.escape(f'there is no option {name!r}; {hint}')}"):
-        FitOptions(**{name: 3})  # type: ignore[arg-type]

@@ -12,12 +12,11 @@ from dsbrdf.data import CHANNELS, half_difference
 from dsbrdf.samples.names import VECTORS, meaning_of
 from dsbrdf.samples.reading import parse_samples
 
-COUNT = 240
-_RANDOM = np.random.default_rng(5)
-ANGLES = _RANDOM.uniform((1.0, 0.0, 1.0, 0.0), (85.0, 360.0, 85.0, 360.0), (COUNT, 4)).round(6)
+PLATE = np.loadtxt(Path(__file__).parent / "plate.csv", delimiter=",", skiprows=1)
+COUNT = len(PLATE)
+ANGLES = PLATE[:, :4]
 """theta_in, phi_in, theta_out, phi_out of the samples [degrees]."""
-IN_PLANE = ANGLES * [1.0, 0.0, 1.0, 0.0] * _RANDOM.choice([-1.0, 1.0], (COUNT, 4)) + [0.0, 180.0, 0.0, 0.0]
-RGB = _RANDOM.uniform(0.01, 9.0, (COUNT, 3)).round(6)
+RGB = PLATE[:, 4:]
 GREY = np.repeat(RGB[:, :1], 3, axis=1)
 DIRECTION = ("theta_in", "phi_in", "theta_out", "phi_out")
 
@@ -71,26 +70,12 @@ SPELLINGS = {
     "/ deg": renamed("θ_inc / °", "φ_inc / deg", "theta_ref / deg", "phi_ref"),
     "r, g, b": table((*DIRECTION, "R", "G", "B")),
     "brdf_red [1/sr]": table((*DIRECTION, *(f"brdf_{name} [1/sr]" for name in CHANNELS))),
+    "red [sr^-1]": table((*DIRECTION, *(f"{name} [sr^-1]" for name in CHANNELS))),
     "unit vectors": table((*VECTORS, *CHANNELS), np.hstack([*spherical(ANGLES), RGB])),
     "half and difference angles": table(
         ("theta_half", "theta_diff", "phi_diff", *CHANNELS), np.hstack([half_and_difference(), RGB])
     ),
     "theta_h": table(("theta_h", "theta_d", "phi_d", *CHANNELS), np.hstack([half_and_difference(), RGB])),
-}
-ASIDE = ANGLES[:, [1]] + np.abs((ANGLES[:, [3]] - ANGLES[:, [1]] + 180.0) % 360.0 - 180.0)
-PHASE = np.degrees(np.arccos(np.sum(np.prod(spherical(ANGLES), axis=0), axis=1, keepdims=True)))
-OF_OTHER_TABLES = {
-    "phase": (
-        np.hstack([ANGLES[:, :3], ASIDE]),
-        RGB,
-        table((*DIRECTION[:3], "phase", *CHANNELS), np.hstack([ANGLES[:, :3], PHASE, RGB])),
-    ),
-    "in plane": (IN_PLANE, RGB, table(("theta_in", "theta_out", *CHANNELS), np.hstack([IN_PLANE[:, ::2], RGB]))),
-    "one phi": (ANGLES * [1, 0, 1, 1], RGB, table(("theta_in", *ALL[2:]), np.hstack([ANGLES[:, [0, 2, 3]], RGB]))),
-    **{
-        name: (ANGLES, GREY, table((*DIRECTION, name), np.hstack([ANGLES, GREY[:, :1]])))
-        for name in ("value", "BRDF [sr^-1]", "luminance / sr-1", "f_r", "Leuchtdichtekoeffizient")
-    },
 }
 
 
@@ -109,17 +94,6 @@ def test_every_spelling_of_a_table_is_the_same_samples(spelling: str) -> None:
     check_same(samples, ANGLES, RGB)
     np.testing.assert_array_equal(samples.weight, 1.0)
     assert samples.notes == ()
-
-
-@pytest.mark.parametrize("spelling", OF_OTHER_TABLES)
-def test_what_a_table_leaves_out_is_assumed_and_said(spelling: str) -> None:
-    angles, values, content = OF_OTHER_TABLES[spelling]
-    samples = parse_samples(content)
-    check_same(samples, angles, values)
-    said = {"in plane": "has no phi", "one phi": "the mirror direction is taken to have phi_out = 180."}
-    said["phase"] = "The azimuth follows from the phase angle"
-    words = said.get(spelling, "grey")
-    assert [words in note for note in samples.notes] == [True]
 
 
 @pytest.mark.parametrize("suffix", [".TXT", ".binary", ".bsdf", ""])
