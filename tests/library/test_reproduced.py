@@ -96,7 +96,7 @@ def in_plane() -> ScatteredSamples:
 
 
 def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
-    data = dsbrdf.profiles(plastic)
+    data, black = dsbrdf.profiles(plastic), MODELS["paper"].select((), with_delta=False)
     aside = in_plane.take(in_plane.omega_out[:, 2] < 0.98)
     dark = np.where(aside.values > np.median(aside.values), aside.values, 0.0)
     aside = replace(aside, omega_out=aside.omega_out[:, [1, 0, 2]], values=dark)
@@ -105,6 +105,10 @@ def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
         "samples": plot(STORED_FIT, in_plane),
         "components": plot(STORED_FIT),
         "component": plot(decompose(STORED_FIT)["diffuse"]),
+        "measurement": plot(plastic),
+        "materials": plot({"fit": STORED_FIT, "plastic": plastic, "layers": LAYERS}),
+        "black model": parameters_figure(black),
+        "black model beside data": overview_figure(data, black),
         "samples off their plane": plot(STORED_FIT, aside),
         "lobes": parameters_figure(MODELS["elongated rings and cusps"], title="rings", model_lobes=True),
         "lobes of each channel": parameters_figure(MODELS["paper"], model_lobes=True),

@@ -1,13 +1,12 @@
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from dsbrdf import Finding, FitResult, Measurement, decompose, fit, profiles, render_sphere
-from dsbrdf.data import THETA_DIFF, THETA_HALF, nodes_above_horizon, synthetic_measurement
+from dsbrdf.data import THETA_DIFF, THETA_HALF, synthetic_measurement
 from dsbrdf.fitting import DirectionalAlbedo, KnotReport, Metrics
 from dsbrdf.result import accuracy_findings, fit_findings, verdict
 from tests.support.reproduced import assert_reproduced, of_fit
@@ -25,29 +24,22 @@ def test_measured_materials_have_none(reference_files: dict[str, Path], name: st
     assert fit(reference_files[name]).report.findings_of_fit == ()
 
 
-@pytest.mark.parametrize(
-    ("kept", "end"),
-    [
-        (THETA_DIFF[None] <= np.radians(60.1), "theta_diff = 60"),
-        (THETA_HALF[:, None] <= np.radians(50.0), "theta_half = 50"),
-    ],
-)
-def test_measurement_that_does_not_reach_the_rim(matte: Measurement, kept: NDArray[np.bool_], end: str) -> None:
-    valid = nodes_above_horizon() & kept[..., None]
-    ended = profiles(Measurement.from_values(matte.values, valid))
-    (found,) = fit_findings(ended, CONVERGED, MODERATE)
-    assert f"no valid samples beyond {end} degrees: the model is extrapolated there" in found.sentence
-
-
-def test_model_that_reflects_more_than_it_receives(matte: Measurement) -> None:
-    data = profiles(matte)
+def test_ends_of_a_measurement_and_strange_albedos_are_told(matte: Measurement) -> None:
+    up_to_60, up_to_50 = THETA_DIFF <= np.radians(60.1), THETA_HALF[:, None] <= np.radians(50.0)
+    whole, *ended = (
+        profiles(Measurement.from_values(matte.values, matte.valid & kept[..., None]))
+        for kept in (np.ones((90, 90), bool), up_to_60, up_to_50)
+    )
     bright = replace(MODERATE, rgb=((0.3, 0.3, 0.3), (0.5, 1.2, 0.5)))
-    (found,) = fit_findings(data, CONVERGED, bright)
-    assert "than it receives: its directional albedo is 1.200 at 57 degrees in the green channel" in found.sentence
-    assert found.numbers["albedo"] == 1.2
-    assert not [*fit_findings(data, CONVERGED, MODERATE)]
-    (found,) = fit_findings(data, CONVERGED, replace(MODERATE, rgb=((2e-4,) * 3, (1e-4,) * 3)))
-    assert (found.code, found.numbers) == ("albedo-near-0", {"albedo": 2e-4})
+    dark = replace(MODERATE, rgb=((2e-4,) * 3, (1e-4,) * 3))
+    for name, data, albedo in (
+        ("good", whole, MODERATE),
+        ("up to theta_diff = 60", ended[0], MODERATE),
+        ("up to theta_half = 50", ended[1], MODERATE),
+        ("bright", whole, bright),
+        ("dark", whole, dark),
+    ):
+        assert_reproduced(f"findings/{name}", [asdict(one) for one in fit_findings(data, CONVERGED, albedo)])
 
 
 def test_noisy_measurement() -> None:

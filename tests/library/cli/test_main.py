@@ -158,6 +158,8 @@ MISTAKES = {
     "eval model.json --theta-half 1 2 --theta-diff 1 2 3": "cannot be combined",
     "eval model.json --theta-half 1 --omega-in 0,0,1": "either --theta-half and --theta-diff, --theta-in and",
     "eval model.json --omega-in 0,1 --omega-out 0,0,1": "a direction must be three numbers x,y,z, not '0,1'",
+    "table felt.csv --columns theta_in=angle": "The table has no column 'angle'; it has 'omega_in_x', 'omega_in_y', ",
+    "table felt.csv --columns theta_inn=red": "The option columns has 'theta_inn'; the meanings are theta_in, phi_in, ",
     "table paint.csv --scale bright": "--scale: must be a number, not 'bright'",
     "table plastic.binary": "The file is a MERL file, a measurement on a grid, and no table of samples.",
     "convert paint.csv": "there is nothing to convert to paint.csv: name the measurement before it",

@@ -6,7 +6,6 @@ from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace
 
-import matplotlib.figure
 import numpy as np
 import pytest
 
@@ -18,7 +17,6 @@ from dsbrdf.notebook_display import register
 from dsbrdf.output import export_model
 from dsbrdf.output.comparison import fit_ggx
 from dsbrdf.output.notebook import html as html_of
-from dsbrdf.output.plots import Shown
 from tests.support.models import mixture
 
 pytestmark = pytest.mark.slow
@@ -109,30 +107,13 @@ def test_a_notebook_shows_a_figure_at_80_dpi() -> None:
     assert int.from_bytes(preview[16:20]) == pytest.approx(80 * figure.get_size_inches()[0], abs=1)
 
 
-def test_plot_compares_named_materials_in_profiles_and_spheres(plastic: Measurement) -> None:
-    parts = dsbrdf.decompose(PAINT)
-    mean = dsbrdf.blend(PAINT, parts.layers, 0.5)
-    shown: dict[str, Shown] = {"paint": PAINT, "plastic": plastic, "layers": parts.layers, "mean": mean}
-    figure = dsbrdf.plot(shown)
-    axes = figure.findobj(matplotlib.axes.Axes)
-    assert axes[0].get_legend_handles_labels()[1] == [*shown]
-    assert [ax.get_title() for ax in axes[4:]] == [*shown]
-    curves = {line.get_label(): np.asarray(line.get_xydata()) for line in axes[0].lines}
-    at = np.radians(np.abs(curves["paint"][:, 0]))
-    np.testing.assert_allclose(curves["paint"][:, 1], PAINT.evaluate(at, 0.0).mean(axis=-1), rtol=1e-9, atol=1e-12)
-    assert len(dsbrdf.plot(parts.layers).findobj(matplotlib.axes.Axes)) == 5
-    assert len(dsbrdf.plot(parts).axes[0].lines) == 4 * len(parts)
-
-
-def test_plot_of_a_measurement_draws_its_means_and_what_is_between(plastic: Measurement) -> None:
-    figure = dsbrdf.plot(plastic)
-    (axes, *_) = figure.findobj(matplotlib.axes.Axes)
-    labels = axes.get_legend_handles_labels()[1]
-    assert {"red, measured", "red, interpolated"} <= set(labels)
-    lines = {str(line.get_label()): line for line in axes.lines}
-    points, curve = (np.asarray(lines[f"green, {name}"].get_xydata()) for name in ("measured", "interpolated"))
-    at_points = np.interp(points[:, 0], *curve.T)
-    assert np.abs(at_points / points[:, 1] - 1.0).max() < 0.05
+def test_profiles_of_named_materials_are_means_of_their_channels(plastic: Measurement) -> None:
+    (curve,) = [
+        line for line in dsbrdf.plot({"paint": PAINT, "plastic": plastic}).axes[0].lines if line.get_label() == "paint"
+    ]
+    degrees, values = np.asarray(curve.get_xydata()).T
+    expected = PAINT.evaluate(np.radians(np.abs(degrees)), 0.0).mean(axis=-1)
+    np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_measurements_of_the_same_bytes_and_name_are_equal(plastic: Measurement, metal: Measurement) -> None:

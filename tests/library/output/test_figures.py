@@ -10,7 +10,6 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -40,13 +39,9 @@ def lobes(plastic_profiles: Profiles) -> Figure:
     return overview_figure(plastic_profiles, MODEL, model_lobes=True)
 
 
-def y_of(line: Line2D) -> NDArray[np.float64]:
-    return np.asarray(line.get_ydata(), float)
-
-
 def lines_of(ax: Axes, label: str) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     lines = [line for line in ax.lines if line.get_label() == label]
-    return [(np.radians(np.asarray(line.get_xdata(), float)), y_of(line)) for line in lines]
+    return [(np.radians(np.asarray(line.get_xdata(), float)), np.asarray(line.get_ydata(), float)) for line in lines]
 
 
 def test_overview_draws_means_and_the_fit_within_its_limits(overview: Figure, plastic_profiles: Profiles) -> None:
@@ -87,13 +82,6 @@ def test_drawn_parts_sum_to_the_fit_in_the_red_channel(overview: Figure, lobes: 
         assert len(parts) == len(set(parts)) == count
         values = [values for label in parts for _, values in lines_of(ax, label)]
         np.testing.assert_allclose(np.sum(values, axis=0), total, rtol=1e-9, atol=1e-12)
-
-
-def test_black_models_and_slices_without_data_are_drawn(plastic_profiles: Profiles) -> None:
-    black = MODEL.select((), with_delta=False)
-    assert not np.any(plastic_profiles.weight[:, 89])
-    for figure in (overview_figure(plastic_profiles, black), parameters_figure(black)):
-        assert encode_figure(figure, dpi=20).startswith(b"\x89PNG")
 
 
 def test_figures_are_encoded_as_png_svg_and_pdf_without_pyplot(lobes: Figure, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,19 +34,6 @@ def test_a_column_that_is_named_counts_alone() -> None:
     check_same(parse_samples(table(), options=TableOptions(constants="theta_in=5")), ANGLES, RGB)
 
 
-@pytest.mark.parametrize(
-    ("columns", "words"),
-    [
-        ("theta_in=angle", "The table has no column 'angle'; it has 'AOI 1', 'turn', 'Arm'"),
-        ("theta_inn=Arm", "The option columns has 'theta_inn'; the meanings are theta_in, "),
-    ],
-)
-def test_columns_that_are_not_there_are_told(columns: str, words: str) -> None:
-    with pytest.raises(MeasurementFormatError) as caught:
-        parse_samples(ODD, options=TableOptions(columns=f"value=Signal,{columns}"))
-    assert words in str(caught.value)
-
-
 @pytest.mark.parametrize(("side", "cosine"), [("in", 0), ("out", 2)])
 def test_values_are_multiplied_and_divided_and_the_plane_is_turned(side: Literal["in", "out"], cosine: int) -> None:
     samples = parse_samples(table(), options=TableOptions(scale=0.01, cosine=side, phi="mirror"))
