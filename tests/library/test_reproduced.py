@@ -49,7 +49,15 @@ from tests.library.samples.test_layouts import HABITS, PUBLISHED
 from tests.library.samples.test_reading import DIRECTION, table
 from tests.library.samples.test_tables_as_people_have_them import CLIPPED, GRID
 from tests.support.command_line import load_fit, run
-from tests.support.models import LAYERS, MODELS, mixture, samples_table, scattered_directions, scattered_samples
+from tests.support.models import (
+    LAYERS,
+    MODELS,
+    in_plane,
+    mixture,
+    samples_table,
+    scattered_directions,
+    scattered_samples,
+)
 from tests.support.reproduced import assert_reproduced, digest
 
 pytestmark = pytest.mark.slow
@@ -86,23 +94,17 @@ def drawing(figure: Figure) -> list[dict[str, Any]]:
     ]
 
 
-@pytest.fixture(scope="module")
-def in_plane() -> ScatteredSamples:
-    """Two angles of incidence, 10 % noise."""
-    light, viewer = np.repeat([20.0, 50.0], 40), np.tile(np.linspace(-80.0, 80.0, 40), 2)
-    pair = spherical(np.radians(light), np.pi), spherical(np.radians(viewer), 0.0)
-    noise = 1.0 + 0.1 * np.random.default_rng(0).standard_normal((80, 3))
-    return ScatteredSamples.from_arrays(*pair, noise * STORED_FIT.model.evaluate_directions(*pair))
+IN_PLANE = in_plane(STORED_FIT.model)
 
 
-def test_figures(plastic: Measurement, in_plane: ScatteredSamples) -> None:
+def test_figures(plastic: Measurement) -> None:
     data, black = dsbrdf.profiles(plastic), MODELS["paper"].select((), with_delta=False)
-    aside = in_plane.take(in_plane.omega_out[:, 2] < 0.98)
+    aside = IN_PLANE.take(IN_PLANE.omega_out[:, 2] < 0.98)
     dark = np.where(aside.values > np.median(aside.values), aside.values, 0.0)
     aside = replace(aside, omega_out=aside.omega_out[:, [1, 0, 2]], values=dark)
     figures = {
         "fit": plot(STORED_FIT, plastic),
-        "samples": plot(STORED_FIT, in_plane),
+        "samples": plot(STORED_FIT, IN_PLANE),
         "components": plot(STORED_FIT),
         "component": plot(decompose(STORED_FIT)["diffuse"]),
         "measurement": plot(plastic),
@@ -236,7 +238,7 @@ COMMANDS = (
 
 
 @pytest.fixture(scope="module")
-def folder(plastic_file: Path, in_plane: ScatteredSamples, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files that the commands read."""
     folder = tmp_path_factory.mktemp("commands")
     for path in (plastic_file, HABITS / "panel.csv", PUBLISHED / "scatterometer.txt"):
@@ -244,7 +246,7 @@ def folder(plastic_file: Path, in_plane: ScatteredSamples, tmp_path_factory: pyt
     samples = scattered_samples(mixture(2, 1), 60).take(np.arange(60) < 52)
     for name, content in {
         "clipped": table([*DIRECTION, "value"], np.column_stack([GRID, CLIPPED])),
-        "plane": samples_table(in_plane),
+        "plane": samples_table(IN_PLANE),
         "samples": samples_table(samples),
     }.items():
         (folder / f"{name}.csv").write_bytes(content)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dsbrdf import DSBRDF, FitOptions, ScatteredSamples, fit, profiles
 from dsbrdf.arrays import Array
 from dsbrdf.components import DiffuseLayer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer
-from dsbrdf.data import CHANNELS, model_measurement
+from dsbrdf.data import CHANNELS, model_measurement, spherical
 from dsbrdf.data.geometry import random_directions
 from dsbrdf.model import MAX_CENTER, half_width, sampling
 from dsbrdf.model.splines import n_control_values
@@ -78,6 +78,14 @@ def mixture(n_lobes: int, seed: int) -> DSBRDF:
 def scattered_samples(model: DSBRDF, count: int, seed: int = 1) -> ScatteredSamples:
     directions = scattered_directions(model, count, seed)
     return ScatteredSamples.from_arrays(*directions, model.evaluate_directions(*directions), name="known")
+
+
+def in_plane(model: DSBRDF) -> ScatteredSamples:
+    """Five angles of incidence, 40 of reflection, 2 % noise."""
+    theta_in, theta_out = np.meshgrid(np.radians([0, 15, 30, 45, 60]), np.radians(np.linspace(-80, 80, 40)))
+    pair = spherical(theta_in.ravel(), np.pi), spherical(theta_out.ravel(), 0.0)
+    noise = 1.0 + 0.02 * np.random.default_rng(1).standard_normal((theta_in.size, 3))
+    return ScatteredSamples.from_arrays(*pair, noise * model.evaluate_directions(*pair))
 
 
 def samples_table(samples: ScatteredSamples) -> bytes:

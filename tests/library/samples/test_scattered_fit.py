@@ -19,7 +19,7 @@ from dsbrdf.samples.scattered_fit import (
     sample_rows,
     scattered_metrics,
 )
-from tests.support.models import deviations, mixture, scattered_directions, scattered_samples
+from tests.support.models import deviations, in_plane, mixture, scattered_directions, scattered_samples
 from tests.support.reproduced import assert_reproduced, digest, of_fit
 
 pytestmark = pytest.mark.slow
@@ -162,16 +162,6 @@ def truth() -> dsbrdf.DSBRDF:
     """A rough plastic of GGX on a diffuse ground, as a model: none of the known materials."""
     plastic = synthetic_measurement(roughness=0.2, diffuse=(0.50, 0.40, 0.20))
     return dsbrdf.fit(dsbrdf.profiles(plastic), dsbrdf.FitOptions()).model
-
-
-def in_plane(model: dsbrdf.DSBRDF) -> ScatteredSamples:
-    """Five angles of incidence, 41 of reflection, 2 % noise."""
-    theta_in, theta_out = np.meshgrid(np.radians([0, 15, 30, 45, 60]), np.radians(np.linspace(-80, 80, 41)))
-    zero = np.zeros(theta_in.size)
-    omega_in = np.stack([-np.sin(theta_in.ravel()), zero, np.cos(theta_in.ravel())], axis=-1)
-    omega_out = np.stack([np.sin(theta_out.ravel()), zero, np.cos(theta_out.ravel())], axis=-1)
-    noise = 1.0 + 0.02 * np.random.default_rng(1).standard_normal((zero.size, 3))
-    return ScatteredSamples.from_arrays(omega_in, omega_out, model.evaluate_directions(omega_in, omega_out) * noise)
 
 
 def median_error(model: dsbrdf.DSBRDF, truth: dsbrdf.DSBRDF) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf import InvalidArgumentError, MeasurementFormatError, TableOptions
+from dsbrdf import InvalidArgumentError, TableOptions
 from dsbrdf.arrays import Array
 from dsbrdf.data.merl_validation import HEADER
 from dsbrdf.samples.cells import as_number
@@ -100,28 +100,6 @@ def test_numbers_in_names_and_lines_are_wavelengths_and_angles_where_they_can_be
 def test_values_named_as_a_product_are_divided_by_the_cosine(name: str) -> None:
     values = GREY[:, :1] * np.cos(np.radians(ANGLES[:, 2:3]))
     check_same(parse_samples(table((*DIRECTION, name), np.hstack([ANGLES, values]))), ANGLES, GREY)
-
-
-@pytest.mark.parametrize(("missing", "which"), [(0.0, "smallest"), (9999.0, "largest")])
-def test_a_value_that_stands_for_what_is_missing_is_left_out_or_named(missing: float, which: str) -> None:
-    spoiled, rgb = np.arange(COUNT) % 9 == 0, RGB + 0.5
-    content = table(columns=np.hstack([ANGLES, np.where(spoiled[:, None] * [1, 0, 0], missing, rgb)]))
-    (note,) = parse_samples(content).notes
-    assert note.startswith(f"27 samples have the same {which} value, {missing:g}, far from all others")
-    check_same(parse_samples(content, options=TableOptions(missing=(-1, missing))), ANGLES[~spoiled], rgb[~spoiled])
-
-
-@pytest.mark.parametrize(("code", "count"), [(-9999.0, 1), (-9999.0, 3), (-1.0, 3), (-1.0, 1)])
-def test_a_code_below_zero_counts_as_missing_but_one_small_number_may_be_an_error(code: float, count: int) -> None:
-    coded = np.arange(COUNT) < count
-    content = table(columns=np.hstack([ANGLES, np.where(coded[:, None] * [0, 1, 0], code, RGB)]))
-    if (code, count) == (-1.0, 1):
-        with pytest.raises(MeasurementFormatError, match=r"1 value is negative, down to -1, .* set missing to -1"):
-            parse_samples(content)
-        return
-    samples = parse_samples(content)
-    check_same(samples, ANGLES[~coded], RGB[~coded])
-    assert samples.notes[0].startswith(f"The value {code:g}, in {count} row")
 
 
 VISIBLE = np.arange(400.0, 701.0, 20.0)
