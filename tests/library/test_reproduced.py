@@ -66,9 +66,9 @@ STORED_FIT = load_fit(MODEL_FILE)
 ATLAS = ("acrylic_felt_pink", "aurora_white", "chm_mint", "colodur_azure_4e", "cg_sunflower")
 
 
-@pytest.mark.parametrize("name", [*ATLAS, "layers", "mixture"])
+@pytest.mark.parametrize("name", [*ATLAS, "layers", "mixture", "rings"])
 def test_components(name: str) -> None:
-    known: dict[str, Any] = {"layers": LAYERS, "mixture": mixture(3, 0)}
+    known: dict[str, Any] = {"layers": LAYERS, "mixture": mixture(3, 0), "rings": MODELS["elongated rings and cusps"]}
     document = json.loads(to_json(MODELS["mixture"], None, decompose(known.get(name) or load_material(name))))
     for part in document["components"]:
         part["lobe"] = digest(part["lobe"]["height"])
@@ -211,7 +211,7 @@ def test_reductions(weighting: str, robust: bool, spoiled: Measurement) -> None:
     assert_reproduced(f"models/reduction {weighting}", found)
 
 
-PANEL = "table panel.csv --columns value=5 --missing 0.434114 --scale 0.5"
+PANEL = "table panel.csv --columns value=5 --missing 9 0.434114 --scale 0.5"
 COMMANDS = (
     "show model.json",
     "show compared.json",
@@ -232,6 +232,7 @@ COMMANDS = (
     "export model.json -o model.csv",
     "export model.json -o layers.csv --component layers",
     "export model.json -o components.csv --format components",
+    "map model.json mixture.json rings.json -o map.pdf",
     "materials",
     "convert samples.csv converted.csv",
 )
@@ -273,7 +274,7 @@ def test_commands(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -
     before = {*folder.iterdir()}
     answer = run(*command.split(), code=2 if "none.csv" in command else 0)
     told = json.loads(answer.stdout) if "--json" in command else answer.stdout.splitlines()
-    new = [path for path in sorted({*folder.iterdir()} - before) if path.suffix != ".png"]
+    new = [path for path in sorted({*folder.iterdir()} - before) if path.suffix not in (".png", ".pdf")]
     written = [path.read_text().splitlines()[:16] for path in new]
     assert_reproduced(f"commands/{command}", [told, answer.stderr, *written], 1e-3)
 

@@ -19,11 +19,11 @@ from dsbrdf.components import (
     SpecularLayer,
     TurningLayer,
 )
-from dsbrdf.components.description import Description, describe
+from dsbrdf.components.description import describe
 from dsbrdf.components.layer_data import grid_values
 from dsbrdf.components.points import Points
 from dsbrdf.components.shares import SurfaceSpread
-from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, PROFILE, Misfit, OwnValues, Surface, albedo_of
+from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, PROFILE, OwnValues, albedo_of
 from dsbrdf.model import ReflectanceModel
 from tests.support.models import mixture, random_model
 
@@ -199,19 +199,6 @@ def test_parameters_that_do_not_describe_are_withheld_with_a_sentence() -> None:
             assert any("F0" in sentence for sentence in part.remarks) == is_withheld
             withheld += is_withheld
     assert withheld > 0
-
-
-def test_sentences_name_the_misfit() -> None:
-    empty = Surface(None, None, None, None, None, None, None)
-    found = Description(LayeredModel(()), (empty,), Misfit(0.5, 0.2, 0.4, 0.3))
-    assert found.half_width is None
-    (sentence,) = found.remarks("specular_lobe")
-    assert sentence == (
-        "The specular lobe has no alpha or F0: its surfaces miss its peak by a factor of 1.50, its half width by a "
-        "factor of 1.40, its colour by 20% of the brightest channel and its albedo by 30%."
-    )
-    (sentence,) = replace(found, misfit=Misfit(0.5, 0.0, 0.0, 0.0)).misfit_remarks("specular_lobe")
-    assert sentence == "The specular lobe has no F0: its surfaces miss its peak by a factor of 1.50."
 
 
 def test_reflectance_at_70_degrees_is_that_of_the_layer() -> None:
