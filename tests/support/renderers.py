@@ -8,10 +8,8 @@ from dataclasses import asdict, fields
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
-from dsbrdf.arrays import Array
 from dsbrdf.output.export.openpbr import OpenPBR
 
 _OLDEST_LLVM = (17,)
@@ -39,22 +37,6 @@ def surface_at(module: ModuleType, wi: Any) -> Any:
     surface = importlib.import_module("drjit").zeros(module.SurfaceInteraction3f, size)
     surface.wi = module.Vector3f(wi)
     return surface
-
-
-def eval_and_pdf(module: ModuleType, bsdf: Any, wi: Array, wo: Array, **surface_is: Any) -> tuple[Array, Array]:
-    """Return values times cosine (n, channels) and densities (n,), for all pairs at once where the variant can."""
-    context = module.BSDFContext()
-    if module.variant().startswith("scalar"):
-        found: list[tuple[Array, float]] = []
-        for first, second in zip(wi.tolist(), wo.tolist(), strict=True):
-            surface = surface_at(module, first)
-            for name, value in surface_is.items():
-                setattr(surface, name, value)
-            arguments = context, surface, module.Vector3f(second)
-            found.append((np.ravel(bsdf.eval(*arguments)), bsdf.pdf(*arguments)))
-        return np.array([one[0] for one in found], dtype=float), np.array([one[1] for one in found])
-    arguments = context, surface_at(module, wi.T.astype(np.float32)), module.Vector3f(wo.T.astype(np.float32))
-    return np.array(bsdf.eval(*arguments)).T, np.array(bsdf.pdf(*arguments))
 
 
 _SHADER = "dsbrdf_surface"

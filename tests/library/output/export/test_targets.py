@@ -28,7 +28,7 @@ from dsbrdf.output.export.rgl import SPECTRA, WAVELENGTHS, rgl_bsdf
 from tests.support import models
 from tests.support.array_libraries import loaded
 from tests.support.models import COAT, GROUND, METAL, RETRO, SHEEN, papers_model, random_model
-from tests.support.renderers import eval_and_pdf, mitsuba_variant, surface_at
+from tests.support.renderers import mitsuba_variant, surface_at
 from tests.support.webgl import CHROMIUM, ShaderCall, evaluate_glsl
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_sampling")]
@@ -205,6 +205,22 @@ def mitsuba_with_models(variant: str, folder: Path) -> tuple[ModuleType, dict[st
     for name in MODELS:
         dsbrdf.save(MODELS[name], folder / f"{name}.json")
     return module, {name: {"type": "dsbrdf", "filename": str(folder / f"{name}.json")} for name in MODELS}
+
+
+def eval_and_pdf(module: ModuleType, bsdf: Any, wi: Array, wo: Array, **surface_is: Any) -> tuple[Array, Array]:
+    """Return values times cosine (n, channels) and densities (n,), for all pairs at once where the variant can."""
+    context = module.BSDFContext()
+    if module.variant().startswith("scalar"):
+        found: list[tuple[Array, float]] = []
+        for first, second in zip(wi.tolist(), wo.tolist(), strict=True):
+            surface = surface_at(module, first)
+            for name, value in surface_is.items():
+                setattr(surface, name, value)
+            arguments = context, surface, module.Vector3f(second)
+            found.append((np.ravel(bsdf.eval(*arguments)), bsdf.pdf(*arguments)))
+        return np.array([one[0] for one in found], dtype=float), np.array([one[1] for one in found])
+    arguments = context, surface_at(module, wi.T.astype(np.float32)), module.Vector3f(wo.T.astype(np.float32))
+    return np.array(bsdf.eval(*arguments)).T, np.array(bsdf.pdf(*arguments))
 
 
 @pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_rgb"])
