@@ -175,6 +175,13 @@ MODELS = {
     "student": random_model(2, family="student"),
     "paper": papers_model(),
 }
+
+
+def surface(f0: tuple[float, float, float], alpha: float, under_coat: float = 0.0) -> SpecularLayer:
+    """Return a surface with the tails of GGX."""
+    return SpecularLayer(f0, 0.9, alpha, 2.0, (0.0, 0.0), 0.5, under_coat)
+
+
 COAT = SpecularLayer((0.04, 0.041, 0.042), 0.9, 0.05, 2.0, (0.2, -0.3), 0.4, 0.0)
 METAL = SpecularLayer((0.9, 0.6, 0.3), 1.1, 0.3, 5.0, (-0.1, 0.2), 0.8, 1.0, 0.7)
 GROUND = DiffuseLayer((0.4, 0.2, 0.05), (0.7, 0.1, -0.2, 0.3, 0.5, -0.6))

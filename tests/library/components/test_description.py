@@ -25,14 +25,10 @@ from dsbrdf.components.points import Points
 from dsbrdf.components.shares import SurfaceSpread
 from dsbrdf.components.surfaces import MAX_PEAK_MISFIT, PROFILE, OwnValues, albedo_of
 from dsbrdf.model import ReflectanceModel
-from tests.support.models import mixture, random_model
+from tests.support.models import mixture, random_model, surface
 
 GREEN = (0.02, 0.14, 0.08)
 GROUND = DiffuseLayer((0.3, 0.25, 0.28), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-
-def surface(f0: tuple[float, float, float], alpha: float) -> SpecularLayer:
-    return SpecularLayer(f0, 0.9, alpha, 2.0, (0.0, 0.0), 0.5, 0.0)
 
 
 def decomposed(*layers: Layer) -> dsbrdf.Decomposition:

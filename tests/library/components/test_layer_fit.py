@@ -12,11 +12,7 @@ from dsbrdf.components.layer_fit import FittedStructure, fit_structures, structu
 from dsbrdf.components.points import NORMAL, Points, light_rules
 from dsbrdf.components.shares import LABELS, DrawnLayers, WeightedLayers
 from dsbrdf.components.structures import RARE_STRUCTURES, STRUCTURES, LayerStructure
-
-
-def surface(f0: tuple[float, float, float], alpha: float, under_coat: float = 0.0) -> SpecularLayer:
-    return SpecularLayer(f0, 0.9, alpha, 2.0, (0.0, 0.0), 0.5, under_coat)
-
+from tests.support.models import surface
 
 GLASS = (0.045, 0.045, 0.045)
 COPPER = (0.3, 0.2, 0.1)
@@ -155,7 +151,7 @@ def test_a_model_without_light_has_no_data() -> None:
     assert component_data(dark, has_peak=True) is None
 
 
-SURFACE = SpecularLayer((0.04, 0.05, 0.06), 0.9, 0.3, 2.0, (0.0, 0.0), 0.5, 0.0)
+SURFACE = surface((0.04, 0.05, 0.06), 0.3)
 BASE = DiffuseLayer((0.3, 0.2, 0.1), (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
 LAYERS = WeightedLayers("dielectric over diffuse", 1.0, LayeredModel((SURFACE, BASE)), (False, True))
 

@@ -30,6 +30,10 @@ OPTIONS = {
     "blocks_without_names.txt": TableOptions(columns="theta_out=1,phi_out=2,value=3,theta_in=4,phi_in=5"),
     "columns_of_a_lamp.csv": TableOptions(columns="theta_in=1,phi_in=lamp q,theta_out=3,phi_out=4"),
     "matrix_at_one_incidence.csv": TableOptions(constants="theta_in=40,phi_in=180"),
+    **dict.fromkeys(
+        ("radians_by_an_option.csv", "radians_by_an_option_and_not_degrees.csv"),
+        TableOptions(columns="theta_in_rad=lamp,phi_in_rad=2,theta_out_rad=camera,phi_out_rad=4"),
+    ),
     "positions_count_cells_of_rows.txt": TableOptions(columns="theta_out=1,phi_out=2,theta_in=3,phi_in=4,value=6"),
 }
 

@@ -49,13 +49,6 @@ def test_a_mirror_direction_with_the_same_phi_is_turned() -> None:
     assert "theta_out = -theta_in to be the mirror direction" in samples.notes[0]
 
 
-@pytest.mark.parametrize("names", ["lamp,turn,camera,aside", "lamp [deg],turn,camera_deg,aside (°)"])
-def test_an_option_may_name_a_unit_which_counts_more_than_the_tables(names: str) -> None:
-    content = table(f"{names},red,green,blue", np.hstack([np.radians(ANGLES), RGB]))
-    columns = "theta_in_rad=lamp,phi_in_rad=2,theta_out_rad=camera,phi_out_rad=4"
-    check_same(parse_samples(content, options=TableOptions(columns=columns)), ANGLES, RGB)
-
-
 def test_a_file_is_read_with_options_and_a_grid_has_none(tmp_path: Path) -> None:
     path = tmp_path / "paint.csv"
     path.write_bytes(table())
