@@ -63,6 +63,16 @@ BODIES: dict[str, tuple[str, bytes]] = {
     "misspelt": ("application/json", document(measurement=MEASUREMENT, options={"nlobes": 3})),
     "many": ("application/json", document(measurement=MEASUREMENT, options={"n_lobes": "many", "robust": "perhaps"})),
     "name": ("application/json", document(name="Näckel 1")),
+    "name 3": ("application/json", document(name=3)),
+    "name and more": ("application/json", document(name="a", status="failed")),
+    "empty name": ("application/json", document(name="")),
+    "no options": ("application/json", document(measurement="0" * 64, options=[])),
+    "surrogates": ("application/json", b'{"measurement": "%b", "options": {"\\udfff": "\\ud800"}}' % (b"0" * 64)),
+    "infinite": ("application/json", b'{"omega_in": [[0, 0, 1e999]], "omega_out": [[0, 0, 1]]}'),
+    "true": ("application/json", document(theta_half_deg=True, theta_diff_deg=[1])),
+    "not finite": ("application/x-npy", npy(np.full((8, 16, 3), np.nan))),
+    "too bright": ("application/x-npy", npy(np.full((8, 16, 3), 1e30))),
+    "whole numbers": ("application/x-npy", npy(np.ones((8, 16, 3), int))),
     "no name": ("application/json", document(name=None)),
     "bad name": ("application/json", document(name="a/b")),
     "angles": ("application/json", document(**ANGLES)),
@@ -113,7 +123,12 @@ class Conversation:
         self.server, self.usual = server, dict[str, str]()
         self.names, self.said, self.request = dict[str, str](), dict[str, str](), ""
         self.bodies = {**BODIES, "plastic": ("application/octet-stream", data)}
-        keys: dict[str, dict[str, int]] = {"key": {}, "small": {"stored_mb": 1}, "patient": {"queued_fits": 0}}
+        keys: dict[str, dict[str, int]] = {
+            "key": {},
+            "small": {"stored_mb": 1},
+            "patient": {"queued_fits": 0},
+            "watcher": {"metrics": 1},
+        }
         self.given = {name: new_key(server, name, **limits)[1]["Authorization"] for name, limits in keys.items()}
         self.given |= {"long": "x" * 9000, "point": "theta_half_deg=10&theta_diff_deg=30", "missing": "0" * 64}
         self.given |= {"missing_fit": "0" * 32, "plastic": MEASUREMENT}
@@ -132,6 +147,7 @@ class Conversation:
         method, path = target.split(" ")
         sent = [(name.encode(), value.encode()) for name, value in headers.items() if value]
         answer = self.server.http.request(method, path, content=body, headers=sent)
+        self.given["tag"] = answer.headers.get("etag", "")
         if name == "endless":  # Whether it has begun depends on the machine.
             self.server.until_running(answer.json()["id"])
             answer = self.server.http.request(method, path, content=body, headers=sent)

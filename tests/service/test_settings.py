@@ -15,7 +15,6 @@ import pytest
 from pydantic import ValidationError
 
 from dsbrdf_service.admin.commands import doctor
-from dsbrdf_service.admin.serve import main
 from dsbrdf_service.settings import PREFIX, Settings
 from tests.support.command_line import run_main, start_in_vain
 from tests.support.server import QUICK, Server, StartServer
@@ -32,21 +31,6 @@ def test_failed_start_is_reported_in_one_sentence(tmp_path: Path) -> None:
         assert start_in_vain(tmp_path, "--data-dir", folder, "--port", str(port)) == (1, f"dsbrdf: {in_use}\n")
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--prot", "3"], "dsbrdf serve: there is no option --prot; did you mean --port"),
-        (["--port", "eighty"], "dsbrdf: --port must be a whole number, not 'eighty'.\n"),
-        (["--port", "99999"], "dsbrdf: --port must be at most 65535, not '99999'.\n"),
-    ],
-)
-def test_wrong_flag_is_named_in_one_sentence(capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
-    assert main(words) == 2
-    sentence = capsys.readouterr().err
-    assert sentence.startswith(said)
-    assert sentence.count("\n") == 1
-
-
 def test_number_with_too_many_digits_is_refused_for_each_setting() -> None:
     numbers = [name for name, field in Settings.model_fields.items() if field.annotation is int]
     assert len(numbers) == 11
@@ -55,39 +39,10 @@ def test_number_with_too_many_digits_is_refused_for_each_setting() -> None:
             Settings.model_validate({name: "9" * 400})
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("DSBRDF_PORT", "eighty"),
-        ("DSBRDF_WORKERS", "0"),
-        ("DSBRDF_FIT_MEMORY_MB", "767"),
-        ("DSBRDF_SHUTDOWN_SECONDS", "99999999999999999999"),
-    ],
-)
-def test_invalid_setting_is_named_in_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, value: str
-) -> None:
-    monkeypatch.setenv(name, value)
-    assert main(["--data-dir", str(tmp_path / "data")]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"dsbrdf: {name} must be ")
-    assert repr(value) in said
-    assert said.count("\n") == 1
-    assert not (tmp_path / "data").exists()
-
-
 def test_empty_environment_variable_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in Settings.model_fields:
         monkeypatch.setenv(f"DSBRDF_{name.upper()}", "")
     assert Settings() == Settings(_env_prefix="NOTHING_")  # type: ignore[call-arg]
-
-
-def test_help_names_the_defaults(tmp_path: Path) -> None:
-    code, text = start_in_vain(tmp_path, "--help")
-    assert code == 0
-    words = " ".join(text.split())
-    assert "Default: one for each core." in words
-    assert "Default: 127.0.0.1." in words
 
 
 DOCS = Path(__file__).parents[2] / "docs"

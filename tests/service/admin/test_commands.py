@@ -69,36 +69,6 @@ def listed(server: Server) -> dict[str, dict[str, Any]]:
     return {item["id"]: item for item in document["items"]}
 
 
-@pytest.mark.parametrize(
-    ("words", "part"),
-    [
-        *((["purge", f"--older-than={age}"], "30d") for age in ("30", "-1d", "1q", "")),
-        (["purge"], "--files-without-rows"),
-        (["add", "x", "--requests-per-second", "0"], "Must be >= 0.001"),
-        (["add", "x", "--stored-mb", "-1"], "Must be >= 0"),
-        (["add", "x", "--queued-fits", "1.5"], "queued-fits"),
-        (["add", "a\nb"], "printable"),
-        (["add"], "NAME"),
-        ([], "name a command"),
-        (["list"], "data folder"),
-    ],
-)
-def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, words: list[str], part: str) -> None:
-    folder = tmp_path / "none"
-    there = ["--data-dir", str(folder)] if words else []
-    refused = run_main(main, *(words if words[:1] == ["purge"] else ["keys", *words]), *there)
-    assert (refused.returncode, refused.stderr.count("\n"), refused.stdout) == (2, 1, "")
-    assert part in refused.stderr
-    assert words[:1] != ["purge"] or "--older-than" in refused.stderr
-    assert not folder.exists()
-
-
-def test_new_key_tells_that_its_data_folder_is_new(tmp_path: Path) -> None:
-    there = ("--data-dir", str(tmp_path / "wrong"))
-    assert f"{tmp_path / 'wrong'} becomes a new data folder" in keys_command("add", "x", *there).stderr
-    assert "new data folder" not in keys_command("add", "y", *there).stderr
-
-
 def test_service_on_a_public_address_requires_an_active_key(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     with closing(Database(folder)) as database:

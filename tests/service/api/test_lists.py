@@ -1,14 +1,12 @@
 """Lists and names: pages newest first, names given with what is sent, shown, filtered by, and those of files."""
 
-from urllib.parse import urlencode
-
 import pytest
 from starlette.requests import Request
 
 from dsbrdf import InvalidArgumentError
 from dsbrdf_service.http.messages import content_disposition, given_name
 from tests.support.merl_files import with_value
-from tests.support.server import QUICK, Server, assert_problem
+from tests.support.server import QUICK, Server
 
 
 def names_of(server: Server, noun: str, **query: str) -> list[str | None]:
@@ -43,15 +41,6 @@ def test_name_is_shown_filtered_by_and_that_of_the_files(server: Server, data: b
     page = server.http.get("/v1/fits", params={"name": "nickel", "limit": 1})
     assert page.links == {}
     assert [item["name"] for item in server.http.get("/v1/fits", params={"name": "b"}).json()["items"]] == ["b"]
-
-
-@pytest.mark.parametrize("name", ["", " a", "a/b", "a\\b", "a\nb", "x" * 101, "\x00", "\u202e"])
-def test_invalid_names_are_refused_and_nothing_is_stored(server: Server, name: str) -> None:
-    before = server.files()
-    for noun in ("fits", "measurements"):
-        answer = server.http.post(f"/v1/{noun}", params={"name": name}, content=b"not even a measurement")
-        assert "a name has 1 to 100" in assert_problem(answer, 422, "invalid-argument")
-    assert server.files() == before
 
 
 @pytest.mark.parametrize(
@@ -110,47 +99,3 @@ def test_fits_are_listed_newest_first_page_by_page(server: Server, stored: str) 
         page = server.http.get(page.links["next"]["url"])
         pages.append(numbers(page.json()["items"]))
     assert pages == [[13], [12], [11]]
-
-
-def test_fits_are_filtered_by_state_and_measurement(server: Server, data: bytes) -> None:
-    content = data[:-8] + b"\0" * 7 + b"\xc2"
-    sha256 = server.http.post("/v1/measurements", content=content).json()["sha256"]
-    failed = server.submit(sha256, n_lobes=8, mask=10, horizon_cutoff_deg=2).json()
-    succeeded = server.submit(sha256, **QUICK).json()
-    assert (failed["status"], succeeded["status"]) == ("failed", "succeeded")
-
-    def listed(**wanted: str) -> list[str]:
-        pages, address = list[str](), "/v1/fits?" + urlencode(wanted | {"limit": 1})
-        while address:
-            page = server.http.get(address)
-            pages += [item["id"] for item in page.json()["items"]]
-            address = page.links.get("next", {}).get("url", "")
-        return pages
-
-    assert listed(measurement=sha256) == [succeeded["id"], failed["id"]]
-    assert listed(measurement=sha256, status="failed") == [failed["id"]]
-    assert failed["id"] in listed(status="failed")
-    assert listed(measurement="0" * 64) == []
-    for wrong in ("status=done", "measurement=x"):
-        assert_problem(server.http.get(f"/v1/fits?{wrong}"), 422, "invalid-argument")
-
-
-def test_measurements_are_listed(server: Server, data: bytes) -> None:
-    contents, named = (data[:-8] + end * 8 for end in (b"\0", b"\1")), {"name": "listed"}
-    one, other = (server.http.post("/v1/measurements", params=named, content=part).json() for part in contents)
-    first = server.http.get("/v1/measurements", params={"name": "listed", "limit": 1})
-    assert first.json()["items"] == [other]
-    assert server.http.get(first.links["next"]["url"]).json()["items"] == [one]
-
-
-def test_fit_gets_another_name_or_none(server: Server, fitted: str) -> None:
-    path = f"/v1/fits/{fitted}"
-    before = server.http.get(path).json()
-    for name in ("brushed nickel", None, before["name"]):
-        answer = server.http.patch(path, json={"name": name})
-        assert answer.json() == server.http.get(path).json() == {**before, "name": name}
-    for wrong in ({"name": "a/b"}, {"name": ""}, {"name": 3}, {}, {"name": "a", "status": "failed"}):
-        assert_problem(server.http.patch(path, json=wrong), 422, "invalid-argument")
-    text = server.http.patch(path, content=b'{"name": "a"}', headers={"Content-Type": "text/plain"})
-    assert_problem(text, 415, "unsupported-media-type")
-    assert_problem(server.http.patch(f"/v1/fits/{'0' * 32}", json={"name": "a"}), 404, "not-found")

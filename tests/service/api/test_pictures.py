@@ -171,23 +171,6 @@ def test_thumbnail_is_the_fit_and_on_the_left_its_measurement_which_it_outlives(
     assert (again.content, again.headers["etag"]) == (answer.content, answer.headers["etag"])
 
 
-@pytest.mark.parametrize(
-    ("body", "said"),
-    [
-        (b"\0" * 12, "not a whole .npy file"),
-        (npy(np.zeros((8, 8, 3))), "it must be (rows, 2 rows, 3)"),
-        (npy(np.zeros((8, 16, 3), "i4")), "must hold float64 or float32"),
-        (npy(np.full((8, 16, 3), np.nan)), "values from 0 to 1e+10"),
-        (npy(np.full((8, 16, 3), 1e30)), "values from 0 to 1e+10"),
-        (npy(np.zeros((8, 16, 3))), "is black"),
-    ],
-)
-def test_panorama_that_is_none_is_refused(server: Server, fitted: str, stored: str, body: bytes, said: str) -> None:
-    for path in (f"/v1/fits/{fitted}", f"/v1/measurements/{stored}"):
-        answer = server.http.post(f"{path}/figures/sphere.npy", content=body, headers={"Content-Type": NPY})
-        assert said in assert_problem(answer, 422, "invalid-argument")
-
-
 def test_table_is_the_measurement_without_gaps(server: Server, stored: str, plastic: Measurement) -> None:
     answer = server.http.get(f"/v1/measurements/{stored}/table.npy")
     table = np.load(BytesIO(answer.content))
