@@ -15,14 +15,6 @@ from tests.support.browser import PAINTED, SPHERE, Visit, expect
 from tests.support.server import ENDLESS, Guarded
 
 pytestmark = pytest.mark.slow
-LATER = """async () => {
-  const { progressOf } = await import("/page/app.js"), { now } = performance;
-  const [words, begun] = [progressOf("Fitting"), performance.now()];
-  words(0.5);
-  performance.now = () => begun + 10_000;
-  try { return words(0.75); } finally { performance.now = now; }
-}"""
-"""The words for a progress of 75 % that was 50 % ten seconds ago."""
 
 
 def test_key_is_asked_for_kept_in_the_tab_and_forgotten(visit: Visit, site: Site) -> None:
@@ -155,31 +147,9 @@ def test_page_of_a_fit_has_a_verdict_a_name_figures_and_downloads(visit: Visit, 
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
-def test_list_is_searched_and_two_fits_are_compared_as_they_are_seen(visit: Visit, site: Site) -> None:
-    part = visit("/?limit=1").page
-    part.get_by_role("searchbox").fill("glossy")
-    expect(part.get_by_text("No fits found for “glossy” on this page.")).to_be_visible()
-    part.get_by_role("link", name="Search all fits for this name").click()
-    expect(part.locator("#fits .card-name")).to_have_text(["glossy"])
-    part.goto("/?limit=1")
-    newest = part.locator("#fits .card-name").inner_text()
-    part.get_by_role("link", name="Older fits").click()
-    expect(part.locator("#fits .card-name")).not_to_have_text(newest)
-    expect(part.locator("#fits .card")).to_have_count(1)
+def test_two_fits_are_compared_as_they_are_seen(visit: Visit, site: Site) -> None:
     page = visit("/").page
-    cards = page.locator("#fits .card:visible")
-    cards.nth(1).wait_for()
-    search = page.get_by_role("searchbox")
-    search.fill("GLOS")
-    expect(cards).to_have_count(1)
-    search.fill("nothing like it")
-    expect(page.get_by_text("No fits found for “nothing like it”.")).to_be_visible()
-    search.fill("")
-    page.get_by_label("Sort by").select_option("likeness")
-    expect(page.locator("#fits .card-name").first).to_have_text("glossy")
-    expect(page.get_by_role("button", name="Tick two to compare")).to_be_disabled()
     page.get_by_label("compare glossy").check()
-    expect(page.get_by_role("button", name="Tick one more to compare")).to_be_disabled()
     page.get_by_label("compare rough").check()
     page.get_by_role("button", name="Compare the two").click()
     expect(page.get_by_role("heading", level=1)).to_contain_text(" and ")
@@ -283,7 +253,6 @@ def test_list_takes_several_files_names_wrong_ones_and_is_sorted(
 def test_without_a_connection_the_page_says_so(visit: Visit, site: Site, plastic_file: Path) -> None:
     visitor = visit("/", webgl=False, offline=False)
     page = visitor.page
-    assert page.evaluate(LATER) == "Fitting: 75%, about 10 s left"
     expect(page.locator("#fits .card").nth(1)).to_be_visible()
     cards = page.locator("#fits .card").count()
     visitor.context.set_offline(True)
