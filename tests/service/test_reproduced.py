@@ -29,7 +29,7 @@ from tests.support.command_line import run_main
 from tests.support.merl_files import glossy_plastic
 from tests.support.models import mixture, samples_table, scattered_samples
 from tests.support.reproduced import assert_reproduced, digest
-from tests.support.server import ENDLESS, LOCAL, Server, add, new_key, npy
+from tests.support.server import LOCAL, Server, add, new_key, npy
 
 pytestmark = pytest.mark.slow
 STORED = Path(__file__).parents[1] / "project/stored/1.0"
@@ -37,52 +37,22 @@ MEASUREMENT = hashlib.sha256(encode_merl(glossy_plastic())).hexdigest()
 NOT_TOLD = ("date", "content-length", "x-request-id", "connection", "transfer-encoding")
 
 
-def document(**members: Any) -> bytes:
-    return json.dumps(members).encode()
-
-
-ANGLES = {"theta_half_deg": [0, 10, 40], "theta_diff_deg": [30], "phi_diff_deg": [0, 45, 90]}
 AOI = [f"{light},{seen},{25 if seen else -999.5}" for light in (0, 30) for seen in range(0, 61, 2)]
+REQUESTS = Path(__file__).with_name("requests.txt").read_text()
+TALKS = {topic: talk.strip().splitlines() for topic, talk in re.findall(r"^# (.*)\n([^#]*)", REQUESTS, re.MULTILINE)}
+DOCUMENTS = [line.replace("PLASTIC", MEASUREMENT).partition(": ") for line in TALKS.pop("bodies")]
 BODIES: dict[str, tuple[str, bytes]] = {
+    **{name: ("application/json", document.encode()) for name, _, document in DOCUMENTS},
     "table": ("text/csv", samples_table(scattered_samples(mixture(2, 0), 60))),
     "odd table": ("text/csv", "\n".join(["AOI [deg],AOR,reflectance", *AOI]).encode()),
     "no rows": ("text/csv", b"theta_in,theta_out,value\n"),
     "no text": ("application/octet-stream", bytes(range(256)) * 100),
     "nothing": ("application/json", b""),
     "nonsense": ("application/json", b"\xff\xfe"),
-    "a list": ("application/json", b"[]"),
-    "an object": ("application/json", b"{}"),
     "deep": ("application/json", b"[" * 20_000),
-    "number": ("application/json", document(measurement=3)),
-    "no id": ("application/json", document(measurement="../../etc/passwd")),
-    "known": ("application/json", document(measurement=MEASUREMENT, options={"n_lobes": 2})),
-    "unknown": ("application/json", document(measurement="0" * 64)),
-    "twice": ("application/json", b'{"measurement": "%b", "options": {"mask": 1, "mask": 2}}' % (b"0" * 64)),
-    "endless": ("application/json", document(measurement=MEASUREMENT, options=ENDLESS)),
-    "waiting": ("application/json", document(measurement=MEASUREMENT, options={"n_lobes": 3})),
-    "misspelt": ("application/json", document(measurement=MEASUREMENT, options={"nlobes": 3})),
-    "many": ("application/json", document(measurement=MEASUREMENT, options={"n_lobes": "many", "robust": "perhaps"})),
-    "name": ("application/json", document(name="Näckel 1")),
-    "name 3": ("application/json", document(name=3)),
-    "name and more": ("application/json", document(name="a", status="failed")),
-    "empty name": ("application/json", document(name="")),
-    "no options": ("application/json", document(measurement="0" * 64, options=[])),
-    "surrogates": ("application/json", b'{"measurement": "%b", "options": {"\\udfff": "\\ud800"}}' % (b"0" * 64)),
-    "infinite": ("application/json", b'{"omega_in": [[0, 0, 1e999]], "omega_out": [[0, 0, 1]]}'),
-    "true": ("application/json", document(theta_half_deg=True, theta_diff_deg=[1])),
     "not finite": ("application/x-npy", npy(np.full((8, 16, 3), np.nan))),
     "too bright": ("application/x-npy", npy(np.full((8, 16, 3), 1e30))),
     "whole numbers": ("application/x-npy", npy(np.ones((8, 16, 3), int))),
-    "no name": ("application/json", document(name=None)),
-    "bad name": ("application/json", document(name="a/b")),
-    "angles": ("application/json", document(**ANGLES)),
-    "one": ("application/json", document(theta_half_deg=10, theta_diff_deg=30)),
-    "sides": ("application/json", document(theta_in_deg=[30], theta_out_deg=[20, 70], phi_out_deg=[180, 90])),
-    "directions": ("application/json", document(omega_in=[[0, 0.6, 0.8]], omega_out=[[0, 0, 1], [0, 0.6, -0.8]])),
-    "unequal": ("application/json", document(theta_half_deg=[1, 2], theta_diff_deg=[1, 2, 3])),
-    "texts": ("application/json", document(theta_half_deg=["1"], theta_diff_deg=[1])),
-    "too wide": ("application/json", document(theta_half_deg=[91], theta_diff_deg=[1])),
-    "mixed": ("application/json", document(theta_half_deg=[1], omega_in=[[0, 0, 1]])),
     "npy": ("application/x-npy", npy([[0.0, 30.0], [10.0, 30.0]])),
     "npy of pairs": ("application/x-npy", npy([[[0.0, 0.6, 0.8], [0.0, 0.0, 1.0]]])),
     "npy too wide": ("application/x-npy", npy([[1.0, 91.0]])),
@@ -96,9 +66,6 @@ BODIES: dict[str, tuple[str, bytes]] = {
     "no panorama": ("application/x-npy", npy(np.ones((8, 8, 3)))),
     "black": ("application/x-npy", npy(np.zeros((8, 16, 3)))),
 }
-
-REQUESTS = Path(__file__).with_name("requests.txt").read_text()
-TALKS = {topic: talk.strip().splitlines() for topic, talk in re.findall(r"^# (.*)\n([^#]*)", REQUESTS, re.MULTILINE)}
 
 
 def requests_in(talk: Sequence[str]) -> Iterator[str]:

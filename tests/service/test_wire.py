@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import pytest
@@ -10,14 +9,11 @@ from openapi_schema_validator import OAS31Validator
 
 import dsbrdf
 from dsbrdf import FitOptions, InvalidArgumentError
-from dsbrdf_service.api.fields import OPTIONS_SCHEMA, parse
-from dsbrdf_service.api.fits import NewName
-from dsbrdf_service.api.points import from_json
+from dsbrdf_service.api.fields import OPTIONS_SCHEMA
 from dsbrdf_service.storage.store import fit_identity
 from dsbrdf_service.wire import DEFAULTS, canonical, from_query, from_wire, to_wire
 from tests.support.server import Server, assert_problem
 
-WRONG_ANGLES = "theta_in_deg must be a list, not 'x'; theta_out_deg.0 must be a finite number"
 PROPERTIES: dict[str, dict[str, Any]] = OPTIONS_SCHEMA["properties"]
 
 
@@ -129,24 +125,3 @@ def test_every_other_option_measurement_and_algorithm_changes_the_identity(monke
     identities = {identity(FitOptions(**options)) for options in changed} | {identity(FitOptions(), "b" * 64)}
     monkeypatch.setattr(dsbrdf, "ALGORITHM_VERSION", "another")
     assert len(identities | {identity(FitOptions())}) == len(changed) + 2
-
-
-@pytest.mark.parametrize(
-    ("read", "body", "said"),
-    [
-        (from_json, b"{}", "The request has no point; give theta_half_deg and theta_diff_deg, or"),
-        (from_json, b'{"theta_half": 1}', "'theta_half' does not belong to a point; give theta_half_deg and"),
-        (from_json, b'{"phi_diff_deg": 1}', "theta_half_deg is missing; theta_diff_deg is missing."),
-        (from_json, b"[", "The body is not JSON: EOF while parsing a list at line 1 column 1."),
-        (from_json, b"null", "The body must be an object; give theta_half_deg"),
-        (from_json, b'{"theta_half_deg": 1, "theta_half_deg": 3}', "The member 'theta_half_deg' is given more than"),
-        (from_json, b'{"theta_in_deg": "x", "theta_out_deg": [NaN]}', WRONG_ANGLES),
-        (from_json, b'{"omega_in": [[0, 1]], "omega_out": []}', "omega_in.0 must have at least 3 items, not 2."),
-        (partial(parse, NewName), b'{"nam": "x"}', "Unknown 'nam'; known are name."),
-        (partial(parse, NewName), b'{"name": 5}', "name must be a text, not 5."),
-    ],
-)
-def test_fault_of_a_document_is_said_in_plain_words(read: Any, body: bytes, said: str) -> None:
-    with pytest.raises(InvalidArgumentError) as refused:
-        read(body)
-    assert str(refused.value).startswith(said)

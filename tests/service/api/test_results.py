@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.components import LABELS
 from dsbrdf.data import FILE_SIZE
 from dsbrdf.output import FORMATS, export_model, fit_from_json, from_json, to_json
 from dsbrdf.output.documents import component_documents
@@ -43,23 +42,6 @@ def test_values_of_the_components_add_up_to_the_fits(server: Server, fitted: str
     np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12)
     one = server.http.get(f"{url}/components/diffuse/brdf?theta_half_deg=5&theta_diff_deg=20").json()["values"]
     np.testing.assert_allclose(one[0], parts[-1][2], rtol=1e-12)
-
-
-def test_a_component_without_light_is_not_found(server: Server, stored: str) -> None:
-    fit = server.submit(stored, method="global", n_lobes=1, ring_lobes=0).json()
-    labels = [component["label"] for component in fit["components"]]
-    absent, there = next(label for label in LABELS if label not in labels), " and ".join(labels)
-    url, point = f"/v1/fits/{fit['id']}", {"theta_half_deg": 5, "theta_diff_deg": 20}
-    for answer in (
-        server.http.get(f"{url}/components/{absent}/brdf", params=point),
-        server.http.get(f"{url}/components/{absent}/brdf", params={"theta_half_deg": "x"}),
-        server.http.post(f"{url}/components/{absent}/brdf", json=POINTS),
-        server.http.get(f"{url}/export", params={"format": "merl", "component": absent}),
-        server.http.get(f"{url}/figures/sphere.png", params={"component": absent}),
-    ):
-        detail = assert_problem(answer, 404, "not-found")
-        assert detail == f"The fit has no component {absent}: it has {there}."
-    assert_problem(server.http.get(f"{url}/components/specular%20lobe/brdf", params=point), 404, "not-found")
 
 
 def test_a_black_fit_has_no_components(model: dsbrdf.DSBRDF) -> None:
@@ -146,9 +128,3 @@ def test_materials_are_fits_that_everyone_has_and_nobody_changes(guarded: Guarde
             detail = assert_problem(answer, 405, "method-not-allowed")
             assert detail == "The fit comes with the service; it cannot be renamed or deleted."
         assert http.get(path, headers=key).json() == document
-
-
-def test_an_ill_formed_id_is_named(server: Server) -> None:
-    assert "'abc' is no id of a fit" in assert_problem(server.http.get("/v1/fits/abc"), 404, "not-found")
-    assert "'abc' is no id of a measurement" in assert_problem(server.http.get("/v1/measurements/abc"), 404)
-    assert_problem(server.http.get("/v2/fits"), 404, "not-found")

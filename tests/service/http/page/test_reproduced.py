@@ -22,15 +22,12 @@ from tests.support.server import npy
 
 pytestmark = pytest.mark.slow
 SCRIPT = Path(__file__).with_name("reproduced.js").read_text()
+MADE_UP = json.loads(Path(__file__).with_name("made_up.json").read_text())
 STORED = Path(__file__).parents[3] / "project/stored/1.0/dsbrdf.sqlite"
 GRID = "a" * 64
 TABLE = "b" * 64
 TIME = "2026-01-02T03:04:05.678Z"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
-GLSL = """
-vec3 dsbrdf(vec3 a, vec3 b) { return vec3(0.2, 0.1, 0.05) + SHARE * pow(max(normalize(a + b).z, 0.0), 90.0); }
-vec3 dsbrdf_shown(vec3 a, vec3 b, vec3 shown) { return shown.y * vec3(0.9) * pow(a.z * b.z, 4.0) + 0.1 * shown.zzx; }
-"""
 
 
 def documents() -> dict[str, dict[str, Any]]:
@@ -38,54 +35,18 @@ def documents() -> dict[str, dict[str, Any]]:
     with closing(sqlite3.connect(f"file:{STORED}?mode=ro&immutable=1", uri=True)) as db:
         (row,) = db.execute("SELECT metrics, options, result FROM fits").fetchall()
     metrics, options, result = map(json.loads, row)
-    good = {"status": "succeeded", "progress": 1.0, "metrics": metrics, "likeness": "very close (40.0 dB)"}
-    kinds: dict[str, dict[str, Any]] = {
-        "glossy": good,
-        "other_paint": {
-            **good,
-            "metrics": metrics | {"psnr": 31.2, "male": None},
-            "likeness": "close (31.2 dB)",
-            "options": options | {"n_lobes": 3, "robust": True},
-            "warnings": ["It is dark.", "It has few samples.", "It is dark."],
-            "components": [*result["components"][:1], result["components"][1] | {"remarks": ["It is flat."]}],
-        },
-        "table": {
-            **good,
-            "measurement": TABLE,
-            "likeness": None,
-            "metrics": {"relative_rms": 0.031, "relative_rms_left_out": 0.05, "relative_rms_expected": 0.0812},
-            "measure_next": [{"theta_in_deg": 30.4, "theta_out_deg": 59.6, "phi_deg": 180.0}],
-            "warnings": ["It has few samples."],
-        },
-        "material": {**good, "started": None, "measurement": "0" * 64},
-        "waiting": {"status": "accepted"},
-        "running": {"status": "running", "progress": 0.257},
-        "wrong": {"status": "failed", "error": {"origin": "input", "message": "No lobe fits."}},
-        "too slow": {"status": "failed", "error": {"origin": "compute", "message": "It took too long."}},
-        "stopped": {"status": "cancelled", "name": None},
-    }
+    good = {"status": "succeeded", "progress": 1.0, "likeness": "very close (40.0 dB)"}
+    kinds = {name: kind if "status" in kind else good | kind for name, kind in MADE_UP["fits"].items()}
+    for kind in kinds.values():
+        if kind["status"] == "succeeded":
+            kind |= {"metrics": metrics | kind.get("metrics", {}), "options": options | kind.get("options", {})}
     plain = {"measurement": GRID, "metrics": None, "likeness": None, "error": None, "progress": 0.0, "options": options}
     plain |= {"created": TIME, "started": TIME, "finished": TIME, **result, "warnings": [], "measure_next": []}
-    named = zip("0123456789", kinds.items(), strict=False)
-    return {digit * 32: {"id": digit * 32, "name": name, **plain, **kind} for digit, (name, kind) in named}
+    return {BY_NAME[name]: {"id": BY_NAME[name], "name": name, **plain, **kind} for name, kind in kinds.items()}
 
 
+BY_NAME = {name: str(number) * 32 for number, name in enumerate(MADE_UP["fits"])}
 FITS = documents()
-BY_NAME = {fit["name"] or "stopped": identity for identity, fit in FITS.items()}
-COLUMNS = [("AOI", "theta_in", "deg"), ("signal", "value", ""), ("note", None, "")]
-SUMMARY = {
-    "n_rows": 99,
-    "n_samples": 98,
-    "columns": [{"name": name, "read_as": word, "unit": unit} for name, word, unit in COLUMNS],
-    "ranges": {
-        name: [0.12345 * number, 80.0]
-        for number, name in enumerate(["theta_in_deg", "theta_out_deg", "phi_deg", "red"])
-    },
-    "angles_of_incidence_deg": [0, 30.5],
-    "in_plane_of_incidence": 0.456,
-    "warnings": ["The values are per cent."],
-    "first": [[0.0, 1.23456, 180.0, 0.1], [30.5, 2.0, 180.0, 0.2]],
-}
 
 
 def measurement(sha256: str) -> dict[str, Any]:
@@ -162,7 +123,7 @@ class Interface:
         elif path == "materials":
             route.fulfill(json={"items": [FITS[BY_NAME["material"]]]})
         elif path == "tables":
-            route.fulfill(json=SUMMARY)
+            route.fulfill(json=MADE_UP["table"])
         elif path.endswith("/brdf"):
             route.fulfill(json={"values": values(path, points)})
         elif path.endswith(".npy"):
@@ -171,7 +132,7 @@ class Interface:
             route.fulfill(body=NO_PICTURE, content_type="image/svg+xml")
         elif path.endswith("/export"):
             name = {"Content-Disposition": 'attachment; filename="glossy.glsl"'}
-            route.fulfill(body=GLSL.replace("SHARE", f"{share_of(path):.3f}"), headers=name)
+            route.fulfill(body=" ".join(MADE_UP["glsl"]).replace("SHARE", f"{share_of(path):.3f}"), headers=name)
         elif path.endswith("/content"):
             route.fulfill(body="AOI,signal\n0,1\n")
         elif len(rest) == 1 and (first == "measurements" or rest[0] in FITS):
@@ -252,7 +213,7 @@ def test_list(look: Look, tmp_path: Path) -> None:
     for name in ("glossy", "table"):
         page.get_by_label(f"compare {name}").check()
         look.state(f"{name} ticked")
-    page.locator("#fits .menu summary").nth(2).click()
+    page.locator("#fits .menu summary").nth(3).click()
     page.get_by_role("button", name="Delete table").click()
     look.state("deleted")
     page.get_by_role("button", name="Undo").click()
