@@ -175,6 +175,11 @@ def test_invalid_key_is_refused_on_loopback_too(server: Server) -> None:
         assert_problem(server.http.get("/v1/fits", headers={"Authorization": wrong}), 401, "unauthorized")
 
 
+def test_insecure_service_lets_everyone_in_under_any_name(own_server: StartServer) -> None:
+    server = own_server(host="0.0.0.0", insecure="true")
+    assert server.http.get("/v1/fits", headers={"Host": "any.example"}).status_code == 200
+
+
 def shown(answer: httpx.Response, *names: str) -> str:
     """Return all that an answer tells, apart from what it was asked for by name and what differs with every answer."""
     head = [pair for pair in answer.headers.multi_items() if pair[0] not in ("date", "x-request-id")]
