@@ -28,7 +28,7 @@ from scipy.optimize import nnls
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.layer_data import N_SAMPLES, LayerData
-from dsbrdf.components.layers import LayeredModel, Linearized, SpecularLayer
+from dsbrdf.components.layers import ALPHA_INDEX, LayeredModel, Linearized, SpecularLayer
 from dsbrdf.components.structures import STRUCTURES, LayerStructure
 
 _EVIDENCE_SCALE = 4.0
@@ -193,8 +193,8 @@ class Descent:
             for layer, relative in zip(layers, derivatives, strict=True):
                 np.multiply(layer.own[channel], root, out=columns[end])
                 end += 1
-                if layer.grazing.size:
-                    np.multiply(_of_channel(layer.grazing, channel, 2), root, out=columns[end])
+                for other in layer.others:
+                    np.multiply(_of_channel(other, channel, 2), root, out=columns[end])
                     end += 1
                 start, end = end, end + relative.shape[-2]
                 np.multiply(_of_channel(relative, channel, 3), layer.values[channel] * root, out=columns[start:end])
@@ -320,14 +320,14 @@ def _start(data: LayerData, structure: LayerStructure, widths: tuple[float, ...]
         own = unknowns[part]
         is_surface = issubclass(prior.kind, SpecularLayer)
         if is_surface and remaining:
-            own[6] = np.log(np.tan(np.radians(remaining.pop(0))) / np.sqrt(np.sqrt(2.0) - 1.0))
+            own[ALPHA_INDEX] = np.log(np.tan(np.radians(remaining.pop(0))) / np.sqrt(np.sqrt(2.0) - 1.0))
         white = np.concatenate([np.zeros(3), own[3:]])
         if is_surface:
             white[3] = 0.0
         layer = prior.kind.linearize(data.points, white)
         shapes.append(layer.own[0])
-        if layer.grazing.size:
-            shapes.append(_of_channel(layer.grazing, 0, 2))
+        if layer.others:
+            shapes.append(_of_channel(layer.others[0], 0, 2))
     columns = np.stack(shapes)
     found = [nnls((columns * root).T, goal)[0] for root, goal in zip(data.root_weight, data.weighted, strict=True)]
     heights = iter(np.array(found).T)

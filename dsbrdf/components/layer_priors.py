@@ -15,6 +15,7 @@ from scipy.linalg import block_diag
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.layers import (
+    ALPHA_INDEX,
     CONTRASTS,
     N_TURNS,
     DiffuseLayer,
@@ -29,7 +30,7 @@ _STUDENT_T_FREEDOM = 4.0
 _GAUSSIAN_FREEDOM = 1e9  # With so many degrees of freedom, Student's t distribution is a Gaussian.
 _FIXED_DEVIATION = 1e-3  # A prior with this standard deviation practically fixes an unknown.
 _RISE_AXES = np.array([[-0.6, 0.8], [0.8, 0.6]])
-"""Axes of the plane of the exponents q1 and q2, in which glass is at 0, and Schlick's law at 1.5 on the first axis."""
+"""Axes of the plane of the exponents q1 and q2; on the first axis, the reflectance of a metal falls before it rises."""
 
 Pair: TypeAlias = tuple[float, float]
 """Mean and standard deviation of an unknown, or its lower and upper bound."""
@@ -51,7 +52,7 @@ class LayerPrior:
         """Return the prior with a minimum roughness and without refraction, if the layer is a surface."""
         if not issubclass(self.kind, SpecularLayer):
             return self
-        is_alpha, is_refraction = (np.arange(self.mean.size) == index for index in (6, 10))
+        is_alpha, is_refraction = (np.arange(self.mean.size) == index for index in (ALPHA_INDEX, 11))
         return replace(
             self,
             mean=np.where(is_refraction, 0.0, self.mean),
@@ -79,7 +80,7 @@ def _prior(
     colors = np.vstack([np.full((1, 3), 1.0 / 3.0) / color[1], CONTRASTS / tint])
     whiten = np.diag(1.0 / deviations)
     if issubclass(kind, SpecularLayer):
-        whiten[1:3, 1:3] = whiten[1:3, 1:3] @ _RISE_AXES
+        whiten[2:4, 2:4] = whiten[2:4, 2:4] @ _RISE_AXES
     return LayerPrior(
         kind,
         is_diffuse,
@@ -95,13 +96,15 @@ MAX_ALPHA = 0.7
 """Maximum roughness of a surface, because a rougher surface looks like a matte ground."""
 _DIELECTRIC_LOG_F0_BOUNDS = (-12.0, np.log(0.2))  # Diamond, the brightest dielectric, has F0 = 0.17.
 _LOG_F0_BOUNDS = (-12.0, np.log(3.0))
-_RISE_PRIOR = ((0.0, 1.0), (0.0, 0.15))  # priors of a surface's exponents q1 and q2, along two axes of their plane
+# Priors of the part m of Schlick's law in a surface's reflectance, and of the exponents q1 and q2 along two axes.
+_RISE_PRIOR = ((0.0, 0.5), (0.0, 0.7), (0.0, 0.15))
+_SCHLICK_BOUNDS = (-0.5, 1.0)  # With a part above 1, the reflectance could be negative.
 _REFRACTION = (0.0, 0.2)  # The exponent is 1 for a coat of glass, but most materials are described as well without.
 _REFRACTION_BOUNDS = (-0.2, 1.2)
-# Bounds of log F90, q1, q2, log alpha, log tau, masking, under_coat and refraction: a surface's unknowns but colour.
+# Bounds of log F90, m, q1, q2, log alpha, log tau, masking, under_coat and refraction: a surface's unknowns but colour.
 _SPECULAR_BOUNDS = (
-    (-5.0, 0.0), (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(MAX_ALPHA)), (np.log(0.6), np.log(60.0)),
-    (-0.5, 1.5), (-0.5, 2.0), _REFRACTION_BOUNDS,
+    (-5.0, 0.0), _SCHLICK_BOUNDS, (-1.5, 1.5), (-1.5, 1.5), (np.log(0.002), np.log(MAX_ALPHA)),
+    (np.log(0.6), np.log(60.0)), (-0.5, 1.5), (-0.5, 2.0), _REFRACTION_BOUNDS,
 )  # fmt: skip
 
 _TURN_DEVIATION = 0.7  # From the mirror direction to the horizon, the ratio of two channels may change threefold.
@@ -143,13 +146,13 @@ def _diffuse(exponents: Sequence[Pair]) -> LayerPrior:
 
 DIELECTRIC = _specular((np.log(0.045), 0.35), 0.03, strength=_DIELECTRIC_LOG_F0_BOUNDS)
 COAT = _specular((np.log(0.045), 0.35), 0.03)  # The bounds of F0 include the peak of a metal with haze.
-CLEAR_COAT = replace(COAT, upper=np.where(np.arange(COAT.upper.size) == 6, np.log(0.08), COAT.upper))
+CLEAR_COAT = replace(COAT, upper=np.where(np.arange(COAT.upper.size) == ALPHA_INDEX, np.log(0.08), COAT.upper))
 """Prior of a clear coat whose alpha is at most 0.08, so that the coat is smoother than the layer below it."""
 METAL = _specular((np.log(0.6), 0.6), 1.0)
 VERY_ROUGH_METAL = replace(
     METAL,
-    lower=np.where(np.arange(METAL.lower.size) == 6, np.log(0.6), METAL.lower),
-    upper=np.where(np.arange(METAL.upper.size) == 6, 0.0, METAL.upper),
+    lower=np.where(np.arange(METAL.lower.size) == ALPHA_INDEX, np.log(0.6), METAL.lower),
+    upper=np.where(np.arange(METAL.upper.size) == ALPHA_INDEX, 0.0, METAL.upper),
 )
 """Prior of a metal whose alpha is between 0.6 and 1, which looks like a matte ground."""
 METAL_UNDER_COAT = _specular((np.log(0.6), 0.6), 1.0, under_coat=True)
@@ -170,8 +173,8 @@ FIBRES = _prior(
         (0.0, _FIXED_DEVIATION),
     ),
     (
-        _DIELECTRIC_LOG_F0_BOUNDS, *_SPECULAR_BOUNDS[:3], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)),
-        *_SPECULAR_BOUNDS[5:],
+        _DIELECTRIC_LOG_F0_BOUNDS, *_SPECULAR_BOUNDS[:4], (np.log(0.5), 0.0), (np.log(0.6), np.log(3.0)),
+        *_SPECULAR_BOUNDS[6:],
     ),
 )  # fmt: skip
 
@@ -194,11 +197,11 @@ INTERREFLECTION = replace(
 _OWN_SURFACE = _prior(
     SpecularLayer, (np.log(0.15), 2.0), 2.0,
     (
-        (-0.1, 0.8), (0.0, 1.5), (0.0, 0.6), (np.log(0.12), 3.0), (np.log(2.0), 1.0), (0.5, 0.4),
+        (-0.1, 0.8), (0.0, 1.0), (0.0, 1.5), (0.0, 0.6), (np.log(0.12), 3.0), (np.log(2.0), 1.0), (0.5, 0.4),
         (0.0, _FIXED_DEVIATION), _REFRACTION,
     ),
     (
-        _LOG_F0_BOUNDS, (np.log(0.02), 0.0), (-3.0, 3.0), (-3.0, 3.0), (np.log(0.001), np.log(0.9)),
+        _LOG_F0_BOUNDS, (np.log(0.02), 0.0), _SCHLICK_BOUNDS, (-3.0, 3.0), (-3.0, 3.0), (np.log(0.001), np.log(0.9)),
         (np.log(0.6), np.log(60.0)), (-0.5, 1.5), (0.0, 0.0), _REFRACTION_BOUNDS,
     ),
     is_diffuse=False,

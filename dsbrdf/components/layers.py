@@ -1,10 +1,10 @@
 """Model physical layers with few parameters: surfaces that reflect light, and diffuse layers that scatter light.
 
-Let u = 1 - cos(theta_diff), and let cos_in and cos_out be the cosines of both directions to the normal. Let s(cos) be
-the Fresnel reflectance of glass, scaled to 0 at normal and to 1 at grazing incidence. A **specular layer** is a rough
-surface of microfacets (Cook and Torrance 1982), with s = s(cos(theta_diff)),
+Let u = 1 - cos(theta_diff), let cos_in and cos_out be the cosines of both directions to the normal, and let s(cos) be
+the Fresnel reflectance of glass, from 0 at normal to 1 at grazing incidence. A **specular layer** is a surface of
+microfacets (Cook and Torrance 1982), whose reflectance rises as that of glass or by the law of Schlick (1994),
 
-    f = (F0 (1 - s) + F90 s) D V exp(q1 u + q2 u**2) T**t,
+    f = (F0 (1 - S) + F90 S) exp(q1 u + q2 u**2) D V T**t,    S = (1 - m) s(cos(theta_diff)) + m u**5,
     D = 1 / (pi alpha**2) (1 + tan(theta_half)**2 / (g alpha**2))**-tau / cos(theta_half)**4.
 
 D is Student's t distribution of slopes with the exponent tau, normalised by g = tau - 1: tau = 2 is GGX (Walter 2007),
@@ -42,10 +42,10 @@ from dsbrdf.components.points import COAT_F0, COAT_INDEX, Points, fresnel_rise, 
 from dsbrdf.model.reflectance import RenderableModel
 
 Color: TypeAlias = tuple[float, float, float]
+# Two orthonormal differences between the channels of a log colour; the colours a and b of a turning layer have both.
 CONTRASTS = np.array([[3.0, -3.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[18.0], [6.0]])
-"""Two orthonormal differences between the channels of a log colour."""
 N_TURNS = 4
-"""Number of unknowns for the colours a and b of a turning layer: both contrasts of each."""
+ALPHA_INDEX = 7  # Log alpha has this index among the unknowns of a specular layer.
 GRAZING_ANGLE = float(np.radians(70.0))
 """Grazing reflectance is stated at this theta_diff [rad], because many measurements are wrong at larger angles."""
 
@@ -56,7 +56,7 @@ class Linearized(NamedTuple):
     values: Array  # values at the points, (3, N) [1/sr]
     own: Array  # derivative of the values of a channel in the logarithm of its colour, (3, N) [1/sr]
     relative: Callable[[], Array]  # returns derivatives of log values in the last P unknowns, (P, N) or (3, P, N)
-    grazing: Array = np.zeros(0)  # derivative of the values in log F90, (N,) or (3, N) [1/sr]; empty without F90
+    others: tuple[Array, ...] = ()  # derivatives in the unknowns between them, each (N,) or (3, N) [1/sr]
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,15 @@ class SpecularLayer:
     f0 : tuple of float
         Reflectance of the facets at normal incidence, RGB.
     f90 : float
-        Reflectance of the facets at grazing incidence, before it is multiplied by the factor of `rise`.
+        Reflectance of the facets at grazing incidence, before it is multiplied by exp(q1 + q2).
     alpha, tail_exponent : float
         Roughness, and the exponent tau of the tails: 2 is GGX, and a smaller exponent makes a longer tail.
     rise : tuple of float
-        Exponents q1 and q2, by which the reflectance of the facets deviates from glass.
+        Exponents q1 and q2, by which the reflectance of a metal deviates from the law of a dielectric.
     masking, under_coat, refraction : float
         Exponents b of the masking, t of the light that passes a coat, and r of the refraction by a coat.
+    schlick : float
+        Part m of the rise of the reflectance that follows Schlick's law; the rest is that of glass.
     """
 
     f0: Color
@@ -85,13 +87,14 @@ class SpecularLayer:
     masking: float
     under_coat: float = 0.0
     refraction: float = 0.0
+    schlick: float = 0.0
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> SpecularLayer:
-        """Make a layer from the array (11,) of its unknowns."""
-        red, green, blue, f90, alpha, tail_exponent = np.exp(unknowns[[0, 1, 2, 3, 6, 7]]).tolist()
-        q1, q2, masking, under_coat, refraction = unknowns[[4, 5, 8, 9, 10]].tolist()
-        return cls((red, green, blue), f90, alpha, tail_exponent, (q1, q2), masking, under_coat, refraction)
+        """Make a layer from the array (12,) of its unknowns."""
+        red, green, blue, f90, alpha, tail_exponent = np.exp(unknowns[[0, 1, 2, 3, 7, 8]]).tolist()
+        schlick, q1, q2, masking, under_coat, refraction = unknowns[[4, 5, 6, 9, 10, 11]].tolist()
+        return cls((red, green, blue), f90, alpha, tail_exponent, (q1, q2), masking, under_coat, refraction, schlick)
 
     @property
     def reflectance(self) -> Array:
@@ -100,24 +103,21 @@ class SpecularLayer:
 
     def reflectance_at(self, theta_diff: float) -> Color:
         """Return the reflectance of the facets at an angle of incidence [rad], RGB."""
-        low, high = self._reflectance_parts(theta_diff)
-        red, green, blue = (low + high).tolist()
+        u, f0, (risen, _) = 1.0 - np.cos(theta_diff), np.array(self.f0), self._rise_at(theta_diff)
+        red, green, blue = ((f0 + (self.f90 - f0) * risen) * np.exp(self.rise[0] * u + self.rise[1] * u**2)).tolist()
         return red, green, blue
 
     def reflectance_slopes(self, theta_diff: float) -> Array:
-        """Return the derivatives of the logarithm of `reflectance_at` in the layer's unknowns, (channels, 11)."""
-        low, high = self._reflectance_parts(theta_diff)
-        rise, slopes = 1.0 - np.cos(theta_diff), np.zeros((3, 11))
-        slopes[:, :3] = np.diag(low / (low + high))
-        slopes[:, 3] = high / (low + high)
-        slopes[:, 4:6] = rise, rise**2
-        return slopes
+        """Return the derivatives of the logarithm of `reflectance_at` in the layer's unknowns, (channels, 12)."""
+        u, f0, (risen, to_schlick) = 1.0 - np.cos(theta_diff), np.array(self.f0), self._rise_at(theta_diff)
+        total = f0 + (self.f90 - f0) * risen
+        of_color, others = np.diag(f0 * (1.0 - risen) / total), np.tile([u, u**2, 0.0, 0.0, 0.0, 0.0, 0.0], (3, 1))
+        return np.column_stack([of_color, self.f90 * risen / total, (self.f90 - f0) * to_schlick / total, others])
 
-    def _reflectance_parts(self, theta_diff: float) -> tuple[Array, float]:
-        """Return the two terms of the facets' reflectance: the term with F0 (3,), and the term with F90."""
-        rise, fresnel = 1.0 - np.cos(theta_diff), fresnel_rise(np.cos(theta_diff))
-        bend = np.exp(self.rise[0] * rise + self.rise[1] * rise**2)
-        return np.array(self.f0) * (1.0 - fresnel) * bend, float(self.f90 * fresnel * bend)
+    def _rise_at(self, theta_diff: float) -> tuple[float, float]:
+        """Return S in the equation of a specular layer, and its derivative in m."""
+        cosine, glass = float(np.cos(theta_diff)), float(fresnel_rise(np.cos(theta_diff)))
+        return glass + self.schlick * ((1.0 - cosine) ** 5 - glass), (1.0 - cosine) ** 5 - glass
 
     @property
     def half_width(self) -> float:
@@ -127,25 +127,26 @@ class SpecularLayer:
 
     @property
     def unknowns(self) -> Array:
-        """Array (11,) of the unknowns of the layer."""
+        """Array (12,) of the unknowns of the layer."""
         logs = np.log([*self.f0, self.f90, self.alpha, self.tail_exponent])
-        return np.array([*logs[:4], *self.rise, *logs[4:], self.masking, self.under_coat, self.refraction])
+        return np.array(
+            [*logs[:4], self.schlick, *self.rise, *logs[4:], self.masking, self.under_coat, self.refraction]
+        )
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
         """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
-        alpha, tail_exponent = np.exp(unknowns[6:8]).tolist()
-        surface = _Surface(points, alpha, tail_exponent, float(unknowns[10]))
-        masking = unknowns[8]
-        shape = np.exp(surface.log_shape(masking) + unknowns[4:6] @ points.rise + unknowns[9] * points.passed)
-        own = np.exp(unknowns[:3])[:, np.newaxis] * (shape * (1.0 - points.fresnel))
-        grazing = np.exp(unknowns[3]) * shape * points.fresnel
+        surface = _Surface(points, float(np.exp(unknowns[7])), float(np.exp(unknowns[8])), float(unknowns[11]))
+        (schlick, masking), f0, f90 = unknowns[[4, 9]], np.exp(unknowns[:3, np.newaxis]), np.exp(unknowns[3])
+        shape = np.exp(surface.log_shape(masking) + unknowns[5:7] @ points.rise + unknowns[10] * points.passed)
+        risen = points.fresnel + schlick * points.to_schlick
+        own, grazing = f0 * (shape * (1.0 - risen)), f90 * shape * risen
 
         def relative() -> Array:
-            *shape, by_refraction = surface.derivatives(masking)
-            return np.array([*points.rise, *shape, points.passed, by_refraction])
+            *of_shape, by_refraction = surface.derivatives(masking)
+            return np.array([*points.rise, *of_shape, points.passed, by_refraction])
 
-        return Linearized(own + grazing, own, relative, grazing)
+        return Linearized(own + grazing, own, relative, (grazing, (f90 - f0) * (shape * points.to_schlick)))
 
 
 @dataclass(frozen=True)
@@ -162,27 +163,28 @@ class TurningLayer(SpecularLayer):
 
     @classmethod
     def from_unknowns(cls, unknowns: Array) -> TurningLayer:
-        """Make a layer from the array (15,) of its unknowns."""
-        first, second = ((red, green, blue) for red, green, blue in (unknowns[11:].reshape(2, 2) @ CONTRASTS).tolist())
-        return cls(**vars(SpecularLayer.from_unknowns(unknowns[:11])), turn=(first, second))
+        """Make a layer from the array (16,) of its unknowns."""
+        first, second = ((red, green, blue) for red, green, blue in (unknowns[12:].reshape(2, 2) @ CONTRASTS).tolist())
+        return cls(**vars(SpecularLayer.from_unknowns(unknowns[:12])), turn=(first, second))
 
     @property
     def unknowns(self) -> Array:
-        """Array (15,) of the unknowns of the layer."""
+        """Array (16,) of the unknowns of the layer."""
         return np.concatenate([super().unknowns, (np.array(self.turn) @ CONTRASTS.T).ravel()])
 
     @classmethod
     def linearize(cls, points: Points, unknowns: Array) -> Linearized:
         """Return the values of a layer at points, and the derivatives of the values in its unknowns."""
-        plain = SpecularLayer.linearize(points, unknowns[:11])
+        plain = SpecularLayer.linearize(points, unknowns[:12])
         turns = np.concatenate([CONTRASTS[:, :, np.newaxis] * angle for angle in (points.ground[4], points.rise[0])])
-        factor = np.exp(np.tensordot(unknowns[11:], turns, 1))
+        factor = np.exp(np.tensordot(unknowns[12:], turns, 1))
 
         def relative() -> Array:
             of_all = plain.relative()
             return np.concatenate([np.broadcast_to(of_all, (3, *of_all.shape)), turns.swapaxes(0, 1)], axis=1)
 
-        return Linearized(plain.values * factor, plain.own * factor, relative, plain.grazing * factor)
+        others = tuple(other * factor for other in plain.others)
+        return Linearized(plain.values * factor, plain.own * factor, relative, others)
 
 
 class _Surface:
@@ -192,8 +194,7 @@ class _Surface:
         self._points, self._exponent, self._refraction = points, tail_exponent, refraction
         self._square = square = (alpha / COAT_INDEX**refraction) ** 2
         self._seen = np.sqrt(1.0 - (1.0 - square) * points.squared_sines)
-        (cos_in, cos_out), (seen_in, seen_out) = points.cosines, self._seen
-        self._together = cos_out * seen_in + cos_in * seen_out
+        self._together = np.sum(points.cosines[::-1] * self._seen, axis=0)
         self._apart = points.cosines + self._seen
         self._by_masking = np.log(2.0 * self._together / (self._apart[0] * self._apart[1]))
         self._norm, self._norm_slope = tail_norm(tail_exponent)
@@ -210,8 +211,8 @@ class _Surface:
     def derivatives(self, masking: float) -> tuple[Array, Array, Array, Array]:
         """Return the derivatives of `log_shape` in log alpha, log tau, and the exponents of masking and refraction."""
         points, pulled = self._points, self._exponent * self._slope / (1.0 + self._slope)
-        (cos_in, cos_out), by_seen = points.cosines, self._square * points.squared_sines / self._seen
-        together = -(cos_out * by_seen[0] + cos_in * by_seen[1]) / self._together
+        by_seen = self._square * points.squared_sines / self._seen
+        together = -np.sum(points.cosines[::-1] * by_seen, axis=0) / self._together
         apart = -(by_seen / self._apart).sum(axis=0)
         by_alpha = 2.0 * (pulled - 1.0) + together + masking * (apart - together)
         by_tail = self._exponent * (self._norm_slope / self._norm * pulled - self._tail)

@@ -38,6 +38,7 @@ class Points(NamedTuple):
     fresnel: Array  # reflectance of glass at theta_diff, from 0 (normal) to 1 (grazing)
     passed: Array  # logarithm of the fraction of light that passes a clear coat both ways
     rise: Array  # u = 1 - cos(theta_diff), and u**2
+    to_schlick: Array  # u**5, the rise by Schlick's law, minus the rise of glass
     ground: Array  # the six terms of a diffuse layer, see `dsbrdf.components.layers`
     fibres: Array  # logarithms of 1 - cos(theta_diff) and of sin(theta_half), for sheen
     below_coat: (
@@ -73,6 +74,7 @@ class Points(NamedTuple):
             fresnel=fresnel,
             passed=passed + 2.0 * np.log(1.0 - COAT_F0),
             rise=np.stack([rise, rise**2]),
+            to_schlick=rise**5 - fresnel,
             ground=np.stack(ground),
             fibres=np.log(np.stack([np.maximum(rise, MIN_RISE), np.maximum(sin_half, MIN_SINE)])),
             below_coat=np.log(

@@ -34,6 +34,8 @@ HALO_TAN2 = float(np.tan(np.radians(30.0))) ** 2
 """At smaller tan(theta_half)**2, values above the sum of all layers are mostly assigned to the highlight."""
 EXCESS_HALO_TAN2 = HALO_TAN2 / 4.0
 """At smaller tan(theta_half)**2, values below the sum of all layers are mostly subtracted from the highlight."""
+_MIN_MISSED = 0.01
+"""Layers count as wrong by at least this fraction of the values, because no equation of a layer is exact."""
 _DIFFERENCE_POWER = 3
 """Power p in the part f**p of the missed light that layers with the fraction f of all light of the layers receive."""
 MIN_LIGHT = 1e-18
@@ -93,7 +95,8 @@ class WeightedLayers:
         layers = self.model.layer_values(points)
         total = layers.sum(axis=0) + MIN_LIGHT
         fraction = layers[[label in labels for label in self.labels]].sum(axis=0) / total
-        return np.asarray(np.abs(values - total) * 4.0 * fraction * (1.0 - fraction))
+        missed = np.maximum(np.abs(values - total), _MIN_MISSED * values)
+        return np.asarray(missed * 4.0 * fraction * (1.0 - fraction))
 
     def kinds_of(self, label: str) -> set[type[Layer]]:
         """Return the kinds of the layers of a component."""

@@ -32,7 +32,7 @@ from dsbrdf.components.layer_priors import (
     LayerPrior,
     turning,
 )
-from dsbrdf.components.layers import N_TURNS, LayeredModel, SpecularLayer, TurningLayer
+from dsbrdf.components.layers import ALPHA_INDEX, N_TURNS, LayeredModel, SpecularLayer, TurningLayer
 
 _MAX_START_HALF_WIDTH_DEG = 35.0
 _MAX_FIRST_ALPHA_FACTOR = 3.0  # A fit hardly changes the roughness of its start by a larger factor.
@@ -86,7 +86,7 @@ class LayerStructure:
 
     def started_from(self, parent: LayeredModel) -> "LayerStructure | None":
         """Return the structure with a start at its parent's half widths; None if these are far below its own bounds."""
-        if parent.layers[0].unknowns[6] < self.layers[0].lower[6] - np.log(_MAX_FIRST_ALPHA_FACTOR):
+        if parent.layers[0].unknowns[ALPHA_INDEX] < self.layers[0].lower[ALPHA_INDEX] - np.log(_MAX_FIRST_ALPHA_FACTOR):
             return None
         widths = [float(np.degrees(one.half_width)) for one in parent.layers if isinstance(one, SpecularLayer)]
         start = tuple(min(widths[number] * factor, _MAX_START_HALF_WIDTH_DEG) for number, factor in self.start_factors)
@@ -103,7 +103,9 @@ class LayerStructure:
         """Means of the priors of all unknowns (U,)."""
         mean = np.concatenate([layer.mean for layer in self.layers])
         if self.interreflects:
-            mean[self.slices[-1]][:3] = 2.0 * mean[:3] + INTERREFLECTION_POWER * mean[6] + INTERREFLECTION_LOG_SCALE
+            mean[self.slices[-1]][:3] = (
+                2.0 * mean[:3] + INTERREFLECTION_POWER * mean[ALPHA_INDEX] + INTERREFLECTION_LOG_SCALE
+            )
         return mean
 
     @cached_property
@@ -114,7 +116,7 @@ class LayerStructure:
             rows = self.slices[-1].start + np.arange(3)
             own = root[np.ix_(rows, rows)]
             root[np.ix_(rows, np.arange(3))] = -2.0 * own
-            root[rows, 6] = -INTERREFLECTION_POWER * own.sum(axis=1)
+            root[rows, ALPHA_INDEX] = -INTERREFLECTION_POWER * own.sum(axis=1)
         return root
 
     @cached_property

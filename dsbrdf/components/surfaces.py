@@ -15,7 +15,15 @@ from scipy.special import gammaln, stdtr
 from dsbrdf.arrays import Array
 from dsbrdf.components.layer_data import MODEL_ERROR, half_of_peak
 from dsbrdf.components.layer_fit import FittedStructure
-from dsbrdf.components.layers import GRAZING_ANGLE, Color, LayeredModel, RetroLayer, SpecularLayer, tail_norm
+from dsbrdf.components.layers import (
+    ALPHA_INDEX,
+    GRAZING_ANGLE,
+    Color,
+    LayeredModel,
+    RetroLayer,
+    SpecularLayer,
+    tail_norm,
+)
 from dsbrdf.components.points import Points, light_rules
 from dsbrdf.components.shares import RANGE_HALF_WIDTH_SIGMAS, Range, RgbRange, SurfaceSpread
 
@@ -232,7 +240,7 @@ def _surface(
         weight = np.array([np.mean(layer.f0 / f0_sum) for layer in layers])
         alpha = float(np.exp(weight @ np.log([layer.alpha for layer in layers]) / weight.sum()))
         tail_exponent = layers[int(weight.argmax())].tail_exponent
-        places = 6 + layers[0].unknowns.size * np.arange(len(layers))
+        places = ALPHA_INDEX + layers[0].unknowns.size * np.arange(len(layers))
         alpha_range = _around(alpha, float(weight @ covariance[np.ix_(places, places)] @ weight) + of_alpha)
     if not misfit.withholds_reflectance:
         f0, f0_range = _stated(f0_sum, variance + of_f0)

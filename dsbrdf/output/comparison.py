@@ -37,8 +37,10 @@ def _fixed(prior: LayerPrior, unknowns: dict[int, float]) -> LayerPrior:
     return replace(prior, **arrays)
 
 
-# Unknowns of a surface after its colour and F90: q1, q2, log alpha, log tau, masking, under_coat and refraction.
-_HIGHLIGHT = _fixed(OWN_PRIORS[SpecularLayer], {4: 0.0, 5: 0.0, 7: float(np.log(2.0)), 8: 0.0, 9: 0.0, 10: 0.0})
+# Unknowns of a surface after its colour and F90: m, q1, q2, log alpha, log tau, masking, under_coat and refraction.
+_HIGHLIGHT = _fixed(
+    OWN_PRIORS[SpecularLayer], {4: 0.0, 5: 0.0, 6: 0.0, 8: float(np.log(2.0)), 9: 0.0, 10: 0.0, 11: 0.0}
+)
 _LAMBERT = _fixed(OWN_PRIORS[DiffuseLayer], dict.fromkeys(range(3, 9), 0.0))
 _STARTS_DEG = ((0.15, 12.0), (1.0, 6.0), (1.0, 16.0), (4.0, 16.0), (8.0, 30.0))
 _STRUCTURE = LayerStructure("two GGX highlights", (_HIGHLIGHT, _HIGHLIGHT, _LAMBERT), starts=_STARTS_DEG)

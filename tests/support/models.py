@@ -183,7 +183,7 @@ def surface(f0: tuple[float, float, float], alpha: float, under_coat: float = 0.
 
 
 COAT = SpecularLayer((0.04, 0.041, 0.042), 0.9, 0.05, 2.0, (0.2, -0.3), 0.4, 0.0)
-METAL = SpecularLayer((0.9, 0.6, 0.3), 1.1, 0.3, 5.0, (-0.1, 0.2), 0.8, 1.0, 0.7)
+METAL = SpecularLayer((0.9, 0.6, 0.3), 1.1, 0.3, 5.0, (-0.1, 0.2), 0.8, 1.0, 0.7, 0.6)
 GROUND = DiffuseLayer((0.4, 0.2, 0.05), (0.7, 0.1, -0.2, 0.3, 0.5, -0.6))
 SHEEN = SheenLayer((0.02, 0.03, 0.1), (2.0, 3.0))
 RETRO = RetroLayer((0.1, 0.2, 0.3), 0.1)

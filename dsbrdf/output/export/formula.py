@@ -120,14 +120,14 @@ def _layers(xp: Any, pair: tuple[Any, Any], diff: Any, tan2: Any, parameters: di
     bent_in, bent_out, bent = (xp.sqrt(1.25 + cosine**2) for cosine in (cos_in, cos_out, 1.0 - u))
     to_in, to_out, fresnel = _rise(xp, cos_in, bent_in), _rise(xp, cos_out, bent_out), _rise(xp, 1.0 - u, bent)
     ratio, spread = ((cos_in + cos_out) / (bent_in + bent_out)) ** 2, cos_in * cos_out / (bent_in * bent_out)
-    passed, sin2_half, rise = xp.log((1.0 - to_in) * (1.0 - to_out)), tan2 / (1.0 + tan2), fresnel[..., None]
-    total = 0.0 * rise - 1e4  # The logarithm -1e4 stands for a sum without layers, because exp(-1e4) is 0.
+    passed, sin2_half = xp.log((1.0 - to_in) * (1.0 - to_out)), tan2 / (1.0 + tan2)
+    total = 0.0 * u[..., None] - 1e4  # The logarithm -1e4 stands for a sum without layers, because exp(-1e4) is 0.
     for name in names:
         p = {key.rpartition(".")[2]: value for key, value in parameters.items() if key.rpartition(".")[0] == name}
         if "f0" in p:  # Only specular layers have F0.
             form = p["rise"][0] * u + p["rise"][1] * u**2 + p["under_coat"] * (passed + 2.0 * math.log1p(-COAT_F0))
             form = form + p["refraction"] * xp.log(spread)
-            color = xp.log(p["f0"] * (1.0 - rise) + p["f90"] * rise)
+            color = xp.log(p["f0"] + (p["f90"] - p["f0"]) * (fresnel + p["schlick"] * (u**5 - fresnel))[..., None])
             color = color + p["turn"][0] * sin2_half[..., None] + p["turn"][1] * u[..., None] if "turn" in p else color
             below2, square = tan2 * ratio ** p["refraction"], (p["alpha"] / COAT_INDEX ** p["refraction"]) ** 2
             form = form + _facets(xp, cos_in, cos_out, below2, square, p["tail_exponent"], p["masking"])

@@ -9,6 +9,7 @@ from scipy.optimize import minimize
 from dsbrdf.components import DiffuseLayer, Layer, LayeredModel, RetroLayer, SheenLayer, SpecularLayer, TurningLayer
 from dsbrdf.components.layer_data import LayerData, component_data, grid_values, material_data, renderer_data
 from dsbrdf.components.layer_fit import FittedStructure, fit_structures, structure_weights
+from dsbrdf.components.layers import ALPHA_INDEX
 from dsbrdf.components.points import NORMAL, Points, light_rules
 from dsbrdf.components.shares import LABELS, DrawnLayers, WeightedLayers
 from dsbrdf.components.structures import RARE_STRUCTURES, STRUCTURES, LayerStructure
@@ -129,7 +130,7 @@ def test_draws_spread_as_the_normal_equations_say() -> None:
     found = fitted(PLASTIC, GROUND)[0]
     drawn = found.draw(np.random.default_rng(0), 2000)
     alphas = np.log([layer.alpha for model in drawn for layer in model.layers if isinstance(layer, SpecularLayer)])
-    expected = np.sqrt(np.linalg.inv(found.normal_equations)[6, 6])
+    expected = np.sqrt(np.linalg.inv(found.normal_equations)[ALPHA_INDEX, ALPHA_INDEX])
     assert alphas.std() == pytest.approx(expected, rel=0.1)
 
 

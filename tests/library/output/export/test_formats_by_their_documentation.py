@@ -95,7 +95,8 @@ def layer_values(layer: dict[str, Any]) -> Array:
         return np.asarray(d * (2.0 * (c_o * v_i + c_i * v_o)) ** (b - 1.0) * ((c_i + v_i) * (c_o + v_o)) ** -b)
 
     if "f0" in layer:
-        q_1, q_2 = layer["rise"]
+        (q_1, q_2), m = layer["rise"], layer["schlick"]
+        s = (1.0 - m) * s + m * u**5
         r, b_i, b_o = layer["refraction"], np.sqrt(1.25 + c_i**2), np.sqrt(1.25 + c_o**2)
         tangent2 = np.minimum(np.tan(half) ** 2, 1e4) * ((c_i + c_o) / (b_i + b_o)) ** (2.0 * r)
         shape = facets(tangent2, layer["alpha"] / 1.5**r, layer["tail_exponent"], layer["masking"])
