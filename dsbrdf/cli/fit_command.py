@@ -200,7 +200,7 @@ def _check_outputs(files: Sequence[Path], outputs: Iterable[Path], together: str
     """Raise an error if an output would replace an input, or if the name of a joined measurement has a folder."""
     for output in outputs:
         check_output(output, files)
-    if together is not None and (Path(together).name != together or together.startswith(".")):
+    if together is not None and (Path(together).name != together or together[:1] in ("", ".")):
         raise InvalidArgumentError(f"--together: must be a name without a folder, not {together!r}")
 
 

@@ -188,7 +188,13 @@ def read_samples(
         raise InvalidArgumentError("name at least one file with a table of samples")
     if any(source.stat().st_size > _MAX_FILE_BYTES for source in paths):
         raise MeasurementFormatError(f"The table is longer than {_MAX_FILE_BYTES} bytes.")
-    return _joined([(source.name, _read(source.read_bytes(), options)) for source in paths], paths[0].stem, options)
+    found = list[tuple[str, SampleRows]]()
+    for source in paths:
+        try:
+            found.append((source.name, _read(source.read_bytes(), options)))
+        except MeasurementFormatError as error:
+            raise error if len(paths) == 1 else MeasurementFormatError(f"{source.name}: {error}") from None
+    return _joined(found, paths[0].stem, options)
 
 
 def parse_samples(data: bytes, name: str = "samples", options: TableOptions = AS_WRITTEN) -> ScatteredSamples:

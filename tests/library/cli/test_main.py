@@ -51,9 +51,10 @@ def test_a_full_output_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert capsys.readouterr().err == "dsbrdf: No space left on device\n"
 
 
-def test_characters_that_an_output_cannot_encode_are_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("errors", ["strict", "surrogateescape"])
+def test_characters_that_an_output_cannot_encode_are_escaped(errors: str, monkeypatch: pytest.MonkeyPatch) -> None:
     output = BytesIO()
-    monkeypatch.setattr(sys, "stdout", TextIOWrapper(output, "ascii"))
+    monkeypatch.setattr(sys, "stdout", TextIOWrapper(output, "ascii", errors))
     cli.main(["--version"])
     print("30\N{DEGREE SIGN}", flush=True)
     assert output.getvalue().endswith(b"30\\xb0\n")
@@ -143,6 +144,8 @@ MISTAKES = {
     "fit photo.png": "dsbrdf: photo.png: The file is a PNG image; a picture has no directions of light and viewer",
     "fit plastic.binary -o plastic.json": "must be a folder, in which NAME.json is saved, not a file such as",
     "fit felt.csv --together a/b": "dsbrdf: --together: must be a name without a folder, not 'a/b'",
+    "fit felt.csv --together=": "dsbrdf: --together: must be a name without a folder, not ''",
+    "fit felt.csv plastic.binary --together a": "dsbrdf: plastic.binary: The file is a MERL file",
     # models
     "show nickel.binary": "nickel.binary: this command reads models, not measurements; fit it first with dsbrdf fit",
     "show photo.json": "dsbrdf: photo.json: the file is a PNG image; a stored model is a .json file",
