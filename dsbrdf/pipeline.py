@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from dsbrdf.arrays import Array
-from dsbrdf.data.faults import profile_findings, value_findings
+from dsbrdf.data.faults import profile_findings
 from dsbrdf.data.measurement import Measurement
 from dsbrdf.data.reduction import Profiles, profiles
+from dsbrdf.data.value_faults import value_findings
 from dsbrdf.errors import ConvergenceWarning, InvalidArgumentError
 from dsbrdf.findings import Finding
 from dsbrdf.fitting.global_method import fit_global, refine_at_samples

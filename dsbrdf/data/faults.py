@@ -1,7 +1,7 @@
-"""Notice faults of measurements: clipped highlights, a missing centre, stray light, coarse values, exchanged angles.
+"""Notice faults of measurements in sums over bins of phi_diff: clipped highlights, a missing centre, stray light.
 
 Every threshold lies between good measurements, 9 of the RGL database and 62 stand-ins for MERL, and the same
-measurements with a fault. Sums over bins of phi_diff tell most faults; `value_findings` needs the samples.
+measurements with a fault. The module `dsbrdf.data.value_faults` notices faults that only the samples tell.
 """
 
 from collections.abc import Iterator
@@ -11,8 +11,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from dsbrdf.arrays import Array, Mask
-from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, PHI_DIFF, THETA_DIFF, THETA_HALF, nodes_above_horizon
-from dsbrdf.data.measurement import Measurement
+from dsbrdf.data.geometry import CENTER_CUTOFF, CHANNELS, THETA_DIFF, THETA_HALF
 from dsbrdf.data.reduction import FIRST_PHI, FoldedProfiles, Profiles, cosine_parts
 from dsbrdf.findings import Finding
 
@@ -63,16 +62,8 @@ _MIN_EDGE_FRACTION = 0.0025
 _MIN_CERTAINTY = 5.0  # A jump must exceed its standard error by this factor.
 _MIN_HOLLOW_FRACTION = 0.02
 """A highlight is hollow if its values double outwards at this fraction of (theta_diff, phi_diff); good ones: 0."""
-_MIN_MISPLACED_FRACTION = 0.002
-"""Angles are misplaced if more nodes lie on the wrong side of the horizon, as those of good measurements never do."""
-_MAX_COPIED_FRACTION = 0.5  # Good measurements have at most 0.04.
 _MAX_REPEATED = 0.2
 """Limit of the fraction of bins that equal the bin before, and not the one before that."""
-_SAMPLED_NODES = 20_000
-_MAX_LEVELS = 1024
-_MIN_LEVEL_STEP = 0.005
-"""Values are coarse if they have few levels, whose steps at the median exceed this fraction of the median."""
-_MIN_OUTSIDE_FRACTION = 0.001
 
 
 def clip_levels(folded: FoldedProfiles) -> Array:
@@ -259,92 +250,3 @@ def _sweep_findings(folded: FoldedProfiles, usable: Mask) -> Iterator[Finding]:
             "to be repeated, and the measurement has fewer angles than its file.",
             {"fraction": share},
         )
-
-
-def channel_findings(values: Array) -> Iterator[Finding]:
-    """Yield a finding if a channel of the values (3, n) is the same everywhere, and another is not."""
-    spread = np.ptp(values, axis=1)
-    if spread.max() > 0.0 and (constant := np.flatnonzero(spread == 0.0)).size:
-        names = " and ".join(CHANNELS[channel] for channel in constant)
-        value = float(values[constant[0], 0])
-        yield Finding(
-            "constant-channel",
-            f"All values of {names} are {value:.3g}/sr, and other channels vary: check the measurement of {names}.",
-            {"value": value},
-        )
-
-
-def _layout_finding(stored: Array) -> Iterator[Finding]:
-    """Yield a finding if values are missing above the horizon and present below it, as in another order of angles."""
-    above, few = nodes_above_horizon(), stored[:, ::3, ::3]
-    negative = few < 0.0
-    filled = (~negative if negative.any() else few > 0.0).any(axis=0)
-    here = above[::3, ::3]
-    wrong = float(np.mean(filled != here))
-    if wrong < _MIN_MISPLACED_FRACTION:
-        return
-    layouts = {
-        "theta_half descends": above[::-1][::3, ::3],
-        "theta_half is evenly spaced": above[np.sqrt(90.0 * np.arange(90)).astype(int)][::3, ::3],
-        "theta_diff descends": above[:, ::-1][::3, ::3],
-        "theta_half and theta_diff are exchanged": here.swapaxes(0, 1),
-        "phi_diff covers 360 degrees": np.tile(here[..., ::2], 2),
-    } | {f"phi_diff begins at {first} degrees": np.roll(here, -first, axis=2) for first in range(1, 180)}
-    misfits = {layout: float(np.mean(filled != mask)) for layout, mask in layouts.items()}
-    layout = min(misfits, key=misfits.__getitem__)
-    if misfits[layout] < wrong / 3.0:
-        yield Finding(
-            "misplaced-angles",
-            f"At {wrong:.1%} of the nodes values are missing above the horizon or present below it, as in a file in "
-            f"which {layout}: the model is that of another material. Write the file in the order of the MERL grid.",
-            {"fraction": wrong},
-        )
-
-
-def value_findings(measurement: Measurement) -> Iterator[Finding]:
-    """Yield what single samples tell: angles in another order, wrong channels, copies, and values of few levels."""
-    yield from _layout_finding(measurement.stored)
-    nodes = np.flatnonzero(measurement.valid)
-    nodes = nodes[:: max(nodes.size // _SAMPLED_NODES, 1)]
-    values = np.multiply(measurement.stored.reshape(3, -1)[:, nodes], measurement.scale[:, np.newaxis], order="C")
-    yield from channel_findings(values)
-    first, second = np.split(measurement.stored[:, 4::9, 4::9], 2, axis=-1)
-    varied = (np.abs(np.diff(first)) > 1e-6 * first[..., 1:]) & (first[..., 1:] >= 0.0)  # Less is rounding.
-    varied[..., PHI_DIFF.size // 4 - 1] = False  # Symmetric materials are equal at 45 and 135 degrees.
-    if varied.any() and (share := float((first == second)[..., 1:][varied].mean())) > _MAX_COPIED_FRACTION:
-        yield Finding(
-            "repeated-samples",
-            f"At {share:.0%} of the angles the values at phi_diff and at phi_diff + 90 degrees are exactly equal: one "
-            "half of the measurement seems to be a copy of the other.",
-            {"fraction": share},
-        )
-    below = (values < 0.0).mean(axis=1)
-    share = float(below.max())
-    if share > _MIN_OUTSIDE_FRACTION:
-        channel = int(np.argmax(below))
-        negative = values[channel][values[channel] < 0.0]
-        equal = np.ptp(negative) == 0.0
-        reason = (
-            f"always {negative[0]:.3g}/sr, as where it was not measured" if equal else "as in colours outside of sRGB"
-        )
-        yield Finding(
-            "outside-gamut",
-            f"In {share:.1%} of the samples {CHANNELS[channel]} is below 0, {reason}; such values count as 0.",
-            {"fraction": share},
-        )
-    for channel in values:
-        levels = np.unique(channel[: 2 * _MAX_LEVELS])
-        levels = np.unique(channel) if levels.size <= _MAX_LEVELS else levels
-        if not 1 < levels.size <= min(_MAX_LEVELS, channel.size // 4):
-            continue
-        median = float(np.median(channel))
-        above = min(int(np.searchsorted(levels, median, side="right")), levels.size - 1)
-        step = float(levels[above] - levels[above - 1])
-        if step > _MIN_LEVEL_STEP * median:
-            yield Finding(
-                "coarse-values",
-                f"The values have only {levels.size} levels, about {np.log2(levels.size):.0f} bits: dark values are "
-                f"rounded to steps of {step:.2g}/sr, and the median is {median:.2g}/sr. Merge several exposures.",
-                {"levels": float(levels.size), "step": step, "median": median},
-            )
-            return

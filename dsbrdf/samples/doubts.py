@@ -20,8 +20,9 @@ from scipy.linalg import solve_triangular
 
 from dsbrdf.arrays import Array
 from dsbrdf.components.points import Points
-from dsbrdf.data.faults import MIN_CLIPPED_FRACTION, channel_findings
+from dsbrdf.data.faults import MIN_CLIPPED_FRACTION
 from dsbrdf.data.geometry import CHANNELS, half_difference, spherical
+from dsbrdf.data.value_faults import channel_findings
 from dsbrdf.findings import Finding
 from dsbrdf.samples.prediction import smooth_covariance, thinned
 from dsbrdf.samples.sample_layers import dark_level

@@ -2,19 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import dsbrdf
 from dsbrdf import InvalidArgumentError, Measurement, Profiles, profiles
 from dsbrdf.arrays import Array
 from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, model_measurement, synthetic_measurement
-from dsbrdf.data.faults import clip_levels, horizon_disagreement, profile_findings, value_findings
+from dsbrdf.data.faults import clip_levels, horizon_disagreement, profile_findings
 from dsbrdf.data.geometry import incident_cosines, nodes_above_horizon
+from dsbrdf.data.value_faults import value_findings
 from dsbrdf.fitting import relative_errors, sample_errors
 from dsbrdf.model import directional_albedo
 from tests.support.models import random_model
@@ -24,10 +23,8 @@ CUTOFF = float(np.radians(80.0))
 HALF_OF_GREEN = np.array([False, True, False])[:, None, None, None] & (np.arange(180) < 90)
 
 
-@cache
-def beyond_cutoff() -> NDArray[np.bool_]:
-    lowest = np.minimum(*incident_cosines(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF))
-    return np.asarray(np.cos(CUTOFF) > lowest)
+COSINES = np.stack(incident_cosines(THETA_HALF[:, None, None], THETA_DIFF[:, None], PHI_DIFF)).clip(0.0)
+"""Of omega_in and omega_out."""
 
 
 def changed(measurement: Measurement, change: Callable[[Array], Array]) -> Measurement:
@@ -41,7 +38,7 @@ def clipped(values: Array) -> Array:
 
 def with_garbage(values: Array) -> Array:
     factors = np.exp(1.5 * np.random.default_rng(0).standard_normal(values.shape))
-    return np.where(beyond_cutoff(), values * factors, values)
+    return np.where(np.cos(CUTOFF) > COSINES.min(axis=0), values * factors, values)
 
 
 FAULTS: dict[str, Callable[[Array], Array]] = {
@@ -54,6 +51,7 @@ FAULTS: dict[str, Callable[[Array], Array]] = {
     "uneven-sweeps": lambda values: values * np.where(np.arange(90) < 30, 1.0, 1.1)[:, None],
     "repeated-samples": lambda values: np.repeat(values[:, ::2], 2, axis=1),
     "sudden-zeros": lambda values: np.where(THETA_DIFF[:, None] > np.radians(60.0), 0.0, values),
+    "times-cosine": lambda values: values * COSINES[1],
     "hollow-highlight": lambda values: np.where(values > 2.0, values - 1.9, values),
     "noise after clipping": lambda values: (
         clipped(values) * (1.0 + 0.01 * np.random.default_rng(3).standard_normal(values.shape))
@@ -66,6 +64,8 @@ LAYOUTS: dict[str, Callable[[Array], Array]] = {
     "theta_half is evenly spaced": lambda values: values[:, np.sqrt(90.0 * np.arange(90)).round().astype(int)],
     "theta_diff descends": lambda values: values[:, :, ::-1],
     "theta_half and theta_diff are exchanged": lambda values: values.swapaxes(1, 2),
+    "theta_half is off by 1 nodes": lambda values: np.roll(values, 1, axis=1),
+    "theta_diff is off by -2 nodes": lambda values: np.roll(values, -2, axis=2),
     "phi_diff covers 360 degrees": lambda values: np.concatenate([values[..., ::2]] * 2, axis=-1),
     "phi_diff begins at 90 degrees": lambda values: np.roll(values, 90, axis=-1),
     "phi_diff begins at 179 degrees": lambda values: np.roll(values, 1, axis=-1),
@@ -124,7 +124,7 @@ def test_samples_of_a_clipped_highlight_count_as_lower_bounds(metal: Measurement
 
 
 def test_garbage_beyond_a_cutoff_changes_nothing_inside(plastic: Measurement) -> None:
-    black = changed(plastic, lambda values: np.where(beyond_cutoff(), 0.0, values))
+    black = changed(plastic, lambda values: np.where(np.cos(CUTOFF) > COSINES.min(axis=0), 0.0, values))
     spoiled = changed(plastic, with_garbage)
     models = (dsbrdf.fit(data, n_lobes=1, ring_lobes=0).model for data in (plastic, spoiled, black))
     good, *found = (relative_errors(sample_errors(model, plastic, CUTOFF)) for model in models)
