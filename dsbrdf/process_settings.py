@@ -51,6 +51,7 @@ def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
     def limited(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         with _blas_lock:
             if not _blas_limits:
+                _control_blas()
                 _blas_limits.append(_blas().limit(limits=1, user_api="blas"))
             _blas_limits.append(None)
         try:
@@ -59,9 +60,17 @@ def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
             with _blas_lock:
                 _blas_limits.pop()
                 if len(_blas_limits) == 1:
+                    _control_blas()
                     _blas_limits.pop().restore_original_limits()
 
     return limited
+
+
+def _control_blas() -> None:
+    """Let this thread set the number of BLAS threads, which threadpoolctl allows only to the first one that does."""
+    from threadpoolctl import OpenBLASController
+
+    OpenBLASController.clear_controlling_thread(force=True)
 
 
 @cache

@@ -31,6 +31,7 @@ def compute(fails):
     inside.wait()
     print(blas_threads())
 
+one_blas_thread(blas_threads)()  # another thread than this one limits BLAS next
 print(blas_threads())
 other = threading.Thread(target=compute, args=(False,))
 other.start()
