@@ -213,7 +213,7 @@ class Measurement:
         ----------
         values : array_like, shape (3, 90, 90, 180)
             The BRDF in 1/sr, axes (channel, theta_half, theta_diff, phi_diff); a node with a negative value in each
-            channel is missing.
+            channel is missing. A masked value counts as -1.
         valid : array_like of bool, shape (90, 90, 180), optional
             Nodes with a value; values at all other nodes are replaced by -1.
         name : str
@@ -243,7 +243,7 @@ def merl_pieces(stored: Array) -> Iterator[bytes | memoryview]:
 def stored_numbers(values: ArrayLike, valid: ArrayLike | None) -> Array:
     """Divide values [1/sr] by the scale of each channel; nodes outside the mask `valid` become -1."""
     try:
-        brdf = np.asarray(values, dtype=np.float64)
+        brdf = np.asarray(np.ma.filled(values, -1.0), dtype=np.float64)
     except (TypeError, ValueError):
         right = f"The values must be real numbers of the shape {SHAPE}"
         raise MeasurementFormatError(

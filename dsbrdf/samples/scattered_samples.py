@@ -162,7 +162,7 @@ def _degrees(omega: Array) -> Array:
 
 def _numbers(name: str, array: ArrayLike, shape: tuple[int, ...]) -> Array:
     try:
-        numbers = np.array(array, dtype=np.float64)
+        numbers = np.array(np.ma.filled(array, np.nan), dtype=np.float64)
     except (TypeError, ValueError):
         raise MeasurementFormatError(f"The {name} must be real numbers of the shape {shape}.") from None
     if numbers.shape != shape:

@@ -28,7 +28,7 @@ def holed(plastic: Measurement) -> Measurement:
     valid[10:20, 5:40, 30:50] = False
     valid[:, :, 100] = False
     valid[33] = False
-    return Measurement.from_values(np.where(valid, plastic.values, 1e6), valid)
+    return Measurement.from_values(np.ma.masked_equal(np.where(valid, plastic.values, 1e6), 1e6))
 
 
 def test_nodes_are_reproduced_beside_lost_ones(holed: Measurement) -> None:

@@ -76,6 +76,7 @@ NEARLY_UNIT = np.tile([0.6004, 0.0, 0.8], (200, 1))
     ("arrays", "words"),
     [
         ((UP, UP, UP, np.zeros(200)), "weight is not positive; leave out"),
+        ((UP, UP, np.ma.masked_less(UP, 0.5)), r"values is NaN or infinite"),
         ((UP, UP, -UP), r"In 200 of 200 samples.* values is negative; no reflectance is"),
         ((UP, UP, UP, np.ones(3)), r"weight must have the shape \(200,\), not \(3,\)"),
         ((UP, UP, UP, np.full(200, 1e308)), r"200 of 200 samples.* weight is not from 1e-12 to 1e12"),
