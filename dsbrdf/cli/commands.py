@@ -124,6 +124,9 @@ def run_command(words: Sequence[str]) -> int:
         what = f"option {words[0]!r} before the command" if words[0].startswith("-") else f"command {words[0]!r}"
         print_error(f"there is no {what}{did_you_mean(words[0], app)} (see dsbrdf --help)")
         return BAD_INPUT
+    if not all(words):  # An empty path would be the current folder.
+        print_error(f"an argument is empty, as of a variable without a value (see dsbrdf {words[0]} --help)")
+        return BAD_INPUT
     return run_words(app, join_points(words))
 
 

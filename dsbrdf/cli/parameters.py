@@ -44,12 +44,12 @@ _WORDS = {"none": None, "auto": "auto"}
 
 def _angles_or_word(kind: Any, tokens: Sequence[Token]) -> float | tuple[int, ...] | str | None:
     """Convert one angle, several whole angles, or a word such as "auto"; the class of options checks the word."""
-    (token,) = tokens
-    if token.value in _WORDS:
-        return _WORDS[token.value]
+    text = ",".join(token.value for token in tokens)
+    if text in _WORDS:
+        return _WORDS[text]
     if kind is float:
         return float(convert(float, tokens))
-    return tuple(convert(int, [token.evolve(value=part)]) for part in re.split(r"[,\s]+", token.value))
+    return tuple(convert(int, [tokens[0].evolve(value=part)]) for part in re.split(r"[,\s]+", text))
 
 
 CountOrAuto = Annotated[int | Literal["auto"], Whole, Parameter(metavar="N|auto", show_choices=False)]
@@ -65,10 +65,10 @@ def _in_words(documented: type) -> str:
 
 def _several(kind: Any, tokens: Sequence[Token]) -> tuple[float, ...] | str:
     """Convert numbers that are separated by commas or blanks; return a text without numbers unchanged."""
-    (token,) = tokens
+    text = ",".join(token.value for token in tokens)
     if kind == tuple[float, ...] | float:
-        return tuple(convert(float, [token.evolve(value=part)]) for part in re.split(r"[,\s]+", token.value.strip()))
-    return token.value
+        return tuple(convert(float, [tokens[0].evolve(value=part)]) for part in re.split(r"[,\s]+", text.strip()))
+    return text
 
 
 _SEVERAL = Parameter(converter=_several, n_tokens=1)

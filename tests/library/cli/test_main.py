@@ -209,6 +209,16 @@ def test_mistake_gets_one_sentence(command: str, said: str, folder: Path, monkey
     assert {path.name for path in folder.iterdir()} == {*FILES, "plastic.binary", "model.json", "felt.csv"}
 
 
+def test_an_empty_argument_is_no_folder() -> None:
+    assert "dsbrdf: an argument is empty, as of a variable without a value" in sentence("fit", "")
+
+
+def test_options_with_several_values_may_be_repeated(folder: Path) -> None:
+    felt, together = str(folder / "felt.csv"), "green=red,red=green"
+    repeated = [word for pair in together.split(",") for word in ("--columns", pair)]
+    assert printed("table", felt, *repeated) == printed("table", felt, "--columns", together)
+
+
 def test_arguments_have_no_order(folder: Path) -> None:
     file, halves, diff = str(folder / "model.json"), "--theta-half 0 10", "--theta-diff 30"
     orders = [(file, halves, diff), (halves, diff, file), (halves, file, diff)]
