@@ -11,6 +11,7 @@ the measurements brfpp and brfop of the RAMI benchmark (JRC), the observations o
 project BiRD.
 """
 
+import codecs
 import json
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +24,7 @@ from dsbrdf.data.files import known_kind
 from dsbrdf.data.geometry import CHANNELS
 from dsbrdf.errors import MeasurementFormatError
 from dsbrdf.samples import optics
-from dsbrdf.samples.cells import TextTable, check_size, decoded
+from dsbrdf.samples.cells import TextTable, check_size, decoded, utf_16_of
 from dsbrdf.samples.columns import SPHERICAL
 from dsbrdf.samples.names import (
     ANGLE_UNITS,
@@ -162,14 +163,13 @@ def json_table(data: bytes) -> TextTable | None:
 
     In the BiRD project's format, the object "data" has the values and the unit of each column.
     """
-    if decoded(data[:_JSON_START_BYTES]).strip()[:1] not in ("{", "["):
+    if data[:_JSON_START_BYTES].strip()[:1] not in (b"{", b"["):
         return None
-    text = decoded(data)
     try:
-        document: Any = json.loads(text)
+        document: Any = json.loads(data)
     except (ValueError, RecursionError):
         try:
-            document = [json.loads(line) for line in text.splitlines() if line.strip()]
+            document = [json.loads(line) for line in data.splitlines() if line.strip()]
         except (ValueError, RecursionError):
             return None
     if isinstance(document, dict) and str(document.get("format")).startswith("dsbrdf"):
@@ -276,6 +276,8 @@ def table_in(data: bytes, options: TableOptions) -> TextTable:
     """
     if (kind := known_kind(data[:64])) is not None:  # An archive that is no spreadsheet comes this far.
         raise MeasurementFormatError(f"The file is {kind}.")
+    if utf_16_of(data) or data.startswith(codecs.BOM_UTF8):  # The readers understand bytes of ASCII without a mark.
+        data = decoded(data).encode()
     for layout in LAYOUTS:
         try:
             table = layout.reader(data) if layout.reader else None
