@@ -191,6 +191,7 @@ def _vectors(columns: dict[str, Column], form: Sequence[str]) -> tuple[Array, Ar
     if angles.keys() >= {*PHIS}:
         _check_not_exchanged(angles, columns)
     _check_sizes(angles, columns)
+    _check_stated_once(angles, columns)
     if form is HALF_DIFFERENCE:
         return directions(*(angles[name] for name in form))
     if form is FROM_MIRROR:
@@ -262,6 +263,19 @@ def _check_sizes(angles: dict[str, Array], columns: dict[str, Column]) -> None:
         raise MeasurementFormatError(
             f"The largest {' and '.join(wrong)} is {max(wrong.values()):.3g}, as of angles in radians: write degrees, "
             f"or name the columns {next(iter(wrong))}_rad and so on."
+        )
+
+
+def _check_stated_once(angles: dict[str, Array], columns: dict[str, Column]) -> None:
+    """Raise MeasurementFormatError if the sign of theta_out says what the azimuth says: both would cancel out."""
+    if not {"theta_out", "phi_out"} <= angles.keys():
+        return
+    theta, phi = np.degrees(angles["theta_out"]), np.degrees(angles["phi_out"] - angles.get("phi_in", 0.0)) % 360.0
+    sides = [np.unique(phi[where].round(6)) for where in (theta < 0.0, theta > 0.0)]
+    if all(side.size == 1 for side in sides) and abs(sides[0] - sides[1]).item() == np.degrees(np.pi):
+        raise MeasurementFormatError(
+            f"The column {columns['theta_out'].written!r} is negative exactly where {columns['phi_out'].written!r} is "
+            f"{sides[0].item():g}: the side is stated twice. Write theta_out without a sign, or leave out the azimuth."
         )
 
 
