@@ -68,7 +68,7 @@ def one_blas_thread(compute: Callable[_P, _R]) -> Callable[_P, _R]:
 
 def _control_blas() -> None:
     """Let this thread set the number of BLAS threads, which threadpoolctl allows only to the first one that does."""
-    from threadpoolctl import OpenBLASController
+    from threadpoolctl import OpenBLASController  # As slow as in `_blas`.
 
     OpenBLASController.clear_controlling_thread(force=True)
 
