@@ -42,9 +42,9 @@ from dsbrdf.components.points import COAT_F0, COAT_INDEX, Points, fresnel_rise, 
 from dsbrdf.model.reflectance import RenderableModel
 
 Color: TypeAlias = tuple[float, float, float]
-# Two orthonormal differences between the channels of a log colour; the colours a and b of a turning layer have both.
+# These are two orthonormal differences between the channels of a log colour.
 CONTRASTS = np.array([[3.0, -3.0, 0.0], [1.0, 1.0, -2.0]]) / np.sqrt([[18.0], [6.0]])
-N_TURNS = 4
+N_TURNS = 4  # The colours a and b of a turning layer have both contrasts as unknowns.
 ALPHA_INDEX = 7  # Log alpha has this index among the unknowns of a specular layer.
 GRAZING_ANGLE = float(np.radians(70.0))
 """Grazing reflectance is stated at this theta_diff [rad], because many measurements are wrong at larger angles."""

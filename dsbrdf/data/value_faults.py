@@ -127,6 +127,11 @@ def value_findings(measurement: Measurement) -> Iterator[Finding]:
             f"In {share:.1%} of the samples {CHANNELS[channel]} is below 0, {reason}; such values count as 0.",
             {"fraction": share},
         )
+    yield from _level_finding(values)
+
+
+def _level_finding(values: Array) -> Iterator[Finding]:
+    """Yield a finding if the values (3, n) of a channel have few levels, whose steps are coarse."""
     for channel in values:
         levels = np.unique(channel[: 2 * _MAX_LEVELS])
         levels = np.unique(channel) if levels.size <= _MAX_LEVELS else levels
