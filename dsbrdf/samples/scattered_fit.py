@@ -26,6 +26,7 @@ import numpy as np
 
 from dsbrdf.arrays import Array, Indices
 from dsbrdf.data.geometry import (
+    CENTER_CUTOFF,
     PHI_DIFF,
     QUARTER,
     THETA_DIFF,
@@ -84,7 +85,9 @@ def sample_rows(
     """Return the data of a fit: the samples, moved to whole degrees of theta_diff, and the table predicted from them.
 
     When a sample moves, its value is multiplied by the ratio of the model's values at the new and the old theta_diff.
-    Two samples have the same ratio of weights as the nodes of the predicted table at their angles.
+    Two samples have the same ratio of weights as the nodes of the predicted table at their angles. But the many nodes
+    within `CENTER_CUTOFF` of the mirror direction weigh little each, while a sample there is often the only one of the
+    peak: it weighs as much as a sample at the cutoff.
     """
     weight, folded = fit_weights(table, options), table.folded
     cells = np.stack(np.nonzero(folded.weight[0])).astype(np.intp)
@@ -92,7 +95,7 @@ def sample_rows(
     predicted, counted = folded.mean[:, *cells], weight[:, *cells]
     each = weight / np.where(folded.weight > 0.0, folded.weight, 1.0)
     theta_half, theta_diff, phi_diff = half_difference(samples.omega_in, samples.omega_out)
-    at_sample = each[:, *_cells(theta_half, theta_diff, phi_diff)] * samples.weight
+    at_sample = each[:, *_cells(np.maximum(theta_half, CENTER_CUTOFF), theta_diff, phi_diff)] * samples.weight
     row = _nearest(THETA_DIFF, theta_diff)
     there, here = (model.evaluate_unmasked(theta_half, angle, phi_diff) for angle in (THETA_DIFF[row], theta_diff))
     values = samples.values * np.clip(there / np.maximum(here, 1e-300), 1.0 / _MAX_MOVE_RATIO, _MAX_MOVE_RATIO)

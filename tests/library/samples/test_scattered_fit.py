@@ -96,6 +96,18 @@ def test_samples_in_rows_stay_where_they_are_but_for_less_than_a_degree_of_theta
     np.testing.assert_allclose(sample_rows(mirrored, *of_table).weight, data.weight, rtol=1e-6)
 
 
+def test_a_sample_in_the_mirror_direction_weighs_as_much_as_one_a_degree_from_it(
+    prediction: SamplePrediction, predicted: Profiles
+) -> None:
+    """If it weighed as little as the table's many nodes there, a fit would miss the only sample of a peak."""
+    theta_out, zero = np.radians(40.0 + np.arange(50)), np.zeros(50)
+    directions = spherical(zero + np.radians(40.0), zero), spherical(theta_out, zero + np.pi)
+    samples = ScatteredSamples.from_arrays(*directions, TRUTH.evaluate_directions(*directions))
+    data = sample_rows(samples, predicted, FitOptions(), prediction, TRUTH)
+    mirror, beside = (np.abs(data.theta_half - half) < 1e-12 for half in half_difference(*directions)[0][[0, 2]])
+    assert data.weight[0, mirror].max() == pytest.approx(data.weight[0, beside].max(), rel=0.2)
+
+
 def scaled(samples: ScatteredSamples, factor: Any, notes: tuple[str, ...] = ()) -> ScatteredSamples:
     return ScatteredSamples.from_arrays(samples.omega_in, samples.omega_out, samples.values * factor, notes=notes)
 
