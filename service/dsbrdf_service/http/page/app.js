@@ -256,7 +256,8 @@ export function stateOf({ status, progress, likeness, metrics }) {
   const text = likeness ?? (error ? `error probably below ${error < 10 ? error.toPrecision(2) : Math.round(error)}%` : `${STATES[status]}${status === "running" ? `, ${Math.floor(100 * progress)}%` : ""}`);
   return text.replaceAll(" dB", "\u00a0dB");
 }
-export const sizeOf = (/** @type {{size: number}} */ { size }) => (size < 1e6 ? `${(size / 1e3).toPrecision(3)} kB` : `${(size / 1e6).toPrecision(3)} MB`);
+const threeDigits = new Intl.NumberFormat("en", { maximumSignificantDigits: 3, useGrouping: false });
+export const sizeOf = (/** @type {{size: number}} */ { size }) => (size < 999_500 ? `${threeDigits.format(size / 1e3)} kB` : `${threeDigits.format(size / 1e6)} MB`);
 /** Labels of components, in the order of the weights in GLSL. */
 export const LABELS = ["specular_spike", "specular_lobe", "diffuse"];
 export const words = (/** @type {string} */ label) => label.replace("_", " ");

@@ -48,7 +48,7 @@ def test_file_is_hashed_then_sent_once_and_may_be_cancelled(visit: Visit, plasti
     expect(page.get_by_role("heading", name="Fit your first material")).to_be_visible()
     page.route("**/v1/fits?*", lambda route: route.continue_() if "json" in str(route.request.headers) else None)
     page.locator("#file").set_input_files([plastic_file, plastic_file])  # The second file is not sent.
-    expect(page.get_by_role("status").filter(has_text="Sending plastic.binary, 35.0 MB")).to_be_visible()
+    expect(page.get_by_role("status").filter(has_text="Sending plastic.binary, 35 MB")).to_be_visible()
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("#said span")).to_have_text("plastic.binary: The upload was cancelled.")
     cancel = "document.querySelector('#cancel-upload').click()"
