@@ -310,7 +310,16 @@ def sample_findings(samples: ScatteredSamples, metrics: Metrics, structure: str,
             "All samples lie in one plane of incidence. Outside of this plane the brightness of highlights is a guess "
             "from other materials, and can be wrong by a factor of several: measure directions there as well.",
         )
-    if here > _MAX_SAMPLE_MISFIT:
+    floor = metrics.symmetric_floor or 0.0
+    if floor > _MAX_RELATIVE_ASYMMETRY:
+        yield Finding(
+            "asymmetric",
+            f"The samples differ by {floor:.0%} from those with light and viewer exchanged or the material turned; "
+            "in a reciprocal isotropic material they would be equal. The measurement is noisy or misaligned, or the "
+            "material sparkles or is anisotropic; no model of this kind can be more accurate.",
+            {"symmetric_floor": floor},
+        )
+    if here**2 - floor**2 > _MAX_SAMPLE_MISFIT**2:
         yield Finding(
             "missed-samples",
             f"The model misses the samples by {here:.0%} of their size. Check the table for values that are no "

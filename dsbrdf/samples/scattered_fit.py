@@ -149,6 +149,9 @@ _UNCONFIRMED_FRACTION = 0.5
 _MAX_SINE_IN_PLANE = np.sin(np.radians(0.5))  # Directions this near the plane of incidence lie in the plane.
 _MAX_COSINE_BETWEEN = np.cos(np.radians(8.0))
 
+# Pairs of directions are symmetric to each other if their cosines are equal after rounding to this step.
+_SAME_COSINE = 1e-5
+
 
 def relative_rms(values: Array, expected: Array, weight: Array) -> float | None:
     """Return the relative RMS error of values (n, 3); None if all expected values have no weight or are 0."""
@@ -199,13 +202,36 @@ def left_out_errors(
 
 
 def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: float | None = None) -> Metrics:
-    """Return errors of a model at samples: `relative_rms` within the cutoff, and `male` at all samples."""
+    """Return errors of a model at samples: `male` at all samples, the others within the cutoff."""
+    weight = _weight_within(samples, horizon_cutoff)
     fitted, cosine = model.evaluate_directions(samples.omega_in, samples.omega_out), samples.omega_in[:, 2:]
     log_error = np.abs(np.log1p(samples.values * cosine) - np.log1p(fitted * cosine))
     return Metrics(
-        relative_rms=relative_rms(fitted, samples.values, _weight_within(samples, horizon_cutoff)),
+        relative_rms=relative_rms(fitted, samples.values, weight),
+        symmetric_floor=_symmetric_floor(samples, weight),
         male=float(np.average(log_error.mean(axis=1), weights=samples.weight)),
     )
+
+
+def _symmetric_floor(samples: ScatteredSamples, weight: Array) -> float | None:
+    """Return the smallest `relative_rms` of any reciprocal isotropic model; None if no samples are symmetric.
+
+    Such a model has equal values where the cosines of both directions to each other, and, in any order, to the normal
+    are equal.
+    """
+    first, second = samples.omega_in, samples.omega_out
+    cosines = np.stack([*np.sort([first[:, 2], second[:, 2]], axis=0), np.sum(first * second, axis=1)])
+    steps = np.rint((1.0 + cosines) / _SAME_COSINE).astype(np.intp)
+    place, count = np.unique(
+        np.ravel_multi_index(tuple(steps), 3 * (round(2.0 / _SAME_COSINE) + 1,)),
+        return_inverse=True,
+        return_counts=True,
+    )[1:]
+    if count.max() == 1:
+        return None
+    sums = np.stack([np.bincount(place, weight * channel) for channel in samples.values.T], axis=1)
+    mean = sums / np.maximum(np.bincount(place, weight), 1e-300)[:, np.newaxis]
+    return relative_rms(mean[place], samples.values, weight)
 
 
 def _weight_within(samples: ScatteredSamples, cutoff: float | None) -> Array:

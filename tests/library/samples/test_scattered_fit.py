@@ -146,6 +146,18 @@ def test_metrics_of_samples_are_those_of_a_loop(cutoff: float | None) -> None:
             error, signal = error + np.sum((values - fitted) ** 2), signal + np.sum(values**2)
     found = scattered_metrics(model, samples, cutoff)
     assert (found.relative_rms, found.male) == pytest.approx((np.sqrt(error / signal), logs), rel=1e-9)
+    assert found.symmetric_floor is None
+
+
+def test_samples_that_differ_from_the_turned_or_exchanged_ones_have_a_floor() -> None:
+    """Of two values v and 1.4 v the mean misses each by 0.2 v."""
+    once = scattered_samples(TRUTH, 60)
+    turn = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    directions = np.stack([once.omega_in, once.omega_out])
+    for again in (directions[::-1], directions @ turn):
+        omega_in, omega_out = np.concatenate([directions, again], axis=1)
+        samples = ScatteredSamples.from_arrays(omega_in, omega_out, np.concatenate([once.values, 1.4 * once.values]))
+        assert scattered_metrics(TRUTH, samples).symmetric_floor == pytest.approx(np.sqrt(0.08 / 2.96))
 
 
 def test_errors_are_told_for_bands_that_begin_at_their_first_angle() -> None:
@@ -278,11 +290,11 @@ def test_a_model_brighter_than_energy_allows_is_told(truth: dsbrdf.DSBRDF) -> No
 
 
 def test_errors_that_matter_are_named() -> None:
-    """Of samples anywhere and in one plane: relative_rms, that of samples left out, and that expected elsewhere."""
     anywhere, said = scattered_samples(TRUTH, 60), {}
+    names = ("relative_rms", "relative_rms_left_out", "relative_rms_expected", "symmetric_floor")
+    table = ((0.1, 0.15, 0.09), (0.001, 0.01, 0.01), (0.1, 0.6, 0.01), (0.1, 0.1, 0.2), (0.9, 0.9, 0.01))
     for name, samples in (("anywhere", anywhere), ("in plane", in_plane(TRUTH))):
-        for errors in ((0.1, 0.15, 0.09), (0.001, 0.01, 0.01), (0.1, 0.6, 0.01), (0.1, 0.1, 0.2), (0.9, 0.9, 0.01)):
-            here, left_out, expected = errors
-            metrics = Metrics(relative_rms=here, relative_rms_left_out=left_out, relative_rms_expected=expected)
+        for errors in (*table, (0.9, 0.9, 0.01, 0.16), (0.9, 0.9, 0.01, 0.85)):
+            metrics = Metrics(**dict(zip(names, errors, strict=False)))
             said[f"{name} {errors}"] = [one.sentence for one in sample_findings(samples, metrics, "metal", 61)]
     assert_reproduced("findings/samples", said)
