@@ -85,6 +85,7 @@ def drawing(figure: Figure) -> list[dict[str, Any]]:
             "words": [text.get_text() for text in ax.findobj(Text) if isinstance(text, Text) and text.get_text()],
             "lines": [f"{line.get_label()} {line.get_linestyle()} {line.get_color()}" for line in ax.lines],
             "curves": [digest(line.get_ydata()) for line in ax.lines],
+            "limits": ax.get_ylim(),
             "places": digest(np.concatenate([line.get_xdata() for line in ax.lines] or [[]])),
             "pictures": [digest(np.asarray(image.get_array())) for image in ax.images],
             "points": [digest(points.get_offsets()) for points in ax.collections],
@@ -216,6 +217,7 @@ COMMANDS = (
     "show model.json",
     "show compared.json",
     "show plain.json",
+    "decompose black.json",
     "decompose model.json --csv a.csv --latex a.tex",
     "decompose model.json 50%_gloss.json --csv all.csv --latex all.tex",
     "eval model.json --theta-in 30 --theta-out 0 60 --phi-out 20",
@@ -230,6 +232,7 @@ COMMANDS = (
     "compare plastic.binary model.json -o b.png --size 16",
     "compare rings.json mixture.json model.json -o c.png --size 16",
     "export model.json -o model.csv",
+    "export model.json -o copy.json",
     "export model.json -o layers.csv --component layers",
     "export model.json -o components.csv --format components",
     "map model.json mixture.json rings.json -o map.pdf",
@@ -260,6 +263,7 @@ def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
         "rings": MODELS["elongated rings and cusps"],
         "50%_gloss": MODELS["mixture"],
         "mixture": MODELS["mixture"],
+        "black": STORED_FIT.model.select((), with_delta=False),
     }
     for name, model in models.items():
         dsbrdf.save(model, folder / f"{name}.json")
@@ -274,7 +278,7 @@ def test_commands(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -
     before = {*folder.iterdir()}
     answer = run(*command.split(), code=2 if "none.csv" in command else 0)
     told = json.loads(answer.stdout) if "--json" in command else answer.stdout.splitlines()
-    new = [path for path in sorted({*folder.iterdir()} - before) if path.suffix not in (".png", ".pdf")]
+    new = [path for path in sorted({*folder.iterdir()} - before) if path.suffix not in (".png", ".pdf", ".json")]
     written = [path.read_text().splitlines()[:16] for path in new]
     assert_reproduced(f"commands/{command}", [told, answer.stderr, *written], 1e-3)
 

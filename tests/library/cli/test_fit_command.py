@@ -153,13 +153,6 @@ def test_second_run_keeps_the_stored_fits_of_these_files_and_options(
         run(*command)
 
 
-def test_files_of_the_same_name_are_refused(two_files: list[str], tmp_path: Path) -> None:
-    (tmp_path / "other").mkdir()
-    shutil.copyfile(two_files[0], tmp_path / "other/one.binary")
-    words = ("fit", two_files[0], tmp_path / "other/one.binary", "-o", tmp_path / "out")
-    assert "would both be written to" in sentence(*words)
-
-
 def test_full_disk_exits_with_1(plastic_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
