@@ -36,7 +36,7 @@ from dsbrdf.output import to_json
 from dsbrdf.output.atlas import load_material
 from dsbrdf.output.figures import overview_figure, parameters_figure, residual_figure
 from dsbrdf.output.notebook import html
-from dsbrdf.output.sphere_panels import compare_spheres, thumbnail
+from dsbrdf.output.sphere_panels import compare_spheres, side_by_side, thumbnail
 from dsbrdf.samples.prediction import SamplePrediction
 from dsbrdf.samples.scattered_fit import (
     expected_error,
@@ -149,6 +149,7 @@ def test_spheres(plastic: Measurement) -> None:
             found[f"{name} {lighting}"] = digest(render_sphere(MODELS[name], lighting=lighting, size=24))
     panels = compare_spheres(plastic, MODELS["mixture"], size=24)
     found |= {name: digest(panel) for name, panel in panels.panels.items()}
+    found["side by side"] = digest(side_by_side(panels.panels))
     found["likeness"] = [panels.psnr, panels.ssim, panels.exposure]
     found["thumbnail"] = digest(imread(BytesIO(thumbnail(MODELS["mixture"], plastic))))
     found_space = space(MODELS)

@@ -93,15 +93,6 @@ def test_every_warning_is_shown_once_and_json_is_a_stored_model(plastic_file: Pa
         assert captured.stdout.count("warning: ") == len(shown)
 
 
-def test_fit_replaces_nothing_beside_its_measurement_but_a_fit(plastic_file: Path, tmp_path: Path) -> None:
-    measured, other = tmp_path / "tile.binary", tmp_path / "tile.json"
-    measured.symlink_to(plastic_file)
-    other.write_text('{"made": "in March"}')
-    said = f"{other} is there already and is no fit; save the fit elsewhere with -o DIR"
-    assert sentence("fit", measured, *QUICK) == f"dsbrdf: {measured}: {said}\n"
-    assert other.read_text() == '{"made": "in March"}'
-
-
 def test_lost_fit_process_exits_with_1(monkeypatch: pytest.MonkeyPatch) -> None:
     def lost(files: list[Path], *_: Any, **__: Any) -> Iterator[batch.FileFit]:
         yield batch.FileFit(files[0], error="the process died", lost=True)

@@ -134,8 +134,10 @@ def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     path = tmp_path_factory.mktemp("mistakes")
     for name, content in FILES.items():
         (path / name).write_bytes(content)
-    os.link(plastic_file, path / "plastic.binary")
-    save(mixture(2, 0), path / "model.json")
+    for name in ("plastic.binary", "paint.binary"):
+        os.link(plastic_file, path / name)
+    for name in ("model.json", "felt.json"):
+        save(mixture(2, 0), path / name)
     (path / "felt.csv").write_bytes(samples_table(scattered_samples(mixture(1, 0), 300)))
     return path
 
@@ -143,8 +145,9 @@ def folder(plastic_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.mark.parametrize("command", MISTAKES)
 def test_mistake_gets_one_sentence(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
+    before = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
     assert_reproduced(f"mistakes/{command}", sentence(*shlex.split(command)))
-    assert {path.name for path in folder.iterdir()} == {*FILES, "plastic.binary", "model.json", "felt.csv"}
+    assert {path: path.stat().st_mtime_ns for path in folder.iterdir()} == before
 
 
 def test_options_with_several_values_may_be_repeated(folder: Path) -> None:

@@ -9,7 +9,7 @@ from PIL import Image
 import dsbrdf
 from dsbrdf import decompose, render_sphere
 from dsbrdf.rendering import sphere_likeness
-from tests.support.command_line import document, printed, run, sentence
+from tests.support.command_line import document, printed, run
 from tests.support.models import random_model
 
 
@@ -24,9 +24,6 @@ def test_map_of_a_folder_and_what_it_refuses(tmp_path: Path) -> None:
     np.testing.assert_allclose([item["place"] for item in answer["items"]], expected.places)
     with Image.open(tmp_path / "map.png") as picture:
         assert picture.size[0] > 1000
-    (tmp_path / "more").mkdir()
-    dsbrdf.save(random_model(0), tmp_path / "more" / "paint0.json")
-    assert "called paint0" in sentence("map", tmp_path, tmp_path / "more", "-o", tmp_path / "map.png")
 
 
 def test_several_reports_are_those_of_each(model_file: Path, tmp_path: Path) -> None:

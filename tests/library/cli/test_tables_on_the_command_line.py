@@ -64,29 +64,11 @@ def test_layouts_of_instruments_are_fitted_to_their_truth(tmp_path: Path) -> Non
         assert value == pytest.approx([MIRROR_60] * 3, rel=0.3), path.name
 
 
-def test_no_measurement_is_replaced_or_half_read(tmp_path: Path) -> None:
-    first, last, made = (tmp_path / name for name in ("a.csv", "b.csv", "made.csv"))
-    for path in (first, last):
-        shutil.copy(LAYOUTS / "vectors.csv", path)
+def test_what_was_made_of_a_measurement_is_replaced_and_no_pipe_is_read(tmp_path: Path) -> None:
+    shutil.copy(LAYOUTS / "vectors.csv", tmp_path / "a.csv")
+    save(mixture(1, 0), tmp_path / "c.json")
     for _ in range(2):
-        run("convert", first, made)
-    model = tmp_path / "a.json"
-    save(mixture(1, 0), model)
-    before = [path.read_bytes() for path in (first, last, made, model)]
-    for words in (
-        ("convert", first, last),
-        ("convert", first, made, made),
-        ("fit", first, "--csv", first),
-        ("fit", first, "--measure-next", first),
-        ("export", model, "--component", "layers", "-o", model),
-        ("export", model, "-o", first),
-        ("decompose", model, "--csv", first),
-    ):
-        assert f"{words[-1]} may be a measurement or a model, and is not replaced" in run(*words, code=2).stderr
-    assert [path.read_bytes() for path in (first, last, made, model)] == before
-    assert "none/all.csv: No such file" in run("fit", first, "--csv", tmp_path / "none/all.csv", code=2).stderr
-    model.rename(tmp_path / "c.json")
-    for _ in range(2):
+        run("convert", tmp_path / "a.csv", tmp_path / "made.csv")
         run("export", tmp_path / "c.json", "-o", tmp_path / "c.csv")
     os.mkfifo(tmp_path / "pipe")
     assert "A pipe or a device can be read only once" in run("fit", tmp_path / "pipe", code=2).stderr

@@ -35,16 +35,6 @@ def decomposed(*layers: Layer) -> dsbrdf.Decomposition:
     return dsbrdf.decompose(cast(dsbrdf.DSBRDF, LayeredModel(layers)))
 
 
-def test_a_highlight_keeps_its_colour() -> None:
-    (lobe,) = [part for part in decomposed(surface(GREEN, 0.12), GROUND) if part.label == "specular_lobe"]
-    (found,) = lobe.surfaces
-    assert found.alpha == pytest.approx(0.12, rel=0.03)
-    assert found.f0 is not None
-    np.testing.assert_allclose(np.array(found.f0) / max(found.f0), np.array(GREEN) / max(GREEN), atol=0.05)
-    assert lobe.half_width == pytest.approx(surface(GREEN, 0.12).half_width, rel=0.03)
-    assert lobe.remarks == ()
-
-
 def test_two_highlights_of_nearly_one_width_are_one_component() -> None:
     """Both sides of 3 degrees, 2.6 and 3.9 degrees; a cut between them would show colours that the material has not."""
     pair = surface((0.10, 0.04, 0.12), 0.07), surface((0.13, 0.08, 0.02), 0.105)
@@ -195,16 +185,6 @@ def test_parameters_that_do_not_describe_are_withheld_with_a_sentence() -> None:
             assert any("F0" in sentence for sentence in part.remarks) == is_withheld
             withheld += is_withheld
     assert withheld > 0
-
-
-def test_reflectance_at_70_degrees_is_that_of_the_layer() -> None:
-    """A coat whose exact Fresnel term (index 1.5) is 0.0400 at 0 and 0.1710 at 70 degrees."""
-    coat = SpecularLayer((0.04,) * 3, 1.0, 0.12, 2.0, (0.0, 0.0), 0.5, 0.0)
-    (found,) = decomposed(coat, GROUND)["specular_lobe"].surfaces
-    assert found.f70 == pytest.approx([0.171] * 3, rel=0.03)
-    assert found.f70_range is not None
-    for low, high in found.f70_range:
-        assert low < 0.171 < high < 1.5 * low
 
 
 def test_a_black_channel_has_finite_ranges() -> None:

@@ -4,8 +4,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dsbrdf import FitOptions, InvalidArgumentError
-from dsbrdf.fitting.options import MAX_RING_LOBES, Bounds
+from dsbrdf import FitOptions, InvalidArgumentError, TableOptions
+from dsbrdf.fitting.options import MAX_RING_LOBES
 from tests.support.reproduced import assert_reproduced
 
 REFUSED: dict[str, tuple[Any, ...]] = {
@@ -30,8 +30,15 @@ OF_THE_PAPER = {
     "variation": "parametric",
     "lobe": "student",
 }
+OF_TABLES: dict[str, tuple[Any, ...]] = {
+    "columns": ("AOI", 3),
+    "constants": ("theta_in=nan",),
+    "missing": ("0", [0, np.nan], 10**400),
+    "scale": (0, True),
+    "phi": ("turned",),
+}
 CHOICES: list[dict[str, Any]] = [
-    *({name: bad} for name, all_bad in REFUSED.items() for bad in all_bad),
+    *({name: bad} for name, all_bad in (REFUSED | OF_TABLES).items() for bad in all_bad),
     *({"method": "paper", name: value} for name, value in OF_THE_PAPER.items()),
 ]
 
@@ -39,8 +46,8 @@ CHOICES: list[dict[str, Any]] = [
 @pytest.mark.parametrize("chosen", CHOICES, ids=repr)
 def test_a_wrong_choice_is_refused_in_one_sentence(chosen: dict[str, Any]) -> None:
     with pytest.raises(InvalidArgumentError) as caught:
-        FitOptions(**chosen)
-    assert_reproduced(f"options/{chosen}", str(caught.value))
+        (TableOptions if chosen.keys() <= OF_TABLES.keys() else FitOptions)(**chosen)
+    assert_reproduced(f"options/{chosen}"[:60], str(caught.value))
 
 
 def test_what_lies_at_a_bound_is_a_right_choice() -> None:
@@ -75,14 +82,3 @@ def test_numpy_numbers_and_booleans_are_taken_as_pythons_own() -> None:
     for bad in (np.int64(11), np.True_):
         with pytest.raises(InvalidArgumentError, match="n_lobes"):
             FitOptions(n_lobes=bad)  # type: ignore[arg-type]
-
-
-def test_bounds_are_those_of_the_schema() -> None:
-    schemas: list[dict[str, Any]] = [{"type": "array", "items": {"type": "integer"}}, {"type": "number"}]
-    knots, cutoff = (
-        bounds.__get_pydantic_json_schema__(None, lambda _, schema=schema: schema)  # type: ignore[misc]
-        for bounds, schema in zip((Bounds(0, 89), Bounds(0, 90, above=True)), schemas, strict=True)
-    )
-    assert knots["items"] == {"type": "integer", "minimum": 0, "maximum": 89}
-    assert (knots["minItems"], knots["maxItems"], knots["uniqueItems"]) == (2, 90, True)
-    assert cutoff == {"type": "number", "exclusiveMinimum": 0, "maximum": 90}

@@ -13,11 +13,11 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 from PIL import Image
 
-from dsbrdf import InvalidArgumentError, Measurement, Profiles, decompose
+from dsbrdf import InvalidArgumentError, Profiles, decompose
 from dsbrdf.data import CHANNELS, THETA_DIFF, above_horizon
 from dsbrdf.output import encode_figure
 from dsbrdf.output.figures import overview_figure, parameters_figure, profiles_figure
-from dsbrdf.output.sphere_panels import SphereComparison, compare_spheres, encode_png, side_by_side
+from dsbrdf.output.sphere_panels import SphereComparison, compare_spheres, encode_png
 from tests.support.models import mixture, papers_model
 
 pytestmark = pytest.mark.slow
@@ -103,14 +103,6 @@ def test_component_that_nobody_can_see_has_no_sphere() -> None:
     brightest = (1.0, 1.0, 0.02, 1.0, 0.05)
     panels = {title: np.full((8, 8, 3), value) for title, value in zip(titles, brightest, strict=True)}
     assert list(SphereComparison(panels, 1.0, 40.0, 1.0, "under three lights").seen) == list(titles[:4])
-
-
-def test_panels_stand_side_by_side(plastic: Measurement) -> None:
-    found = compare_spheres(plastic, PAINT, size=24)
-    assert list(found.panels)[3:] == [component.label.replace("_", " ") for component in decompose(PAINT)]
-    picture = side_by_side(found.panels)
-    assert picture.shape == (24, len(found.panels) * 24, 3)
-    np.testing.assert_array_equal(picture[:, 24:48], found.panels["fit"])
 
 
 def test_panels_of_components_add_up_to_the_fit_and_a_model_equals_itself() -> None:

@@ -9,7 +9,7 @@ import pytest
 from dsbrdf import ScatteredSamples, read_measurement
 from dsbrdf.arrays import Array
 from dsbrdf.data import CHANNELS, half_difference
-from dsbrdf.samples.names import VECTORS, meaning_of
+from dsbrdf.samples.names import meaning_of
 from dsbrdf.samples.reading import parse_samples
 
 PLATE = np.loadtxt(Path(__file__).parent / "plate.csv", delimiter=",", skiprows=1)
@@ -42,40 +42,15 @@ def table(
     return "\n".join([*before.splitlines(), head, *rows, ""]).encode()
 
 
-def renamed(*names: str) -> bytes:
-    return table((*names, *CHANNELS))
-
-
-def half_and_difference() -> Array:
-    return np.degrees(np.stack(half_difference(*spherical(ANGLES)), axis=-1))
-
-
 ORDER = [6, 0, 5, 2, 4, 1, 3]
 ALL = (*DIRECTION, *CHANNELS)
-WORDS = table().decode().splitlines()
 SPELLINGS = {
     "commas": table(),
     "phi below zero": table(columns=np.hstack([ANGLES - [0.0, 360.0, 0.0, 360.0], RGB])),
     "another order": table([ALL[i] for i in ORDER], np.hstack([ANGLES, RGB])[:, ORDER]),
-    "capitals": table(",".join(ALL).upper()),
-    "theta_i": renamed("theta_i", "phi_i", "theta_o", "phi_o"),
-    "thetaI": renamed("thetaI", "phiI", "thetaO", "phiO"),
-    "theta_r": renamed("theta_i", "phi_i", "theta_r", "phi_r"),
-    "_deg": renamed(*(f"{name}_deg" for name in DIRECTION)),
-    "[deg]": renamed(*(f"{name} [deg]" for name in DIRECTION)),
-    "a degree sign": renamed(*(f"{name} (°)" for name in DIRECTION)),
-    "_rad": table((*(f"{name}_rad" for name in DIRECTION), *CHANNELS), np.hstack([np.radians(ANGLES), RGB])),
     "[gon]": table((*(f"{name} [gon]" for name in DIRECTION), *CHANNELS), np.hstack([ANGLES / 0.9, RGB])),
-    "UTF-16": table().decode().encode("utf-16"),
-    "/ deg": renamed("θ_inc / °", "φ_inc / deg", "theta_ref / deg", "phi_ref"),
-    "r, g, b": table((*DIRECTION, "R", "G", "B")),
     "brdf_red [1/sr]": table((*DIRECTION, *(f"brdf_{name} [1/sr]" for name in CHANNELS))),
     "red [sr^-1]": table((*DIRECTION, *(f"{name} [sr^-1]" for name in CHANNELS))),
-    "unit vectors": table((*VECTORS, *CHANNELS), np.hstack([*spherical(ANGLES), RGB])),
-    "half and difference angles": table(
-        ("theta_half", "theta_diff", "phi_diff", *CHANNELS), np.hstack([half_and_difference(), RGB])
-    ),
-    "theta_h": table(("theta_h", "theta_d", "phi_d", *CHANNELS), np.hstack([half_and_difference(), RGB])),
 }
 
 

@@ -8,7 +8,7 @@ from dsbrdf import MeasurementFormatError, read_samples
 from dsbrdf.samples import cells
 from dsbrdf.samples.names import meaning_of
 from dsbrdf.samples.reading import parse_samples
-from tests.library.samples.test_reading import WORDS, table
+from tests.library.samples.test_reading import table
 from tests.support.reproduced import assert_reproduced
 
 FOLDER = Path(__file__).parent / "refused"
@@ -22,7 +22,7 @@ def test_what_is_no_table_is_told_the_remedy(path: Path) -> None:
     assert_reproduced(f"refused/{path.name}", str(caught.value))
 
 
-HEAD = WORDS[0].encode()
+HEAD = table().splitlines()[0]
 TOO_LARGE = {
     "Line 242 of the table has 140000 characters; it may have at most 131072.": table() + b"1;" * 70_000,
     "Line 242 of the table has 65001 cells, and the line of names has 7": table() + b"1," * 65_000,

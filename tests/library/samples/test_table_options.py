@@ -60,25 +60,6 @@ def test_a_file_is_read_with_options_and_a_grid_has_none(tmp_path: Path) -> None
             dsbrdf.fit(tmp_path / "paint.bin", scale=0.5, missing=options.missing)
 
 
-@pytest.mark.parametrize(
-    ("choice", "words"),
-    [
-        ({"columns": "AOI"}, "columns must be such as theta_in=AOI,value=BSDF, not 'AOI'"),
-        ({"columns": 3}, "columns must be such as"),
-        ({"missing": "0"}, "missing must be finite numbers, not '0'"),
-        ({"missing": [0, float("nan")]}, "missing must be finite numbers"),
-        ({"missing": 10**400}, "missing must be finite numbers"),
-        ({"scale": 0}, "scale must be a number from 1e-12 to 1e+12, not 0"),
-        ({"scale": True}, "scale must be a number from 1e-12 to 1e+12, not True"),
-        ({"phi": "turned"}, "phi must be one of mirror, not 'turned'"),
-    ],
-)
-def test_options_are_checked_when_they_are_made(choice: dict[str, object], words: str) -> None:
-    with pytest.raises(InvalidArgumentError) as caught:
-        TableOptions(**choice)  # type: ignore[arg-type]
-    assert words in str(caught.value)
-
-
 def test_numbers_in_names_and_lines_are_wavelengths_and_angles_where_they_can_be() -> None:
     names = ("450 nm", "0.45um", "brdf_450nm", "199 nm", "3001 nm")
     assert [wavelength_of(name) for name in names] == [450.0, 450.0, 450.0, None, None]

@@ -12,13 +12,13 @@ import pytest
 
 import dsbrdf
 import examples
-from dsbrdf import TableOptions
+from dsbrdf import MeasurementFormatError, TableOptions, read_samples
 from dsbrdf.data import FILE_SIZE
 from dsbrdf.output import from_json
 from dsbrdf.output.documents import summary_of_table
 from dsbrdf.samples.reading import parse_samples, read_table
 from dsbrdf_service.client import Client
-from tests.library.samples.test_layouts import KINDS
+from tests.library.samples.test_layouts import OTHER_KINDS
 from tests.library.samples.test_spreadsheet import XLSX
 from tests.support.merl_files import with_value
 from tests.support.models import assert_same_bits, mixture, samples_table, scattered_samples
@@ -192,11 +192,15 @@ def test_wrong_file_is_told_and_not_stored(server: Server, name: str, content: b
     assert sorted(server.files()) == before
 
 
-@pytest.mark.parametrize("words", KINDS)
-def test_another_kind_of_file_is_named_as_by_the_library(server: Server, words: str) -> None:
-    for path in ("/v1/measurements", "/v1/tables"):
-        answer = server.http.post(path, content=KINDS[words], headers={"Content-Type": "application/octet-stream"})
-        assert f"The file is {words}" in assert_problem(answer, 422)
+@pytest.mark.parametrize("path", OTHER_KINDS, ids=lambda path: path.stem)
+def test_another_kind_of_file_is_named_as_by_the_library(server: Server, path: Path) -> None:
+    with pytest.raises(MeasurementFormatError) as caught:
+        read_samples(path)
+    for place in ("/v1/measurements", "/v1/tables"):
+        answer = server.http.post(
+            place, content=path.read_bytes(), headers={"Content-Type": "application/octet-stream"}
+        )
+        assert str(caught.value) in assert_problem(answer, 422)
 
 
 def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: bytes, data: bytes) -> None:
