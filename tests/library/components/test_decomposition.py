@@ -152,11 +152,6 @@ def test_a_component_says_its_physical_parameters_with_ranges(paint_model: DSBRD
         np.testing.assert_allclose(component.height(np.radians([0.0, 40.0])), own, rtol=1e-12)
 
 
-def test_a_lobe_that_nobody_put_there_is_not_found(paint: Measurement) -> None:
-    parts = decompose(dsbrdf.fit(dsbrdf.profiles(paint), n_lobes=2).model)
-    assert parts.labels == ("specular_spike", "diffuse")
-
-
 def test_absent_and_unknown_labels(paint_model: DSBRDF) -> None:
     black, parts = decompose(single_lobe(1.0, 1.0, 0.0)), decompose(paint_model)
     assert (list(black), len(black), black.labels, black.layers.layers) == ([], 0, (), ())

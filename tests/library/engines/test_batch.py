@@ -14,9 +14,8 @@ import pytest
 
 import dsbrdf
 from dsbrdf import FitOptions
-from dsbrdf.cli import main as cli
 from dsbrdf.engines import FileFit, LocalEngine, batch, dask, fit_files, local
-from tests.support.command_line import Capture
+from tests.support.command_line import sentence
 from tests.support.processes import alive, forked, short_folder, until, wait_until
 from tests.support.tasks import ENDLESS, compute_unless_named_one
 
@@ -141,12 +140,9 @@ def test_ended_command_leaves_no_process_and_no_file(files: list[Path], tmp_path
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_lost_cluster_is_named(files: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_lost_cluster_is_named(files: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT_S", 0.5)
     monkeypatch.setattr(dask, "_SCHEDULER_TIMEOUT_S", 0.5)
     address = "tcp://127.0.0.1:1"
-    assert cli.main(["fit", str(files[0]), "--scheduler", address]) == 1
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith(f"dsbrdf: The Dask scheduler at {address} cannot be reached")
-    assert captured.err.count("\n") == 1
+    said = sentence("fit", files[0], "--scheduler", address, code=1)
+    assert said.startswith(f"dsbrdf: The Dask scheduler at {address} cannot be reached")

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from dsbrdf.output import export_model
 from dsbrdf.output.comparison import fit_ggx
 from dsbrdf.output.notebook import html as html_of
 from tests.support.models import mixture
+from tests.support.reproduced import assert_reproduced
 
 pytestmark = pytest.mark.slow
 
@@ -76,17 +78,6 @@ def test_a_function_is_a_model_like_any_other_and_reciprocal() -> None:
         export_model(model, "glsl")
 
 
-@pytest.mark.parametrize("wrong", [lambda i, _: i[:, 0], lambda i, _: np.full((len(i), 3), np.nan)])
-def test_a_function_that_returns_something_else_is_refused(wrong: object) -> None:
-    with pytest.raises(InvalidArgumentError, match="the function must return finite values of the shape"):
-        FunctionModel(wrong).evaluate(0.1, 0.2)  # type: ignore[arg-type]
-
-
-def test_what_is_no_material_is_refused(measurement: Measurement) -> None:
-    with pytest.raises(InvalidArgumentError, match='a function or "ggx" can be compared, not an object of type int'):
-        dsbrdf.compare(measurement, {"number": 3})  # type: ignore[dict-item]
-
-
 PAINT = mixture(2, 0)
 
 
@@ -122,12 +113,19 @@ def test_measurements_of_the_same_bytes_and_name_are_equal(plastic: Measurement,
     assert len({plastic, same, metal, replace(plastic, name="other")}) == 3
 
 
-def test_what_cannot_be_drawn_is_refused(plastic: Measurement) -> None:
-    with pytest.raises(dsbrdf.InvalidArgumentError, match="only a model or a fit can be drawn together"):
-        dsbrdf.plot(plastic, plastic)
-    with pytest.raises(dsbrdf.InvalidArgumentError, match="not an object of type str"):
-        dsbrdf.plot("nickel.binary")  # type: ignore[arg-type]
-    with pytest.raises(dsbrdf.InvalidArgumentError, match="to compare materials, name them"):
-        dsbrdf.plot(PAINT, PAINT)  # type: ignore[arg-type]
-    with pytest.raises(dsbrdf.InvalidArgumentError, match="compares 1 to 10 materials, not 11"):
-        dsbrdf.plot({f"paint {number}": PAINT for number in range(11)})
+REFUSED: dict[str, Any] = {
+    "a function of one channel": lambda _: FunctionModel(lambda i, _: i[:, 0]).evaluate(0.1, 0.2),
+    "a function that returns NaN": lambda _: FunctionModel(lambda i, _: np.nan * i).evaluate(0.1, 0.2),
+    "a number to compare with": lambda measured: dsbrdf.compare(measured, {"number": cast(Any, 3)}),
+    "two measurements to draw": lambda measured: dsbrdf.plot(measured, measured),
+    "a name to draw": lambda _: dsbrdf.plot(cast(Any, "nickel.binary")),
+    "two models to draw": lambda _: dsbrdf.plot(PAINT, cast(Any, PAINT)),
+    "eleven materials to draw": lambda _: dsbrdf.plot({f"paint {number}": PAINT for number in range(11)}),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_compared_or_drawn_is_refused(what: str, plastic: Measurement) -> None:
+    with pytest.raises(InvalidArgumentError) as caught:
+        REFUSED[what](plastic)
+    assert_reproduced(f"refused/{what}", str(caught.value))
