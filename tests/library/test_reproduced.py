@@ -213,33 +213,7 @@ def test_reductions(weighting: str, robust: bool, spoiled: Measurement) -> None:
     assert_reproduced(f"models/reduction {weighting}", found)
 
 
-PANEL = "table panel.csv --columns value=5 --missing 9 0.434114 --scale 0.5"
-COMMANDS = (
-    "show model.json",
-    "show compared.json",
-    "show plain.json",
-    "decompose black.json",
-    "decompose model.json --csv a.csv --latex a.tex",
-    "decompose model.json 50%_gloss.json --csv all.csv --latex all.tex",
-    "eval model.json --theta-in 30 --theta-out 0 60 --phi-out 20",
-    "table samples.csv",
-    "table clipped.csv",
-    PANEL,
-    f"{PANEL} --json",
-    "table scatterometer.txt --json",
-    "table samples.csv plane.csv model.json plastic.binary none.csv",
-    "render model.json -o a.png --size 16",
-    "render model.json -o a.png --size 16 --component diffuse",
-    "compare plastic.binary model.json -o b.png --size 16",
-    "compare rings.json mixture.json model.json -o c.png --size 16",
-    "export model.json -o model.csv",
-    "export model.json -o copy.json",
-    "export model.json -o layers.csv --component layers",
-    "export model.json -o components.csv --format components",
-    "map model.json mixture.json rings.json -o map.pdf",
-    "materials",
-    "convert samples.csv converted.csv",
-)
+COMMANDS = (Path(__file__).parent / "commands.txt").read_text().splitlines()
 
 
 @pytest.fixture(scope="module")

@@ -175,15 +175,6 @@ def test_several_files_end_with_a_table_worst_first(tmp_path: Path, monkeypatch:
     assert items[1]["error"] == "no measurement"
 
 
-def test_fit_saves_reports_and_draws(plastic_file: Path, tmp_path: Path) -> None:
-    (tmp_path / "plastic.json").write_text("{}")  # damaged, and replaced
-    out = printed("fit", plastic_file, "-o", tmp_path, "--plot", *QUICK)
-    assert "component     light 90 % range" in out
-    assert out.splitlines()[-2:] == [f"saved: {tmp_path / 'plastic.json'}", f"figure: {tmp_path / 'plastic.png'}"]
-    assert (tmp_path / "plastic.png").read_bytes().startswith(b"\x89PNG")
-    assert load_fit(tmp_path / "plastic.json").model.n_lobes == 1
-
-
 def test_server_that_does_not_answer_is_named(plastic_file: Path) -> None:
     said = sentence("fit", plastic_file, "--url", "http://127.0.0.1:9", code=1)
     nobody = "dsbrdf: nothing answers at http://127.0.0.1:9: is a service running there? dsbrdf serve starts one"

@@ -67,9 +67,12 @@ def test_decompose_prints_the_components(model_file: Path) -> None:
         np.testing.assert_allclose(item["lobe"]["height"], heights, rtol=1e-9)
 
 
-def test_show_prints_the_report_that_the_fit_printed(plastic_file: Path, model_file: Path, tmp_path: Path) -> None:
-    *before, last = printed("fit", plastic_file, "-o", tmp_path, *FEW_LOBES).splitlines()
-    assert last == f"saved: {tmp_path / 'plastic.json'}"
+def test_fit_saves_draws_and_prints_the_report_of_show(plastic_file: Path, model_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "plastic.json").write_text("{}")  # damaged, and replaced
+    *before, saved, figure = printed("fit", plastic_file, "-o", tmp_path, "--plot", *FEW_LOBES).splitlines()
+    assert (saved, figure) == (f"saved: {tmp_path / 'plastic.json'}", f"figure: {tmp_path / 'plastic.png'}")
+    assert load_fit(tmp_path / "plastic.json").model == load_fit(model_file).model
+    assert (tmp_path / "plastic.png").read_bytes().startswith(b"\x89PNG")
     assert re.match(r"plastic: (very )?close \(\d+\.\d dB\); 2 lobes; \d+\.\d\d s$", before[0])
     shown = printed("show", model_file).splitlines()
     assert shown[0].rpartition(";")[0] == before[0].rpartition(";")[0]  # the time is another

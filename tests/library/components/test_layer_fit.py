@@ -56,14 +56,6 @@ def test_the_structure_of_known_layers_is_found(name: str) -> None:
     assert found[0].error < 0.01
 
 
-def test_parameters_come_out_as_they_were_put_in() -> None:
-    (layer,) = fitted(METAL)[0].model.layers
-    assert isinstance(layer, SpecularLayer)
-    np.testing.assert_allclose(layer.f0, GOLD, rtol=0.02)
-    assert layer.alpha == pytest.approx(METAL.alpha, rel=0.01)
-    assert layer.tail_exponent == pytest.approx(2.0, rel=0.02)
-
-
 def test_a_highlight_that_turns_its_colour_is_no_diffuse_light() -> None:
     turning = TurningLayer(**vars(METAL), turn=((0.6, -0.2, -0.4), (-0.3, 0.5, -0.2)))
     best = fit_structures(data_of(turning), (*STRUCTURES, *RARE_STRUCTURES), quick=True)[0]
