@@ -91,7 +91,7 @@ _FIRST_OF_MATRIX = re.compile(r"(?:f_?r?|m|s|mueller|brdf)_?00")
 # Tables of planetary science have these letters as names of the angles of incidence, emission and phase.
 _PLANETARY = {"i": "theta_in", "e": "theta_out", "g": "phase", "alpha": "phase"}
 _SOLAR = {"theta_s": "theta_in", "phi_s": "phi_in"}  # In a table that has "v" for the viewer, "s" means the sun.
-_GREEK = {"θ": "theta", "φ": "phi", "ϕ": "phi", "λ": "lambda", "ω": "omega", "δ": "delta", "ρ": "rho", "β": "beta"}
+_GREEK = {"θ": "theta", "φ": "phi", "λ": "lambda", "ω": "omega", "δ": "delta", "ρ": "rho", "β": "beta"}
 _COSINE = re.compile(r"cos(?:ine)?(?:[_ ]?\((.+)\)|[_ ](.+))")
 # This means the cosine of theta_out, as in "ccbrdf", unless another angle is named.
 _PRODUCT = re.compile(r"(?:brdf|bsdf|f_?r) ?[*×·x] ?cos(?:ine)?(?:[_ ]?\(?theta_?(?:out|[orsv])\)?)?")

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dsbrdf import FitResult, decompose, read_merl, render_sphere
-from dsbrdf.output import export_model, from_json
 from dsbrdf.output.documents import component_document
 from dsbrdf.output.export import part_of
 from dsbrdf.rendering import displayed
@@ -84,27 +83,6 @@ def test_show_prints_the_stored_fit_as_json(model_file: Path) -> None:
     assert answer["metrics"] == asdict(result.report.metrics)
     assert answer["model"]["amplitude"] == result.model.amplitude.tolist()
     assert [component["label"] for component in answer["components"]] == list(decompose(result).labels)
-
-
-@pytest.mark.usefixtures("coarse_sampling")
-@pytest.mark.parametrize(
-    ("words", "component", "file_format", "options"),
-    [
-        ("m.txt --format json", None, "json", {}),
-        ("layers.json --component layers", "layers", "json", {}),
-        ("paint.glsl --name paint --sampling", None, "glsl", {"name": "paint", "sampling": True}),
-        ("lobe.py --component diffuse", "diffuse", "python", {}),
-    ],
-)
-def test_exports_are_those_of_the_library(
-    words: str, component: str | None, file_format: str, options: dict[str, Any], model_file: Path, tmp_path: Path
-) -> None:
-    output = tmp_path / words.split()[0]
-    about = document("export", model_file, "--json", "-o", output, *words.split()[1:])
-    (model, report), content = from_json(model_file.read_text()), output.read_bytes()
-    attached = report if component is None else None
-    assert content == export_model(part_of(model, component), file_format, attached, **options)
-    assert about == {"output": str(output), "format": file_format, "bytes": len(content)}
 
 
 def test_closed_output_pipe_is_no_error(model_file: Path) -> None:
