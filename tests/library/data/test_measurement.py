@@ -167,7 +167,8 @@ def test_named_singular_points() -> None:
     assert [float(v) for v in half_difference(normal, normal)] == [0.0, 0.0, 0.0]
     assert [float(v) for v in half_difference([-0.0, -0.0, 1.0], [-0.0, -0.0, 1.0])] == [0.0, 0.0, 0.0]
     theta_half = pytest.approx(np.arctan2(0.6, 0.8), abs=1e-15)
-    for tilted in ([0.6, 0.0, 0.8], [-0.6, 0.0, 0.8], [0.0, -0.6, 0.8]):  # Signs of zero must not make phi_diff pi.
+    # The sign of a zero must not make phi_diff pi.
+    for tilted in ([0.6, 0.0, 0.8], [-0.36, 0.48, 0.8], [-0.36, -0.48, 0.8]):
         assert [float(v) for v in half_difference(tilted, tilted)] == [theta_half, 0.0, 0.0]
     # Mirror directions share the normal as half vector; phi_diff is then the azimuth of omega_in.
     half, diff, phi = half_difference([0.0, 0.6, 0.8], [0.0, -0.6, 0.8])
