@@ -64,6 +64,7 @@ BODIES: dict[str, tuple[str, bytes]] = {
     "npy not finite": ("application/x-npy", npy([[1.0, 1.0, np.inf]])),
     "panorama": ("application/x-npy", npy(np.linspace(0.0, 2.0, 8 * 16 * 3).reshape(8, 16, 3))),
     "no panorama": ("application/x-npy", npy(np.ones((8, 8, 3)))),
+    "brighter": ("application/x-npy", npy(np.full((8, 16, 3), 2.0))),
     "black": ("application/x-npy", npy(np.zeros((8, 16, 3)))),
 }
 
@@ -133,7 +134,7 @@ class Conversation:
     def content(self, answer: httpx.Response) -> Any:
         kind, content = answer.headers.get("content-type", "").partition(";")[0], answer.content
         if not content:
-            return None
+            return f"{answer.headers['content-length']} bytes" if kind == "application/octet-stream" else None
         if kind == "application/problem+json":
             problem = answer.json()
             assert (problem["status"], problem["instance"]) == (answer.status_code, answer.request.url.path)

@@ -44,21 +44,6 @@ def test_raw_file_is_fitted_in_one_request(server: Server, data: bytes, plastic_
     assert [component["label"] for component in fit["components"]] == list(dsbrdf.decompose(expected).labels)
 
 
-def test_repeated_request_returns_the_stored_fit(server: Server, data: bytes, stored: str) -> None:
-    first = server.submit(stored, n_lobes=1, em_iterations=37)
-    assert first.status_code == 201
-    numbers = {"n_lobes": "1", "em_iterations": "37", "horizon_cutoff_deg": "80.0"}
-    spelled_otherwise = {**numbers, "method": "paper", "mask": "auto"}
-    for again in (
-        server.submit(stored, n_lobes=1, em_iterations=37, horizon_cutoff_deg=80, mask="auto"),
-        server.http.post("/v1/fits", params=spelled_otherwise, content=data),
-        server.submit(stored, prefer="respond-async", n_lobes=1, em_iterations=37),
-    ):
-        assert again.status_code == 200
-        assert again.json() == first.json()  # The times are those of the first computation.
-    assert server.submit(stored, n_lobes=1, em_iterations=5).json()["id"] != first.json()["id"]
-
-
 def test_concurrent_requests_with_one_file_make_one_fit(server: Server, data: bytes) -> None:
     content = with_value(data, 0.75)
 
@@ -96,23 +81,6 @@ def test_request_that_may_not_wait_long_gets_202_and_a_location(server: Server, 
     assert server.http.delete(url).json()["status"] == "cancelled"
 
 
-def test_failed_fit_is_stored_with_its_error(server: Server, stored: str) -> None:
-    options: dict[str, Any] = {"n_lobes": 8, "mask": 10, "horizon_cutoff_deg": 2}
-    answer = server.submit(stored, **options)
-    assert answer.status_code == 201
-    fit = answer.json()
-    assert fit["status"] == "failed"
-    assert fit["error"]["origin"] == "input"
-    assert fit["error"]["type"] == "FitError"
-    assert fit["error"]["message"]
-    assert fit["components"] is None
-    again = server.submit(stored, **options)
-    assert again.status_code == 200
-    assert again.json() == fit
-    points = server.http.get(f"/v1/fits/{fit['id']}/brdf", params={"theta_half_deg": 1, "theta_diff_deg": 1})
-    assert_problem(points, 409, "fit-without-result")
-
-
 def test_fit_is_cancelled_with_its_process_or_deleted(server: Server, stored: str) -> None:
     wait_until(lambda: not server.workers())  # Fits of other tests end.
     fit_id = server.submit(stored, prefer="respond-async", mask=0.13, **ENDLESS).json()["id"]
@@ -137,19 +105,6 @@ def test_fit_is_cancelled_with_its_process_or_deleted(server: Server, stored: st
     assert deleted.json() == {"id": fit_id, "status": "deleted"}
     for only in ("cancel", "delete"):
         assert_problem(server.http.delete(url, params={"only": only}), 404, "not-found")
-
-
-def test_deleted_fit_is_not_found_and_can_be_requested_again(server: Server, data: bytes) -> None:
-    def submit() -> httpx.Response:
-        return server.http.post("/v1/fits", params=QUICK | {"em_iterations": 6}, content=data)
-
-    url = submit().headers["location"]
-    points = f"{url}/brdf?theta_half_deg=1&theta_diff_deg=1"
-    assert server.http.get(points).status_code == 200
-    assert server.http.delete(url).json()["status"] == "deleted"
-    for gone in (server.http.get(url), server.http.delete(url), server.http.get(points)):
-        assert_problem(gone, 404, "not-found")
-    assert submit().status_code == 201
 
 
 def test_event_stream_reports_progress_and_end(server: Server, stored: str) -> None:

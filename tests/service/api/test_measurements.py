@@ -12,68 +12,17 @@ import pytest
 
 import dsbrdf
 import examples
-from dsbrdf import MeasurementFormatError, TableOptions, read_samples
-from dsbrdf.data import FILE_SIZE
+from dsbrdf import MeasurementFormatError, read_samples
 from dsbrdf.output import from_json
-from dsbrdf.output.documents import summary_of_table
-from dsbrdf.samples.reading import parse_samples, read_table
+from dsbrdf.samples.reading import parse_samples
 from dsbrdf_service.client import Client
 from tests.library.samples.test_layouts import OTHER_KINDS
 from tests.library.samples.test_spreadsheet import XLSX
-from tests.support.merl_files import with_value
 from tests.support.models import assert_same_bits, mixture, samples_table, scattered_samples
 from tests.support.server import QUICK, Server, StartServer, assert_problem
 from tests.support.soak import repeats
 
 pytestmark = pytest.mark.slow
-
-
-def test_downloaded_measurement_equals_the_upload(server: Server, data: bytes, stored: str) -> None:
-    assert stored == hashlib.sha256(data).hexdigest()
-    place = f"/v1/measurements/{stored}"
-    got = server.http.get(f"{place}/content")
-    assert (got.content, got.headers["etag"]) == (data, f'"{stored}"')
-    head = server.http.head(f"{place}/content")
-    assert (head.headers["content-length"], head.headers["etag"]) == (str(FILE_SIZE), f'"{stored}"')
-    assert server.http.head(f"{place}/content", headers={"If-None-Match": f'W/"{stored}"'}).status_code == 304
-    assert server.http.head(f"/v1/measurements/{'0' * 64}/content").status_code == 404
-    again = server.http.post("/v1/measurements", content=data)
-    assert (again.status_code, again.headers["location"], again.json()["sha256"]) == (200, place, stored)
-    assert again.json()["valid_nodes"] == dsbrdf.parse_merl(data).valid.sum()
-
-
-def test_measurement_is_deleted_unless_a_fit_uses_it(server: Server, data: bytes) -> None:
-    sha256 = server.http.post("/v1/measurements", content=with_value(data, 0.8)).json()["sha256"]
-    url = f"/v1/measurements/{sha256}"
-    fit_id = server.submit(sha256, prefer="respond-async", n_lobes=8).json()["id"]
-    answer = server.http.delete(url)
-    assert_problem(answer, 409, "measurement-in-use")
-    assert server.http.get(f"/v1/fits/{fit_id}?wait=60").json()["status"] == "succeeded"
-    assert server.http.delete(url).status_code == 204
-    assert_problem(server.http.delete(url), 404, "not-found")
-    assert_problem(server.http.get(url), 404, "not-found")
-    assert sha256 not in [path.stem for path in server.files()]
-    points = {"theta_half_deg": 1, "theta_diff_deg": 1}
-    assert server.http.get(f"/v1/fits/{fit_id}/brdf", params=points).status_code == 200
-    assert_problem(server.submit(sha256, n_lobes=2), 404, "not-found")
-
-
-def test_measurement_has_a_document_with_its_fits(server: Server, data: bytes) -> None:
-    content = with_value(data, 0.9)
-    uploaded = server.http.post("/v1/measurements", params={"name": "paint"}, content=content).json()
-    url = f"/v1/measurements/{uploaded['sha256']}"
-    assert server.http.get(url).json() == {**uploaded, "fits": []}
-    fits = [server.submit(uploaded["sha256"], **QUICK, horizon_cutoff_deg=cutoff).json()["id"] for cutoff in (70, 75)]
-    answer = server.http.get(url, headers={"Accept": "text/html, */*"})
-    assert answer.json() == {**uploaded, "fits": fits[::-1]}
-    assert answer.json().keys() >= {"name", "size", "created"}
-    head = server.http.head(url)
-    for name in ("content-type", "content-length", "etag"):
-        assert head.headers[name] == answer.headers[name]
-    file = server.http.get(url, headers={"Accept": "application/octet-stream, application/json;q=0.5"})
-    assert (file.content, file.headers["etag"]) == (content, f'"{uploaded["sha256"]}"')
-    for either in (answer, file):
-        assert "Accept" in either.headers["vary"]
 
 
 EXAMPLE = Path(examples.__file__).with_name("satin_purple.bsdf")
@@ -103,28 +52,6 @@ def test_an_rgl_file_is_stored_as_the_merl_table_of_its_values(server: Server, s
     assert picture.headers["content-type"] == "image/png"
 
 
-@pytest.mark.parametrize(
-    ("name", "media_type"),
-    [
-        ("felt.TXT", "application/octet-stream"),
-        ("felt", "application/octet-stream"),
-        ("felt.bsdf", "text/csv; charset=utf-8"),
-    ],
-)
-def test_a_table_is_stored_as_its_samples(server: Server, table: bytes, name: str, media_type: str) -> None:
-    answer = post(server, table, name, media_type)
-    assert answer.status_code in (200, 201), answer.text
-    document, samples = answer.json(), parse_samples(table)
-    stored = samples.encode()
-    expected = {"name": "felt", "sha256": samples.sha256, "size": len(stored), "valid_nodes": 0}
-    assert {name: document[name] for name in expected} == expected
-    file = server.http.get(f"{answer.headers['location']}/content")
-    assert file.content == stored
-    assert file.headers["content-disposition"] == 'attachment; filename="felt.csv"'
-    again = post(server, stored, name, media_type)
-    assert (again.status_code, again.json()["sha256"]) == (200, samples.sha256)
-
-
 def test_a_spreadsheet_is_the_table_in_it(server: Server) -> None:
     answer = post(server, XLSX, "felt.csv", "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet")
     assert answer.status_code in (200, 201), answer.text
@@ -133,19 +60,6 @@ def test_a_spreadsheet_is_the_table_in_it(server: Server) -> None:
     np.testing.assert_allclose(found[:, 6:], parse_samples(XLSX).values, rtol=1e-6)
     file = server.http.get(f"{place}/content")
     assert file.content == parse_samples(XLSX).encode()
-
-
-def test_samples_of_a_table_are_given_all_or_some(server: Server, table: bytes, stored: str) -> None:
-    place = post(server, table, "a.csv").headers["location"]
-    samples = parse_samples(table)
-    expected = np.hstack([samples.omega_in, samples.omega_out, samples.values])
-    answers = [server.http.get(f"{place}/samples.npy{query}") for query in ("?max_samples=100000", "?max_samples=40")]
-    every, some = (np.load(BytesIO(answer.content)) for answer in answers)
-    np.testing.assert_allclose(every, expected, rtol=1e-6, atol=1e-7)
-    rows = [np.flatnonzero((every == sample).all(axis=1)).item() for sample in some]
-    assert rows == sorted(set(rows))
-    assert len(rows) == 40 < rows[-1]  # They are no run of neighbours in the table.
-    assert "is a grid" in assert_problem(server.http.get(f"/v1/measurements/{stored}/samples.npy"), 404)
 
 
 def test_table_is_fitted_after_a_kill_as_by_the_library_without_pictures(own_server: StartServer, table: bytes) -> None:
@@ -223,24 +137,6 @@ def test_the_options_of_a_table_are_those_of_its_upload(server: Server, table: b
     expected = np.hstack([samples.omega_in * [-1.0, -1.0, 1.0], samples.omega_out, values])
     of_table = server.http.get(f"/v1/measurements/{fit['measurement']}/samples.npy")
     np.testing.assert_allclose(np.load(BytesIO(of_table.content)), expected, rtol=1e-6, atol=1e-7)
-
-
-def test_a_table_is_told_before_its_upload_and_not_stored(server: Server) -> None:
-    rows = [f"{incidence},{seen},{25 if seen else -999.5}" for incidence in (0, 30) for seen in range(0, 61, 2)]
-    content = "\n".join(["AOI [deg],AOR,reflectance", *rows])
-    headers = {"Content-Type": "text/csv"}
-    before = server.files()
-    answer = server.http.post("/v1/tables", content=content, headers=headers)
-    assert "-999.5" in assert_problem(answer, 422, "measurement-format")
-    chosen = {"columns": "value=reflectance", "missing": "-999.5", "scale": "0.01"}
-    options = TableOptions(columns="value=reflectance", missing=-999.5, scale=0.01)
-    for media_type in ("text/csv", "application/octet-stream", "application/json"):  # The content decides.
-        headers = {"Content-Type": media_type}
-        told = server.http.post("/v1/tables", params=chosen, content=content, headers=headers).json()
-        assert told == summary_of_table(read_table(content.encode(), options=options))
-    answer = server.http.post("/v1/tables?n_lobes=2", content=content, headers=headers)
-    assert "n_lobes" in assert_problem(answer, 422, "invalid-argument")
-    assert server.files() == before
 
 
 def flip(path: Path) -> None:

@@ -3,68 +3,21 @@
 import re
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 from starlette.requests import Request
 
-import dsbrdf
 import dsbrdf_service
-from dsbrdf import EnvironmentMap, Measurement, parse_merl, render_sphere
+from dsbrdf import parse_merl, render_sphere
 from dsbrdf.extras import MissingExtraError, require
 from dsbrdf.output import from_json
 from dsbrdf.rendering import displayed, exposure, sphere_normals
-from dsbrdf_service.http.messages import NPY
 from dsbrdf_service.http.problems import KINDS, problem_of
-from tests.support.server import QUICK, Guarded, Server, assert_problem, npy
+from tests.support.server import QUICK, Guarded, Server, assert_problem
 
 pytestmark = pytest.mark.slow
-
-
-def test_a_sphere_is_that_of_the_library_as_a_picture_and_as_radiance_in_any_light(
-    server: Server, fitted: str, stored: str, model: dsbrdf.DSBRDF, plastic: dsbrdf.Measurement
-) -> None:
-    light = np.random.default_rng(3).uniform(0.0, 2.0, (16, 32, 3)).astype(np.float32)
-    around = EnvironmentMap.from_pixels(light)
-    of_fit, of_measurement = f"/v1/fits/{fitted}/figures", f"/v1/measurements/{stored}/figures"
-    mask = sphere_normals(24)[1]
-    lights = ("three_lights", "environment", around)
-    for figures, query, whole, part, shown_in in (
-        (of_fit, {}, model, model, lights),
-        (of_fit, {"component": "diffuse"}, model, dsbrdf.decompose(model)["diffuse"], lights[1:]),
-        (of_measurement, {}, plastic, plastic, lights[::2]),
-    ):
-        for lighting in shown_in:
-            asked: dict[str, Any] = {"method": "POST", "content": npy(light), "headers": {"Content-Type": NPY}}
-            if isinstance(lighting, str):
-                asked = {"method": "GET", "params": {} if lighting == lights[0] else {"lighting": lighting}}
-            asked["params"] = {"size": "24", **query, **asked.get("params", {})}
-            image, exposed = (dsbrdf.render_sphere(shown, lighting=lighting, size=24) for shown in (part, whole))
-            radiance = server.http.request(url=f"{figures}/sphere.npy", **asked)
-            assert radiance.headers["content-type"] == NPY
-            assert np.load(BytesIO(radiance.content)) == pytest.approx(image, rel=1e-5, abs=1e-7)
-            picture = server.http.request(url=f"{figures}/sphere.png", **asked)
-            assert picture.headers["content-type"] == "image/png"
-            seen = np.asarray(Image.open(BytesIO(picture.content))) / 255.0
-            assert np.abs(seen - displayed(image, exposure(exposed, mask))).max() < 0.003
-    assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/figures/sphere.png"), 404, "not-found")
-
-
-def test_every_other_sphere_has_another_tag(server: Server, stored: str, fitted: str) -> None:
-    for path, others in ((f"fits/{fitted}", ["component=diffuse"]), (f"measurements/{stored}", [])):
-        url = f"/v1/{path}/figures/sphere.png?size=16"
-        current = {"If-None-Match": server.http.get(url).headers["etag"]}
-        assert server.http.get(url, headers=current).status_code == 304
-        queries = ("lighting=environment", *others)
-        for other in (url.replace("size=16", "size=24"), *(f"{url}&{query}" for query in queries)):
-            assert server.http.get(other, headers=current).status_code == 200, other
-        url, sent = url.replace(".png", ".npy"), {"Content-Type": NPY}
-        lights = [npy(np.full((16, 32, 3), value)) for value in (1.0, 2.0)]
-        tag = server.http.post(url, content=lights[0], headers=sent).headers["etag"]
-        found = [server.http.post(url, content=light, headers={**sent, "If-None-Match": tag}) for light in lights]
-        assert [answer.status_code for answer in found] == [304, 200]
 
 
 def test_figures_are_drawn_and_names_are_no_formulas(server: Server, data: bytes) -> None:
@@ -169,13 +122,3 @@ def test_thumbnail_is_the_fit_and_on_the_left_its_measurement_which_it_outlives(
     http.delete(f"/v1/measurements/{fit['measurement']}", headers=own)
     again = http.get(thumbnail, headers=own)
     assert (again.content, again.headers["etag"]) == (answer.content, answer.headers["etag"])
-
-
-def test_table_is_the_measurement_without_gaps(server: Server, stored: str, plastic: Measurement) -> None:
-    answer = server.http.get(f"/v1/measurements/{stored}/table.npy")
-    table = np.load(BytesIO(answer.content))
-    assert (answer.headers["content-type"], table.shape, table.dtype) == (NPY, (90, 90, 180, 3), np.float16)
-    i, j, k = (np.array(index) for index in ((0, 30, 60), (45, 10, 80), (0, 90, 179)))
-    angles = np.radians(i**2 / 90.0), np.radians(j), np.radians(k)
-    expected = plastic.interpolated.evaluate(*angles)
-    assert np.exp(table[i, j, k].astype(float)) - 1e-6 == pytest.approx(expected, rel=5e-3, abs=1e-6)

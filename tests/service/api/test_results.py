@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data import FILE_SIZE
-from dsbrdf.output import FORMATS, export_model, fit_from_json, from_json, to_json
+from dsbrdf.output import FORMATS, export_model, fit_from_json, to_json
 from dsbrdf.output.documents import component_documents
 from dsbrdf.output.export import part_of
 from dsbrdf_service.compute.computations import LoadedFit
 from dsbrdf_service.errors import ProblemError
-from tests.support.models import assert_same_bits
 from tests.support.server import Guarded, Server, assert_problem
 
 POINTS: dict[str, list[float]] = {"theta_half_deg": [0, 0.5, 5, 40, 80], "theta_diff_deg": [0, 80, 20, 60, 5]}
@@ -29,39 +27,12 @@ def test_components_of_the_library_lead_the_document(server: Server, fitted: str
     assert list(fit).index("components") < list(fit).index("model")
 
 
-def test_values_of_the_components_add_up_to_the_fits(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
-    url = f"/v1/fits/{fitted}"
-    decomposition = dsbrdf.decompose(model)
-    parts = []
-    for component in decomposition:
-        values = server.http.post(f"{url}/components/{component.label}/brdf", json=POINTS).json()["values"]
-        expected = component.evaluate(np.radians(POINTS["theta_half_deg"]), np.radians(POINTS["theta_diff_deg"]))
-        np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-15)
-        parts.append(values)
-    whole = server.http.post(f"{url}/brdf", json=POINTS).json()["values"]
-    np.testing.assert_allclose(np.sum(parts, axis=0), whole, rtol=1e-12)
-    one = server.http.get(f"{url}/components/diffuse/brdf?theta_half_deg=5&theta_diff_deg=20").json()["values"]
-    np.testing.assert_allclose(one[0], parts[-1][2], rtol=1e-12)
-
-
 def test_a_black_fit_has_no_components(model: dsbrdf.DSBRDF) -> None:
     black = dsbrdf.decompose(model.select((), with_delta=False))
     restored, _ = fit_from_json(to_json(black.model, None, black))
     with pytest.raises(ProblemError, match=r"^The fit has no component diffuse: it reflects no light\.$") as raised:
         LoadedFit(restored, None).part("diffuse")
     assert raised.value.kind == "not-found"
-
-
-def test_exports_are_lossless(server: Server, fitted: str, model: dsbrdf.DSBRDF) -> None:
-    url = f"/v1/fits/{fitted}/export"
-    text = server.http.get(url, params={"format": "json"})
-    assert json.loads(text.text)["format"] == "dsbrdf"
-    again, report = from_json(text.text)
-    named = server.http.get(f"/v1/fits/{fitted}").json()["name"]  # Another test may have named it.
-    assert named or f"{fitted}.json" in text.headers["content-disposition"]
-    assert_same_bits(again, model)
-    assert report is not None
-    assert asdict(report.metrics) == server.http.get(f"/v1/fits/{fitted}").json()["metrics"]
 
 
 @cache
@@ -88,12 +59,6 @@ def test_formats_of_other_programs_are_those_of_the_library(
     assert answer.content == export_model(part(model, component), file_format, **named)
     assert answer.headers["content-type"] == kind.media_type
     assert f"{component or ''}.{kind.suffix}" in answer.headers["content-disposition"]
-
-
-def test_a_part_of_an_export_is_answered_with_all_of_it(server: Server, fitted: str) -> None:
-    url = f"/v1/fits/{fitted}/export?format=merl"
-    whole = server.http.get(url, headers={"Range": "bytes=0-11"})
-    assert (whole.status_code, len(whole.content)) == (200, FILE_SIZE)
 
 
 def test_example_shows_the_export_that_it_is_saved_beside(server: Server, fitted: str) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import dsbrdf
-from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF, spherical
 from dsbrdf.output import from_json
 from dsbrdf_service.http.messages import NPY
 from tests.support.models import pairs_of_directions
@@ -64,54 +63,6 @@ def test_direction_pairs_equal_the_library(server: Server, url: str, model: dsbr
     omega = np.stack([omega_in, omega_out], axis=1)
     for shape in ((-1, 6), (-1, 2, 3)):
         close(server.http.post(url, content=npy(omega.reshape(shape)), headers=FROM_NPY), expected)
-
-
-def test_what_is_given_once_counts_for_all_points(server: Server, url: str, model: dsbrdf.DSBRDF) -> None:
-    expected = model.evaluate(np.radians([0, 10, 20]), np.radians(30), np.radians([5, 25, 85]))
-    query = {"theta_half_deg": [0, 10, 20], "theta_diff_deg": [30], "phi_diff_deg": [5, 25, 85]}
-    close(server.http.get(url, params=query), expected)
-    close(server.http.post(url, json=query), expected)
-    close(server.http.post(url, json=query | {"theta_diff_deg": 30}), expected)
-    omega_in, omega_out = pairs_of_directions(4)
-    omega_out = omega_out[:1]
-    expected = model.evaluate_directions(omega_in, omega_out)
-    close(server.http.get(url, params={"omega_in": as_text(omega_in), "omega_out": as_text(omega_out)}), expected)
-    close(server.http.post(url, json={"omega_in": omega_in.tolist(), "omega_out": omega_out.tolist()}), expected)
-
-
-def test_angles_of_both_directions_equal_the_library(server: Server, url: str, model: dsbrdf.DSBRDF) -> None:
-    theta_in, theta_out, phi_in, phi_out = ([30.0], [10.0, 50.0], [20.0], [200.0, -40.0])
-    sides = [spherical(*np.radians(pairs)) for pairs in (([30.0] * 2, [20.0] * 2), ([10.0, 50.0], [200.0, -40.0]))]
-    columns = {"theta_in_deg": theta_in, "theta_out_deg": theta_out, "phi_in_deg": phi_in, "phi_out_deg": phi_out}
-    expected = model.evaluate_directions(*sides)
-    close(server.http.get(url, params=columns), expected)
-    close(server.http.post(url, json=columns | {"theta_in_deg": 30, "phi_in_deg": 20.0}), expected)
-    mirror = model.evaluate(0.0, np.radians([35.0]))
-    close(server.http.get(url, params={"theta_in_deg": 35, "theta_out_deg": 35}), mirror)
-    close(server.http.post(url, json={"theta_out_deg": 35, "theta_in_deg": [35]}), mirror)
-    problem = server.http.get(url, params={"theta_in_deg": 35, "theta_diff_deg": 35}).json()
-    assert "'theta_diff_deg'; known are theta_in_deg, theta_out_deg" in problem["detail"]
-
-
-def test_value_below_the_horizon_is_0_and_fails_no_batch(server: Server, url: str) -> None:
-    vectors = [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]]
-    pairs = [(first, second) for first in vectors for second in vectors]
-    document = {"omega_in": [first for first, _ in pairs], "omega_out": [second for _, second in pairs]}
-    values = np.array(server.http.post(url, json=document).json()["values"])
-    assert np.all(values[0] > 0.0)
-    np.testing.assert_array_equal(values[1:], 0.0)
-    columns = {"theta_half_deg": [60, 60], "theta_diff_deg": [60, 60], "phi_diff_deg": [0, 90]}
-    below, above = server.http.post(url, json=columns).json()["values"]
-    assert below == [0.0, 0.0, 0.0]
-    assert min(above) > 0.0
-
-
-def test_points_at_the_edges_of_the_hemisphere_are_accepted(server: Server, url: str, model: dsbrdf.DSBRDF) -> None:
-    query = {"theta_half_deg": [0, 90, 0, 90], "theta_diff_deg": [0, 0, 90, 90]}
-    expected = model.evaluate(np.radians([0, 90, 0, 90]), np.radians([0, 0, 90, 90]))
-    close(server.http.get(url, params=query), expected)
-    opposite = server.http.get(url, params={"omega_in": "1,0,0", "omega_out": "-1,0,0"})
-    close(opposite, [model.evaluate_directions([1.0, 0, 0], [-1.0, 0, 0])])
 
 
 @pytest.mark.parametrize(
@@ -184,23 +135,3 @@ def bad_npy() -> dict[str, bytes]:
 def test_invalid_npy_is_refused(server: Server, fitted: str, fault: str) -> None:
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=bad_npy()[fault], headers=FROM_NPY)
     assert_problem(answer, 422, "invalid-argument")
-
-
-def test_measured_values_are_exact_or_null(server: Server, stored: str, plastic: dsbrdf.Measurement) -> None:
-    url = f"/v1/measurements/{stored}/brdf"
-    row, diff, column = np.vstack([np.argwhere(plastic.valid)[::70_000], np.argwhere(~plastic.valid)[-1:]]).T
-    angles = np.degrees([THETA_HALF[row], THETA_DIFF[diff], PHI_DIFF[column]])
-    expected = [*plastic.values[:, row[:-1], diff[:-1], column[:-1]].T, None]
-    names = ("theta_half_deg", "theta_diff_deg", "phi_diff_deg")
-    document = dict(zip(names, angles.tolist(), strict=True))
-    for answer in (server.http.get(url, params=document), server.http.post(url, json=document)):
-        values = answer.json()["values"]
-        assert values[-1] is None
-        np.testing.assert_allclose(values[:-1], expected[:-1], rtol=1e-9)
-    arrays = np.load(io.BytesIO(server.http.post(url, content=npy(angles.T), headers=NPY_BOTH_WAYS).content))
-    assert np.isnan(arrays[-1]).all()
-    np.testing.assert_allclose(arrays[:-1], expected[:-1], rtol=1e-9)
-    below = server.http.get(url, params={"omega_in": "0,0,1", "omega_out": "0.6,0,-0.8"})
-    assert below.json() == {"values": [None]}
-    assert_problem(server.http.get(url, params={"theta_half_deg": 1}), 422, "invalid-argument")
-    assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/brdf", params=document), 404, "not-found")

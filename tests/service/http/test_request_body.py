@@ -26,14 +26,6 @@ def contents(server: Server) -> tuple[list[Path], list[object]]:
     return sorted(server.files()), [server.http.get(path).json() for path in ("/v1/fits", "/v1/measurements")]
 
 
-@pytest.mark.parametrize("encoding", ["gzip", "br", "identity, gzip", "x"])
-def test_encoded_bodies_are_refused(server: Server, data: bytes, encoding: str) -> None:
-    headers = {"Content-Encoding": encoding}
-    answer = server.http.post("/v1/measurements", content=data[:1000], headers=headers)
-    assert_problem(answer, 415, "unsupported-media-type")
-    assert answer.headers["accept-encoding"] == "identity"
-
-
 def test_batch_may_have_sixteen_megabytes(server: Server, fitted: str) -> None:
     document = b'{"theta_half_deg": [1], "theta_diff_deg": [1]}'
     for length, status in ((16_000_000, 200), (16_000_001, 413)):
