@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import dsbrdf
+from dsbrdf.data import PHI_DIFF, THETA_DIFF, THETA_HALF
 from dsbrdf.output import from_json
 from dsbrdf_service.http.messages import NPY
 from tests.support.models import pairs_of_directions
@@ -135,3 +136,23 @@ def bad_npy() -> dict[str, bytes]:
 def test_invalid_npy_is_refused(server: Server, fitted: str, fault: str) -> None:
     answer = server.http.post(f"/v1/fits/{fitted}/brdf", content=bad_npy()[fault], headers=FROM_NPY)
     assert_problem(answer, 422, "invalid-argument")
+
+
+def test_measured_values_are_exact_or_null(server: Server, stored: str, plastic: dsbrdf.Measurement) -> None:
+    url = f"/v1/measurements/{stored}/brdf"
+    row, diff, column = np.vstack([np.argwhere(plastic.valid)[::70_000], np.argwhere(~plastic.valid)[-1:]]).T
+    angles = np.degrees([THETA_HALF[row], THETA_DIFF[diff], PHI_DIFF[column]])
+    expected = [*plastic.values[:, row[:-1], diff[:-1], column[:-1]].T, None]
+    names = ("theta_half_deg", "theta_diff_deg", "phi_diff_deg")
+    document = dict(zip(names, angles.tolist(), strict=True))
+    for answer in (server.http.get(url, params=document), server.http.post(url, json=document)):
+        values = answer.json()["values"]
+        assert values[-1] is None
+        np.testing.assert_allclose(values[:-1], expected[:-1], rtol=1e-9)
+    arrays = np.load(io.BytesIO(server.http.post(url, content=npy(angles.T), headers=NPY_BOTH_WAYS).content))
+    assert np.isnan(arrays[-1]).all()
+    np.testing.assert_allclose(arrays[:-1], expected[:-1], rtol=1e-9)
+    below = server.http.get(url, params={"omega_in": "0,0,1", "omega_out": "0.6,0,-0.8"})
+    assert below.json() == {"values": [None]}
+    assert_problem(server.http.get(url, params={"theta_half_deg": 1}), 422, "invalid-argument")
+    assert_problem(server.http.get(f"/v1/measurements/{'0' * 64}/brdf", params=document), 404, "not-found")
