@@ -38,6 +38,7 @@ from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction, thinned, without_outliers
 from dsbrdf.samples.reading import read_measurement
 from dsbrdf.samples.scattered_fit import (
+    FEW_SAMPLES,
     expected_error,
     left_out_errors,
     left_out_values,
@@ -51,8 +52,6 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import TABLE_OPTIONS, TableOptions
 from dsbrdf.version import versions
 
-FEW_SAMPLES = 200
-"""With fewer scattered samples, the model is only fitted to a predicted table, and not refined at the samples."""
 REFINEMENT_ROUNDS = 3
 """Number of fits to the scattered samples; before each fit, the latest model moves samples to whole degrees."""
 MAX_REFINED_SAMPLES = 30_000
@@ -231,17 +230,16 @@ def _model_of_samples(
     progress: Callable[[float], None],
     clock: _Clock,
 ) -> tuple[Profiles, FoundModel]:
-    """Fit a table predicted from samples; if there are at least FEW_SAMPLES, fit the table and the samples together."""
+    """Fit a table predicted from samples, then the table and the samples together."""
     table = predicted_profiles(samples, prediction, options)
     clock.lap("profiles")
     found, mixture = fit_global(table, options, lambda share: progress(0.1 + 0.7 * share), clock.lap)
-    if len(samples.values) >= FEW_SAMPLES:
-        exact = thinned(samples, MAX_REFINED_SAMPLES)
-        for _ in range(REFINEMENT_ROUNDS):
-            data = sample_rows(exact, table, options, prediction, found.model)
-            refined, mixture = refine_at_samples(data, mixture)
-            found = replace(refined, search=found.search)
-        clock.lap("refine at samples")
+    exact = thinned(samples, MAX_REFINED_SAMPLES)
+    for _ in range(REFINEMENT_ROUNDS):
+        data = sample_rows(exact, table, options, prediction, found.model)
+        refined, mixture = refine_at_samples(data, mixture)
+        found = replace(refined, search=found.search)
+    clock.lap("refine at samples")
     return table, found
 
 

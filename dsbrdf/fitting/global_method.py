@@ -146,7 +146,7 @@ def refine_at_samples(data: FitData, mixture: Mixture) -> tuple[FoundModel, Mixt
     # Fewer samples determine less, so parameters must be smoother over theta_diff.
     pull = max(1.0, MIN_TABLE_LIKE_SAMPLES / np.count_nonzero(data.weight[0]))
     amplitude, shape, elongation = (pull * smoothing for smoothing in SAMPLE_SMOOTHING)
-    problem = MixtureProblem(data, structure, (amplitude, shape, elongation))
+    problem = MixtureProblem(data.single(), structure, (amplitude, shape, elongation))
     solution = minimize(problem, mixture.unknowns, iterations=MAX_ITERATIONS)
     has_data = np.isin(THETA_DIFF, data.theta_diff)
     return _found(structure, solution, np.broadcast_to(has_data, (3, has_data.size)))
