@@ -1,4 +1,4 @@
-"""Pictures of fits are those of the library; the files of the page, and the resources that were made for it."""
+"""Figures and thumbnails of fits, and the pages of the service with their files."""
 
 import re
 from io import BytesIO

@@ -1,4 +1,4 @@
-"""Results of fits: components that add up, exports without loss, and the materials that come with the service."""
+"""Results of fits: components, exports as the library makes them, and the materials that come with the service."""
 
 import json
 import re

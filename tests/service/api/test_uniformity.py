@@ -1,4 +1,4 @@
-"""What holds for all routes alike: HEAD, headers, addresses, and the words that refuse a request."""
+"""What holds for all routes alike: which address is believed, and how long an answer may wait."""
 
 import pytest
 from starlette.requests import Request
