@@ -9,7 +9,11 @@ from typing import Any
 
 import httpx
 import pytest
+from prometheus_client import Gauge
 
+from dsbrdf_service.access import Access, Keys
+from dsbrdf_service.errors import ProblemError
+from dsbrdf_service.settings import Settings
 from tests.support.merl_files import with_value
 from tests.support.processes import wait_until
 from tests.support.server import (
@@ -101,6 +105,16 @@ def test_unusual_paths_do_not_bypass_authentication(guarded: Guarded, path: str)
     for method in ("GET", "DELETE"):
         with guarded.server.connection(f"{method} {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()) as connection:
             assert connection.recv(1000).startswith(b"HTTP/1.1 401 ")
+
+
+def test_connections_of_one_address_have_half_of_the_places_together() -> None:
+    settings = Settings(limit_concurrency=8)
+    access = Access(settings, Keys(settings), Gauge("requests", "", registry=None))
+    for port in range(4):
+        access.admit({"path": "/docs", "client": ("192.0.2.1", port)}, {})
+    with pytest.raises(ProblemError, match="4 of your requests"):
+        access.admit({"path": "/docs", "client": ("192.0.2.1", 4)}, {})
+    assert access.admit({"path": "/docs", "client": ("192.0.2.2", 0)}, {}) == "192.0.2.2"
 
 
 def test_what_a_key_has_begun_is_refused_when_it_is_revoked(own_server: StartServer, data: bytes) -> None:
