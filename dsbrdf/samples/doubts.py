@@ -68,6 +68,7 @@ _GROUND_DEVIATIONS = np.array([0.5, 0.4, 0.4, 0.3, 0.25, 0.4])
 _MIN_COSINE_LEAD = 25.0
 # A turned plane is reported if turning it raises twice the log likelihood by more; for correct tables it is up to 35.
 _MIN_TURNED_LEAD = 50.0
+_BRIGHT_QUANTILE = 0.95  # Values above this quantile are the brightest.
 # A sample near the mirror direction is reported as a spike if it exceeds its neighbours by more than this factor.
 _SPIKE_FACTOR = 8.0
 _SPIKE_THETA_HALF = np.radians(3.0)
@@ -153,8 +154,11 @@ def _about_energy(samples: ScatteredSamples, bound: float, factors: list[tuple[f
 
 
 def _about_symmetry(samples: ScatteredSamples) -> Iterator[str]:
-    leads = _leads(samples)
-    if leads["turned"] > _MIN_TURNED_LEAD:
+    leads, level = _leads(samples), samples.values.mean(axis=1)
+    brightest = samples.take(level >= np.quantile(level, _BRIGHT_QUANTILE))
+    # A shadow of the lamp on the detector is a dip towards the light, which a turned plane would explain as well.
+    is_towards_light = np.sum(brightest.omega_in[:, :2] * brightest.omega_out[:, :2]) > 0.0
+    if leads["turned"] > _MIN_TURNED_LEAD and is_towards_light:
         yield (
             "The brightest samples lie back towards the light, as those of a retro-reflector do: if the material is "
             'none, light and viewer have the same phi in the mirror direction: set phi to "mirror".'

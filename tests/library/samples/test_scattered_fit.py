@@ -280,6 +280,15 @@ def test_zeros_of_an_instrument_are_no_cosine(truth: dsbrdf.DSBRDF) -> None:
     assert not sample_doubts(scaled(samples, samples.omega_out[:, 2:] > 0.35)).sentences
 
 
+def test_a_shadow_of_the_detector_is_no_turned_plane(truth: dsbrdf.DSBRDF) -> None:
+    angles = np.meshgrid(np.arange(0.0, 76.0, 15.0), np.arange(-80.0, 81.0, 5.0))
+    theta_in, theta_out = (np.radians(angle.ravel()) for angle in angles)
+    directions = spherical(theta_in, np.zeros(theta_in.size)), spherical(theta_out, np.zeros(theta_in.size))
+    shadow = np.where(np.abs(theta_in - theta_out) < 0.1, 0.3, 1.0)[:, None]
+    samples = ScatteredSamples.from_arrays(*directions, truth.evaluate_directions(*directions) * shadow)
+    assert not sample_doubts(samples).sentences
+
+
 def test_a_model_brighter_than_energy_allows_is_told(truth: dsbrdf.DSBRDF) -> None:
     """At grazing angles alone, so that the unit of the samples is not in doubt."""
     samples = scattered_samples(truth, 300)
