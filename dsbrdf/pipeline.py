@@ -38,7 +38,6 @@ from dsbrdf.samples.doubts import sample_doubts
 from dsbrdf.samples.prediction import SamplePrediction, thinned, without_outliers
 from dsbrdf.samples.reading import read_measurement
 from dsbrdf.samples.scattered_fit import (
-    FEW_SAMPLES,
     expected_error,
     left_out_errors,
     left_out_values,
@@ -52,6 +51,8 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 from dsbrdf.samples.table_options import TABLE_OPTIONS, TableOptions
 from dsbrdf.version import versions
 
+FEW_SAMPLES = 200
+"""With fewer scattered samples, the model is mostly that of physical layers, which a finding says."""
 REFINEMENT_ROUNDS = 3
 """Number of fits to the scattered samples; before each fit, the latest model moves samples to whole degrees."""
 MAX_REFINED_SAMPLES = 30_000

@@ -52,11 +52,8 @@ from dsbrdf.samples.scattered_samples import ScatteredSamples
 _MODEL_ERROR = 0.015
 # A node of the table keeps at least this fraction of its weight, however near to samples or uncertain the node is.
 _MIN_NODE_WEIGHT = 1e-3
-FEW_SAMPLES = 200
-"""Fewer samples weigh less than the table, by the cube of their number: their noise would distort the model elsewhere.
-
-In proportion to their number, median errors of 50 and 100 samples elsewhere would be 9 % larger.
-"""
+# Fewer samples weigh less than the table, by the square of their number: else their noise distorts the model elsewhere.
+_MIN_FULL_WEIGHT_SAMPLES = 1000
 # The value of a sample changes by at most this factor when the sample moves to the nearest whole degree of theta_diff.
 _MAX_MOVE_RATIO = 16.0
 
@@ -105,7 +102,7 @@ def sample_rows(
     there, here = (model.evaluate_unmasked(theta_half, angle, phi_diff) for angle in (THETA_DIFF[row], theta_diff))
     values = samples.values * np.clip(there / np.maximum(here, 1e-300), 1.0 / _MAX_MOVE_RATIO, _MAX_MOVE_RATIO)
     sample_weight = np.sum(counted * predicted**2) / max(float(np.sum(at_sample * values.T**2)), 1e-300)
-    sample_weight *= min(1.0, len(samples.values) / FEW_SAMPLES) ** 3
+    sample_weight *= min(1.0, len(samples.values) / _MIN_FULL_WEIGHT_SAMPLES) ** 2
     nodes = THETA_HALF[cells[1]], THETA_DIFF[cells[0]], np.arccos(np.sqrt(folded.cos2_phi[*cells]))
     spread, remote = prediction.spread(*nodes), prediction.remoteness(*nodes, samples)
     counted = counted * np.maximum(remote * _MODEL_ERROR**2 / (_MODEL_ERROR**2 + spread**2), _MIN_NODE_WEIGHT)
