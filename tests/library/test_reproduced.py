@@ -57,6 +57,7 @@ from tests.support.models import (
     samples_table,
     scattered_directions,
     scattered_samples,
+    single_lobe,
 )
 from tests.support.reproduced import assert_reproduced, digest
 
@@ -177,10 +178,10 @@ def test_stages_of_a_fit_of_samples() -> None:
     assert_reproduced("stages/prediction", found, 1e-3)
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", [*MODELS, "one lobe"])
 @pytest.mark.usefixtures("coarse_sampling")
 def test_values_of_models(name: str) -> None:
-    model, random = MODELS[name], np.random.default_rng(4)
+    model, random = MODELS.get(name, single_lobe(1.0, 1.0)), np.random.default_rng(4)
     theta, phi = random.uniform(0.0, 1.5, (2, 60)), random.uniform(0.0, 6.0, (2, 60))
     pairs = spherical(theta[0], phi[0]), spherical(theta[1], phi[1])
     drawn = model.sample(pairs[0], random)
@@ -190,7 +191,7 @@ def test_values_of_models(name: str) -> None:
         "drawn": [digest(drawn.omega_in), digest(drawn.weight)],
         "density": digest(model.pdf(*pairs)),
         "parameters": {key: digest(values) for key, values in model.parameters_at([0.1, 0.9, 1.5]).items()},
-        "n_numbers": model.n_numbers,
+        "described": repr(model),
     }
     assert_reproduced(f"models/{name}", found, 1e-5)
 
