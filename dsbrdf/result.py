@@ -295,27 +295,13 @@ def sample_findings(samples: ScatteredSamples, metrics: Metrics, structure: str,
     here, left_out, expected = metrics.relative_rms, metrics.relative_rms_left_out, metrics.relative_rms_expected
     if here is None or left_out is None or expected is None:
         return
-    count = len(samples.values)
-    if count < few:
-        yield Finding(
-            "few-samples",
-            f"There are only {count} samples. The model consists of physical layers ({structure}), corrected near the "
-            "samples. Measure more directions for a more accurate model.",
-            {"samples": float(count)},
-        )
-    first, second = samples.omega_in, samples.omega_out
-    if np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).max() < _MIN_OUT_OF_PLANE_SINE:
-        yield Finding(
-            "one-plane",
-            "All samples lie in one plane of incidence. Outside of this plane the brightness of highlights is a guess "
-            "from other materials, and can be wrong by a factor of several: measure directions there as well.",
-        )
+    yield from _coverage_findings(samples, structure, few)
     floor = metrics.symmetric_floor or 0.0
     if floor > _MAX_RELATIVE_ASYMMETRY:
         yield Finding(
             "asymmetric",
-            f"The samples differ by {floor:.0%} from those with light and viewer exchanged or the material turned; "
-            "in a reciprocal isotropic material they would be equal. The measurement is noisy or misaligned, or the "
+            f"Samples that are equal in a reciprocal isotropic material differ by {floor:.0%}: repeated ones, or those "
+            "with light and viewer exchanged or the material turned. The measurement is noisy or misaligned, or the "
             "material sparkles or is anisotropic; no model of this kind can be more accurate.",
             {"symmetric_floor": floor},
         )
@@ -339,4 +325,23 @@ def sample_findings(samples: ScatteredSamples, metrics: Metrics, structure: str,
             f"Over all directions the error is probably below {expected:.0%}: the model is a guess where there are no "
             "samples. measure_next lists the directions whose measurement would help most.",
             {"relative_rms_expected": expected},
+        )
+
+
+def _coverage_findings(samples: ScatteredSamples, structure: str, few: int) -> Iterator[Finding]:
+    """Yield findings about samples that are fewer than `few`, or all in one plane of incidence."""
+    count = len(samples.values)
+    if count < few:
+        yield Finding(
+            "few-samples",
+            f"There are only {count} samples. The model consists of physical layers ({structure}), corrected near the "
+            "samples. Measure more directions for a more accurate model.",
+            {"samples": float(count)},
+        )
+    first, second = samples.omega_in, samples.omega_out
+    if np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).max() < _MIN_OUT_OF_PLANE_SINE:
+        yield Finding(
+            "one-plane",
+            "All samples lie in one plane of incidence. Outside of this plane the brightness of highlights is a guess "
+            "from other materials, and can be wrong by a factor of several: measure directions there as well.",
         )

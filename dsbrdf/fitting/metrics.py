@@ -9,8 +9,8 @@ are within the horizon cutoff of the normal, theta_half is at least 1 degree, an
     excess          = relative_rms / floor
     male            = mean | log(1 + f cos_in) - log(1 + fit cos_in) |
 
-For scattered samples, whose directions were chosen freely, relative_rms and symmetric_floor have all samples within the
-cutoff, and symmetric_floor is None if no two samples are symmetric:
+For scattered samples, whose directions were chosen freely, relative_rms and symmetric_floor are over all samples within
+the cutoff; symmetric_floor is None if no two samples are symmetric. Two further errors are:
 
     relative_rms_left_out = relative_rms at samples that were left out of the fit
     relative_rms_expected = relative_rms over all directions that the error of one table in ten exceeds

@@ -156,7 +156,7 @@ def _about_energy(samples: ScatteredSamples, bound: float, factors: list[tuple[f
 def _about_symmetry(samples: ScatteredSamples) -> Iterator[str]:
     leads, level = _leads(samples), samples.values.mean(axis=1)
     brightest = samples.take(level >= np.quantile(level, _BRIGHT_QUANTILE))
-    # A shadow of the lamp on the detector is a dip towards the light, which a turned plane would explain as well.
+    # A detector in front of the lamp darkens samples towards the light, which a turned plane would explain as well.
     is_towards_light = np.sum(brightest.omega_in[:, :2] * brightest.omega_out[:, :2]) > 0.0
     if leads["turned"] > _MIN_TURNED_LEAD and is_towards_light:
         yield (

@@ -146,17 +146,14 @@ _LAST_COSINE = float(np.cos(np.radians(80.0)))
 _MIN_PAIR_DISTANCE_DEG = 4.0
 # A sample is unconfirmed only if a fit without the sample misses the logarithm of its value by more than this.
 _UNCONFIRMED_LOG = np.log(3.0)
-_MIN_COMPARED_FRACTION = (
-    1e-6  # Values below this fraction of the largest are equally dark when errors of logarithms are compared.
-)
+# Values below this fraction of the largest are equally dark when errors of logarithms are compared.
+_MIN_COMPARED_FRACTION = 1e-6
 # A sample is unconfirmed only if its squared error is more than this fraction of the sum over all samples.
 _UNCONFIRMED_FRACTION = 0.5
-# Suggested directions are at least 8 degrees apart, because light and detector of an instrument would cover each other.
 _MAX_SINE_IN_PLANE = np.sin(np.radians(0.5))  # Directions this near the plane of incidence lie in the plane.
+# Suggested directions are at least 8 degrees apart, because light and detector of an instrument would cover each other.
 _MAX_COSINE_BETWEEN = np.cos(np.radians(8.0))
-
-# Pairs of directions are symmetric to each other if their cosines are equal after rounding to this step.
-_SAME_COSINE = 1e-5
+_SAME_COSINE = 1e-5  # Cosines that are equal after rounding to this step count as equal.
 
 
 def relative_rms(values: Array, expected: Array, weight: Array) -> float | None:
@@ -222,8 +219,7 @@ def scattered_metrics(model: DSBRDF, samples: ScatteredSamples, horizon_cutoff: 
 def _symmetric_floor(samples: ScatteredSamples, weight: Array) -> float | None:
     """Return the smallest `relative_rms` of any reciprocal isotropic model; None if no samples are symmetric.
 
-    Such a model has equal values where the cosines of both directions to each other, and, in any order, to the normal
-    are equal.
+    Samples are symmetric if their directions have equal cosines to the normal, in any order, and to each other.
     """
     first, second = samples.omega_in, samples.omega_out
     cosines = np.stack([*np.sort([first[:, 2], second[:, 2]], axis=0), np.sum(first * second, axis=1)])
